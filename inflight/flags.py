@@ -1,0 +1,41 @@
+"""The quality bitmask of samples and products: append-only, 0 means good.
+
+A bit never changes its meaning; new ones are added at the end. Products write the mask with the
+attributes `flag_masks` and `flag_meanings` (ISTP and CF conventions).
+"""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+
+class Flag(IntFlag):
+    """What is wrong with, or was done to, one sample."""
+
+    GOOD = 0
+    #: The vector reading is missing or equals its fill value.
+    VECTOR_MISSING = 1 << 0
+    #: The scalar reading is missing or equals its fill value.
+    SCALAR_MISSING = 1 << 1
+    #: A housekeeping channel that the model uses is missing here.
+    CHANNEL_MISSING = 1 << 2
+    #: The sample lies inside an inserted leap second and carries the stamp of the second before it.
+    LEAP_SECOND = 1 << 3
+    #: The robust fit gave the sample less than half its weight.
+    OUTLIER = 1 << 4
+    #: The reading lies outside the range the mission YAML states.
+    OUT_OF_RANGE = 1 << 5
+    #: The delivered quality flag of the instrument marks the sample.
+    INSTRUMENT_FLAG = 1 << 6
+    #: No attitude: the field is given in sensor axes only.
+    NO_ATTITUDE = 1 << 7
+    #: The day's calibration kept at least one parameter at its prior.
+    PRIOR_PARAMETERS = 1 << 8
+    #: The time stamp was repaired (a clock that ran backwards or repeated itself).
+    CLOCK_REPAIRED = 1 << 9
+
+
+def meanings() -> tuple[list[int], str]:
+    """Return the masks and the space-separated meanings for product attributes."""
+    bits = [bit for bit in Flag if bit]
+    return [int(bit) for bit in bits], " ".join(str(bit.name).lower() for bit in bits)

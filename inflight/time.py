@@ -1,0 +1,142 @@
+"""TT2000: integer nanoseconds since 2000-01-01T12:00:00 Terrestrial Time, the one time of stores and mathematics.
+
+TT2000 counts SI seconds, so leap seconds are ordinary seconds in it. UTC is what people see: as
+``datetime64[ns]``, which has no stamp for an inserted second; such a sample carries the stamp of
+the second before it and the flag ``LEAP_SECOND``. A *day* is a UTC day and has 86 401 s when it
+ends with a leap second. All intervals are half-open.
+
+Leap-second dates: IERS Bulletin C (TAI - UTC since 1972); CDF's TT2000 definition: TT = TAI + 32.184 s.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+
+import numpy as np
+import numpy.typing as npt
+
+SECOND = 1_000_000_000
+DAY = 86_400 * SECOND
+#: "No time": CDF's fill value and pad value of CDF_TIME_TT2000.
+TT2000_FILL = np.int64(-(2**63))
+TT2000_PAD = np.int64(-(2**63) + 1)
+
+#: UTC dates on which TAI - UTC became 10, 11, ... seconds.
+_LEAP_DATES = np.array(
+    """1972-01-01 1972-07-01 1973-01-01 1974-01-01 1975-01-01 1976-01-01 1977-01-01 1978-01-01 1979-01-01
+    1980-01-01 1981-07-01 1982-07-01 1983-07-01 1985-07-01 1988-01-01 1990-01-01 1991-01-01 1992-07-01
+    1993-07-01 1994-07-01 1996-01-01 1997-07-01 1999-01-01 2006-01-01 2009-01-01 2012-07-01 2015-07-01
+    2017-01-01""".split(),
+    dtype="datetime64[ns]",
+)
+_TAI_MINUS_UTC = np.arange(10, 10 + _LEAP_DATES.size, dtype=np.int64)
+_J2000_UTC_LABEL = np.datetime64("2000-01-01T12:00:00", "ns")
+_TT_MINUS_TAI = 32_184_000_000
+
+#: TT2000 at which each offset begins: the first instant after the inserted second.
+_LEAP_TT2000 = (_LEAP_DATES - _J2000_UTC_LABEL).astype(np.int64) + _TAI_MINUS_UTC * SECOND + _TT_MINUS_TAI
+
+Int64 = npt.NDArray[np.int64]
+Datetimes = npt.NDArray[np.datetime64]
+
+
+def to_tt2000(utc: npt.ArrayLike) -> Int64:
+    """Convert UTC stamps to TT2000.
+
+    Parameters
+    ----------
+    utc : array_like of datetime64
+        Any shape. Stamps before 1972 take the first offset (10 s); NaT gives `TT2000_FILL`.
+
+    Returns
+    -------
+    ndarray of int64
+        Nanoseconds since 2000-01-01T12:00:00 TT, same shape.
+    """
+    stamps = np.asarray(utc, dtype="datetime64[ns]")
+    index = np.clip(np.searchsorted(_LEAP_DATES, stamps, side="right") - 1, 0, None)
+    ticks = (stamps - _J2000_UTC_LABEL).astype(np.int64) + _TAI_MINUS_UTC[index] * SECOND + _TT_MINUS_TAI
+    return np.where(np.isnat(stamps), TT2000_FILL, ticks).astype(np.int64)
+
+
+def to_utc(tt2000: npt.ArrayLike) -> Datetimes:
+    """Convert TT2000 to UTC stamps; samples inside an inserted second get the stamp one second earlier.
+
+    Parameters
+    ----------
+    tt2000 : array_like of int64
+        Nanoseconds since 2000-01-01T12:00:00 TT, any shape; fill and pad values give NaT.
+
+    Returns
+    -------
+    ndarray of datetime64[ns]
+    """
+    ticks = np.asarray(tt2000, dtype=np.int64)
+    missing = ticks <= TT2000_PAD
+    ticks = np.where(missing, 0, ticks)
+    index = np.clip(np.searchsorted(_LEAP_TT2000, ticks, side="right") - 1, 0, None)
+    label = ticks - _TT_MINUS_TAI - _TAI_MINUS_UTC[index] * SECOND - in_leap_second(ticks) * SECOND
+    stamps = _J2000_UTC_LABEL + label.astype("timedelta64[ns]")
+    return np.where(missing, np.datetime64("NaT", "ns"), stamps)
+
+
+def in_leap_second(tt2000: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Return True where a TT2000 lies inside an inserted second (23:59:60)."""
+    ticks = np.asarray(tt2000, dtype=np.int64)
+    following = np.searchsorted(_LEAP_TT2000, ticks, side="right")
+    upcoming = _LEAP_TT2000[np.minimum(following, _LEAP_TT2000.size - 1)]
+    return (following < _LEAP_TT2000.size) & (following > 0) & (upcoming - ticks <= SECOND)
+
+
+def parse_utc(text: str | dt.date | dt.datetime | np.datetime64) -> np.datetime64:
+    """Read a UTC date or time as a person writes it; a trailing ``Z`` is allowed, other zones are not.
+
+    Raises
+    ------
+    ValueError
+        When the text is no ISO 8601 date or time in UTC.
+    """
+    if isinstance(text, dt.datetime) and text.tzinfo is not None:
+        text = text.astimezone(dt.UTC).replace(tzinfo=None)
+    if isinstance(text, str):
+        text = text.strip().removesuffix("Z").removesuffix("+00:00")
+    try:
+        return np.datetime64(text, "ns")
+    except ValueError:
+        raise ValueError(f"{text!r} is no UTC date or time; write 2005-01-31 or 2005-01-31T12:00:00") from None
+
+
+def day_of(tt2000: npt.ArrayLike) -> Datetimes:
+    """Return the UTC day (datetime64[D]) each TT2000 belongs to."""
+    return to_utc(tt2000).astype("datetime64[D]")
+
+
+def day_bounds(day: str | dt.date | np.datetime64) -> tuple[int, int]:
+    """Return the half-open TT2000 span of a UTC day; its length is 86 401 s when a leap second ends it."""
+    start = np.datetime64(day, "D")
+    bounds = to_tt2000(np.array([start, start + 1], dtype="datetime64[ns]"))
+    return int(bounds[0]), int(bounds[1])
+
+
+def day_range(start: str | dt.date | np.datetime64, end: str | dt.date | np.datetime64) -> list[np.datetime64]:
+    """Return the UTC days of the half-open span ``[start, end)``."""
+    return list(np.arange(np.datetime64(start, "D"), np.datetime64(end, "D")))
+
+
+_DURATION = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(ns|us|ms|s|min|h|d)\s*$")
+_UNIT_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": SECOND, "min": 60 * SECOND, "h": 3600 * SECOND, "d": DAY}
+
+
+def parse_duration(text: str) -> int:
+    """Read a duration such as ``10 s``, ``15 ms`` or ``260.5 d``; return integer nanoseconds.
+
+    Raises
+    ------
+    ValueError
+        When number or unit is missing or unknown.
+    """
+    match = _DURATION.match(str(text))
+    if not match:
+        raise ValueError(f"{text!r} is no duration; write a number and one of {', '.join(_UNIT_NS)}, as in '10 s'")
+    return round(float(match[1]) * _UNIT_NS[match[2]])

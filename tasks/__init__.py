@@ -1,0 +1,1 @@
+"""Pipeline steps: each reads from the catalog, calls the physics and stages its result."""
