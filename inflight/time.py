@@ -1,4 +1,4 @@
-"""TT2000: integer nanoseconds since 2000-01-01T12:00:00 Terrestrial Time, the one time of stores and mathematics.
+"""TT2000: integer nanoseconds since 2000-01-01T12:00:00 TT, the one time of stores and mathematics.
 
 TT2000 counts SI seconds, so leap seconds are ordinary seconds in it. UTC is what people see: as
 ``datetime64[ns]``, which has no stamp for an inserted second; such a sample carries the stamp of
@@ -11,6 +11,7 @@ Leap-second dates: IERS Bulletin C (TAI - UTC since 1972); CDF's TT2000 definiti
 from __future__ import annotations
 
 import datetime as dt
+import io
 import re
 
 import numpy as np
@@ -23,12 +24,18 @@ TT2000_FILL = np.int64(-(2**63))
 TT2000_PAD = np.int64(-(2**63) + 1)
 
 #: UTC dates on which TAI - UTC became 10, 11, ... seconds.
-_LEAP_DATES = np.array(
-    """1972-01-01 1972-07-01 1973-01-01 1974-01-01 1975-01-01 1976-01-01 1977-01-01 1978-01-01 1979-01-01
-    1980-01-01 1981-07-01 1982-07-01 1983-07-01 1985-07-01 1988-01-01 1990-01-01 1991-01-01 1992-07-01
-    1993-07-01 1994-07-01 1996-01-01 1997-07-01 1999-01-01 2006-01-01 2009-01-01 2012-07-01 2015-07-01
-    2017-01-01""".split(),
-    dtype="datetime64[ns]",
+_LEAP_DATES = (
+    np.loadtxt(
+        io.StringIO(
+            """1972-01-01 1972-07-01 1973-01-01 1974-01-01 1975-01-01 1976-01-01 1977-01-01
+        1978-01-01 1979-01-01 1980-01-01 1981-07-01 1982-07-01 1983-07-01 1985-07-01
+        1988-01-01 1990-01-01 1991-01-01 1992-07-01 1993-07-01 1994-07-01 1996-01-01
+        1997-07-01 1999-01-01 2006-01-01 2009-01-01 2012-07-01 2015-07-01 2017-01-01"""
+        ),
+        dtype="U10",
+    )
+    .ravel()
+    .astype("datetime64[ns]")
 )
 _TAI_MINUS_UTC = np.arange(10, 10 + _LEAP_DATES.size, dtype=np.int64)
 _J2000_UTC_LABEL = np.datetime64("2000-01-01T12:00:00", "ns")
@@ -39,6 +46,7 @@ _LEAP_TT2000 = (_LEAP_DATES - _J2000_UTC_LABEL).astype(np.int64) + _TAI_MINUS_UT
 
 Int64 = npt.NDArray[np.int64]
 Datetimes = npt.NDArray[np.datetime64]
+DayLike = str | dt.date | np.datetime64
 
 
 def to_tt2000(utc: npt.ArrayLike) -> Int64:
@@ -104,7 +112,9 @@ def parse_utc(text: str | dt.date | dt.datetime | np.datetime64) -> np.datetime6
     try:
         return np.datetime64(text, "ns")
     except ValueError:
-        raise ValueError(f"{text!r} is no UTC date or time; write 2005-01-31 or 2005-01-31T12:00:00") from None
+        raise ValueError(
+            f"{text!r} is no UTC date or time; write 2005-01-31 or 2005-01-31T12:00:00"
+        ) from None
 
 
 def day_of(tt2000: npt.ArrayLike) -> Datetimes:
@@ -112,16 +122,21 @@ def day_of(tt2000: npt.ArrayLike) -> Datetimes:
     return to_utc(tt2000).astype("datetime64[D]")
 
 
-def day_bounds(day: str | dt.date | np.datetime64) -> tuple[int, int]:
+def as_day(day: DayLike) -> np.datetime64:
+    """Return a UTC day as datetime64[D]."""
+    return np.asarray(day, dtype="datetime64[D]")[()]
+
+
+def day_bounds(day: DayLike) -> tuple[int, int]:
     """Return the half-open TT2000 span of a UTC day; its length is 86 401 s when a leap second ends it."""
-    start = np.datetime64(day, "D")
+    start = as_day(day)
     bounds = to_tt2000(np.array([start, start + 1], dtype="datetime64[ns]"))
     return int(bounds[0]), int(bounds[1])
 
 
-def day_range(start: str | dt.date | np.datetime64, end: str | dt.date | np.datetime64) -> list[np.datetime64]:
+def day_range(start: DayLike, end: DayLike) -> list[np.datetime64]:
     """Return the UTC days of the half-open span ``[start, end)``."""
-    return list(np.arange(np.datetime64(start, "D"), np.datetime64(end, "D")))
+    return list(np.arange(as_day(start), as_day(end)))
 
 
 _DURATION = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(ns|us|ms|s|min|h|d)\s*$")
@@ -138,5 +153,7 @@ def parse_duration(text: str) -> int:
     """
     match = _DURATION.match(str(text))
     if not match:
-        raise ValueError(f"{text!r} is no duration; write a number and one of {', '.join(_UNIT_NS)}, as in '10 s'")
+        raise ValueError(
+            f"{text!r} is no duration; write a number and one of {', '.join(_UNIT_NS)}, as in '10 s'"
+        )
     return round(float(match[1]) * _UNIT_NS[match[2]])

@@ -1,0 +1,76 @@
+"""Units: one registry for the project, and the conversions of channels to the units the physics uses.
+
+Delivered files spell units in many ways; `same_dimension` and `factor_and_offset` are the only
+places that judge them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import pint
+
+REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True, cache_folder=None)
+REGISTRY.define("ppm = 1e-6")
+REGISTRY.define("count = []")
+
+#: Spellings found in delivered files that pint does not know, lower case.
+_SPELLINGS = {
+    "": "dimensionless",
+    "1": "dimensionless",
+    "none": "dimensionless",
+    "counts": "count",
+    "dn": "count",
+    "celsius": "degC",
+    "deg c": "degC",
+    "deg_c": "degC",
+    "degrees c": "degC",
+    "degree celsius": "degC",
+    "degrees celsius": "degC",
+    "c": "degC",
+    "gamma": "nT",
+    "nt": "nT",
+    "nanotesla": "nT",
+    "degrees": "deg",
+}
+
+
+@lru_cache(maxsize=256)
+def parse_unit(text: str) -> pint.Unit:
+    """Return the pint unit of a text as found in a file or a YAML.
+
+    Raises
+    ------
+    ValueError
+        When the text names no unit.
+    """
+    plain = text.strip()
+    try:
+        return REGISTRY.Unit(_SPELLINGS.get(plain.lower(), plain))
+    except (pint.PintError, AssertionError, ValueError, TypeError) as error:
+        raise ValueError(f"{text!r} is no known unit ({error})") from None
+
+
+@lru_cache(maxsize=256)
+def same_unit(one: str, other: str) -> bool:
+    """Return True when two texts name the same unit."""
+    return parse_unit(one) == parse_unit(other)
+
+
+@lru_cache(maxsize=256)
+def factor_and_offset(source: str, target: str) -> tuple[float, float]:
+    """Return (a, b) with ``target value = a * source value + b``.
+
+    Raises
+    ------
+    ValueError
+        When the units measure different things.
+    """
+    start, goal = parse_unit(source), parse_unit(target)
+    if start == goal:
+        return 1.0, 0.0
+    if start.dimensionality != goal.dimensionality:
+        raise ValueError(f"unit {source!r} cannot become {target!r}")
+    zero = REGISTRY.Quantity(0.0, start).to(goal).magnitude
+    one = REGISTRY.Quantity(1.0, start).to(goal).magnitude
+    return float(one - zero), float(zero)
