@@ -1,0 +1,70 @@
+# Everything a newcomer needs, from a bare Python 3.11 or newer and make. `make help` lists the targets.
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+# The first interpreter that is new enough and can make an environment; override with PYTHON=python3.12.
+PYTHON ?= $(shell for python in python3.11 python3.12 python3 python3.13; do \
+	$$python -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null \
+	&& { echo $$python; break; }; done)
+# Processes for the tests; the suite is written for two cores.
+WORKERS ?= 2
+DEMO ?= demo
+DAYS ?= 30
+
+# One BLAS thread: steps run in parallel over days, and results must not depend on the number of threads.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint bench docs lock format clean
+
+help:  ## list the targets
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(VENV)/.installed  ## make the environment in .venv from the lock file (runs once)
+
+$(VENV)/.locked: requirements.lock
+	@test -n "$(PYTHON)" || { echo "No Python 3.11 or newer with the venv module found;" \
+		"install one or say which: make setup PYTHON=/path/to/python3"; exit 1; }
+	@echo "Making the environment $(VENV) with $(PYTHON); the first time takes a few minutes."
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
+	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null 2>&1 || true
+	@touch $@
+
+$(VENV)/.installed: pyproject.toml $(VENV)/.locked
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: setup  ## simulate a month, run the whole chain, show what came out (under 3 minutes)
+	$(BIN)/inflight --workspace $(DEMO) demo --days $(DAYS)
+
+test: setup  ## run the tests
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile $(ARGS)
+
+lint: setup  ## check style, types and the direction of imports
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: setup  ## put the code into the project's format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: setup  ## measure speed and memory
+	$(BIN)/python -m benchmarks
+
+docs: setup  ## build the documentation into docs/_build/html
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+lock: setup  ## resolve requirements.lock anew for Python 3.11 and later
+	@command -v uv >/dev/null || test -x $(BIN)/uv || $(BIN)/python -m pip install --quiet uv
+	PATH="$$PATH:$(abspath $(BIN))" uv pip compile --quiet --universal --generate-hashes --no-emit-index-url \
+		--python-version 3.11 --extra dev --extra docs pyproject.toml -o requirements.lock \
+		--custom-compile-command "make lock"
+
+clean:  ## remove what the targets made, the environment included
+	rm -rf $(VENV) $(DEMO) build dist docs/_build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -1,0 +1,158 @@
+"""What a run did, as the command line prints it and other programs read it.
+
+One report serves every verb that makes something: which days were planned and what became of them,
+what went wrong and what to do about it, where the outputs are. `exit_code` follows from it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from inflight.errors import InflightError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: What can become of a planned day, in the order it is shown.
+DAY_COUNTS = ("planned", "done", "unchanged", "failed", "no_work")
+#: Problems shown to a person before the rest is only counted.
+SHOWN_PROBLEMS = 12
+
+DONE, FAILED, USAGE, DAYS_MISSING = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """The outcome of one run.
+
+    Parameters
+    ----------
+    command : str
+        The verb: ``ingest``, ``reprocess``, ...
+    run, context : str
+        Ids in the catalog; empty where the verb has none.
+    days : mapping of str to int
+        Number of days by `DAY_COUNTS`; absent ones count as 0.
+    problems : list of dict
+        ``day``, ``channel``, ``cause``, ``remedy`` and ``message`` of everything that went wrong.
+    outputs : list of str
+        Paths of what was made, relative to the workspace where they lie in it.
+    extra : dict
+        Further fields of the JSON that belong to one verb alone.
+    """
+
+    command: str
+    run: str = ""
+    context: str = ""
+    days: Mapping[str, int] = field(default_factory=dict)
+    problems: list[dict[str, str]] = field(default_factory=list)
+    outputs: list[str] = field(default_factory=list)
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        unknown = set(self.days) - set(DAY_COUNTS)
+        if unknown:
+            raise ValueError(f"a report counts {DAY_COUNTS}, not {sorted(unknown)}")
+        object.__setattr__(self, "days", {name: int(self.days.get(name, 0)) for name in DAY_COUNTS})
+
+    @property
+    def exit_code(self) -> int:
+        """0 done; 1 nothing came out though something failed; 3 done, with days missing."""
+        troubled = self.days["failed"] > 0 or any(item.get("cause") != "no_work" for item in self.problems)
+        if not troubled:
+            return DONE
+        return DAYS_MISSING if self.days["done"] + self.days["unchanged"] > 0 else FAILED
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON (INTERFACES "Command line")."""
+        return {
+            "command": self.command,
+            "run": self.run,
+            "context": self.context,
+            "days": dict(self.days),
+            "problems": [_whole_problem(item) for item in self.problems],
+            "outputs": list(self.outputs),
+            **self.extra,
+        }
+
+    @classmethod
+    def from_json(cls, fields: Mapping[str, Any]) -> RunReport:
+        """Return the report that `as_json` wrote; flows return plain fields, which survive any store."""
+        known = {"command", "run", "context", "days", "problems", "outputs"}
+        return cls(
+            **{name: fields[name] for name in known if name in fields},
+            extra={name: value for name, value in fields.items() if name not in known},
+        )
+
+
+def _whole_problem(item: Mapping[str, str]) -> dict[str, str]:
+    return {name: item.get(name, "") for name in ("day", "channel", "cause", "remedy", "message")}
+
+
+def problem_of(error: InflightError, day: str = "") -> dict[str, str]:
+    """Return an error as one entry of `RunReport.problems`."""
+    return {
+        "day": error.day or day,
+        "channel": error.channel,
+        "cause": error.cause,
+        "remedy": error.remedy,
+        "message": f"{error.file}: {error.message}" if error.file else error.message,
+    }
+
+
+def combine(command: str, reports: Iterable[RunReport]) -> RunReport:
+    """Return one report of several runs: days are added up, the last run and context are named."""
+    listed = list(reports)
+    return RunReport(
+        command,
+        run=next((report.run for report in reversed(listed) if report.run), ""),
+        context=next((report.context for report in reversed(listed) if report.context), ""),
+        days={name: sum(report.days[name] for report in listed) for name in DAY_COUNTS},
+        problems=[item for report in listed for item in report.problems],
+        outputs=[path for report in listed for path in report.outputs],
+        extra={key: value for report in listed for key, value in report.extra.items()},
+    )
+
+
+def print_report(report: RunReport, console: Console) -> None:
+    """Print a report for a person: one line of counts, a short table of problems, the outputs."""
+    counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.days.items() if count)
+    console.print(f"[bold]{report.command}[/bold]: days {counts or 'none'}", highlight=False)
+    if report.problems:
+        console.print(_problem_table(report.problems))
+    hidden = len(report.problems) - SHOWN_PROBLEMS
+    if hidden > 0:
+        console.print(f"... and {hidden} more; --json lists all", highlight=False)
+    for path in report.outputs:
+        console.print(f"  {path}", highlight=False, soft_wrap=True)
+
+
+def _problem_table(problems: list[dict[str, str]]) -> Any:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for name in ("day", "channel", "cause", "what was found", "what to do"):
+        table.add_column(name, overflow="fold", no_wrap=name in ("day", "cause"))
+    for item in map(_whole_problem, problems[:SHOWN_PROBLEMS]):
+        table.add_row(item["day"], item["channel"], item["cause"], item["message"], item["remedy"])
+    return table
+
+
+def to_json(fields: Mapping[str, Any]) -> str:
+    """Return JSON text of a report; numbers that are not finite become null, numpy values plain ones."""
+    return json.dumps(_plain(fields), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not float("-inf") < value < float("inf"):
+        return None
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
