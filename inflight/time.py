@@ -124,7 +124,9 @@ def day_of(tt2000: npt.ArrayLike) -> Datetimes:
 
 def as_day(day: DayLike) -> np.datetime64:
     """Return a UTC day as datetime64[D]."""
-    return np.asarray(day, dtype="datetime64[D]")[()]
+    if isinstance(day, np.datetime64):
+        return day.astype("datetime64[D]")
+    return np.datetime64(str(day), "D")
 
 
 def day_bounds(day: DayLike) -> tuple[int, int]:
@@ -136,7 +138,8 @@ def day_bounds(day: DayLike) -> tuple[int, int]:
 
 def day_range(start: DayLike, end: DayLike) -> list[np.datetime64]:
     """Return the UTC days of the half-open span ``[start, end)``."""
-    return list(np.arange(as_day(start), as_day(end)))
+    first, count = as_day(start), int((as_day(end) - as_day(start)).astype(np.int64))
+    return [first + np.timedelta64(step, "D") for step in range(count)]
 
 
 _DURATION = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(ns|us|ms|s|min|h|d)\s*$")

@@ -1,0 +1,96 @@
+"""The equation of an absolute scalar magnetometer: clock, oscillator, bias and its own heading error."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from inflight.effects.base import AXES, Effect, Floats, Parameter, Values, strength
+from inflight.sensors import Sensor
+from inflight.time import SECOND
+
+
+class TimeShift(Effect):
+    """A scalar reading taken `seconds` before the vector reading with the same stamp.
+
+    Corrected ``F + seconds dF/dt``: the same sense as adding `seconds` to the stamps of the vector
+    sensor (Yin 2010, section 2.5). dF/dt is that of the corrected vector field, so that `disturb`
+    is the exact inverse and the scalar's noise is not differentiated.
+    """
+
+    family = "clock"
+    seconds = Parameter("s", step=1e-2, sigma=0.1)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the early reading; (time,) nT."""
+        return np.asarray(reading - values["seconds"][..., 0] * rate(samples))
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading at the vector sensor's time; (time,) nT."""
+        return np.asarray(reading + values["seconds"][..., 0] * rate(samples))
+
+
+class Oscillator(Effect):
+    """Frequency of the instrument's oscillator against its nominal one; corrected ``F f / f_ref``."""
+
+    family = "clock"
+    channels = ("frequency_ratio",)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading of an instrument whose oscillator is off; (time,) nT."""
+        return np.asarray(reading / self.channel(samples, "1"))
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading at the nominal frequency; (time,) nT (Yin 2010, section 2.5)."""
+        return np.asarray(reading * self.channel(samples, "1"))
+
+
+class ScalarBias(Effect):
+    """A constant the scalar instrument adds to every reading: corrected ``F - bias``."""
+
+    family = "bias"
+    bias = Parameter("nT", sigma=1.0)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the biased reading; (time,) nT."""
+        return np.asarray(reading + values["bias"][..., 0])
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading without bias; (time,) nT."""
+        return np.asarray(reading - values["bias"][..., 0])
+
+
+class Heading(Effect):
+    """Heading error of the scalar sensor: a constant vector, seen along the field (Yin 2010, section 2.5)."""
+
+    family = "sensor"
+    vector = Parameter("nT", AXES, sigma=0.5)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the constant vector; (time, axis) nT."""
+        return np.asarray(np.broadcast_to(values["vector"], (samples.sizes["time"], 3)))
+
+
+class Induced(Effect):
+    """Field proportional to the ambient one an axis: soft magnetic material, cross-talk of a sensor."""
+
+    family = "induced"
+    diagonal = Parameter("1", AXES, step=1e-6, sigma=5e-5)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``diagonal * B``; (time, axis) nT (Yin 2010, section 2.5, the q terms)."""
+        return np.asarray(samples["field"].values * values["diagonal"])
+
+
+def rate(samples: xr.Dataset) -> Floats:
+    """Return d|B|/dt of the best present field estimate; (time,) nT/s, central within gap-free runs."""
+    f, t = strength(samples), samples["tt2000"].values
+    if f.size < 2:
+        return np.zeros_like(f)
+    step = np.diff(t) / SECOND
+    slope = np.diff(f) / step
+    usual = np.median(step)
+    slope = np.where(step > 1.5 * usual, np.nan, slope)
+    before, after = np.append(np.nan, slope), np.append(slope, np.nan)
+    both = 0.5 * (before + after)
+    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, np.nan_to_num(after)))

@@ -1,0 +1,120 @@
+"""A model applied to samples: readings corrected in the model's order, disturbed in the opposite one.
+
+Vector sensors first: their corrected field gives the direction along which a scalar sensor sees the
+fields of the spacecraft.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from inflight.effects.base import Floats, strength
+from inflight.errors import ModelError, SamplesError
+
+if TYPE_CHECKING:
+    from inflight.model.model import ModelEffect
+
+Effects = Sequence["ModelEffect"]
+
+
+def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
+    """Take the model's effects out of the readings.
+
+    Parameters
+    ----------
+    effects : sequence of ModelEffect
+        In the order of correction.
+    samples : xarray.Dataset
+        Aligned readings; dims time, axis; `vector` (time, axis) and `scalar` (time) in nT.
+
+    Returns
+    -------
+    xarray.Dataset
+        The samples with corrected readings and `field` (time, axis), nT, orthogonal axes of the
+        vector sensor.
+
+    Raises
+    ------
+    SamplesError
+        When a reading is missing.
+    """
+    out = samples
+    for role in ("vector", "scalar"):
+        entries = [entry for entry in effects if entry.sensor.role == role]
+        if role not in samples:
+            if entries:
+                raise SamplesError(
+                    f"the samples have no '{role}' reading", remedy="align the comparison's sensors"
+                )
+            continue
+        reading = np.asarray(samples[role].values, dtype=np.float64)
+        for entry in entries:
+            reading = entry.effect.correct(reading, out, entry.values(_times(entry, samples)), entry.sensor)
+        out = out.assign({role: (samples[role].dims, reading, samples[role].attrs)})
+        if role == "vector":
+            out = out.assign(field=(samples[role].dims, reading, {"units": "nT", "frame": "sensor"}))
+    return out
+
+
+def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
+    """Put the model's effects into true fields: the exact inverse of `correct`.
+
+    Parameters
+    ----------
+    effects : sequence of ModelEffect
+        In the order of correction; they are run backwards.
+    samples : xarray.Dataset
+        True `vector` (time, axis) and `scalar` (time), nT.
+
+    Returns
+    -------
+    xarray.Dataset
+        The samples with raw readings; `field` keeps the true field.
+    """
+    out = samples.assign(field=samples["vector"])
+    changed = {}
+    for role in ("vector", "scalar"):
+        reading = np.asarray(samples[role].values, dtype=np.float64)
+        for entry in reversed([entry for entry in effects if entry.sensor.role == role]):
+            reading = entry.effect.disturb(reading, out, entry.values(_times(entry, samples)), entry.sensor)
+        changed[role] = (samples[role].dims, reading, samples[role].attrs)
+    return out.assign(changed)
+
+
+def residual(effects: Effects, samples: xr.Dataset) -> Floats:
+    """Return |B_vector| - F of the corrected samples; (time,) nT, NaN where a reading is missing."""
+    if effects and effects[0].sensor.role in ("inboard", "outboard"):
+        raise ModelError("only scalar comparisons have a residual here", remedy="choose a scalar comparison")
+    corrected = correct(effects, samples)
+    return np.asarray(strength(corrected) - corrected["scalar"].values)
+
+
+def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]:
+    """Return what each additive effect took out of its sensor's reading.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Corrected samples (they hold `field`).
+
+    Returns
+    -------
+    dict of ndarray
+        ``<effect>`` of a vector sensor: (time, axis) nT, sensor axes; ``<effect>`` of a scalar
+        sensor: (time,) nT, along the field. Subtracting it from the reading is the correction.
+    """
+    terms = {}
+    for entry in effects:
+        if entry.effect.is_additive:
+            still = np.zeros(samples["vector"].shape if not entry.sensor.is_scalar else samples.sizes["time"])
+            values = entry.values(_times(entry, samples))
+            terms[entry.name] = -entry.effect.correct(still, samples, values, entry.sensor)
+    return terms
+
+
+def _times(entry: ModelEffect, samples: xr.Dataset) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return np.asarray(samples["tt2000"].values, dtype=np.int64)
