@@ -11,184 +11,50 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
 from inflight.errors import MissionError
-from inflight.time import parse_duration, parse_utc, to_tt2000
-from inflight.units import parse_unit
+from inflight.instruments import (
+    Channel,
+    Duration,
+    Files,
+    Instant,
+    Instrument,
+    Kind,
+    Quaternion,
+    Reader,
+    Role,
+    Strict,
+    Unit,
+    Vector3,
+)
 
-Role = Literal["vector", "scalar", "housekeeping", "attitude", "orbit"]
-Kind = Literal[
-    "temperature",
-    "solar_current",
-    "battery_current",
-    "camera_current",
-    "torquer_current",
-    "current",
-    "voltage",
-    "heater",
-    "attitude",
-    "position",
-    "sun_direction",
-    "sunlight",
-    "frequency",
-    "flag",
-    "other",
+__all__ = [
+    "Channel",
+    "Comparison",
+    "DualComparison",
+    "Duration",
+    "Event",
+    "Files",
+    "Instant",
+    "Instrument",
+    "Kind",
+    "Mission",
+    "PlatformComparison",
+    "Positions",
+    "Quaternion",
+    "Reader",
+    "Role",
+    "ScalarComparison",
+    "SpinComparison",
+    "Unit",
+    "Vector3",
 ]
-Reader = Literal["cdf", "netcdf", "iaga2002", "table", "parquet", "npz", "mat"]
 
 
-def _unit(text: Any) -> str:
-    parse_unit(str(text))
-    return str(text)
-
-
-def _list(value: Any) -> Any:
-    return value if value is None or isinstance(value, list) else [value]
-
-
-def _utc(value: Any) -> int:
-    return int(to_tt2000(parse_utc(value)))
-
-
-#: A duration in the YAML (``10 s``), integer nanoseconds in Python.
-Duration = Annotated[int, BeforeValidator(parse_duration)]
-Unit = Annotated[str, BeforeValidator(_unit)]
-#: A UTC time in the YAML, TT2000 nanoseconds in Python.
-Instant = Annotated[int, BeforeValidator(_utc)]
-Vector3 = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Channel(_Strict):
-    """One measured series: where it stands in a file, and what it is.
-
-    `variable` names one variable (of shape (time,) or, with `axes`, (time, axis)); `variables` names
-    one variable an axis.
-    """
-
-    variable: str | None = None
-    variables: list[str] | None = None
-    #: Position of this channel in a variable with several columns, when only one is wanted.
-    column: int | None = None
-    unit: Unit
-    axes: list[str] | None = None
-    kind: Kind = "other"
-    #: Values that stand for "missing", beside the file's own fill value and NaN.
-    fill: Annotated[list[float] | None, BeforeValidator(_list)] = None
-    resolution: Annotated[float, Field(gt=0)] | None = None
-    #: The field follows its channel by this much; negative when it leads.
-    lag: Duration = 0
-    #: Readings outside [low, high] are flagged OUT_OF_RANGE and not used.
-    range: tuple[float, float] | None = None
-    #: Frame of an attitude or a position: itrf, gcrf, nec, gse.
-    frame: str | None = None
-    description: str = ""
-
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
-        if (self.variable is None) == (self.variables is None):
-            raise ValueError("give either 'variable' or 'variables'")
-        if self.variables is not None and self.axes is not None and len(self.variables) != len(self.axes):
-            raise ValueError(f"{len(self.variables)} variables for {len(self.axes)} axes")
-        return self
-
-    @property
-    def sources(self) -> list[str]:
-        """Names of the variables in the file."""
-        return [self.variable] if self.variable is not None else list(self.variables or [])
-
-    @property
-    def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes; empty for a channel of one number a time."""
-        if self.axes is not None:
-            return tuple(self.axes)
-        if self.variables is not None and len(self.variables) == 3:
-            return ("x", "y", "z")
-        return tuple(self.variables or ())
-
-
-class Files(_Strict):
-    """Where an instrument's files are and how they are read; options are shared by all readers."""
-
-    #: Path below the data folder with ``*``, ``?`` and ``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``.
-    pattern: Annotated[list[str] | None, BeforeValidator(_list)] = None
-    #: Take the files of another instrument.
-    same_as: str | None = None
-    reader: Reader | None = None
-    #: Variable or columns that hold the time; columns are joined by a blank.
-    time: Annotated[list[str] | None, BeforeValidator(_list)] = None
-    #: strptime format of text times; without a date in it, the day comes from the file name.
-    time_format: str | None = None
-    #: What numeric times count: CF units ("seconds since 2000-01-01 12:00:00"), or "tt2000".
-    time_unit: str | None = None
-    #: Added to every stamp: 13 s when the stamps are 13 s early.
-    clock_offset: Duration = 0
-    #: The largest disagreement allowed between a file name's day and its rows' own.
-    spill: Duration = 86_400_000_000_000
-    drop: list[str] = []
-    #: Times and fields of shape (report, sample) become one series.
-    flatten: bool = False
-    #: Expression over variables of the file; rows where it is false are flagged INSTRUMENT_FLAG.
-    good_when: str | None = None
-    delimiter: str | None = None
-    decimal: Literal[".", ","] = "."
-    encoding: str = "utf-8"
-    skip: Annotated[int, Field(ge=0)] = 0
-    #: Names of the columns when the file has no header line.
-    columns: list[str] | None = None
-    comment: str | None = None
-
-    @model_validator(mode="after")
-    def _pattern_or_same(self) -> Self:
-        if (self.pattern is None) == (self.same_as is None):
-            raise ValueError("give either 'pattern' or 'same_as'")
-        if self.pattern is not None and self.reader is None:
-            raise ValueError("'reader' is missing")
-        return self
-
-
-class Instrument(_Strict):
-    """One instrument with its own cadence and files."""
-
-    role: Role
-    cadence: Duration
-    files: Files
-    channels: dict[str, Channel]
-    #: Metres from the origin that `positions` describes, spacecraft axes.
-    position: Vector3 | None = None
-    #: Quaternion x, y, z, w that turns sensor axes into spacecraft axes.
-    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
-
-    @model_validator(mode="after")
-    def _has_its_field(self) -> Self:
-        if self.cadence <= 0:
-            raise ValueError("'cadence' must be positive")
-        if self.role in ("vector", "scalar") and "field" not in self.channels:
-            raise ValueError(f"a {self.role} instrument needs a channel named 'field'")
-        if self.role == "vector" and len(self.channels["field"].axis_names) != 3:
-            raise ValueError("the 'field' of a vector instrument needs three axes")
-        if not np.isclose(np.linalg.norm(self.orientation), 1.0, atol=1e-6):
-            raise ValueError("'orientation' must be a quaternion of length 1")
-        return self
-
-
-class Positions(_Strict):
+class Positions(Strict):
     """What the instruments' positions are measured in and from."""
 
     unit: Unit = "m"
@@ -196,7 +62,7 @@ class Positions(_Strict):
     origin: str = ""
 
 
-class Event(_Strict):
+class Event(Strict):
     """Something that happened at a known time: a reset, a manoeuvre, a switch-over."""
 
     at: Instant
@@ -204,7 +70,7 @@ class Event(_Strict):
     kind: str = "event"
 
 
-class ScalarComparison(_Strict):
+class ScalarComparison(Strict):
     """|B_vector| minus the field strength of an absolute instrument (one row a sample, nT)."""
 
     kind: Literal["scalar"]
@@ -218,7 +84,7 @@ class ScalarComparison(_Strict):
         return {"vector": self.vector, "scalar": self.scalar}
 
 
-class DualComparison(_Strict):
+class DualComparison(Strict):
     """Difference of two vector sensors in spacecraft axes (three rows a sample, nT)."""
 
     kind: Literal["dual"]
@@ -231,7 +97,7 @@ class DualComparison(_Strict):
         return {"inboard": self.inboard, "outboard": self.outboard}
 
 
-class SpinComparison(_Strict):
+class SpinComparison(Strict):
     """Spin tones of one vector sensor (six rows an interval, nT)."""
 
     kind: Literal["spin"]
@@ -243,7 +109,7 @@ class SpinComparison(_Strict):
         return {"vector": self.vector}
 
 
-class PlatformComparison(_Strict):
+class PlatformComparison(Strict):
     """In-band scalar field with the vector sensor as direction only (one row a sample, nT)."""
 
     kind: Literal["platform"]
@@ -261,22 +127,22 @@ Comparison = Annotated[
 ]
 
 
-class Mission(_Strict):
+class Mission(Strict):
     """A whole mission, immutable; `text` is what it was read from."""
 
     mission: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
     description: str = ""
     #: Repeated wherever a figure made from the data is shown.
     acknowledgement: str = ""
-    periods: dict[str, Duration] = {}
+    periods: dict[str, Duration] = Field(default_factory=dict)
     positions: Positions = Positions()
     instruments: dict[str, Instrument]
     comparisons: dict[str, Comparison]
     #: Model file with the pre-flight calibration, relative to the mission YAML.
     preflight: str | None = None
-    events: list[Event] = []
+    events: list[Event] = Field(default_factory=list)
     #: Python files with the user's own effects.
-    effects: list[str] = []
+    effects: list[str] = Field(default_factory=list)
     _text: str = PrivateAttr(default="")
 
     @model_validator(mode="after")

@@ -1,0 +1,205 @@
+"""Instruments as a mission YAML describes them: channels, files, and how the files are read."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from inflight.expression import Expression
+from inflight.time import parse_duration, parse_utc, to_tt2000
+from inflight.units import parse_unit
+
+Role = Literal["vector", "scalar", "housekeeping", "attitude", "orbit"]
+Kind = Literal[
+    "temperature",
+    "solar_current",
+    "battery_current",
+    "camera_current",
+    "torquer_current",
+    "current",
+    "voltage",
+    "heater",
+    "attitude",
+    "position",
+    "sun_direction",
+    "sunlight",
+    "frequency",
+    "flag",
+    "other",
+]
+Reader = Literal["cdf", "netcdf", "iaga2002", "table", "parquet", "npz", "mat"]
+
+
+def _unit(text: Any) -> str:
+    parse_unit(str(text))
+    return str(text)
+
+
+def _list(value: Any) -> Any:
+    return value if value is None or isinstance(value, list) else [value]
+
+
+def _utc(value: Any) -> int:
+    return int(to_tt2000(parse_utc(value)))
+
+
+_FIELD = re.compile(r"\{([^{}:]*):?([^{}]*)\}")
+#: strftime directives a file pattern may hold.
+DIRECTIVES = "YymdjHMSbB"
+
+
+def _pattern(pattern: str) -> str:
+    for name, layout in _FIELD.findall(pattern):
+        directives = re.findall(r"%(.?)", layout)
+        if name not in ("day", "start", "end") or not directives or set(directives) - set(DIRECTIVES):
+            raise ValueError(
+                f"'{{{name}:{layout}}}' is none of {{day:...}}, {{start:...}}, {{end:...}} with strftime "
+                f"directives of %{', %'.join(DIRECTIVES)}"
+            )
+    if set("{}") & set(_FIELD.sub("", pattern)):
+        raise ValueError("a brace is not closed")
+    return pattern
+
+
+def _expression(text: str) -> str:
+    Expression(text)
+    return text
+
+
+#: A duration in the YAML (``10 s``), integer nanoseconds in Python.
+Duration = Annotated[int, BeforeValidator(parse_duration)]
+Unit = Annotated[str, BeforeValidator(_unit)]
+#: A UTC time in the YAML, TT2000 nanoseconds in Python.
+Instant = Annotated[int, BeforeValidator(_utc)]
+Pattern = Annotated[str, AfterValidator(_pattern)]
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+class Strict(BaseModel):
+    """Base of everything a YAML describes: unknown keys are errors, nothing changes after parsing."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Channel(Strict):
+    """One measured series: where it stands in a file, and what it is.
+
+    `variable` names one variable (of shape (time,) or, with `axes`, (time, axis)); `variables` names
+    one variable an axis.
+    """
+
+    variable: str | None = None
+    variables: list[str] | None = None
+    #: Position of this channel in a variable with several columns, when only one is wanted.
+    column: int | None = None
+    unit: Unit
+    #: Unit of the numbers in the file, where the file does not say it or says it wrongly.
+    file_unit: Unit | None = None
+    axes: list[str] | None = None
+    kind: Kind = "other"
+    #: Values that stand for "missing", beside the file's own fill value and NaN.
+    fill: Annotated[list[float] | None, BeforeValidator(_list)] = None
+    resolution: Annotated[float, Field(gt=0)] | None = None
+    #: The field follows its channel by this much; negative when it leads.
+    lag: Duration = 0
+    #: Readings outside [low, high] are flagged OUT_OF_RANGE and not used.
+    range: tuple[float, float] | None = None
+    #: Frame of an attitude or a position: itrf, gcrf, nec, gse.
+    frame: str | None = None
+    description: str = ""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.variable is None) == (self.variables is None):
+            raise ValueError("give either 'variable' or 'variables'")
+        if self.variables is not None and self.axes is not None and len(self.variables) != len(self.axes):
+            raise ValueError(f"{len(self.variables)} variables for {len(self.axes)} axes")
+        return self
+
+    @property
+    def sources(self) -> list[str]:
+        """Names of the variables in the file."""
+        return [self.variable] if self.variable is not None else list(self.variables or [])
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Names of the axes; empty for a channel of one number a time."""
+        if self.axes is not None:
+            return tuple(self.axes)
+        if self.variables is not None and len(self.variables) == 3:
+            return ("x", "y", "z")
+        return tuple(self.variables or ())
+
+
+class Files(Strict):
+    """Where an instrument's files are and how they are read; options are shared by all readers."""
+
+    #: Path below the data folder with ``*``, ``?`` and ``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``.
+    pattern: Annotated[list[Pattern] | None, BeforeValidator(_list)] = None
+    #: Take the files of another instrument.
+    same_as: str | None = None
+    reader: Reader | None = None
+    #: Variable or columns that hold the time; columns are joined by a blank.
+    time: Annotated[list[str] | None, BeforeValidator(_list)] = None
+    #: strptime format of text times; without a date in it, the day comes from the file name.
+    time_format: str | None = None
+    #: What numeric times count: CF units ("seconds since 2000-01-01 12:00:00"), or "tt2000".
+    time_unit: str | None = None
+    #: For files without any times: the first row's time; the rows follow at the cadence.
+    time_start: Instant | None = None
+    #: Which sample of a report (from 0) stamps it, where times have shape (report, sample).
+    time_column: Annotated[int | None, Field(ge=0)] = None
+    #: Added to every stamp: 13 s when the stamps are 13 s early.
+    clock_offset: Duration = 0
+    #: Rows farther than this outside the span a file's name states are dropped and reported.
+    spill: Duration = 86_400_000_000_000
+    #: Variables of the file that are never read.
+    drop: list[str] = Field(default_factory=list)
+    #: Times and fields of shape (report, sample) become one series.
+    flatten: bool = False
+    #: Expression over variables of the file; rows where it is false are flagged INSTRUMENT_FLAG.
+    good_when: Annotated[str, AfterValidator(_expression)] | None = None
+    delimiter: str | None = None
+    decimal: Literal[".", ","] = "."
+    encoding: str = "utf-8"
+    skip: Annotated[int, Field(ge=0)] = 0
+    #: Names of the columns when the file has no header line.
+    columns: list[str] | None = None
+    comment: str | None = None
+
+    @model_validator(mode="after")
+    def _pattern_or_same(self) -> Self:
+        if (self.pattern is None) == (self.same_as is None):
+            raise ValueError("give either 'pattern' or 'same_as'")
+        if self.pattern is not None and self.reader is None:
+            raise ValueError("'reader' is missing")
+        return self
+
+
+class Instrument(Strict):
+    """One instrument with its own cadence and files."""
+
+    role: Role
+    cadence: Duration
+    files: Files
+    channels: dict[str, Channel]
+    #: Metres from the origin that `positions` describes, spacecraft axes.
+    position: Vector3 | None = None
+    #: Quaternion x, y, z, w that turns sensor axes into spacecraft axes.
+    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _has_its_field(self) -> Self:
+        if self.cadence <= 0:
+            raise ValueError("'cadence' must be positive")
+        if self.role in ("vector", "scalar") and "field" not in self.channels:
+            raise ValueError(f"a {self.role} instrument needs a channel named 'field'")
+        if self.role == "vector" and len(self.channels["field"].axis_names) != 3:
+            raise ValueError("the 'field' of a vector instrument needs three axes")
+        if not np.isclose(np.linalg.norm(self.orientation), 1.0, atol=1e-6):
+            raise ValueError("'orientation' must be a quaternion of length 1")
+        return self
