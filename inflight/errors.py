@@ -108,5 +108,13 @@ class StorageError(CatalogError, OSError):
     cause = "transient"
 
 
+class WorkspaceError(CatalogError, FileNotFoundError):
+    """The folder is no workspace, or already is one."""
+
+
+class SettingsError(InflightError, ValueError):
+    """Parameters of a run make no sense together or for this mission."""
+
+
 class CalibrationError(InflightError, ArithmeticError):
     """A fit cannot be made from the data given."""
