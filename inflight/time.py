@@ -13,6 +13,7 @@ from __future__ import annotations
 import datetime as dt
 import io
 import re
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -124,9 +125,7 @@ def day_of(tt2000: npt.ArrayLike) -> Datetimes:
 
 def as_day(day: DayLike) -> np.datetime64:
     """Return a UTC day as datetime64[D]."""
-    if isinstance(day, np.datetime64):
-        return day.astype("datetime64[D]")
-    return np.datetime64(str(day), "D")
+    return cast("np.datetime64", np.array(day, dtype="datetime64[D]")[()])
 
 
 def day_bounds(day: DayLike) -> tuple[int, int]:
@@ -139,7 +138,7 @@ def day_bounds(day: DayLike) -> tuple[int, int]:
 def day_range(start: DayLike, end: DayLike) -> list[np.datetime64]:
     """Return the UTC days of the half-open span ``[start, end)``."""
     first, count = as_day(start), int((as_day(end) - as_day(start)).astype(np.int64))
-    return [first + np.timedelta64(step, "D") for step in range(count)]
+    return [as_day(first + np.timedelta64(step, "D")) for step in range(count)]
 
 
 _DURATION = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(ns|us|ms|s|min|h|d)\s*$")

@@ -1,0 +1,208 @@
+"""Channels of unequal cadence on one time base, without inventing data across gaps.
+
+Each channel is carried to the base by one of three stated methods (attribute ``resampling``):
+
+exact
+    The base's stamps are among the channel's: values are picked.
+band_limited
+    A field whose own cadence is as fast or faster: Kaiser-windowed sinc, low-passed at the base's
+    Nyquist frequency when the base is slower. All samples under the window must be there.
+linear
+    Everything else: between two samples no further apart than one and a half cadences.
+
+A target without the samples it needs is NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.effects.base import Floats
+from inflight.errors import SamplesError
+from inflight.flags import Flag
+from inflight.time import in_leap_second, to_utc
+
+Int64 = npt.NDArray[np.int64]
+
+#: Roles that hold fields: they are carried band-limited, the rest linearly.
+FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")
+#: Half-width of the sinc window in lobes, and its Kaiser parameter: stop band below -100 dB.
+_LOBES = 16
+_KAISER_BETA = 10.0
+#: Stamps closer than this part of a cadence are the same stamp.
+_SAME_STAMP = 1e-3
+#: Neighbours further apart than this many cadences have a gap between them.
+GAP = 1.5
+_MISSING = {"vector": Flag.VECTOR_MISSING, "scalar": Flag.SCALAR_MISSING}
+_MISSING |= {"inboard": Flag.VECTOR_MISSING, "outboard": Flag.VECTOR_MISSING}
+
+
+def align(
+    channels: Mapping[str, xr.DataArray], base: str | Int64, lags: Mapping[str, int] | None = None
+) -> xr.Dataset:
+    """Put channels on one time base; the only maker of samples.
+
+    Parameters
+    ----------
+    channels : mapping of str to DataArray
+        By name in the samples (roles such as `vector`, `scalar`, and housekeeping names); dims
+        (time,) or (time, axis), a coordinate `tt2000` (time) int64, attributes `cadence_ns` and
+        `units`; attribute `lag_ns` is the channel's own lag. A coordinate `flag` is carried along.
+    base : str or ndarray of int64
+        Channel whose stamps carry the samples, or the stamps themselves (TT2000, increasing).
+    lags : mapping of str to int, optional
+        Lags in nanoseconds that replace the channels' own. With a positive lag the value at t is
+        the channel's at ``t - lag``: the field follows its channel.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims time (UTC index), axis; every channel, `tt2000`, `flag` (uint32) and `weight`.
+
+    Raises
+    ------
+    SamplesError
+        When stamps are not increasing or a channel lacks its stamps.
+    """
+    lags = lags or {}
+    stamps = _stamps(base, channels[base]) if isinstance(base, str) else np.asarray(base, dtype=np.int64)
+    flag = np.where(in_leap_second(stamps), np.uint32(Flag.LEAP_SECOND), np.uint32(0)).astype(np.uint32)
+    variables: dict[str, xr.Variable] = {}
+    for name, series in channels.items():
+        lag = int(lags.get(name, series.attrs.get("lag_ns", 0)))
+        values, method = _carry(name, series, stamps - lag)
+        if name in _MISSING:
+            lost = ~np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
+            flag[lost] |= np.uint32(_MISSING[name])
+            flag |= _carried_flags(series, stamps)
+        attrs = {**series.attrs, "lag_ns": lag, "resampling": method}
+        variables[name] = xr.Variable(("time", "axis")[: values.ndim], values, attrs)
+    variables["tt2000"] = xr.Variable("time", stamps)
+    variables["flag"] = xr.Variable("time", flag)
+    variables["weight"] = xr.Variable("time", (flag & ~np.uint32(Flag.LEAP_SECOND) == 0).astype(np.float64))
+    return xr.Dataset(variables, coords={"time": to_utc(stamps)})
+
+
+def _stamps(name: str, series: xr.DataArray) -> Int64:
+    if "tt2000" not in series.coords:
+        raise SamplesError("the channel has no stamps", channel=name, remedy="give it a coordinate 'tt2000'")
+    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+    if stamps.size > 1 and np.any(np.diff(stamps) <= 0):
+        raise SamplesError("stamps do not increase", channel=name, remedy="ingest sorts and merges stamps")
+    return stamps
+
+
+def _carry(name: str, series: xr.DataArray, target: Int64) -> tuple[Floats, str]:
+    """Return values at the targets, (time,) or (time, axis), and the method used."""
+    stamps = _stamps(name, series)
+    values = np.asarray(series.values, dtype=np.float64)
+    if np.array_equal(stamps, target):
+        return values, "exact"
+    shape = (target.size, *values.shape[1:])
+    if stamps.size == 0:
+        return np.full(shape, np.nan), "none"
+    cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
+    picked = _pick(stamps, target, cadence)
+    if picked is not None:
+        index, there = picked
+        chosen = values[index]
+        chosen[~there] = np.nan
+        return chosen, "exact"
+    wide = values.reshape(values.shape[0], -1)
+    base_step = _usual_step(target)
+    if name in FIELD_ROLES and cadence <= base_step * (1 + _SAME_STAMP):
+        cutoff = min(1.0, cadence / base_step)
+        return _sinc(stamps, wide, target, float(cadence), cutoff).reshape(shape), "band_limited"
+    return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
+
+
+def _usual_step(stamps: Int64) -> int:
+    return int(np.median(np.diff(stamps))) if stamps.size > 1 else 1
+
+
+def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:
+    """Return where the targets are among the stamps, or None when they run between them."""
+    right = np.clip(np.searchsorted(stamps, target), 1, max(stamps.size - 1, 1))
+    left = right - 1
+    right = np.minimum(right, stamps.size - 1)
+    nearest = np.where(np.abs(stamps[right] - target) < np.abs(target - stamps[left]), right, left)
+    off = np.abs(stamps[nearest] - target)
+    there = off <= _SAME_STAMP * cadence
+    # A target in a gap of the channel has no stamp near it: it says nothing about the phase.
+    between = (off > _SAME_STAMP * cadence) & (off < 0.5 * cadence * (1 + _SAME_STAMP))
+    return None if between.any() else (nearest.astype(np.int64), there)
+
+
+def _carried_flags(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
+    """Return the instrument's own flags at the targets: those of the nearest sample not later."""
+    if "flag" not in series.coords or series.sizes["time"] == 0:
+        return np.zeros(target.size, dtype=np.uint32)
+    own = np.asarray(series["flag"].values, dtype=np.uint32)
+    if not own.any():
+        return np.zeros(target.size, dtype=np.uint32)
+    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+    return own[np.clip(np.searchsorted(stamps, target, side="right") - 1, 0, None)]
+
+
+@numba.njit(cache=True, nogil=True)
+def _linear(stamps: Int64, values: Floats, target: Int64, widest: float) -> Floats:  # pragma: no cover
+    out = np.full((target.size, values.shape[1]), np.nan)
+    right = np.searchsorted(stamps, target)
+    for i in range(target.size):
+        j = right[i]
+        if j < stamps.size and stamps[j] == target[i]:
+            out[i] = values[j]
+        elif 0 < j < stamps.size and stamps[j] - stamps[j - 1] <= widest:
+            part = (target[i] - stamps[j - 1]) / (stamps[j] - stamps[j - 1])
+            out[i] = values[j - 1] + part * (values[j] - values[j - 1])
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _bessel_i0(x: float) -> float:  # pragma: no cover
+    total, term, k = 1.0, 1.0, 1.0
+    while term > 1e-17 * total:
+        term *= (x / (2.0 * k)) ** 2
+        total += term
+        k += 1.0
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _sinc(
+    stamps: Int64, values: Floats, target: Int64, cadence: float, cutoff: float
+) -> Floats:  # pragma: no cover
+    """Windowed-sinc interpolation at each target.
+
+    Weights are normalised to keep a constant, and the line through the ends of the window is taken
+    off and put back, so that the main field's slope along the orbit leaves no error.
+    """
+    out = np.full((target.size, values.shape[1]), np.nan)
+    half = _LOBES / cutoff
+    peak = _bessel_i0(_KAISER_BETA)
+    middle = np.searchsorted(stamps, target)
+    for i in range(target.size):
+        first, last = middle[i], middle[i] - 1
+        while first > 0 and target[i] - stamps[first - 1] < half * cadence:
+            first -= 1
+        while last + 1 < stamps.size and stamps[last + 1] - target[i] < half * cadence:
+            last += 1
+        if last - first + 1 < int(2 * half) - 1:
+            continue
+        total = 0.0
+        width = float(stamps[last] - stamps[first])
+        slope = (values[last] - values[first]) / width
+        sums = np.zeros(values.shape[1])
+        for j in range(first, last + 1):
+            x = (target[i] - stamps[j]) / cadence
+            window = _bessel_i0(_KAISER_BETA * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / peak
+            weight = np.sinc(cutoff * x) * window
+            total += weight
+            sums += weight * (values[j] - values[first] - slope * float(stamps[j] - stamps[first]))
+        out[i] = sums / total + values[first] + slope * float(target[i] - stamps[first])
+    return out
