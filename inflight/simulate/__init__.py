@@ -1,0 +1,19 @@
+"""A CHAMP-like mission, simulated: the other side of every recovery test.
+
+It shares no code with the corrections: orbit and main field, sunlight, temperatures and currents
+drive dipoles on the spacecraft and sensors whose equations are written here a second time, in the
+direction from field to reading. ``docs`` of each module name the source of each equation.
+"""
+
+from inflight.simulate.day import SimulatedDay, simulate_day
+from inflight.simulate.parameters import Parameters
+from inflight.simulate.settings import SimulationSettings, describe_effects, effect_names
+
+__all__ = [
+    "Parameters",
+    "SimulatedDay",
+    "SimulationSettings",
+    "describe_effects",
+    "effect_names",
+    "simulate_day",
+]

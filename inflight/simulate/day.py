@@ -1,0 +1,296 @@
+"""One simulated day: what each instrument delivers, and the truth behind it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from inflight.simulate import fluxgate, overhauser
+from inflight.simulate.defects import apply_defects
+from inflight.simulate.field import external_field, main_field
+from inflight.simulate.grid import Float, Grid, Sampling, interpolate
+from inflight.simulate.orbit import EARTH_RADIUS, Geometry, geometry, node_local_time, sunlight
+from inflight.simulate.power import Currents, currents, switched
+from inflight.simulate.randomness import generator
+from inflight.simulate.settings import SimulationSettings
+from inflight.simulate.stray import Pair, stray_fields
+from inflight.simulate.thermal import temperatures
+from inflight.simulate.torquers import torquer_currents
+from inflight.time import SECOND, DayLike, as_day, day_bounds
+
+#: Seconds before the day at which heat and charge balances start, about four orbits.
+_WARM_UP = 24_000
+_SLOW, _ATTITUDE = 10, 5
+
+
+@dataclass(frozen=True)
+class SimulatedDay:
+    """Deliveries and truth of one day.
+
+    Attributes
+    ----------
+    instruments : dict of Dataset
+        fgm, ovm, tq, hk, att, orb, with the variables of the delivered files along ``record``;
+        ``Epoch`` is TT2000. One whose day is missing is not in it.
+    truth : Dataset
+        Undamaged, along ``record`` at the cadence of the magnetometers: ``FIELD`` (record, axis)
+        and ``STRENGTH`` of the ambient field at the stamp, ``STRAY_VECTOR``, ``STRAY_SCALAR``
+        (record, axis) the spacecraft's field at the sensors, all nT in spacecraft axes; ``T_EFF``
+        degC that acts on the coil, ``SUNLIT``, ``I_PANEL`` (record, panel) A. Attributes name
+        parameters and effects.
+    """
+
+    day: np.datetime64
+    instruments: dict[str, xr.Dataset]
+    truth: xr.Dataset
+
+
+def simulate_day(settings: SimulationSettings, day: DayLike) -> SimulatedDay:
+    """Return one day of a simulated mission.
+
+    Parameters
+    ----------
+    settings : SimulationSettings
+        The mission; `start` and `days` do not matter here.
+    day : date, str or datetime64
+        Any UTC day after MJD 196 (2000-07-15); 86 401 s when a leap second ends it.
+
+    Returns
+    -------
+    SimulatedDay
+        The same whatever other days are asked for, byte for byte.
+    """
+    scene = _Scene(settings, as_day(day))
+    instruments = {
+        "fgm": scene.fluxgate(),
+        "ovm": scene.overhauser(),
+        "tq": scene.torquer_channel(),
+        "hk": scene.housekeeping(),
+        "att": scene.attitude(),
+        "orb": scene.orbit(),
+    }
+    damaged = apply_defects(instruments, settings.defects, settings.seed, scene.number)
+    return SimulatedDay(scene.day, damaged, scene.truth())
+
+
+class _Scene:
+    """Everything about one day, each part computed once when first needed."""
+
+    def __init__(self, settings: SimulationSettings, day: np.datetime64) -> None:
+        self.settings, self.parameters, self.effects = settings, settings.parameters, settings.effects
+        self.seed, self.day, self.number = settings.seed, day, int(day.astype(np.int64))
+        self.start, self.end = day_bounds(day)
+        self.times = self._every(settings.cadence)
+        self.wide = Grid.covering(self.start - _WARM_UP * SECOND, self.end)
+
+    def _every(self, cadence: int) -> Sampling:
+        return Sampling.of_span(self.start, self.end, cadence * SECOND)
+
+    def _noise(self, stream: str, size: tuple[int, ...], sigma: float) -> Float:
+        return sigma * generator(self.seed, stream, self.number).standard_normal(size)
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        return geometry(self.wide, self.parameters, self.seed)
+
+    @cached_property
+    def field_nodes(self) -> tuple[Grid, Float]:
+        """Ambient field in spacecraft axes on the nodes of the day."""
+        grid = Grid.covering(self.start - SECOND, self.end)
+        part = self.wide.part(grid)
+        field = main_field(self.geometry.position[part], grid.seconds, self.day)
+        if "external_field" in self.effects:
+            field = field + external_field(grid, self.seed, self.settings.external_field)
+        return grid, np.einsum("nij,nj->ni", self.geometry.axes[part], field)
+
+    def field(self, times: Sampling) -> Float:
+        """Ambient field, nT, spacecraft axes, shape (time, 3)."""
+        grid, nodes = self.field_nodes
+        return interpolate(nodes, grid, times)
+
+    @cached_property
+    def _history(self) -> tuple[Float, Float, Float]:
+        """Seconds, Sun in spacecraft axes and its light every second from the warm-up on."""
+        times = Sampling.of_span(self.start - _WARM_UP * SECOND, self.end, SECOND)
+        seen = np.column_stack([self.geometry.sun, self.geometry.zenith])
+        dense = interpolate(seen, self.wide, times)
+        radius = float(np.linalg.norm(self.geometry.position[-1]))
+        return times.seconds, dense[:, :3], sunlight(dense[:, 3], radius)
+
+    @cached_property
+    def _power(self) -> Currents:
+        """Currents every second from the warm-up on."""
+        return currents(*self._history, parameters=self.parameters, seed=self.seed, cadence=1.0)
+
+    def power(self, cadence: int) -> Currents:
+        """Currents of the day every `cadence` seconds."""
+        return Currents(*(series[_WARM_UP::cadence] for series in vars(self._power).values()))
+
+    @cached_property
+    def light(self) -> Float:
+        """Visible fraction of the Sun at the stamps of the magnetometers."""
+        return self._history[2][_WARM_UP :: self.settings.cadence]
+
+    @cached_property
+    def _heat(self) -> tuple[Float, Float, Float]:
+        """Seconds and temperatures of coil and electronics every ten seconds from the warm-up on."""
+        seconds, sun, light = (series[::_SLOW] for series in self._history)
+        return seconds, *temperatures(sun, light, self._power.heater[::_SLOW], float(_SLOW))
+
+    @cached_property
+    def temperatures(self) -> tuple[Float, Float, Float]:
+        """Temperatures of the coil's sensor, of the coil that acts, and of the electronics."""
+        seconds, coil, electronics = self._heat
+        now = self.times.seconds
+        lag = self.parameters.temperature_lag if "temperature_lag" in self.effects else 0.0
+        recorded, acting = np.interp(now, seconds, coil), np.interp(now - lag, seconds, coil)
+        return recorded, acting, np.interp(now, seconds, electronics)
+
+    @cached_property
+    def torquer(self) -> Float:
+        """Torquer currents at the stamps of the magnetometers, A."""
+        return torquer_currents(self.times, self.parameters, self.seed, self.number)
+
+    @cached_property
+    def stray(self) -> Pair:
+        """Field of the spacecraft at vector and scalar sensor."""
+        flow = self.power(self.settings.cadence)
+        vector, scalar = stray_fields(self.times.seconds, flow, self.torquer, self.parameters, self.effects)
+        return vector + self._unexplained(), scalar
+
+    def _unexplained(self) -> Float:
+        """The extra effects that are a field at the vector sensor alone."""
+        extra, parameters = np.zeros((self.times.count, 3)), self.parameters
+        if "day_night" in self.effects:
+            extra += self.light[:, None] * parameters.day_night_field
+        if "unrecorded_heater" in self.effects:
+            on = switched(
+                self.times.seconds, parameters.unrecorded_heater_period, parameters.unrecorded_heater_duty
+            )
+            extra += on[:, None] * parameters.unrecorded_heater_field
+        if "eddy" in self.effects:
+            rate = (self.field(self.times.shifted(0.5)) - self.field(self.times.shifted(-0.5))) / 1.0
+            extra += rate * parameters.eddy_time
+        return extra
+
+    def fluxgate(self) -> xr.Dataset:
+        """What the vector instrument delivers."""
+        recorded, acting, electronics = self.temperatures
+        seconds, settings = self.times.seconds, self.settings
+        sensed = fluxgate.reading(
+            self.field(self.times) + self.stray[0],
+            fluxgate.scale_factors(seconds, self.parameters, self.effects),
+            fluxgate.thermal_factors(acting, electronics, self.parameters, self.effects),
+            fluxgate.offsets(seconds, acting, self.parameters, self.effects, self.seed),
+            parameters=self.parameters,
+            effects=self.effects,
+        )
+        sensed += self._noise("fluxgate", sensed.shape, settings.vector_noise)
+        shape = (self.times.count,)
+        return _delivery(
+            self.times,
+            FGM_RAW=_rounded(sensed, settings.resolution),
+            T_CSC=_rounded(recorded + self._noise("coil thermistor", shape, 0.003), 0.01),
+            T_ADC=_rounded(electronics + self._noise("adc thermistor", shape, 0.003), 0.01),
+            FGM_FLAG=np.zeros(shape, dtype=np.uint8),
+        )
+
+    def overhauser(self) -> xr.Dataset:
+        """What the scalar instrument delivers."""
+        seconds, settings, effects = self.times.seconds, self.settings, self.effects
+        delay = overhauser.sampling_delay(float(seconds[0]), self.parameters, effects)
+        seen = overhauser.strength(
+            self.field(self.times.shifted(-delay)), self.stray[1], self.parameters, effects
+        )
+        ratio = overhauser.oscillator_ratio(
+            seconds, self.temperatures[2], self.parameters, effects, self.seed
+        )
+        sensed = overhauser.reading(seen, ratio, self.parameters, effects, float(settings.cadence))
+        sensed += self._noise("overhauser", sensed.shape, settings.scalar_noise)
+        return _delivery(
+            self.times, F=_rounded(sensed, settings.resolution), F_OSC_RATIO=_rounded(ratio, 1e-10)
+        )
+
+    def torquer_channel(self) -> xr.Dataset:
+        """Torquer currents as recorded, mA."""
+        return _delivery(self.times, I_TQ=_rounded(1e3 * self.torquer, 0.1))
+
+    def housekeeping(self) -> xr.Dataset:
+        """Currents of the power system as recorded, mA."""
+        flow = self.power(_SLOW)
+        return _delivery(
+            self._every(_SLOW),
+            I_SOL=_rounded(1e3 * flow.solar, 5.0),
+            I_BAT=_rounded(1e3 * flow.battery, 5.0),
+            I_CAM=_rounded(1e3 * flow.camera, 1.0),
+            I_HTR=_rounded(1e3 * flow.heater, 1.0),
+        )
+
+    def attitude(self) -> xr.Dataset:
+        """Quaternion x, y, z, w that turns spacecraft axes into itrf, as the star camera gives it."""
+        times = self._every(_ATTITUDE)
+        nodes = _continuous(Rotation.from_matrix(self.geometry.axes.swapaxes(1, 2)).as_quat())
+        turn = Rotation.from_quat(interpolate(nodes, self.wide, times))
+        sigma = np.radians(self.parameters.attitude_noise / 3600.0)
+        noise = Rotation.from_rotvec(self._noise("attitude", (times.count, 3), sigma))
+        return _delivery(times, Q=_rounded(_continuous((turn * noise).as_quat()), 1e-9))
+
+    def orbit(self) -> xr.Dataset:
+        """Position in itrf, km."""
+        times = self._every(_SLOW)
+        return _delivery(
+            times, POS_ITRF=_rounded(interpolate(self.geometry.position, self.wide, times), 1e-5)
+        )
+
+    def truth(self) -> xr.Dataset:
+        """What nobody who processes the deliveries may see."""
+        field = self.field(self.times)
+        truth = _delivery(
+            self.times,
+            FIELD=field,
+            STRENGTH=np.sqrt(np.einsum("ij,ij->i", field, field)),
+            STRAY_VECTOR=self.stray[0],
+            STRAY_SCALAR=self.stray[1],
+            T_EFF=self.temperatures[1],
+            SUNLIT=self.light,
+        )
+        truth["I_PANEL"] = ("record", "panel"), self.power(self.settings.cadence).panels
+        radius = float(np.linalg.norm(self.geometry.position[-1]))
+        return truth.assign_attrs(
+            day=str(self.day),
+            effects=json.dumps(sorted(self.effects)),
+            hidden=json.dumps(sorted(self.settings.hide)),
+            parameters=json.dumps(self.parameters.as_dict()),
+            altitude_km=radius - EARTH_RADIUS,
+            node_local_time_h=float(node_local_time(self.times.seconds[:1], self.parameters)[0]),
+        )
+
+
+def _continuous(quaternions: Float) -> Float:
+    """Return the same turns with signs that do not jump; shape (time, 4)."""
+    flips = np.sign(np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1]))
+    signs = np.concatenate([[1.0], np.cumprod(flips)])
+    return np.asarray(quaternions * signs[:, None])
+
+
+def _rounded(values: Float, step: float) -> Float:
+    """Return values as multiples of a smallest step; 0 leaves them."""
+    if step == 0.0:
+        return values
+    # A division by a whole number gives the double nearest to the decimal, a product would not.
+    return np.rint(values / step) * step if step >= 1.0 else np.rint(values / step) / round(1.0 / step)
+
+
+def _delivery(times: Sampling, **variables: np.ndarray) -> xr.Dataset:
+    """Return a Dataset along ``record`` with ``Epoch`` and the variables."""
+    last = {3: "axis", 4: "quaternion"}
+    named = {
+        name: (("record",) if values.ndim == 1 else ("record", last[values.shape[1]]), values)
+        for name, values in variables.items()
+    }
+    return xr.Dataset({"Epoch": ("record", times.tt2000), **named})

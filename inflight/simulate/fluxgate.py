@@ -1,0 +1,122 @@
+"""The fluxgate: from the field at the sensor to its reading, the thesis' chain run backwards exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from inflight.simulate.grid import Float
+from inflight.simulate.orbit import mjd
+from inflight.simulate.parameters import Parameters
+from inflight.simulate.randomness import generator, wander
+
+
+def scale_factors(seconds: Float, parameters: Parameters, effects: Collection[str]) -> Float:
+    """Return ``l0 = la + lb ln(MJD - 150)``, shape (time, 3) (Yin 2010, 3.3; correction side)."""
+    days = mjd(seconds) if "ageing" in effects else np.full_like(seconds, parameters.scale_frozen_mjd)
+    growth = np.log(days - parameters.scale_epoch)
+    return np.asarray(parameters.scale_constant + growth[:, None] * np.array(parameters.scale_log))
+
+
+def thermal_factors(coil: Float, converter: Float, parameters: Parameters, effects: Collection[str]) -> Float:
+    """Return ``1 - lT1 dT - lT2 dT^2``, shape (time, 3) (Yin 2010, 2.4 step 4a).
+
+    `coil` is the temperature that acts and `converter` that of the electronics, degC, (time,).
+    """
+    factor = np.ones((coil.size, 3))
+    if "temperature" in effects:
+        excess = (coil - parameters.temperature_reference)[:, None]
+        factor -= excess * parameters.temperature_linear + parameters.temperature_quadratic * excess**2
+    if "adc_temperature" in effects:
+        factor -= (converter - 20.0)[:, None] * np.array(parameters.adc_temperature_linear)
+    return factor
+
+
+def solve_reading(corrected: Float, linear: Float, quadratic: Float, cubic: Float) -> Float:
+    """Return E' with ``linear E' + quadratic E'^2 + cubic E'^3 = corrected``, by Newton's method.
+
+    All of one shape or broadcastable; nT, 1, 1/nT, 1/nT^2. Three steps reach rounding for any
+    non-linearity far below the linear term.
+    """
+    reading = corrected / linear
+    for _ in range(3):
+        slope = linear + reading * (2.0 * quadratic + 3.0 * cubic * reading)
+        excess = reading * (linear + reading * (quadratic + cubic * reading)) - corrected
+        reading = reading - excess / slope
+    return reading
+
+
+def reading(
+    field: Float,
+    scale: Float,
+    factor: Float,
+    offset: Float,
+    *,
+    parameters: Parameters,
+    effects: Collection[str],
+) -> Float:
+    """Return the noiseless reading of the fluxgate.
+
+    The chain of Yin (2010), 2.4, backwards: angles, temperature, non-linear scale, offset.
+
+    Parameters
+    ----------
+    field : ndarray, shape (time, 3)
+        Whole field at the sensor, nT, spacecraft axes (the sensor's z is the spacecraft's z).
+    scale, factor : ndarray, shape (time, 3)
+        `scale_factors` and `thermal_factors`.
+    offset : ndarray, shape (time, 3)
+        E0, nT.
+
+    Returns
+    -------
+    ndarray, shape (time, 3)
+        nT.
+    """
+    x, y, z = field.T
+    if "misalignment" in effects:
+        xy, xz, yz = np.cos(np.radians(parameters.angles))
+        y = y - yz * z
+        x = x - xy * y - xz * z
+    cold = np.column_stack([x, y, z]) / factor
+    bent = "nonlinearity" in effects
+    quadratic = np.array(parameters.quadratic) * bent
+    cubic = np.array(parameters.cubic) * bent
+    return solve_reading(cold, scale, quadratic, cubic) + offset
+
+
+def offsets(
+    seconds: Float, coil: Float, parameters: Parameters, effects: Collection[str], seed: int
+) -> Float:
+    """Return E0 with all that moves it, nT, shape (time, 3)."""
+    offset = np.zeros((seconds.size, 3))
+    if "offset" in effects:
+        offset += parameters.offset
+    if "hysteresis" in effects:
+        offset += play(coil, parameters.hysteresis_width)[:, None] * parameters.hysteresis_field
+    if "offset_drift" in effects:
+        rms = (parameters.offset_drift_rms,) * 3
+        slow = wander(seconds[::60], seed, "offset drift", rms, periods=(5 * 86400.0, 60 * 86400.0))
+        offset += slow.repeat(60, axis=0)[: seconds.size]
+    if "offset_steps" in effects:
+        # Resets came on Wednesdays, MJD mod 7 = 4, here at 10:00 UTC.
+        weeks = np.floor((mjd(seconds) - 4.0 - 10.0 / 24.0) / 7.0).astype(np.int64)
+        steps = {
+            week: generator(seed, "offset steps", int(week)).standard_normal(3) for week in np.unique(weeks)
+        }
+        offset += (
+            parameters.offset_step_rms
+            * np.array([steps[week] for week in np.unique(weeks)])[weeks - weeks[0]]
+        )
+    return offset
+
+
+def play(drive: Float, width: float) -> Float:
+    """Return the play operator of a series: it follows only after `width` / 2 of slack, shape (time,)."""
+    follower = np.empty_like(drive)
+    state = float(drive[0])
+    for index, value in enumerate(drive.tolist()):
+        state = min(max(state, value - width / 2), value + width / 2)
+        follower[index] = state
+    return follower
