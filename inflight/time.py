@@ -111,7 +111,7 @@ def parse_utc(text: str | dt.date | dt.datetime | np.datetime64) -> np.datetime6
     if isinstance(text, str):
         text = text.strip().removesuffix("Z").removesuffix("+00:00")
     try:
-        return np.datetime64(text, "ns")
+        return cast("np.datetime64", np.array(str(text), dtype="datetime64[ns]")[()])
     except ValueError:
         raise ValueError(
             f"{text!r} is no UTC date or time; write 2005-01-31 or 2005-01-31T12:00:00"

@@ -1,0 +1,171 @@
+"""Normal equations per block: the sufficient statistics everything later is computed from.
+
+One object holds, for each block (a day, or any half-open span), the weighted Gram matrix of
+[model columns | residual] in scaled columns. Adding blocks, choosing columns and solving never read
+the archive again.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+
+from inflight.calibration.scalar import SCALE, SUB_BLOCKS, BlockFit, Reference
+from inflight.calibration.solution import Solution, solve
+from inflight.effects.base import Floats
+from inflight.errors import CalibrationError
+
+#: Name of the residual among the columns.
+RESIDUAL = "residual"
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Sufficient statistics of one comparison, immutable.
+
+    Attributes
+    ----------
+    dataset : xarray.Dataset
+        dims block, column, other (= column): `gram` (block, column, other) nT^2 in scaled columns,
+        residual last; `scatter` (block, column, other), scores of sub-blocks at the block's own
+        fit; `linearised_at` (block, column) physical units; `start`, `end` (block) TT2000;
+        `count` (block) sum of weights; `scale`, `reference` (column), physical units.
+        Attributes: comparison, model, cadence_ns, filter, key.
+    """
+
+    dataset: xr.Dataset
+
+    @classmethod
+    def from_fit(
+        cls, fit: BlockFit, reference: Reference, span: tuple[int, int], attributes: dict[str, Any]
+    ) -> NormalEquations:
+        """Make the equations of one block from its fit."""
+        width = len(SCALE) + 1
+        scatter = np.zeros((width, width))
+        scatter[:-1, :-1] = fit.scatter
+        names = [*reference.columns, RESIDUAL]
+        row = ("block", "column", "other")
+        dataset = xr.Dataset(
+            {
+                "gram": (row, fit.gram[None], {"units": "nT2"}),
+                "scatter": (row, scatter[None], {"units": "nT4", "sub_blocks": SUB_BLOCKS}),
+                "linearised_at": (("block", "column"), np.append(fit.value, 0.0)[None]),
+                "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+                "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+                "count": ("block", np.array([fit.count])),
+                "scale": ("column", np.append(SCALE, 1.0)),
+                "reference": ("column", np.append(reference.value, 0.0)),
+            },
+            coords={"column": names, "other": names},
+            attrs=attributes,
+        )
+        return cls(dataset)
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the parameters' columns, without the residual."""
+        return [str(name) for name in self.dataset["column"].values if name != RESIDUAL]
+
+    def __len__(self) -> int:
+        return int(self.dataset.sizes["block"])
+
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        """Return the equations of both sets of blocks, in order of time.
+
+        Raises
+        ------
+        CalibrationError
+            When columns, scale or reference differ, or blocks overlap.
+        """
+        for name in ("column", "scale", "reference"):
+            if not np.array_equal(self.dataset[name].values, other.dataset[name].values):
+                raise CalibrationError(
+                    f"normal equations differ in '{name}'", remedy="recompute them with one model version"
+                )
+        static = self.dataset[["scale", "reference"]]
+        rows = [part.dataset.drop_vars(["scale", "reference"]) for part in (self, other)]
+        joined = xr.concat(rows, "block", join="exact").assign(dict(static.data_vars))
+        joined = joined.isel(block=np.argsort(joined["start"].values, kind="stable"))
+        if np.any(joined["start"].values[1:] < joined["end"].values[:-1]):
+            raise CalibrationError("blocks overlap", remedy="add each block once")
+        return NormalEquations(joined)
+
+    def select(self, columns: Sequence[str]) -> NormalEquations:
+        """Return the equations of some columns; the others stay at their reference."""
+        names = [*columns, RESIDUAL]
+        return NormalEquations(self.dataset.sel(column=names, other=names))
+
+    def within(self, start: int, end: int) -> NormalEquations:
+        """Return the blocks that lie in a half-open TT2000 span."""
+        inside = (self.dataset["start"].values >= start) & (self.dataset["end"].values <= end)
+        return NormalEquations(self.dataset.isel(block=np.flatnonzero(inside)))
+
+    def merge(self, edges: Sequence[int]) -> NormalEquations:
+        """Return the equations of wider blocks: all blocks between two TT2000 edges become one.
+
+        Gram matrices, scores' scatter and counts add up; scatter between the blocks is not in it.
+        """
+        parts = [self.within(start, end) for start, end in itertools.pairwise(edges)]
+        return NormalEquations(xr.concat([part._total() for part in parts if len(part)], "block"))
+
+    def _total(self) -> xr.Dataset:
+        data = self.dataset
+        total = data[["gram", "scatter", "count"]].sum("block", keep_attrs=True).expand_dims("block")
+        mean = data["linearised_at"].mean("block").expand_dims("block")
+        return total.assign(
+            linearised_at=mean,
+            start=("block", data["start"].values[:1], data["start"].attrs),
+            end=("block", data["end"].values[-1:], data["end"].attrs),
+            scale=data["scale"],
+            reference=data["reference"],
+        ).assign_attrs(data.attrs)
+
+    def solve(self, prior_sigma: Floats, prior: Floats | None = None) -> Solution:
+        """Solve all blocks together.
+
+        Parameters
+        ----------
+        prior_sigma : ndarray, shape (column,)
+            What is known beforehand, physical units; 0 fixes a parameter.
+        prior : ndarray, shape (column,), optional
+            Its mean, physical units; the reference when absent.
+
+        Returns
+        -------
+        Solution
+            Scaled, relative to the reference; its covariance holds the scatter within and between
+            blocks.
+        """
+        scale = self.dataset["scale"].values[:-1]
+        centre = np.zeros_like(scale) if prior is None else (prior - self.reference) / scale
+        gram, within = self.dataset["gram"].values, self.dataset["scatter"].values[:, :-1, :-1].sum(axis=0)
+        total, count = gram.sum(axis=0), float(self.dataset["count"].values.sum())
+        sigma = np.asarray(prior_sigma) / scale
+        first = solve(total, within, count, centre, sigma)
+        if len(self) == 1:
+            return first
+        scores = gram[:, :-1, -1] + gram[:, :-1, :-1] @ first.value
+        return solve(total, within + scores.T @ scores, count, centre, sigma)
+
+    def physical(self, solution: Solution) -> tuple[Floats, Floats]:
+        """Return values (column,) and covariance (column, column) of a solution in physical units."""
+        scale = self.dataset["scale"].values[:-1]
+        return self.reference + solution.value * scale, solution.covariance * np.outer(scale, scale)
+
+    @property
+    def reference(self) -> Floats:
+        """Values the residual column refers to, physical units."""
+        return np.asarray(self.dataset["reference"].values[:-1])
+
+    def split(self, folds: int) -> list[tuple[Self, Self]]:
+        """Return (fitted, held-out) pairs of contiguous blocks for cross-validation."""
+        indices = np.array_split(np.arange(len(self)), folds)
+        return [(self._pick(np.setdiff1d(np.arange(len(self)), held)), self._pick(held)) for held in indices]
+
+    def _pick(self, index: np.ndarray[Any, np.dtype[np.int64]]) -> Self:
+        return type(self)(self.dataset.isel(block=index))

@@ -1,0 +1,117 @@
+"""The hot loop: rows of the nine-parameter residual and their weighted Gram matrix.
+
+Residual ``r = |B| - F`` with ``B = K (E - E0) - S`` (Yin 2010, eqs. 2.5, 2.6); S holds the additive
+fields corrected after the sensor's equation. Its derivatives with respect to the entries of K are
+``e_i (E - E0)_j`` and to E0 ``-K^T e``, with e = B/|B|.
+
+Parameters in this module are the nine numbers (K_xx, K_yy, K_zz, K_xy, K_xz, K_yz, E0_x, E0_y, E0_z).
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from inflight.effects.base import Floats
+
+Int64 = npt.NDArray[np.int64]
+
+#: Rows handled at once: the block of columns stays in the cache and BLAS forms its Gram matrix.
+_ROWS = 2048
+#: Columns: nine parameters and the residual.
+WIDTH = 10
+
+
+@numba.njit(cache=True, nogil=True)
+def residuals(theta: Floats, e: Floats, s: Floats, f: Floats) -> Floats:  # pragma: no cover
+    """Return |K (E - E0) - S| - F; (time,) nT.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (9,)
+        K entries and offsets.
+    e, s : ndarray, shape (time, 3)
+        Raw readings and additive fields, nT; `s` may have one row for all.
+    f : ndarray, shape (time,)
+        Corrected scalar field, nT.
+    """
+    out = np.empty(f.size)
+    many = s.shape[0] > 1
+    for i in range(f.size):
+        x, y, z = e[i, 0] - theta[6], e[i, 1] - theta[7], e[i, 2] - theta[8]
+        q = i if many else 0
+        bx = theta[0] * x + theta[3] * y + theta[4] * z - s[q, 0]
+        by = theta[1] * y + theta[5] * z - s[q, 1]
+        bz = theta[2] * z - s[q, 2]
+        out[i] = np.sqrt(bx * bx + by * by + bz * bz) - f[i]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill(
+    rows: Floats, theta: Floats, e: Floats, s: Floats, f: Floats, root: Floats, scale: Floats, first: int
+) -> None:  # pragma: no cover
+    """Fill a block of weighted, scaled rows [nine columns | residual]."""
+    many = s.shape[0] > 1
+    for k in range(rows.shape[0]):
+        i = first + k
+        w = root[i]
+        if w == 0.0:
+            rows[k, :] = 0.0
+            continue
+        x, y, z = e[i, 0] - theta[6], e[i, 1] - theta[7], e[i, 2] - theta[8]
+        q = i if many else 0
+        bx = theta[0] * x + theta[3] * y + theta[4] * z - s[q, 0]
+        by = theta[1] * y + theta[5] * z - s[q, 1]
+        bz = theta[2] * z - s[q, 2]
+        norm = np.sqrt(bx * bx + by * by + bz * bz)
+        ux, uy, uz = w * bx / norm, w * by / norm, w * bz / norm
+        rows[k, 0] = ux * x * scale[0]
+        rows[k, 1] = uy * y * scale[1]
+        rows[k, 2] = uz * z * scale[2]
+        rows[k, 3] = ux * y * scale[3]
+        rows[k, 4] = ux * z * scale[4]
+        rows[k, 5] = uy * z * scale[5]
+        rows[k, 6] = -theta[0] * ux * scale[6]
+        rows[k, 7] = -(theta[3] * ux + theta[1] * uy) * scale[7]
+        rows[k, 8] = -(theta[4] * ux + theta[5] * uy + theta[2] * uz) * scale[8]
+        rows[k, 9] = w * (norm - f[i])
+
+
+@numba.njit(cache=True, nogil=True)
+def grams(
+    theta: Floats, e: Floats, s: Floats, f: Floats, weight: Floats, scale: Floats, edges: Int64
+) -> Floats:  # pragma: no cover
+    """Return the weighted Gram matrices of [nine columns | residual] of consecutive sub-blocks.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (9,)
+        Point of linearisation.
+    e, s, f : ndarray
+        Readings, additive fields, scalar field, nT, all finite where `weight` is positive.
+    weight : ndarray, shape (time,)
+        Robust weight, 0 = unused.
+    scale : ndarray, shape (9,)
+        Units of the columns: a column holds the change of the residual by ``scale`` of its parameter.
+    edges : ndarray of int64, shape (block + 1,)
+        Row indices that bound the sub-blocks.
+
+    Returns
+    -------
+    ndarray, shape (block, 10, 10)
+        nT^2.
+    """
+    out = np.zeros((edges.size - 1, WIDTH, WIDTH))
+    rows = np.empty((_ROWS, WIDTH))
+    root = np.sqrt(weight)
+    for b in range(edges.size - 1):
+        at = edges[b]
+        while at < edges[b + 1]:
+            many = min(_ROWS, edges[b + 1] - at)
+            part = rows[:many]
+            _fill(part, theta, e, s, f, root, scale, at)
+            out[b] += np.dot(part.T, part)
+            at += many
+    return out
