@@ -1,0 +1,369 @@
+"""The catalog of one workspace: the only door to what is stored in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import registry
+from inflight.catalog.database import Database
+from inflight.catalog.days import current_day, day_of_version, published_days, released_days, status_of_days
+from inflight.catalog.lineage import Edge, walk
+from inflight.catalog.opening import open_days, read_one_day
+from inflight.catalog.publishing import BASELINE_SETTING, baseline_of
+from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, TableRecord
+from inflight.catalog.release import freeze_release
+from inflight.catalog.runs import Run, close_dead_runs
+from inflight.catalog.schema import SettingRow
+from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
+from inflight.catalog.stores import open_store
+from inflight.catalog.upkeep import collect_garbage, dataset_summary, find_faults
+from inflight.catalog.validity import certify_table, table_records, valid_table
+from inflight.errors import CatalogError
+
+_FOLDERS = ("staging", "stores", "releases")
+
+
+class Catalog:
+    """What exists in a workspace, where it is valid and what made it.
+
+    Opening migrates the database when needed and closes runs whose process is gone. Several
+    processes may read while one writes; a second writer waits. A catalog can be pickled: it is
+    opened again where it arrives.
+
+    Parameters
+    ----------
+    workspace : path
+        Folder that holds ``catalog.db``, ``staging``, ``stores`` and ``releases``.
+    create : bool
+        Make a workspace that is not there yet.
+
+    Raises
+    ------
+    CatalogError
+        When there is no workspace and `create` is False, or its database is damaged or newer.
+
+    Examples
+    --------
+    >>> import tempfile, numpy as np, xarray as xr
+    >>> from inflight.time import day_bounds
+    >>> start, end = day_bounds("2005-01-01")
+    >>> times = np.arange(start, end, 3600 * 10**9)
+    >>> samples = xr.Dataset({"tt2000": ("time", times), "field": ("time", np.zeros(24), {"units": "nT"})})
+    >>> catalog = Catalog(tempfile.mkdtemp())
+    >>> with catalog.run("example", {}) as run:
+    ...     _ = run.stage("l1/scalar", samples, day="2005-01-01")
+    ...     print([day.version for day in run.publish()])
+    ['v01.00']
+    >>> catalog.open("l1/scalar", slice("2005-01-01T06:00", "2005-01-01T12:00")).sizes["time"]
+    6
+    """
+
+    def __init__(self, workspace: Path | str, create: bool = True) -> None:
+        self.workspace = Path(workspace).expanduser().resolve()
+        if not create and not (self.workspace / "catalog.db").exists():
+            raise CatalogError(
+                "this folder is no workspace", file=str(workspace), remedy="make one with 'inflight new'"
+            )
+        for folder in _FOLDERS:
+            (self.workspace / folder).mkdir(parents=True, exist_ok=True)
+        self._database = Database(f"sqlite:///{self.workspace / 'catalog.db'}")
+        close_dead_runs(self.workspace, self._database)
+
+    def __repr__(self) -> str:
+        return f"Catalog({str(self.workspace)!r})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Catalog, (str(self.workspace), False)
+
+    # --- runs and days -------------------------------------------------------------------------
+
+    def run(self, kind: str, settings: Mapping[str, Any] | None = None, context: str | None = None) -> Run:
+        """Return a run to be used in a ``with`` statement.
+
+        Parameters
+        ----------
+        kind : str
+            What is done, such as ``reprocess``.
+        settings : mapping
+            JSON-able; kept with the run.
+        context : str or None
+            Id of the context; it becomes a parent of all the run's days and tables.
+        """
+        return Run(self.workspace, self._database, kind, settings or {}, context)
+
+    def current(self, name: str, day: str | np.datetime64) -> Day | None:
+        """Return the published revision of a day, or None; its `key` tells whether there is work to do."""
+        with self._database.read() as session:
+            return current_day(session, name, as_date(day))
+
+    def days(self, name: str, time: TimeSpan = None, states: Iterable[str] | None = None) -> list[Day]:
+        """Return one record for each day the catalog knows of, in order.
+
+        Parameters
+        ----------
+        name : str
+            Dataset; one that does not exist has no days.
+        time : slice, day or None
+            Days that the span touches.
+        states : iterable of str
+            Without it, the published revision of a day or else its newest record. With it, the newest
+            record in one of these states that is not older than the published one.
+        """
+        with self._database.read() as session:
+            return status_of_days(session, name, parse_span(time), states)
+
+    def inventory(self, time: TimeSpan = None) -> list[dict[str, Any]]:
+        """Describe each dataset: span, days, gaps, failures, versions, mean coverage, samples."""
+        with self._database.read() as session:
+            return dataset_summary(session, parse_span(time))
+
+    # --- reading -------------------------------------------------------------------------------
+
+    def open(
+        self,
+        name: str,
+        time: TimeSpan = None,
+        variables: Iterable[str] | None = None,
+        release: str | None = None,
+        context: str | None = None,
+    ) -> xr.Dataset:
+        """Open a span of published days as one lazy Dataset.
+
+        Parameters
+        ----------
+        name : str
+            Dataset, such as ``l2/field``.
+        time : slice, day or None
+            Half-open: ``slice("2005-01-01", "2005-02-01")`` ends with January. Blocks belong to the span
+            they start in.
+        variables : iterable of str
+            All of them when None; what dates the rows always comes along.
+        release : str
+            Read the frozen collection of this version.
+        context : str
+            Read the newest revisions made in this context.
+
+        Returns
+        -------
+        xarray.Dataset
+            Dask arrays of one chunk a day; `time` (datetime64[ns], UTC) and `tt2000`. Spans of more than
+            16 million samples carry `time` as a lazy coordinate without an index.
+
+        Raises
+        ------
+        CatalogError
+            When dataset, release or variables are unknown, no day lies in the span, or units change in it.
+        """
+        span = parse_span(time)
+        with self._database.read() as session:
+            if release is not None:
+                days = released_days(session, release, name, span)
+            else:
+                days = published_days(session, name, span, context)
+        if not days:
+            raise CatalogError(
+                f"'{name}' has no published days in the span asked for", remedy="see 'inflight catalog list'"
+            )
+        return open_days(self.workspace, days, span, variables)
+
+    def read_day(
+        self,
+        name: str,
+        day: str | np.datetime64,
+        variables: Iterable[str] | None = None,
+        version: str | None = None,
+    ) -> xr.Dataset:
+        """Read one published day into memory, without dask; `version` (``v01.03``) reads a past revision.
+
+        Raises
+        ------
+        CatalogError
+            When the day or the variables are not there.
+        IntegrityError
+            When its store is damaged.
+        """
+        date = as_date(day)
+        with self._database.read() as session:
+            found = (
+                current_day(session, name, date)
+                if version is None
+                else day_of_version(session, name, date, version)
+            )
+        if found is None:
+            raise CatalogError(
+                f"'{name}' has no {version or 'published revision'}",
+                day=str(date),
+                remedy="see 'inflight catalog list'",
+            )
+        return self.read(found, variables)
+
+    def read(self, day: Day, variables: Iterable[str] | None = None) -> xr.Dataset:
+        """Read a day by its record, published or only verified; no database access, safe in workers."""
+        if not day.segment:
+            raise CatalogError(f"'{day.dataset}' is {day.state} and has no data", day=str(day.day))
+        return read_one_day(self.workspace, day, variables)
+
+    # --- calibration tables --------------------------------------------------------------------
+
+    def table(self, name: str, at: Instant, context: str | None = None) -> xr.Dataset:
+        """Return the calibration table that holds at an instant, with its id as attribute ``table_id``.
+
+        A table certified for the context goes before one the context pins, and that before one
+        certified for any context.
+
+        Raises
+        ------
+        CatalogError
+            When none holds then; the message lists the validities there are.
+        """
+        with self._database.read() as session:
+            row, path = valid_table(session, name, instant(at), context)
+        return self._read_table(path, row.id)
+
+    def table_by_id(self, table_id: int) -> xr.Dataset:
+        """Return a calibration table by its id, certified or not."""
+        known = {record.id: record for record in self.tables()}
+        if table_id not in known:
+            raise CatalogError(f"table {table_id} is not in the catalog; it has {sorted(known)}")
+        return self._read_table(known[table_id].segment, table_id)
+
+    def tables(self, name: str | None = None) -> list[TableRecord]:
+        """Return the records of all tables, or of one name, oldest first, with their validities."""
+        with self._database.read() as session:
+            return table_records(session, name)
+
+    def certify(
+        self, table_id: int, start: int, end: int, context: str | None = None, *, supersede: bool = False
+    ) -> None:
+        """State that a table holds in half-open TT2000 ``[start, end)``, for a context or for any (None).
+
+        Raises
+        ------
+        ValidityError
+            When another table of the name holds in part of the span; the message names both. With
+            `supersede` the older validities end instead, in the same transaction.
+        """
+        with self._database.write() as session:
+            certify_table(session, (table_id, start, end, context), supersede=supersede)
+
+    # --- models, contexts, files -----------------------------------------------------------------
+
+    def save_model(self, name: str, text: str, parent: int | None = None, message: str = "") -> int:
+        """Save a model file and return its version; a text that is known returns the version it has."""
+        with self._database.write() as session:
+            return registry.save_model(session, name, text, parent, message)
+
+    def model_text(self, name: str | None = None, version: int | None = None) -> tuple[str, int, str]:
+        """Return ``(name, version, text)`` of a model: the latest version, of the latest model when None.
+
+        Raises
+        ------
+        CatalogError
+            When it is not there; the message lists those that are.
+        """
+        with self._database.read() as session:
+            return registry.model_text(session, name, version)
+
+    def models(self) -> list[ModelRecord]:
+        """Return the history of all models, oldest first."""
+        with self._database.read() as session:
+            return registry.model_records(session)
+
+    def save_context(
+        self, mission_text: str, model_name: str, model_version: int, tables: Mapping[str, int]
+    ) -> str:
+        """Pin mission YAML, model version and table versions; return the id, the sha256 of these."""
+        with self._database.write() as session:
+            return registry.save_context(session, mission_text, (model_name, model_version), tables)
+
+    def context(self, context: str) -> ContextRecord:
+        """Return what a context pins."""
+        with self._database.read() as session:
+            return registry.context_record(session, context)
+
+    def record_file(
+        self,
+        run: Run,
+        instrument: str,
+        path: str,
+        sha256: str,
+        size: int,
+        mtime_ns: int,
+        days: Sequence[str | np.datetime64] = (),
+        report: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Record a delivered file; `files` shows it once the run has published what was made from it."""
+        told = FileRecord(
+            instrument, str(path), sha256, size, mtime_ns, tuple(map(str, days)), dict(report or {}), run.id
+        )
+        with self._database.write() as session:
+            registry.record_file(session, run.id, told)
+
+    def files(self, instrument: str) -> dict[str, FileRecord]:
+        """Return the delivered files already taken in, by path."""
+        with self._database.read() as session:
+            return registry.file_records(session, instrument)
+
+    def lineage(self, id: str | Day, up: bool = True) -> list[Edge]:
+        """Return the edges from an id towards what it was made from (`up`), or what was made from it.
+
+        Ids are ``day:12``, ``table:4``, ``file:<sha256>``, ``context:<sha256>`` and
+        ``model:<name>@<version>``.
+        """
+        with self._database.read() as session:
+            return walk(session, [id.id if isinstance(id, Day) else id], up=up)
+
+    # --- upkeep and releases -----------------------------------------------------------------------
+
+    @property
+    def baseline(self) -> int:
+        """Release baseline, the XX of versions ``vXX.YY``."""
+        with self._database.read() as session:
+            return baseline_of(session)
+
+    def set_baseline(self, baseline: int) -> None:
+        """Begin a new release baseline; revisions of days begin again at 00 under it.
+
+        Raises
+        ------
+        CatalogError
+            When it is lower than the present one.
+        """
+        with self._database.write() as session:
+            present = baseline_of(session)
+            if baseline < present:
+                raise CatalogError(
+                    f"baseline {baseline} is lower than the present {present}", remedy="raise it"
+                )
+            session.merge(SettingRow(name=BASELINE_SETTING, value=str(baseline)))
+
+    def verify(self, name: str | None = None) -> list[dict[str, str]]:
+        """Hash every store in use against its manifest; list ``{"item", "fault", "path"}``."""
+        with self._database.read() as session:
+            return find_faults(self.workspace, session, name)
+
+    def gc(self, dry_run: bool = True) -> list[str]:
+        """List, and remove unless `dry_run`, the stores and staging folders nothing refers to."""
+        return collect_garbage(self.workspace, self._database, dry_run=dry_run)
+
+    def release(
+        self,
+        version: str,
+        context: str | None = None,
+        datasets: Sequence[str] = ("l1/*", "l2/*"),
+        notes: str = "",
+        destination: Path | str | None = None,
+    ) -> Path:
+        """Freeze a collection and copy it out; see `inflight.catalog.release.freeze_release`."""
+        target = Path(destination) if destination is not None else self.workspace / "releases"
+        return freeze_release(self.workspace, self._database, version, context, datasets, notes, target)
+
+    def _read_table(self, path: str, table_id: int) -> xr.Dataset:
+        store = open_store(str(self.workspace / path))
+        dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
+        return dataset.assign_attrs(table_id=table_id)

@@ -1,0 +1,190 @@
+"""Questions about days: which revision is the present one, what happened to the others."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from inflight.catalog.records import DAY_STATES, Day, parse_version, utc_day, version_text
+from inflight.catalog.schema import CurrentRow, DatasetRow, DayRow, ReleaseDayRow, ReleaseRow, StoreRow
+from inflight.catalog.spans import Span
+from inflight.errors import CatalogError
+
+
+def day_record(row: DayRow, dataset: str, path: str | None) -> Day:
+    """Return a row of the database as the record users see."""
+    published = row.baseline is not None and row.revision is not None
+    return Day(
+        dataset=dataset,
+        day=utc_day(row.day),
+        state=row.state,
+        cause=row.cause,
+        message=row.message,
+        version=version_text(row.baseline or 0, row.revision or 0) if published else "",
+        revision=-1 if row.revision is None else row.revision,
+        coverage=float("nan") if row.coverage is None else row.coverage,
+        count=row.count,
+        key=row.key,
+        run=row.run_id,
+        id=f"day:{row.id}",
+        segment=path or "",
+        rows=(row.start, row.stop),
+        report=row.report,
+        context=row.context,
+        first_tt2000=row.first_tt2000,
+        last_tt2000=row.last_tt2000,
+        step_ns=row.step_ns,
+    )
+
+
+def dataset_id(session: Session, name: str) -> int | None:
+    """Return the database id of a dataset, None when there is none."""
+    return session.scalar(select(DatasetRow.id).where(DatasetRow.name == name))
+
+
+def require_dataset(session: Session, name: str) -> int:
+    """Return the database id of a dataset.
+
+    Raises
+    ------
+    CatalogError
+        When there is none; the message names those there are.
+    """
+    found = dataset_id(session, name)
+    if found is None:
+        known = ", ".join(sorted(session.scalars(select(DatasetRow.name)))) or "none"
+        raise CatalogError(
+            f"dataset '{name}' is not in the catalog, which has: {known}", remedy="check the name"
+        )
+    return found
+
+
+def current_day(session: Session, name: str, day: dt.date) -> Day | None:
+    """Return the published revision of a day, None when there is none."""
+    found = session.execute(
+        _with_store()
+        .join(CurrentRow, CurrentRow.day_id == DayRow.id)
+        .join(DatasetRow, DatasetRow.id == CurrentRow.dataset_id)
+        .where(DatasetRow.name == name, CurrentRow.day == day)
+    ).first()
+    return day_record(found[0], name, found[1]) if found else None
+
+
+def day_of_version(session: Session, name: str, day: dt.date, version: str) -> Day | None:
+    """Return one published revision of a day, present or past."""
+    baseline, revision = parse_version(version)
+    found = session.execute(
+        _with_store()
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .where(
+            DatasetRow.name == name,
+            DayRow.day == day,
+            DayRow.baseline == baseline,
+            DayRow.revision == revision,
+        )
+    ).first()
+    return day_record(found[0], name, found[1]) if found else None
+
+
+def status_of_days(session: Session, name: str, span: Span, states: Iterable[str] | None) -> list[Day]:
+    """Return one record a day: the published one, else the newest.
+
+    With `states`, the newest record in one of them that is not older than the published one: a day
+    that failed and was published later is not failed any more.
+    """
+    wanted = None if states is None else set(states)
+    if wanted is not None and (unknown := wanted - set(DAY_STATES)):
+        raise CatalogError(
+            f"unknown day states {sorted(unknown)}", remedy=f"use some of {', '.join(DAY_STATES)}"
+        )
+    dataset = dataset_id(session, name)
+    if dataset is None:
+        return []
+    rows = session.execute(
+        _in_span(_with_store().where(DayRow.dataset_id == dataset), span).order_by(DayRow.id)
+    )
+    current = set(session.scalars(select(CurrentRow.day_id).where(CurrentRow.dataset_id == dataset)))
+    by_day: dict[dt.date, list[Any]] = defaultdict(list)
+    for row, path in rows:
+        if row.id in current:
+            by_day[row.day] = [(row, path)]
+        elif row.state != "published":
+            by_day[row.day].append((row, path))
+    chosen = (_choose(by_day[day], wanted) for day in sorted(by_day))
+    return [day_record(found[0], name, found[1]) for found in chosen if found]
+
+
+def published_days(session: Session, name: str, span: Span, context: str | None) -> list[Day]:
+    """Return the days to read: the present revisions, or the newest ones made in `context`."""
+    dataset = require_dataset(session, name)
+    query = _in_span(_with_store().where(DayRow.dataset_id == dataset), span)
+    if context is None:
+        query = query.join(CurrentRow, CurrentRow.day_id == DayRow.id)
+    else:
+        query = query.where(DayRow.context == context, DayRow.state == "published")
+    query = query.order_by(DayRow.day, DayRow.baseline, DayRow.revision)
+    newest = {row.day: (row, path) for row, path in session.execute(query)}
+    return [day_record(row, name, path) for row, path in newest.values()]
+
+
+def released_days(session: Session, version: str, name: str | None, span: Span) -> list[Day]:
+    """Return the days of a frozen collection.
+
+    Raises
+    ------
+    CatalogError
+        When there is no such release.
+    """
+    release = session.scalar(select(ReleaseRow.id).where(ReleaseRow.version == version))
+    if release is None:
+        known = ", ".join(session.scalars(select(ReleaseRow.version).order_by(ReleaseRow.id))) or "none"
+        raise CatalogError(
+            f"release {version!r} does not exist; released: {known}", remedy="check the version"
+        )
+    query = (
+        select(DayRow, StoreRow.path, DatasetRow.name)
+        .join(StoreRow, StoreRow.id == DayRow.store_id)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .join(ReleaseDayRow, ReleaseDayRow.day_id == DayRow.id)
+        .where(ReleaseDayRow.release_id == release)
+        .order_by(DatasetRow.name, DayRow.day)
+    )
+    if name is not None:
+        query = query.where(DatasetRow.name == name)
+    return [day_record(row, dataset, path) for row, path, dataset in session.execute(_in_span(query, span))]
+
+
+def adoptable_day(session: Session, name: str, day: dt.date, key: str) -> tuple[DayRow, StoreRow] | None:
+    """Return a day that a run verified and never published, made from the same key."""
+    found = session.execute(
+        select(DayRow, StoreRow)
+        .join(StoreRow, StoreRow.id == DayRow.store_id)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .where(DatasetRow.name == name, DayRow.day == day, DayRow.key == key, DayRow.state == "verified")
+        .order_by(DayRow.id.desc())
+    ).first()
+    return (found[0], found[1]) if found else None
+
+
+def _choose(rows: Sequence[Any], wanted: set[str] | None) -> Any:
+    if wanted is not None:
+        return next((found for found in reversed(rows) if found[0].state in wanted), None)
+    published = next((found for found in rows if found[0].state == "published"), None)
+    return published or rows[-1]
+
+
+def _with_store() -> Select[*tuple[Any, ...]]:
+    return select(DayRow, StoreRow.path).outerjoin(StoreRow, StoreRow.id == DayRow.store_id)
+
+
+def _in_span(query: Select[*tuple[Any, ...]], span: Span) -> Select[*tuple[Any, ...]]:
+    if (first := span.first_day()) is not None:
+        query = query.where(DayRow.day >= first)
+    if (last := span.last_day()) is not None:
+        query = query.where(DayRow.day <= last)
+    return query

@@ -1,0 +1,166 @@
+"""How values become stored arrays and come back: packed integers, labels, plain arrays.
+
+A channel that states its instrument's resolution is stored as integers of that step: smaller and
+faster to decode than compressed floats, and exact. It is done only when it loses nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.time import TT2000_FILL
+
+Array = npt.NDArray[Any]
+
+#: A value may differ from a multiple of the resolution by this part of the resolution.
+STEP_TOLERANCE: Final = 1e-6
+#: A decoded value may differ from the given one by this part of it.
+VALUE_TOLERANCE: Final = 1e-9
+#: Attribute of a stored array that says how to decode it.
+ENCODING_ATTRIBUTE: Final = "inflight"
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How one variable is stored.
+
+    `kind` is ``plain`` (as it is), ``packed`` (integers times `resolution`, `missing` is NaN),
+    ``labels`` (unsigned integers that index `labels`) or ``stamps`` (datetime64 as int64).
+    `dtype` is that of the decoded values, `stored` that of the array on disk.
+    """
+
+    kind: str
+    dtype: str
+    stored: str
+    fill: int | float | bool | complex
+    delta: bool = False
+    resolution: float = 0.0
+    missing: int = 0
+    labels: tuple[str, ...] = ()
+    note: str = ""
+
+    def attributes(self) -> dict[str, Any]:
+        """Return the attributes to store; packed arrays carry the CF ones too, for other readers."""
+        told: dict[str, Any] = {"kind": self.kind, "dtype": self.dtype}
+        if self.kind == "labels":
+            told["labels"] = list(self.labels)
+        if self.kind != "packed":
+            return {ENCODING_ATTRIBUTE: told}
+        told |= {"resolution": self.resolution, "missing": self.missing}
+        return {ENCODING_ATTRIBUTE: told, "scale_factor": self.resolution, "_FillValue": self.missing}
+
+    @classmethod
+    def from_attributes(cls, attributes: dict[str, Any], stored: str) -> Encoding:
+        """Rebuild the encoding and take its own attributes out of `attributes`."""
+        told = dict(attributes.pop(ENCODING_ATTRIBUTE))
+        if told["kind"] == "packed":
+            attributes.pop("scale_factor")
+            attributes.pop("_FillValue")
+        labels = tuple(told.pop("labels", ()))
+        return cls(stored=stored, fill=0, labels=labels, **told)
+
+    def encode(self, values: Array) -> Array:
+        """Return the stored form of `values`, same shape."""
+        if self.kind == "packed":
+            return _quanta(values, self.resolution, self.missing).astype(self.stored)
+        if self.kind == "labels":
+            index = {label: number for number, label in enumerate(self.labels)}
+            codes = [index[str(value)] for value in values.ravel()]
+            return np.array(codes, dtype=self.stored).reshape(values.shape)
+        if self.kind == "stamps":
+            return values.astype(self.dtype).view(np.int64)
+        return values
+
+    def decode(self, stored: Array) -> Array:
+        """Return the values of a stored array, same shape."""
+        if self.kind == "packed":
+            return _values(stored, self.resolution, self.missing, np.dtype(self.dtype))
+        if self.kind == "labels":
+            return np.array(self.labels or ("",))[stored]
+        if self.kind == "stamps":
+            return stored.view(self.dtype)
+        return stored
+
+
+def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, Any]) -> Encoding:
+    """Choose how a variable is stored, looking at all its values.
+
+    Parameters
+    ----------
+    name : str
+        Of the variable; ``tt2000`` is stored as differences.
+    pieces : sequence of ndarray
+        The variable's values, one array for each day; all of one dtype and inner shape.
+    attributes : dict
+        Of the variable; ``resolution`` (> 0, in its unit) asks for packing.
+
+    Returns
+    -------
+    Encoding
+        With a `note` when packing was asked for and would have lost something.
+    """
+    dtype = pieces[0].dtype
+    if dtype.kind in "UOT":
+        labels = sorted({str(value) for piece in pieces for value in piece.ravel()})
+        return Encoding("labels", "str", "uint32", 0, labels=tuple(labels))
+    if dtype.kind in "mM":
+        unit = "datetime64[ns]" if dtype.kind == "M" else "timedelta64[ns]"
+        return Encoding("stamps", unit, "int64", int(TT2000_FILL), delta=True)
+    fill: int | float | bool = np.nan if dtype.kind in "fc" else False if dtype.kind == "b" else 0
+    plain = Encoding("plain", dtype.name, dtype.name, fill)
+    if name == "tt2000":
+        return replace(plain, fill=int(TT2000_FILL), delta=True)
+    resolution = attributes.get("resolution")
+    if resolution is None or dtype.kind != "f" or not float(resolution) > 0:
+        return plain
+    return _packed(name, pieces, float(resolution)) or replace(
+        plain,
+        note=f"{name}: stored as {dtype.name}: its values are no multiples of the resolution {resolution:g}",
+    )
+
+
+def _packed(name: str, pieces: Sequence[Array], resolution: float) -> Encoding | None:
+    largest = 0.0
+    for piece in pieces:
+        finite = piece[np.isfinite(piece)]
+        if finite.size != piece.size - int(np.count_nonzero(np.isnan(piece))):
+            return None  # an infinity has no integer
+        largest = max(largest, float(np.abs(finite).max(initial=0)) / resolution)
+        if largest >= 2**53 or not _lossless(finite, resolution):
+            return None
+    stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
+    return Encoding("packed", pieces[0].dtype.name, stored, missing, True, resolution, missing)
+
+
+def _lossless(finite: Array, resolution: float) -> bool:
+    """Tell whether values come back the same: exactly, or within both tolerances."""
+    decoded = _values(_quanta(finite, resolution, 0), resolution, None, finite.dtype)
+    if np.array_equal(decoded, finite):
+        return True
+    error = np.abs(decoded - finite)
+    return bool(np.all((error <= STEP_TOLERANCE * resolution) & (error <= VALUE_TOLERANCE * np.abs(finite))))
+
+
+def _quanta(values: Array, resolution: float, missing: int) -> npt.NDArray[np.int64]:
+    absent = np.isnan(values)
+    steps = np.rint(np.where(absent, 0.0, values).astype(np.float64) / resolution)
+    quanta: npt.NDArray[np.int64] = steps.astype(np.int64)
+    quanta[absent] = missing
+    return quanta
+
+
+def _values(quanta: Array, resolution: float, missing: int | None, dtype: np.dtype[Any]) -> Array:
+    # 7 / 100 is the float nearest to 0.07 and 7 * 0.01 is not: divide where the steps per unit are whole.
+    steps_per_unit = round(1 / resolution) if resolution <= 1 else 0
+    whole = steps_per_unit >= 1 and abs(steps_per_unit * resolution - 1) < 1e-12
+    values: Array = quanta / steps_per_unit if whole else quanta * resolution
+    if missing is not None:
+        absent = quanta == missing
+        if absent.any():
+            values[absent] = np.nan
+    return values.astype(dtype, copy=False)

@@ -1,0 +1,95 @@
+"""Manifests: the sha256 of every file of a store, and the proof that it is still whole."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import Final
+
+from inflight.errors import IntegrityError
+
+#: Name of the manifest inside a store or a release; lines as ``sha256sum`` writes them.
+MANIFEST: Final = "MANIFEST.sha256"
+
+
+def write_manifest(folder: Path) -> str:
+    """Hash and flush every file below `folder`, write its manifest; return the manifest's sha256.
+
+    Everything is on the disk when this returns: files, manifest and folders.
+    """
+    lines = [f"{_hash(folder / name, flush=True)}  {name}\n" for name in _files(folder)]
+    manifest = folder / MANIFEST
+    with manifest.open("w", encoding="utf-8", newline="\n") as stream:
+        stream.writelines(lines)
+        stream.flush()
+        os.fsync(stream.fileno())
+    for parent, _, _ in os.walk(folder):
+        flush_folder(Path(parent))
+    return _hash(manifest)
+
+
+def manifest_sha256(folder: Path) -> str:
+    """Return the sha256 of a store's manifest file.
+
+    Raises
+    ------
+    IntegrityError
+        When there is none.
+    """
+    try:
+        return _hash(folder / MANIFEST)
+    except OSError:
+        raise IntegrityError(
+            "the store or its manifest is missing", file=str(folder), remedy="make its days again"
+        ) from None
+
+
+def manifest_faults(folder: Path, sha256: str) -> list[tuple[str, str]]:
+    """Compare a folder with its manifest, and the manifest with `sha256` (skipped when empty).
+
+    Returns
+    -------
+    list of (file, fault)
+        Empty when every byte is as it was written.
+    """
+    try:
+        found = manifest_sha256(folder)
+    except IntegrityError as error:
+        return [(MANIFEST, error.message)]
+    if sha256 and found != sha256:
+        return [(MANIFEST, f"manifest has sha256 {found[:12]}, expected {sha256[:12]}")]
+    lines = (line.partition("  ") for line in (folder / MANIFEST).read_text("utf-8").splitlines())
+    stated = {name: digest for digest, _, name in lines}
+    present = set(_files(folder))
+    faults = [(name, "file is missing") for name in sorted(stated.keys() - present)]
+    faults += [(name, "file is not in the manifest") for name in sorted(present - stated.keys())]
+    changed = (name for name in sorted(present & stated.keys()) if _hash(folder / name) != stated[name])
+    return faults + [(name, "content is not what was written") for name in changed]
+
+
+def flush_folder(folder: Path) -> None:
+    """Flush a folder's entries, so that a rename in it survives a power failure."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def folder_bytes(folder: Path) -> int:
+    """Return the size of all files below a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def _files(folder: Path) -> list[str]:
+    names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return sorted(name for name in names if name != MANIFEST)
+
+
+def _hash(path: Path, *, flush: bool = False) -> str:
+    with path.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        if flush:
+            os.fsync(stream.fileno())
+    return digest

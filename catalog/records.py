@@ -1,0 +1,222 @@
+"""What the catalog gives and takes: days, segments, tables, files. Plain frozen records without a database.
+
+Words: a *segment* is one immutable Zarr store that holds several days of one dataset; a *day* is one
+revision of one UTC day of one dataset; a *row* of a segment says where a day lies in it.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+import xarray as xr
+
+from inflight.errors import CatalogError
+
+#: The states a day goes through; the last three are ends.
+DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "failed", "no_work")
+#: Why a day is not there.
+CAUSES: Final = ("no_work", "repeatable", "partial", "bug", "transient")
+
+
+@dataclass(frozen=True)
+class DayData:
+    """One day of one dataset, to be written.
+
+    Parameters
+    ----------
+    day : datetime64[D]
+        The UTC day; every sample must lie in it.
+    dataset : xarray.Dataset
+        With row dimension ``time`` and int64 ``tt2000`` (time), or row dimension ``block`` and
+        int64 ``start`` (block), both strictly increasing. A ``time`` coordinate is dropped: it
+        follows from ``tt2000``. Variables without the row dimension are the same for all days of a segment.
+    key : str
+        Idempotency key, see `idempotency_key`.
+    parents : tuple of str
+        Lineage ids of what the day was made from.
+    report : dict
+        JSON-able; ``coverage`` (0 to 1) and ``gaps`` have a meaning to the catalog's listings.
+    """
+
+    day: np.datetime64
+    dataset: xr.Dataset
+    key: str = ""
+    parents: tuple[str, ...] = ()
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SegmentRow:
+    """Where one day lies in a segment: rows ``[start, stop)``; times are TT2000, both samples included."""
+
+    day: np.datetime64
+    start: int
+    stop: int
+    key: str
+    first_tt2000: int
+    last_tt2000: int
+    count: int
+    report: Mapping[str, Any]
+    parents: tuple[str, ...] = ()
+    #: Spacing of the samples in ns when it is exactly constant, else 0.
+    step_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A complete, verified, immutable store.
+
+    `path` is relative to the workspace, `sha256` that of its manifest; `notes` tell what could not be packed.
+    """
+
+    path: str
+    name: str
+    sha256: str
+    bytes: int
+    rows: tuple[SegmentRow, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Day:
+    """One revision of one day of one dataset, as the catalog knows it.
+
+    `version` is empty and `revision` is -1 until the day is published. `rows` are the rows
+    ``[start, stop)`` of the store `segment` (relative to the workspace). `coverage` is the part of
+    the day's expected samples that is there (0 to 1), NaN when unknown.
+    """
+
+    dataset: str
+    day: np.datetime64
+    state: str
+    cause: str = ""
+    message: str = ""
+    version: str = ""
+    revision: int = -1
+    coverage: float = float("nan")
+    count: int = 0
+    key: str = ""
+    run: str = ""
+    id: str = ""
+    segment: str = ""
+    rows: tuple[int, int] = (0, 0)
+    report: Mapping[str, Any] = field(default_factory=dict)
+    context: str | None = None
+    first_tt2000: int = 0
+    last_tt2000: int = 0
+    step_ns: int = 0
+
+
+@dataclass(frozen=True)
+class TableRecord:
+    """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000."""
+
+    id: int
+    name: str
+    start: int
+    end: int
+    run: str
+    context: str | None
+    key: str
+    segment: str
+    certified: tuple[tuple[str | None, int, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class FileRecord:
+    """A delivered file that was taken in."""
+
+    instrument: str
+    path: str
+    sha256: str
+    size: int
+    mtime_ns: int
+    days: tuple[str, ...]
+    report: Mapping[str, Any]
+    run: str
+
+
+@dataclass(frozen=True)
+class ContextRecord:
+    """What a context pins: the mission YAML, one model version and the calibration tables by name."""
+
+    id: str
+    mission_text: str
+    model_name: str
+    model_version: int
+    tables: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class ModelRecord:
+    """One version of a model; `parent` is the version it was made from."""
+
+    name: str
+    version: int
+    parent: int | None
+    message: str
+    sha256: str
+    created: str
+
+
+def idempotency_key(
+    product: str, day: str | np.datetime64, algorithm_version: int, context: str | None, inputs: Sequence[str]
+) -> str:
+    """Return the key of a piece of work: same key, nothing to do.
+
+    Parameters
+    ----------
+    product : str
+        Dataset that is made.
+    day : str or datetime64[D]
+        The UTC day.
+    algorithm_version : int
+        Bumped by hand beside each algorithm: a commit hash would re-run a mission for a typo.
+    context : str or None
+        Id of the context.
+    inputs : sequence of str
+        Hashes or keys of what goes in; their order does not matter.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    parts = [product, str(utc_day(day)), algorithm_version, context or "", sorted(inputs)]
+    return sha256_text(json.dumps(parts))
+
+
+def utc_day(day: str | dt.date | np.datetime64) -> np.datetime64:
+    """Return a day given as text, date or datetime64 as datetime64[D]."""
+    date: np.datetime64 = np.datetime64(day).astype("datetime64[D]")
+    return date
+
+
+def sha256_text(text: str) -> str:
+    """Return the sha256 of a text's UTF-8 bytes, in hexadecimal."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def version_text(baseline: int, revision: int) -> str:
+    """Write a version as ``vXX.YY``."""
+    return f"v{baseline:02d}.{revision:02d}"
+
+
+def parse_version(version: str) -> tuple[int, int]:
+    """Read ``vXX.YY``; return baseline and revision.
+
+    Raises
+    ------
+    CatalogError
+        When the text is no version.
+    """
+    baseline, dot, revision = version.removeprefix("v").partition(".")
+    if not (dot and baseline.isdigit() and revision.isdigit()):
+        raise CatalogError(f"{version!r} is no version", remedy="write baseline and revision, as in 'v01.03'")
+    return int(baseline), int(revision)

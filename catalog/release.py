@@ -1,0 +1,357 @@
+"""Releases: a collection frozen in the catalog and copied out whole, readable by any Zarr v3 reader."""
+
+from __future__ import annotations
+
+import csv
+import datetime as dt
+import json
+import re
+import shutil
+import uuid
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from itertools import groupby
+from pathlib import Path
+from typing import Final
+
+import xarray as xr
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from inflight.catalog.database import Database
+from inflight.catalog.days import published_days, status_of_days
+from inflight.catalog.faultpoints import reached
+from inflight.catalog.lineage import Edge, unknown_ids, walk
+from inflight.catalog.manifest import flush_folder, write_manifest
+from inflight.catalog.opening import read_one_day
+from inflight.catalog.records import ContextRecord, Day, DayData, TableRecord
+from inflight.catalog.registry import context_record, model_text
+from inflight.catalog.schema import DatasetRow, ReleaseDayRow, ReleaseRow
+from inflight.catalog.segments import write_segment, write_table
+from inflight.catalog.spans import Span
+from inflight.catalog.stores import open_store
+from inflight.catalog.upkeep import missing_days
+from inflight.catalog.validity import table_records
+from inflight.errors import CatalogError, IntegrityError, StorageError
+from inflight.time import to_utc
+
+#: Days of one released store: bounds the memory a release needs.
+DAYS_PER_STORE: Final = 10
+_MARKER: Final = "release.json"
+_WHOLE: Final = Span(None, None)
+
+
+@dataclass(frozen=True)
+class _Collection:
+    """What goes into a release: the days, the days that are not there, the tables and the context."""
+
+    version: str
+    notes: str
+    days: tuple[Day, ...]
+    absent: tuple[Day, ...]
+    tables: tuple[TableRecord, ...]
+    context: ContextRecord | None
+    model: str
+
+
+def freeze_release(
+    workspace: Path,
+    database: Database,
+    version: str,
+    context: str | None,
+    datasets: Sequence[str],
+    notes: str,
+    destination: Path,
+) -> Path:
+    """Freeze the published days of some datasets as a release and copy it out.
+
+    Parameters
+    ----------
+    workspace : path
+        Folder of the catalog.
+    database : Database
+        Of the catalog.
+    version : str
+        Such as ``1.0``; never given out twice.
+    context : str or None
+        Take the newest revisions made in this context; datasets without contexts give their present ones.
+    datasets : sequence of str
+        Patterns, such as ``l2/*``.
+    notes : str
+        Text of RELEASE_NOTES.md.
+    destination : path
+        Folder in which a folder named after the version appears, by one rename.
+
+    Returns
+    -------
+    path
+        The release's folder.
+
+    Raises
+    ------
+    CatalogError
+        When the version exists, nothing matches, a day has no provenance, or a day is missing without a
+        recorded cause.
+    """
+    if not re.fullmatch(r"[0-9A-Za-z][0-9A-Za-z.-]*", version):
+        raise CatalogError(
+            f"{version!r} is no release version", remedy="use digits, letters, '.' and '-', as in '1.0'"
+        )
+    with database.read() as session:
+        _refuse_known_version(session, version)
+        collection = _collect(session, version, context, datasets, notes)
+        _refuse_without_provenance(session, collection.days)
+    _refuse_unexplained(collection)
+    destination.mkdir(parents=True, exist_ok=True)
+    staged = destination / f".{version}-{uuid.uuid4().hex[:8]}"
+    try:
+        _write_release(workspace, staged, collection)
+        reached("release_written")
+        return _register(database, collection, context, staged, destination / version)
+    except OSError as error:
+        if isinstance(error, CatalogError):
+            raise
+        raise StorageError(
+            f"release could not be written: {error}", remedy="free space and run again"
+        ) from error
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+
+
+def _refuse_known_version(session: Session, version: str) -> None:
+    if session.scalar(select(ReleaseRow.id).where(ReleaseRow.version == version)) is not None:
+        raise CatalogError(
+            f"release {version} exists", remedy="a version is never reused: choose the next one"
+        )
+
+
+def _collect(
+    session: Session, version: str, context: str | None, patterns: Sequence[str], notes: str
+) -> _Collection:
+    names = [
+        name
+        for name in session.scalars(select(DatasetRow.name).order_by(DatasetRow.name))
+        if any(fnmatchcase(name, pattern) for pattern in patterns)
+    ]
+    days: list[Day] = []
+    absent: list[Day] = []
+    for name in names:
+        present = _days_of(session, name, context)
+        days += present
+        there = {day.day for day in present}
+        recorded = [day for day in status_of_days(session, name, _WHOLE, None) if day.day not in there]
+        known = {day.day for day in recorded}
+        gaps = [Day(name, day, "missing") for day in missing_days(present) if day not in known]
+        absent += sorted(recorded + gaps, key=lambda day: day.day)
+    if not days:
+        raise CatalogError(f"no published days match {list(patterns)}", remedy="see 'inflight catalog list'")
+    pinned = context_record(session, context) if context else None
+    wanted = set(pinned.tables.values()) if pinned else set()
+    tables = [
+        table
+        for table in table_records(session, None)
+        if table.id in wanted or any(scope in {None, context} for scope, _, _ in table.certified)
+    ]
+    model = model_text(session, pinned.model_name, pinned.model_version)[2] if pinned else ""
+    return _Collection(version, notes, tuple(days), tuple(absent), tuple(tables), pinned, model)
+
+
+def _days_of(session: Session, name: str, context: str | None) -> list[Day]:
+    present = published_days(session, name, _WHOLE, None)
+    if context is None or all(day.context is None for day in present):
+        return present
+    return published_days(session, name, _WHOLE, context)
+
+
+def _refuse_without_provenance(session: Session, days: Sequence[Day]) -> None:
+    """Every day, and every day it was made from, states what it was made from, and that is known."""
+    ids = [day.id for day in days]
+    edges: list[Edge] = walk(session, ids, up=True)
+    with_parents = {edge.child for edge in edges}
+    named = {*ids, *(edge.parent for edge in edges)}
+    orphans = sorted(item for item in named if item.startswith("day:") and item not in with_parents)
+    unknown = unknown_ids(session, named)
+    if orphans or unknown:
+        by_id = {day.id: f"{day.dataset} {day.day}" for day in days}
+        listed = ", ".join(by_id.get(item, item) for item in [*orphans, *unknown][:5])
+        raise CatalogError(
+            f"{len(orphans) + len(unknown)} items lack provenance, among them {listed}",
+            remedy="make these days again by a run that states their parents",
+        )
+
+
+def _refuse_unexplained(collection: _Collection) -> None:
+    unexplained = [day for day in collection.absent if not day.cause]
+    if unexplained:
+        listed = ", ".join(f"{day.dataset} {day.day} ({day.state})" for day in unexplained[:5])
+        raise CatalogError(
+            f"{len(unexplained)} missing days have no recorded cause, among them {listed}",
+            remedy="process them again, or record why they are missing",
+        )
+
+
+def _write_release(workspace: Path, folder: Path, collection: _Collection) -> None:
+    for batch in _batches(collection.days):
+        _copy_days(workspace, folder, batch)
+    for table in collection.tables:
+        _copy_table(workspace, folder, table)
+    if (folder / "stores").exists():
+        for group in (folder / "stores").iterdir():
+            group.rename(folder / group.name)
+        (folder / "stores").rmdir()
+    shutil.rmtree(folder / "staging", ignore_errors=True)
+    _write_days(folder / "days.csv", collection)
+    _write_tables(folder / "tables.csv", collection.tables)
+    if collection.context:
+        (folder / "mission.yaml").write_text(collection.context.mission_text, "utf-8")
+        (folder / "model.yaml").write_text(collection.model, "utf-8")
+    (folder / "README.md").write_text(_readme(collection), "utf-8")
+    (folder / "RELEASE_NOTES.md").write_text(_release_notes(collection), "utf-8")
+    (folder / _MARKER).write_text(json.dumps({"version": collection.version}) + "\n", "utf-8")
+    write_manifest(folder)
+
+
+def _batches(days: Sequence[Day]) -> Iterator[list[Day]]:
+    """Days that can share a released store: of one segment, so of equal variables and units."""
+    for _, group in groupby(days, key=lambda day: (day.dataset, day.segment)):
+        members = list(group)
+        for first in range(0, len(members), DAYS_PER_STORE):
+            yield members[first : first + DAYS_PER_STORE]
+
+
+def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
+    """Write days again without the delta filter, and compare every value with the original."""
+    contents = [
+        _without_time(read_one_day(workspace, day, None)).assign_attrs(version=day.version) for day in batch
+    ]
+    data = [
+        DayData(day.day, dataset, day.key, report=day.report)
+        for day, dataset in zip(batch, contents, strict=True)
+    ]
+    segment = write_segment(folder, "data", batch[0].dataset, data, portable=True)
+    store = open_store(str(folder / segment.path))
+    for index, (row, dataset) in enumerate(zip(segment.rows, contents, strict=True)):
+        copied = store.dataset_of_day(index, list(store.variables), row.start, row.stop)
+        if not copied.identical(dataset):
+            raise IntegrityError(
+                f"released copy of {batch[0].dataset} differs from the original",
+                day=str(row.day),
+                remedy="run 'inflight catalog verify'",
+            )
+
+
+def _copy_table(workspace: Path, folder: Path, table: TableRecord) -> None:
+    store = open_store(str(workspace / table.segment))
+    dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
+    write_table(folder, "tables", f"{table.name}-{table.id}", dataset, portable=True)
+
+
+def _without_time(dataset: xr.Dataset) -> xr.Dataset:
+    return dataset.drop_vars("time", errors="ignore")
+
+
+def _write_days(path: Path, collection: _Collection) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(
+            ["dataset", "day", "version", "coverage", "samples", "state", "cause", "message", "key"]
+        )
+        for day in sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day)):
+            coverage = "" if day.coverage != day.coverage else f"{day.coverage:.6f}"
+            writer.writerow(
+                [
+                    day.dataset,
+                    day.day,
+                    day.version,
+                    coverage,
+                    day.count,
+                    day.state,
+                    day.cause,
+                    day.message,
+                    day.key,
+                ]
+            )
+
+
+def _write_tables(path: Path, tables: Sequence[TableRecord]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(
+            ["table", "name", "context", "valid_from", "valid_to", "valid_from_tt2000", "valid_to_tt2000"]
+        )
+        for table in tables:
+            for context, start, end in table.certified or ((table.context, table.start, table.end),):
+                writer.writerow([table.id, table.name, context or "", to_utc(start), to_utc(end), start, end])
+
+
+def _readme(collection: _Collection) -> str:
+    lines = [
+        f"# Release {collection.version}",
+        "",
+        "`data/` holds one Zarr v3 store for up to ten days of one dataset: row `i` of day `k` is row",
+        "`k * chunk + i` of every variable with a time; `chunk`, `days` and `counts` stand in the",
+        "attribute `inflight` of the store. Packed variables follow the CF convention (`scale_factor`,",
+        "`_FillValue`). `tt2000` counts nanoseconds since 2000-01-01T12:00:00 Terrestrial Time; rows",
+        "beyond a day's count are fill.",
+        "`tables/` holds the calibration tables; `tables.csv` says when each is valid (half-open).",
+        "`days.csv` lists every day with version, coverage and, where it is missing, why.",
+        "Check the files with `sha256sum -c MANIFEST.sha256`.",
+        "",
+        "| dataset | first day | last day | days | missing |",
+        "|---|---|---|---|---|",
+    ]
+    for name, group in groupby(collection.days, key=lambda day: day.dataset):
+        days = list(group)
+        missing = sum(day.dataset == name for day in collection.absent)
+        lines.append(f"| {name} | {days[0].day} | {days[-1].day} | {len(days)} | {missing} |")
+    if collection.context:
+        told = collection.context
+        lines += [
+            "",
+            f"Model: {told.model_name} version {told.model_version} (`model.yaml`), context `{told.id}`.",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _release_notes(collection: _Collection) -> str:
+    text = [f"# Release notes, {collection.version}", "", collection.notes.strip() or "No notes were given."]
+    if collection.absent:
+        text += ["", f"{len(collection.absent)} days are missing; `days.csv` gives the cause of each."]
+    return "\n".join(text) + "\n"
+
+
+def _register(
+    database: Database, collection: _Collection, context: str | None, staged: Path, target: Path
+) -> Path:
+    """Freeze the collection and rename its folder in one transaction, which ends with the rename."""
+    created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    with database.write() as session:
+        _refuse_known_version(session, collection.version)
+        row = ReleaseRow(
+            version=collection.version,
+            context=context,
+            notes=collection.notes,
+            path=str(target),
+            created=created,
+        )
+        session.add(row)
+        session.flush()
+        days = (int(day.id.partition(":")[2]) for day in collection.days)
+        session.add_all(ReleaseDayRow(release_id=row.id, day_id=day) for day in days)
+        session.flush()
+        _clear_leftover(target, collection.version)
+        staged.rename(target)
+        flush_folder(target.parent)
+        reached("release_renamed")
+    return target
+
+
+def _clear_leftover(target: Path, version: str) -> None:
+    """Remove what a release killed between its rename and its commit left; nothing else is touched."""
+    if not target.exists():
+        return
+    marker = target / _MARKER
+    if not marker.exists() or json.loads(marker.read_text("utf-8")).get("version") != version:
+        raise CatalogError("the folder exists and is no release", file=str(target), remedy="move it away")
+    shutil.rmtree(target)

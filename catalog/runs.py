@@ -1,0 +1,359 @@
+"""Runs: one piece of work whose days become visible together, or not at all."""
+
+from __future__ import annotations
+
+import datetime as dt
+import shutil
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+from sqlalchemy import select, update
+from sqlalchemy.orm import Session
+
+from inflight.catalog.database import Database
+from inflight.catalog.days import adoptable_day, day_record
+from inflight.catalog.faultpoints import reached
+from inflight.catalog.layout import plain_attributes
+from inflight.catalog.lineage import Edge, add_edges, parent_ids, walk
+from inflight.catalog.manifest import manifest_faults
+from inflight.catalog.processes import ProcessMark, this_process
+from inflight.catalog.publishing import publish_run
+from inflight.catalog.records import CAUSES, DAY_STATES, Day, DayData, Segment, SegmentRow, utc_day
+from inflight.catalog.schema import DatasetRow, DayRow, RunRow, StoreRow, TableRow
+from inflight.catalog.segments import write_segment, write_table
+from inflight.catalog.spans import as_date
+from inflight.catalog.validity import Certification
+from inflight.errors import CatalogError, InflightError
+
+#: States a caller may record; the others follow from staging and publishing.
+_RECORDED = ("planned", "running", "failed", "no_work")
+
+
+class Run:
+    """One run, to be used in a ``with`` statement; made by `Catalog.run`.
+
+    Leaving the block closes the run: ``done``, or ``failed`` with cause and message when it raised.
+    Days that were attached and not published stay unseen; a later run may adopt them.
+    """
+
+    def __init__(
+        self, workspace: Path, database: Database, kind: str, settings: Mapping[str, Any], context: str | None
+    ) -> None:
+        now = dt.datetime.now(dt.UTC)
+        self.id = f"{now:%Y%m%dT%H%M%S}-{kind}-{uuid.uuid4().hex[:8]}"
+        self.kind, self.context, self.workspace = kind, context, workspace
+        self.settings: dict[str, Any] = plain_attributes(settings, f"run '{kind}'")
+        self._database = database
+        self._started = now.isoformat(timespec="seconds")
+        self._sound_stores: set[str] = set()
+
+    def __enter__(self) -> Self:
+        mark = this_process()
+        with self._database.write() as session:
+            session.add(
+                RunRow(
+                    id=self.id,
+                    kind=self.kind,
+                    settings=self.settings,
+                    context=self.context,
+                    state="running",
+                    host=mark.host,
+                    pid=mark.pid,
+                    process=mark.process,
+                    started=self._started,
+                )
+            )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        state = "done" if error is None else "failed"
+        cause, message = ("", "") if error is None else (cause_of(error), f"{type(error).__name__}: {error}")
+        with self._database.write() as session:
+            close_run(session, self.id, state, cause, message)
+        shutil.rmtree(self.workspace / "staging" / self.id, ignore_errors=True)
+
+    def attach(self, segment: Segment, parents: Iterable[Day | str] = ()) -> list[Day]:
+        """Register the days of a verified segment with this run.
+
+        Parameters
+        ----------
+        segment : Segment
+            From `write_segment` with this run's id.
+        parents : iterable of Day or lineage ids
+            Of all its days, beside those each `DayData` states and the run's context.
+
+        Returns
+        -------
+        list of Day
+            In state ``verified``; invisible to readers until `publish`.
+
+        Raises
+        ------
+        CatalogError
+            When this run has already published one of the days.
+        """
+        reached("attach")
+        shared = parent_ids(parents) + ([f"context:{self.context}"] if self.context else [])
+        with self._database.write() as session:
+            dataset = _dataset(session, segment.name)
+            store = self._store(session, segment)
+            rows = [self._staged_row(session, dataset, store, row) for row in segment.rows]
+            session.flush()
+            pairs = zip(rows, segment.rows, strict=True)
+            add_edges(
+                session,
+                (Edge(parent, f"day:{row.id}") for row, told in pairs for parent in [*told.parents, *shared]),
+            )
+        return [day_record(row, segment.name, segment.path) for row in rows]
+
+    def stage(
+        self,
+        name: str,
+        dataset: xr.Dataset,
+        *,
+        day: str | np.datetime64,
+        parents: Iterable[Day | str] = (),
+        key: str = "",
+        report: Mapping[str, Any] | None = None,
+    ) -> Day:
+        """Write one day as a segment of its own and attach it; see `write_segment` and `attach`."""
+        data = DayData(utc_day(day), dataset, key, report=report or {})
+        return self.attach(write_segment(self.workspace, self.id, name, [data]), parents)[0]
+
+    def stage_table(
+        self,
+        name: str,
+        dataset: xr.Dataset,
+        *,
+        start: int,
+        end: int,
+        parents: Iterable[Day | str] = (),
+        key: str = "",
+        context: str | None = None,
+    ) -> int:
+        """Write a calibration table; it holds nowhere until it is certified.
+
+        Parameters
+        ----------
+        name : str
+            Of the table, such as ``offsets``.
+        dataset : xarray.Dataset
+            Dims ``interval``, ``parameter``; variables value, sigma, covariance, start, end, determined, source.
+        start, end : int
+            Half-open TT2000 span it was made for.
+        parents, key, context
+            As for days; `context` is the run's unless given.
+
+        Returns
+        -------
+        int
+            Its id.
+        """
+        context = self.context if context is None else context
+        segment = write_table(self.workspace, self.id, f"tables/{name}", dataset)
+        with self._database.write() as session:
+            store = self._store(session, segment)
+            table = TableRow(
+                name=name, run_id=self.id, store_id=store.id, start=start, end=end, key=key, context=context
+            )
+            session.add(table)
+            session.flush()
+            made_from = parent_ids(parents) + ([f"context:{context}"] if context else [])
+            add_edges(session, (Edge(parent, f"table:{table.id}") for parent in made_from))
+        return table.id
+
+    def record(
+        self,
+        name: str,
+        day: str | np.datetime64,
+        state: str,
+        cause: str = "",
+        message: str = "",
+        report: Mapping[str, Any] | None = None,
+        key: str = "",
+    ) -> Day:
+        """Record what became of a day that has nothing to attach: planned, running, failed or no_work.
+
+        Raises
+        ------
+        CatalogError
+            When state or cause is unknown, a failure has no cause, or the run has published the day.
+        """
+        if state not in _RECORDED:
+            raise CatalogError(
+                f"state {state!r} cannot be recorded", remedy=f"use one of {', '.join(_RECORDED)}"
+            )
+        if (cause or state == "failed") and cause not in CAUSES:
+            raise CatalogError(f"cause {cause!r} is unknown", remedy=f"use one of {', '.join(CAUSES)}")
+        told = plain_attributes(report or {}, f"the report of day {day}")
+        with self._database.write() as session:
+            row = self._own_row(session, _dataset(session, name), as_date(day))
+            row.state, row.cause, row.message, row.report, row.key = state, cause, message, told, key
+            row.coverage = told.get("coverage")
+            session.flush()
+        return day_record(row, name, None)
+
+    def adopt(self, name: str, day: str | np.datetime64, key: str) -> Day | None:
+        """Take over a day that an ended run verified with the same key and never published.
+
+        Returns
+        -------
+        Day or None
+            Now a day of this run, or None when there is none, or its store is damaged.
+        """
+        if not key:
+            return None
+        with self._database.write() as session:
+            found = adoptable_day(session, name, as_date(day), key)
+            if found is None or not self._is_sound(found[1]):
+                return None
+            theirs, store = found
+            told = SegmentRow(
+                day=utc_day(theirs.day),
+                start=theirs.start,
+                stop=theirs.stop,
+                key=theirs.key,
+                first_tt2000=theirs.first_tt2000,
+                last_tt2000=theirs.last_tt2000,
+                count=theirs.count,
+                report=theirs.report,
+                step_ns=theirs.step_ns,
+            )
+            row = self._staged_row(session, theirs.dataset_id, store, told)
+            session.flush()
+            adopted = f"day:{theirs.id}"
+            made_from = [edge.parent for edge in walk(session, [adopted], up=True) if edge.child == adopted]
+            add_edges(session, (Edge(parent, f"day:{row.id}") for parent in made_from))
+        return day_record(row, name, store.path)
+
+    def publish(self, certify: Sequence[Certification] = (), *, supersede: bool = False) -> list[Day]:
+        """Make all attached days of this run the present ones, in one transaction.
+
+        Parameters
+        ----------
+        certify : sequence of (table id, start, end, context)
+            Validities that begin with the publication (TT2000, half-open).
+        supersede : bool
+            End older validities that overlap.
+
+        Returns
+        -------
+        list of Day
+            The days now published, with their versions. A day whose key equals that of the present
+            revision changes nothing and is recorded as ``no_work``.
+
+        Raises
+        ------
+        ValidityError
+            When a validity overlaps another; nothing is published then.
+        IntegrityError
+            When a store is missing or not the one that was verified; nothing is published then.
+        """
+        return publish_run(self.workspace, self._database, self.id, certify, supersede=supersede)
+
+    def _store(self, session: Session, segment: Segment) -> StoreRow:
+        store = StoreRow(
+            path=segment.path,
+            sha256=segment.sha256,
+            bytes=segment.bytes,
+            notes=list(segment.notes),
+            run_id=self.id,
+        )
+        session.add(store)
+        session.flush()
+        return store
+
+    def _own_row(self, session: Session, dataset: int, day: dt.date) -> DayRow:
+        """Return this run's row of a day, made when there is none yet."""
+        row = session.scalar(
+            select(DayRow).where(DayRow.run_id == self.id, DayRow.dataset_id == dataset, DayRow.day == day)
+        )
+        if row is None:
+            row = DayRow(
+                run_id=self.id, dataset_id=dataset, day=day, context=self.context, state=DAY_STATES[0]
+            )
+            session.add(row)
+        elif row.state == "published":
+            raise CatalogError("this run has already published it", day=str(day), remedy="start another run")
+        return row
+
+    def _staged_row(self, session: Session, dataset: int, store: StoreRow, told: SegmentRow) -> DayRow:
+        row = self._own_row(session, dataset, as_date(told.day))
+        row.state, row.cause, row.message = "verified", "", ""
+        row.store_id, row.start, row.stop, row.key = store.id, told.start, told.stop, told.key
+        row.first_tt2000, row.last_tt2000 = told.first_tt2000, told.last_tt2000
+        row.count, row.step_ns, row.report = told.count, told.step_ns, dict(told.report)
+        row.coverage = told.report.get("coverage")
+        return row
+
+    def _is_sound(self, store: StoreRow) -> bool:
+        if store.path in self._sound_stores:
+            return True
+        if manifest_faults(self.workspace / store.path, store.sha256):
+            return False
+        self._sound_stores.add(store.path)
+        return True
+
+
+def cause_of(error: BaseException) -> str:
+    """Return the catalog's cause of an exception: only failures that can pass are ``transient``."""
+    if isinstance(error, InflightError):
+        return error.cause
+    passing = (OSError, MemoryError, KeyboardInterrupt, SystemExit, GeneratorExit)
+    return "transient" if isinstance(error, passing) else "bug"
+
+
+def close_run(session: Session, run_id: str, state: str, cause: str, message: str) -> None:
+    """End a run and the days it had planned or begun."""
+    ended = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
+    session.execute(
+        update(RunRow)
+        .where(RunRow.id == run_id)
+        .values(state=state, cause=cause, message=message, ended=ended)
+    )
+    if state == "failed":
+        session.execute(
+            update(DayRow)
+            .where(DayRow.run_id == run_id, DayRow.state.in_(("running", "staged")))
+            .values(state="failed", cause=cause, message=message)
+        )
+
+
+def close_dead_runs(workspace: Path, database: Database) -> list[str]:
+    """Close runs whose process is gone and clear their staging folders; return their ids."""
+    with database.read() as session:
+        gone = [
+            row.id
+            for row in session.scalars(select(RunRow).where(RunRow.state == "running"))
+            if _is_gone(row)
+        ]
+    if not gone:
+        return []
+    with database.write() as session:
+        for run_id in gone:
+            close_run(
+                session, run_id, "failed", "transient", "its process ended before the run did; run again"
+            )
+    for run_id in gone:
+        shutil.rmtree(workspace / "staging" / run_id, ignore_errors=True)
+    return gone
+
+
+def _is_gone(row: RunRow) -> bool:
+    return ProcessMark(row.host, row.pid, row.process).is_gone()
+
+
+def _dataset(session: Session, name: str) -> int:
+    row = session.scalar(select(DatasetRow).where(DatasetRow.name == name))
+    if row is None:
+        row = DatasetRow(name=name)
+        session.add(row)
+        session.flush()
+    return row.id

@@ -1,0 +1,226 @@
+"""The tables of the catalog's database. A change here needs a migration in ``migrations/versions``."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Any, ClassVar
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Date,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    String,
+    Text,
+    UniqueConstraint,
+)
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+#: SQLite numbers rows by itself only in columns declared INTEGER.
+_Id = BigInteger().with_variant(Integer, "sqlite")
+
+
+class Base(DeclarativeBase):
+    """Base of all tables."""
+
+    type_annotation_map: ClassVar[dict[Any, Any]] = {
+        dict[str, Any]: JSON,
+        list[Any]: JSON,
+        str: String,
+        int: BigInteger,
+        dt.date: Date,
+        float: Float,
+    }
+
+
+class RunRow(Base):
+    """One run; host, pid and `process` (start of the process) tell whether it is still alive."""
+
+    __tablename__ = "run"
+    id: Mapped[str] = mapped_column(primary_key=True)
+    kind: Mapped[str]
+    settings: Mapped[dict[str, Any]]
+    context: Mapped[str | None]
+    state: Mapped[str] = mapped_column(index=True)
+    cause: Mapped[str] = mapped_column(default="")
+    message: Mapped[str] = mapped_column(Text, default="")
+    host: Mapped[str]
+    pid: Mapped[int]
+    process: Mapped[str]
+    started: Mapped[str]
+    ended: Mapped[str | None]
+
+
+class DatasetRow(Base):
+    """A named dataset, such as ``l1/fgm``."""
+
+    __tablename__ = "dataset"
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    name: Mapped[str] = mapped_column(unique=True)
+
+
+class StoreRow(Base):
+    """One immutable store; `path` is relative to the workspace, `sha256` that of its manifest."""
+
+    __tablename__ = "store"
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    path: Mapped[str] = mapped_column(unique=True)
+    sha256: Mapped[str]
+    bytes: Mapped[int]
+    notes: Mapped[list[Any]]
+    run_id: Mapped[str] = mapped_column(ForeignKey("run.id"))
+
+
+class DayRow(Base):
+    """One day of one dataset as one run left it; version and revision come with publication."""
+
+    __tablename__ = "day"
+    __table_args__ = (
+        UniqueConstraint("run_id", "dataset_id", "day", name="one_day_per_run"),
+        UniqueConstraint("dataset_id", "day", "baseline", "revision", name="version_never_reused"),
+        Index("day_by_dataset", "dataset_id", "day"),
+        Index("day_by_key", "key"),
+    )
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    dataset_id: Mapped[int] = mapped_column(ForeignKey("dataset.id"))
+    day: Mapped[dt.date]
+    run_id: Mapped[str] = mapped_column(ForeignKey("run.id"))
+    context: Mapped[str | None]
+    state: Mapped[str]
+    cause: Mapped[str] = mapped_column(default="")
+    message: Mapped[str] = mapped_column(Text, default="")
+    key: Mapped[str] = mapped_column(default="")
+    report: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    coverage: Mapped[float | None]
+    baseline: Mapped[int | None]
+    revision: Mapped[int | None]
+    store_id: Mapped[int | None] = mapped_column(ForeignKey("store.id"), index=True)
+    start: Mapped[int] = mapped_column(default=0)
+    stop: Mapped[int] = mapped_column(default=0)
+    first_tt2000: Mapped[int] = mapped_column(default=0)
+    last_tt2000: Mapped[int] = mapped_column(default=0)
+    count: Mapped[int] = mapped_column(default=0)
+    step_ns: Mapped[int] = mapped_column(default=0)
+
+
+class CurrentRow(Base):
+    """The pointer that publication moves: which revision of a day is the present one."""
+
+    __tablename__ = "current"
+    dataset_id: Mapped[int] = mapped_column(ForeignKey("dataset.id"), primary_key=True)
+    day: Mapped[dt.date] = mapped_column(primary_key=True)
+    day_id: Mapped[int] = mapped_column(ForeignKey("day.id"))
+
+
+class TableRow(Base):
+    """A calibration table: a store and the half-open TT2000 span it was made for."""
+
+    __tablename__ = "calibration_table"
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    name: Mapped[str] = mapped_column(index=True)
+    run_id: Mapped[str] = mapped_column(ForeignKey("run.id"))
+    store_id: Mapped[int] = mapped_column(ForeignKey("store.id"))
+    start: Mapped[int]
+    end: Mapped[int]
+    key: Mapped[str] = mapped_column(default="")
+    context: Mapped[str | None]
+
+
+class CertificationRow(Base):
+    """A table is valid in ``[start, end)``; validities of one name and context never overlap."""
+
+    __tablename__ = "certification"
+    __table_args__ = (Index("certification_by_name", "name", "context", "start"),)
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    table_id: Mapped[int] = mapped_column(ForeignKey("calibration_table.id"))
+    name: Mapped[str]
+    #: Empty for tables that hold in any context: NULLs would not compare equal.
+    context: Mapped[str]
+    start: Mapped[int]
+    end: Mapped[int]
+
+
+class ModelRow(Base):
+    """One version of a model file."""
+
+    __tablename__ = "model"
+    __table_args__ = (UniqueConstraint("name", "version", name="model_version_never_reused"),)
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    name: Mapped[str]
+    version: Mapped[int]
+    parent: Mapped[int | None]
+    text: Mapped[str] = mapped_column(Text)
+    sha256: Mapped[str]
+    message: Mapped[str] = mapped_column(Text, default="")
+    created: Mapped[str]
+
+
+class ContextRow(Base):
+    """What a context pins; its id is the hash of the rest."""
+
+    __tablename__ = "context"
+    id: Mapped[str] = mapped_column(primary_key=True)
+    mission_text: Mapped[str] = mapped_column(Text)
+    model_name: Mapped[str]
+    model_version: Mapped[int]
+    tables: Mapped[dict[str, Any]]
+
+
+class FileRow(Base):
+    """A delivered file; `taken` once the days made from it are published."""
+
+    __tablename__ = "file"
+    __table_args__ = (
+        UniqueConstraint("run_id", "instrument", "path", name="one_file_per_run"),
+        Index("file_by_instrument", "instrument", "path"),
+        Index("file_by_sha256", "sha256"),
+    )
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    run_id: Mapped[str] = mapped_column(ForeignKey("run.id"))
+    instrument: Mapped[str]
+    path: Mapped[str] = mapped_column(Text)
+    sha256: Mapped[str]
+    size: Mapped[int]
+    mtime_ns: Mapped[int]
+    days: Mapped[list[Any]]
+    report: Mapped[dict[str, Any]]
+    taken: Mapped[bool] = mapped_column(default=False)
+
+
+class EdgeRow(Base):
+    """Lineage: `child` was made from `parent`; both are lineage ids such as ``day:12``."""
+
+    __tablename__ = "lineage"
+    parent: Mapped[str] = mapped_column(primary_key=True)
+    child: Mapped[str] = mapped_column(primary_key=True, index=True)
+
+
+class ReleaseRow(Base):
+    """A frozen collection."""
+
+    __tablename__ = "release"
+    id: Mapped[int] = mapped_column(_Id, primary_key=True)
+    version: Mapped[str] = mapped_column(unique=True)
+    context: Mapped[str | None]
+    notes: Mapped[str] = mapped_column(Text, default="")
+    path: Mapped[str] = mapped_column(Text)
+    created: Mapped[str]
+
+
+class ReleaseDayRow(Base):
+    """A day of a frozen collection."""
+
+    __tablename__ = "release_day"
+    release_id: Mapped[int] = mapped_column(ForeignKey("release.id"), primary_key=True)
+    day_id: Mapped[int] = mapped_column(ForeignKey("day.id"), primary_key=True)
+
+
+class SettingRow(Base):
+    """A setting of the workspace."""
+
+    __tablename__ = "setting"
+    name: Mapped[str] = mapped_column(primary_key=True)
+    value: Mapped[str]

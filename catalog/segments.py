@@ -1,0 +1,293 @@
+"""Writing segments: staged, read back, hashed, flushed, then made visible by one rename.
+
+Nothing here opens the database, so Dask workers in other processes may call it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import uuid
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+import zarr
+from zarr.codecs import BloscCodec
+from zarr.codecs.numcodecs import Delta
+
+from inflight.catalog.encoding import Encoding, choose_encoding
+from inflight.catalog.faultpoints import reached
+from inflight.catalog.layout import Layout, Variable, lay_out, plain_attributes, shared_attributes, variables
+from inflight.catalog.manifest import flush_folder, folder_bytes, write_manifest
+from inflight.catalog.records import DayData, Segment
+from inflight.errors import ContentError, InflightError, IntegrityError, StorageError
+
+# The layout is ours on purpose: delta is the filter that makes the archive small, and consolidated
+# metadata is one read instead of one a variable. Releases are written without the filter.
+warnings.filterwarnings("ignore", message=".*Numcodecs codecs are not in the Zarr version 3 specification.*")
+warnings.filterwarnings(
+    "ignore", message=".*Consolidated metadata is currently not part in the Zarr format 3.*"
+)
+
+#: Attribute of a store's root group that describes its rows.
+LAYOUT_ATTRIBUTE: Final = "inflight"
+#: Bumped when stores of the past can no longer be read like new ones.
+LAYOUT_VERSION: Final = 1
+#: Up to so many components of a packed variable get chunks of their own: differences along time pack
+#: a vector in half the space that interleaved components take.
+MOST_COMPONENTS: Final = 4
+
+Array = npt.NDArray[Any]
+
+
+def write_segment(
+    workspace: Path | str, run_id: str, name: str, days: Sequence[DayData], *, portable: bool = False
+) -> Segment:
+    """Write several days of one dataset as one immutable Zarr store.
+
+    The store is written below ``staging/<run_id>``, every array is read back and compared, all
+    files are hashed into a manifest and flushed, and one rename puts it below ``stores/<run_id>``.
+    Equal input gives equal bytes.
+
+    Parameters
+    ----------
+    workspace : path
+        Folder of the catalog.
+    run_id : str
+        Run that the store belongs to.
+    name : str
+        Dataset, such as ``l1/fgm``.
+    days : sequence of DayData
+        In any order.
+    portable : bool
+        Leave out the delta filter, which the Zarr v3 specification does not know.
+
+    Returns
+    -------
+    Segment
+        To be given to `Run.attach` in the process that holds the run.
+
+    Raises
+    ------
+    ContentError
+        When the days cannot make one segment: unlike variables, wrong times, attributes without JSON form.
+    StorageError
+        When the disk refuses a write; nothing stays behind.
+    IntegrityError
+        When what is read back is not what was written.
+    """
+    layout = lay_out(days)
+    contents = variables(layout)
+    common, own = shared_attributes(
+        [plain_attributes(item.dataset.attrs, f"dataset '{name}'") for item in layout.days]
+    )
+    described = {
+        "row_dim": layout.row_dim,
+        "chunk": layout.chunk,
+        "days": [str(row.day) for row in layout.rows],
+        "counts": [row.count for row in layout.rows],
+        "day_attributes": own if any(own) else [],
+        "variable_attributes": {item.name: list(item.by_day) for item in contents if item.by_day},
+    }
+    label = f"{_label(name)}-{_compact(layout.rows[0].day)}-{_compact(layout.rows[-1].day)}"
+    with _staged(Path(workspace), run_id, label) as staged:
+        notes = _write_store(staged.folder, contents, layout, common, described, portable)
+        path, sha256, size = staged.finish()
+    return Segment(path, name, sha256, size, layout.rows, tuple(notes))
+
+
+def write_table(
+    workspace: Path | str, run_id: str, name: str, dataset: xr.Dataset, *, portable: bool = False
+) -> Segment:
+    """Write a dataset that is not cut into days (a calibration table, a library of matrices).
+
+    Parameters and errors are those of `write_segment`; variables of any dims, one chunk each.
+    """
+    contents = [
+        Variable(
+            name=str(key),
+            dims=tuple(map(str, array.dims)),
+            pieces=(np.asarray(array.values),),
+            attributes=plain_attributes(array.attrs, f"variable '{key}'"),
+            by_day=(),
+            in_rows=False,
+            coordinate=key in dataset.coords,
+        )
+        for key, array in ((key, dataset[key]) for key in dataset.variables)
+    ]
+    attributes = plain_attributes(dataset.attrs, f"dataset '{name}'")
+    described: dict[str, Any] = {"row_dim": "", "chunk": 0, "days": [], "counts": []}
+    with _staged(Path(workspace), run_id, _label(name)) as staged:
+        notes = _write_store(staged.folder, contents, None, attributes, described, portable)
+        path, sha256, size = staged.finish()
+    return Segment(path, name, sha256, size, (), tuple(notes))
+
+
+class _Staged:
+    """One store on its way: written in `folder`, visible after `finish`."""
+
+    def __init__(self, workspace: Path, run_id: str, label: str) -> None:
+        self._workspace, self._run_id, self._label = workspace, run_id, label
+        self.folder = workspace / "staging" / run_id / f"{label}.{uuid.uuid4().hex[:12]}"
+
+    def finish(self) -> tuple[str, str, int]:
+        """Hash, flush and rename; return path relative to the workspace, manifest sha256, bytes."""
+        reached("segment_written")
+        sha256 = write_manifest(self.folder)
+        reached("manifest_written")
+        size = folder_bytes(self.folder)
+        target_folder = self._workspace / "stores" / self._run_id
+        target_folder.mkdir(parents=True, exist_ok=True)
+        target = self._rename_to_free_name(target_folder)
+        for folder in (target_folder, target_folder.parent):
+            flush_folder(folder)
+        reached("segment_renamed")
+        return target.relative_to(self._workspace).as_posix(), sha256, size
+
+    def _rename_to_free_name(self, folder: Path) -> Path:
+        number = 1
+        while True:
+            target = folder / (f"{self._label}.zarr" if number == 1 else f"{self._label}-{number}.zarr")
+            try:
+                self.folder.rename(target)  # refuses a folder with content: no store is ever replaced
+            except OSError as error:
+                if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
+                    raise
+                number += 1
+            else:
+                return target
+
+
+@contextmanager
+def _staged(workspace: Path, run_id: str, label: str) -> Iterator[_Staged]:
+    staged = _Staged(workspace, run_id, label)
+    try:
+        staged.folder.mkdir(parents=True)
+        yield staged
+    except InflightError:
+        raise
+    except (OSError, MemoryError) as error:
+        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)
+        raise StorageError(
+            f"could not write: {reason}; nothing was published",
+            file=str(staged.folder),
+            remedy=f"free space below {workspace} and run again",
+        ) from error
+    finally:
+        shutil.rmtree(staged.folder, ignore_errors=True)
+
+
+def _write_store(
+    folder: Path,
+    contents: Sequence[Variable],
+    layout: Layout | None,
+    attributes: dict[str, Any],
+    described: dict[str, Any],
+    portable: bool,
+) -> list[str]:
+    """Write and read back all arrays; return notes about values that could not be packed."""
+    coordinates = [item.name for item in contents if item.coordinate]
+    root = {
+        **attributes,
+        LAYOUT_ATTRIBUTE: {"layout": LAYOUT_VERSION, **described, "coordinates": coordinates},
+    }
+    group = zarr.open_group(folder, mode="w-", zarr_format=3, attributes=root)
+    reached("segment_begun")
+    notes = []
+    for item in contents:
+        encoding = choose_encoding(item.name, item.pieces, item.attributes)
+        blocks = _blocks(item, encoding, layout)
+        _write_array(group, item, encoding, blocks, portable)
+        _read_back(folder / item.name, item, blocks)
+        if encoding.note:
+            notes.append(encoding.note)
+    zarr.consolidate_metadata(folder)
+    _check_metadata(folder, contents)
+    return notes
+
+
+def _blocks(item: Variable, encoding: Encoding, layout: Layout | None) -> list[Array]:
+    """Return the stored values, one block of `chunk` rows for each day, the rest of it filled."""
+    if layout is None or not item.in_rows:
+        return [np.ascontiguousarray(encoding.encode(item.pieces[0]))]
+    blocks = []
+    for piece in item.pieces:
+        block = np.full((layout.chunk, *piece.shape[1:]), encoding.fill, dtype=encoding.stored)
+        block[: piece.shape[0]] = encoding.encode(piece)
+        blocks.append(block)
+    return blocks
+
+
+def _write_array(
+    group: zarr.Group, item: Variable, encoding: Encoding, blocks: Sequence[Array], portable: bool
+) -> None:
+    inner = blocks[0].shape[1:] if item.in_rows else ()
+    components = encoding.delta and len(inner) == 1 and inner[0] <= MOST_COMPONENTS
+    row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
+    shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
+    array = group.create_array(
+        item.name,
+        shape=shape,
+        dtype=encoding.stored,
+        chunks=row_chunk if item.in_rows else tuple(max(1, size) for size in shape),
+        filters=[Delta(dtype=np.dtype(encoding.stored).str)] if encoding.delta and not portable else None,
+        compressors=[BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")],
+        fill_value=encoding.fill,
+        attributes={**item.attributes, **encoding.attributes()},
+        dimension_names=item.dims,
+        # A chunk that is not there would read as fill without an error.
+        config={"write_empty_chunks": True},
+    )
+    if not item.in_rows:
+        array[...] = blocks[0]
+        return
+    for index, block in enumerate(blocks):
+        array[index * block.shape[0] : (index + 1) * block.shape[0]] = block
+
+
+def _read_back(folder: Path, item: Variable, blocks: Sequence[Array]) -> None:
+    """Compare an array on disk with what it was written from, through a fresh reader."""
+    array = zarr.open_array(folder, mode="r")
+    rows = blocks[0].shape[0] if item.in_rows else 0
+    for index, block in enumerate(blocks):
+        found = np.asarray(array[index * rows : (index + 1) * rows] if item.in_rows else array[...])
+        if found.dtype != block.dtype or found.shape != block.shape or found.tobytes() != block.tobytes():
+            raise IntegrityError(
+                f"block {index} reads back differently from what was written",
+                file=str(folder),
+                channel=item.name,
+                remedy="check the disk, then run again",
+            )
+
+
+def _check_metadata(folder: Path, contents: Sequence[Variable]) -> None:
+    group = zarr.open_group(folder, mode="r", use_consolidated=True)
+    for item in contents:
+        array = group[item.name]
+        stored = dict(array.attrs)
+        if not isinstance(array, zarr.Array) or any(
+            stored.get(key) != told for key, told in item.attributes.items()
+        ):
+            raise IntegrityError("attributes read back differently", file=str(folder), channel=item.name)
+    if set(group.array_keys()) != {item.name for item in contents}:
+        raise IntegrityError("variables read back differently", file=str(folder), remedy="run again")
+
+
+def _label(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*", name) or ".." in name:
+        raise ContentError(
+            f"{name!r} is no dataset name", remedy="use letters, digits, '_', '-', '.' and '/'"
+        )
+    return name.replace("/", ".")
+
+
+def _compact(day: np.datetime64) -> str:
+    return str(day).replace("-", "")

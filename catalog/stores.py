@@ -1,0 +1,182 @@
+"""Reading stores: one decoder for the eager, the lazy and the verifying way.
+
+A store is immutable, so its metadata is read once a process. Each day is one chunk a variable (one a
+component for packed vectors), so a day is read without an event loop, and a chunk that is missing
+is an error here, where Zarr would give fill.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numcodecs.blosc
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.catalog.encoding import Encoding
+from inflight.catalog.segments import LAYOUT_ATTRIBUTE, LAYOUT_VERSION
+from inflight.errors import CatalogError, IntegrityError
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class StoredVariable:
+    """One array of a store; `shape` and `chunks` are those on disk."""
+
+    name: str
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    chunks: tuple[int, ...]
+    attributes: dict[str, Any]
+    encoding: Encoding
+    delta: bool
+
+    def decoded_dtype(self) -> np.dtype[Any]:
+        """Return the dtype of the values as they are read."""
+        if self.encoding.kind == "labels":
+            return np.array(self.encoding.labels or ("",)).dtype
+        return np.dtype(self.encoding.dtype)
+
+
+@dataclass(frozen=True)
+class Store:
+    """An opened store: metadata only, until values are asked for."""
+
+    folder: Path
+    row_dim: str
+    chunk: int
+    counts: tuple[int, ...]
+    variables: dict[str, StoredVariable]
+    attributes: dict[str, Any]
+    coordinates: frozenset[str]
+    day_attributes: tuple[dict[str, Any], ...]
+    variable_attributes: dict[str, list[dict[str, Any]]]
+
+    def in_rows(self, name: str) -> bool:
+        """Tell whether a variable has a value for each row."""
+        return bool(self.row_dim) and self.variables[name].dims[:1] == (self.row_dim,)
+
+    def rows(self, name: str, start: int, stop: int) -> Array:
+        """Return the decoded values of rows ``[start, stop)``, which lie in one day.
+
+        Raises
+        ------
+        IntegrityError
+            When the chunk is missing or damaged.
+        """
+        variable = self.variables[name]
+        index, offset = divmod(start, self.chunk)
+        if stop - start > self.chunk - offset:
+            raise CatalogError(f"rows {start} to {stop} are not in one day of {self.folder}")
+        block = self._block(variable, index)
+        return variable.encoding.decode(block[offset : offset + stop - start])
+
+    def whole(self, name: str) -> Array:
+        """Return the decoded values of a variable without rows."""
+        variable = self.variables[name]
+        return variable.encoding.decode(self._chunk(variable, (0,) * len(variable.shape)))
+
+    def dataset_of_day(self, index: int, names: Sequence[str], start: int, stop: int) -> xr.Dataset:
+        """Read rows ``[start, stop)`` of day `index` as a Dataset, with the attributes of that day."""
+        data = {
+            name: (
+                self.variables[name].dims,
+                self.rows(name, start, stop) if self.in_rows(name) else self.whole(name),
+                self.attributes_on(name, index),
+            )
+            for name in names
+        }
+        own = self.day_attributes[index] if self.day_attributes else {}
+        return xr.Dataset(data, attrs={**self.attributes, **own}).set_coords(self.coordinates & set(names))
+
+    def attributes_on(self, name: str, index: int) -> dict[str, Any]:
+        """Return a variable's attributes on day `index` of the store."""
+        own = self.variable_attributes.get(name)
+        return {**self.variables[name].attributes, **(own[index] if own else {})}
+
+    def _block(self, variable: StoredVariable, index: int) -> Array:
+        grid = [
+            range(-(-size // chunk))
+            for size, chunk in zip(variable.shape[1:], variable.chunks[1:], strict=True)
+        ]
+        parts = [self._chunk(variable, (index, *place)) for place in itertools.product(*grid)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+
+    def _chunk(self, variable: StoredVariable, place: tuple[int, ...]) -> Array:
+        path = self.folder / variable.name / "/".join(("c", *map(str, place)))
+        try:
+            raw = numcodecs.blosc.decompress(path.read_bytes())
+            flat = np.frombuffer(raw, dtype=np.dtype(variable.encoding.stored).newbyteorder("<"))
+            block = flat.reshape(variable.chunks)
+        except (OSError, RuntimeError, ValueError) as error:
+            raise IntegrityError(
+                f"chunk cannot be read: {error}",
+                file=str(path),
+                channel=variable.name,
+                remedy="make its days again",
+            ) from error
+        if variable.delta:
+            block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(variable.chunks)
+        return block[tuple(slice(0, size) for size in variable.shape)] if not all(variable.shape) else block
+
+
+@lru_cache(maxsize=512)
+def open_store(folder: str) -> Store:
+    """Open a store by the absolute path of its folder.
+
+    Raises
+    ------
+    IntegrityError
+        When it is missing, damaged, or of a layout this version does not know.
+    """
+    path = Path(folder)
+    try:
+        root = json.loads((path / "zarr.json").read_text("utf-8"))
+        described = root["attributes"].pop(LAYOUT_ATTRIBUTE)
+        arrays = root["consolidated_metadata"]["metadata"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise IntegrityError(
+            f"store cannot be opened: {error}",
+            file=folder,
+            remedy="run 'inflight catalog verify', then make its days again",
+        ) from error
+    if described["layout"] != LAYOUT_VERSION:
+        raise IntegrityError(
+            f"store has layout {described['layout']}, this version reads {LAYOUT_VERSION}", file=folder
+        )
+    return Store(
+        folder=path,
+        row_dim=described["row_dim"],
+        chunk=described["chunk"],
+        counts=tuple(described["counts"]),
+        variables={name: _variable(name, metadata) for name, metadata in arrays.items()},
+        attributes=root["attributes"],
+        coordinates=frozenset(described["coordinates"]),
+        day_attributes=tuple(described.get("day_attributes", ())),
+        variable_attributes=described.get("variable_attributes", {}),
+    )
+
+
+def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:
+    attributes = dict(metadata["attributes"])
+    encoding = Encoding.from_attributes(attributes, metadata["data_type"])
+    codecs = [codec["name"] for codec in metadata["codecs"]]
+    if codecs[-1] != "blosc" or codecs[:-1] not in (["bytes"], ["numcodecs.delta", "bytes"]):
+        raise IntegrityError(f"variable '{name}' has codecs {codecs}, which this version does not write")
+    return StoredVariable(
+        name=name,
+        dims=tuple(metadata["dimension_names"]),
+        shape=tuple(metadata["shape"]),
+        chunks=tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"]),
+        attributes=attributes,
+        encoding=encoding,
+        delta="numcodecs.delta" in codecs,
+    )
