@@ -145,7 +145,8 @@ class Run:
         name : str
             Of the table, such as ``offsets``.
         dataset : xarray.Dataset
-            Dims ``interval``, ``parameter``; variables value, sigma, covariance, start, end, determined, source.
+            Dims ``interval``, ``parameter``; variables value, sigma, covariance, start, end, determined
+            and source.
         start, end : int
             Half-open TT2000 span it was made for.
         parents, key, context

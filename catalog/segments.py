@@ -41,6 +41,8 @@ warnings.filterwarnings(
 LAYOUT_ATTRIBUTE: Final = "inflight"
 #: Bumped when stores of the past can no longer be read like new ones.
 LAYOUT_VERSION: Final = 1
+#: Level 5 takes 5 to 10 times as long on differences of channels and is 3 % smaller at best.
+COMPRESSION_LEVEL: Final = 2
 #: Up to so many components of a packed variable get chunks of their own: differences along time pack
 #: a vector in half the space that interleaved components take.
 MOST_COMPONENTS: Final = 4
@@ -239,7 +241,7 @@ def _write_array(
         dtype=encoding.stored,
         chunks=row_chunk if item.in_rows else tuple(max(1, size) for size in shape),
         filters=[Delta(dtype=np.dtype(encoding.stored).str)] if encoding.delta and not portable else None,
-        compressors=[BloscCodec(cname="zstd", clevel=5, shuffle="shuffle")],
+        compressors=[BloscCodec(cname="zstd", clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
         fill_value=encoding.fill,
         attributes={**item.attributes, **encoding.attributes()},
         dimension_names=item.dims,
