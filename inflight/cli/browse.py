@@ -1,0 +1,184 @@
+"""Verbs that look into the catalog: ``catalog list``, ``show``, ``verify`` and ``gaps``."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inflight.cli.pipeline import EndOption, StartOption
+from inflight.cli.session import Session, verb
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from inflight.catalog import Catalog, Day
+
+catalog = typer.Typer(help="Look into the catalog.", no_args_is_help=True)
+#: Days shown to a person; --json lists all.
+SHOWN_DAYS = 40
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs of this module."""
+    app.add_typer(catalog, name="catalog")
+
+
+@verb(catalog, "list")
+def list_datasets(session: Session) -> None:
+    """List datasets, tables and models: what there is, for which days, in which version."""
+    found = session.open_catalog()
+    items = found.inventory()
+    tables = [_table_fields(record) for record in found.tables()]
+
+    def show(console: Console) -> None:
+        if not items:
+            console.print("The catalog is empty. Next: inflight ingest")
+            return
+        columns = ("dataset", "first", "last", "days", "failed", "no_work", "coverage")
+        console.print(_table(columns, items))
+        if tables:
+            console.print(
+                f"calibration tables: {len(tables)} ({', '.join(sorted({t['name'] for t in tables}))})"
+            )
+
+    session.emit({"command": "catalog list", "items": items, "tables": tables}, show)
+
+
+@verb(catalog, "show")
+def show_dataset(
+    session: Session,
+    name: Annotated[str, typer.Argument(help="Dataset (l2/field), table or lineage id (day:12).")],
+    *,
+    start: StartOption = None,
+    end: EndOption = None,
+) -> None:
+    """Show the days of a dataset, the validity of a table, or what something was made from."""
+    found = session.open_catalog()
+    columns, items = _items_of(found, name, slice(start, end))
+
+    def show(console: Console) -> None:
+        console.print(_table(columns, items[:SHOWN_DAYS]))
+        if len(items) > SHOWN_DAYS:
+            console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
+
+    session.emit({"command": "catalog show", "name": name, "items": items}, show)
+
+
+def _items_of(found: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], list[dict[str, Any]]]:
+    from inflight.errors import CatalogError
+
+    if ":" in name:
+        edges = [_plain_fields(edge) for edge in found.lineage(name)]
+        return tuple(edges[0]) if edges else ("parent", "child"), edges
+    table = name.removeprefix("tables/")
+    tables = [_table_fields(record) for record in found.tables(table)]
+    if tables:
+        return ("id", "name", "start", "end", "run", "valid"), tables
+    days = [_day_fields(day) for day in found.days(name, span)]
+    if not days:
+        raise CatalogError(
+            f"there is neither a dataset nor a table {name!r} with days in the span",
+            remedy="'inflight catalog list' names them",
+        )
+    return ("day", "state", "version", "coverage", "count", "cause", "message"), days
+
+
+@verb(catalog, "verify")
+def verify(
+    session: Session,
+    name: Annotated[str | None, typer.Argument(help="Only this dataset.")] = None,
+) -> None:
+    """Hash every published store against its manifest; exit 1 when something is damaged."""
+    faults = session.open_catalog().verify(name)
+
+    def show(console: Console) -> None:
+        if faults:
+            console.print(_table(("item", "fault", "path"), faults))
+        else:
+            console.print("every published store is whole")
+
+    session.emit({"command": "catalog verify", "items": [], "faults": faults}, show)
+    if faults:
+        raise typer.Exit(1)
+
+
+@verb(catalog, "gaps")
+def gaps(
+    session: Session,
+    name: Annotated[str | None, typer.Argument(help="Only this dataset.")] = None,
+    *,
+    start: StartOption = None,
+    end: EndOption = None,
+) -> None:
+    """List the days that are missing or failed, with the cause the catalog knows."""
+    found = session.open_catalog()
+    span = slice(start, end)
+    names = [name] if name else [item["dataset"] for item in found.inventory()]
+    items = [item for dataset in names for item in _gaps_of(found, dataset, span)]
+
+    def show(console: Console) -> None:
+        if items:
+            console.print(_table(("dataset", "day", "state", "cause", "message"), items[:SHOWN_DAYS]))
+        else:
+            console.print("no gaps")
+
+    session.emit({"command": "catalog gaps", "items": items, "faults": []}, show)
+
+
+def _gaps_of(found: Catalog, name: str, span: slice) -> list[dict[str, Any]]:
+    """Return the days of a dataset, from its first to its last, that have no published revision."""
+    from inflight.time import day_range
+
+    days = {day.day: day for day in found.days(name, span)}
+    if not days:
+        return []
+    listed = []
+    for day in day_range(min(days), max(days) + 1):
+        known = days.get(day)
+        if known is None:
+            listed.append({"dataset": name, "day": str(day), "state": "absent", "cause": "", "message": ""})
+        elif known.state != "published":
+            listed.append({"dataset": name, **_day_fields(known)})
+    return listed
+
+
+def _day_fields(day: Day) -> dict[str, Any]:
+    return _plain_fields(day) | {"day": str(day.day)}
+
+
+def _table_fields(record: Any) -> dict[str, Any]:
+    from inflight.time import to_utc
+
+    fields = _plain_fields(record)
+    fields |= {"start": _utc(to_utc(record.start)), "end": _utc(to_utc(record.end))}
+    spans = [f"{_utc(to_utc(start))} to {_utc(to_utc(end))}" for _, start, end in record.certified]
+    return fields | {"valid": ", ".join(spans) or "not certified"}
+
+
+def _utc(stamp: Any) -> str:
+    return str(stamp.astype("datetime64[s]"))
+
+
+def _plain_fields(record: Any) -> dict[str, Any]:
+    if hasattr(record, "_asdict"):
+        return dict(record._asdict())
+    return {item.name: getattr(record, item.name) for item in dataclasses.fields(record)}
+
+
+def _table(columns: tuple[str, ...], items: list[dict[str, Any]]) -> Any:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for name in columns:
+        table.add_column(name.replace("_", " "), overflow="fold")
+    for item in items:
+        table.add_row(*(_cell(item.get(name, "")) for name in columns))
+    return table
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return "" if value is None else str(value)

@@ -1,0 +1,114 @@
+"""The verb ``demo``: a simulated month through the whole chain, by the front door."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inflight.cli.pipeline import NoPrefectOption, WorkersOption, run_flow
+from inflight.cli.results import print_comparison
+from inflight.cli.session import Session, verb
+from inflight.cli.start import SIMULATED_MISSION, write_deliveries
+from inflight.tasks.report import RunReport, combine, print_report
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from inflight.catalog.workspace import Workspace
+
+#: Where the demo goes when no workspace is named.
+DEMO_FOLDER = Path("demo")
+DEMO_START = "2005-01-01"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb of this module."""
+    verb(app, "demo")(demo)
+
+
+def demo(
+    session: Session,
+    *,
+    days: Annotated[int, typer.Option(min=1, help="Days to simulate.")] = 30,
+    seed: Annotated[int, typer.Option(help="Same seed, same mission.")] = 1,
+    workers: WorkersOption = None,
+    no_prefect: NoPrefectOption = False,
+) -> None:
+    """Simulate a month of a CHAMP-like mission and take it through the whole chain."""
+    begun = time.monotonic()
+    folder = DEMO_FOLDER if session.workspace == Path() else session.workspace
+    session = Session(folder, session.json, session.debug)
+    workspace = _workspace(folder)
+    _say(session, f"1 of 4  simulating {days} days of day files in {workspace.data}")
+    with session.progress() as progress:
+        write_deliveries(
+            workspace.data,
+            {"start": DEMO_START, "days": days, "seed": seed},
+            workers=workers,
+            progress=progress,
+        )
+    reports = []
+    for number, name, told in (
+        (2, "ingest", "reading them into the archive"),
+        (3, "reprocess", "calibrating every day and writing level-2 products"),
+    ):
+        _say(session, f"{number} of 4  {told}")
+        reports.append(run_flow(session, name, {}, workers=workers, prefect=not no_prefect))
+        if not session.json:
+            print_report(reports[-1], session.console)
+    _say(session, "4 of 4  comparing the vector instrument with the scalar one")
+    _finish(session, workspace, combine("demo", reports), time.monotonic() - begun)
+
+
+def _workspace(folder: Path) -> Workspace:
+    from inflight.catalog.workspace import Workspace
+
+    exists = Workspace(folder).mission_file.exists()
+    return Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)
+
+
+def _say(session: Session, text: str) -> None:
+    if not session.json:
+        session.console.print(text, style="bold")
+
+
+def _finish(session: Session, workspace: Workspace, report: RunReport, seconds: float) -> None:
+    from inflight.tasks.compare import compare
+
+    compared = compare(session.open_catalog(), workspace.mission())
+    fields = compared.as_json()
+    page = workspace.relative(compared.path)
+    total = RunReport(
+        "demo",
+        run=report.run,
+        context=report.context,
+        days=report.days,
+        problems=report.problems,
+        outputs=[*report.outputs, page],
+        extra={"residual": fields["residual"], "path": str(compared.path), "seconds": round(seconds, 1)},
+    )
+
+    def show(console: Console) -> None:
+        print_comparison(console, fields, str(compared.path))
+        _print_next(console, workspace, seconds)
+
+    session.emit(total.as_json(), show)
+    if total.exit_code:
+        raise typer.Exit(total.exit_code)
+
+
+def _print_next(console: Console, workspace: Workspace, seconds: float) -> None:
+    root: Any = workspace.root
+    console.print(f"\nDone in {seconds:.0f} s. Products, tables and archive are in the catalog of {root}.")
+    console.print("What to type next:")
+    for command, told in (
+        (f"inflight catalog list -w {root}", "what there is"),
+        (f"inflight catalog show l2/field -w {root}", "day by day"),
+        (f"inflight compare -w {root} --open", "the page with the plots"),
+        (f"inflight reprocess -w {root}", "again: finds nothing to do"),
+        ("inflight new template my-mission", "begin with measurements of your own"),
+    ):
+        console.print(f"  {command:<46} {told}")

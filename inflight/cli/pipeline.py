@@ -1,0 +1,156 @@
+"""Verbs that move measurements on: ``ingest``, ``reprocess`` and ``backfill``.
+
+Each runs its Prefect flow, on the embedded server or on the one ``PREFECT_API_URL`` names, and with
+``--no-prefect`` the same plain functions on the same Dask processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inflight.cli.session import Session, verb
+from inflight.errors import SettingsError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from inflight.tasks.report import RunReport
+
+StartOption = Annotated[
+    str | None, typer.Option(help="First day, YYYY-MM-DD (default: all)", show_default=False)
+]
+EndOption = Annotated[
+    str | None, typer.Option(help="Day after the last one, YYYY-MM-DD (default: all)", show_default=False)
+]
+WorkersOption = Annotated[
+    int | None, typer.Option(min=1, help="Dask processes (default: the cores)", show_default=False)
+]
+NoPrefectOption = Annotated[
+    bool, typer.Option("--no-prefect", help="Run the plain functions, without a flow.")
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Do again what is unchanged, too.")]
+ComparisonOption = Annotated[str, typer.Option(help="What is held against what.")]
+BatchOption = Annotated[int | None, typer.Option(min=1, help="Days a batch; bounds the memory.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs of this module."""
+    verb(app, "ingest")(ingest)
+    verb(app, "reprocess")(reprocess)
+    verb(app, "backfill")(backfill)
+
+
+def run_flow(
+    session: Session, name: str, parameters: Mapping[str, Any], *, workers: int | None, prefect: bool
+) -> RunReport:
+    """Run a flow, or its plain function, with a progress bar a stage.
+
+    Parameters
+    ----------
+    session : Session
+        The command.
+    name : str
+        ``ingest``, ``reprocess``, ``backfill`` or ``release``.
+    parameters : mapping
+        Of the flow, the workspace excepted.
+    workers : int or None
+        Dask processes.
+    prefect : bool
+        False runs the plain function.
+    """
+    from inflight.flows.launch import run_embedded, run_plain
+
+    workspace = session.open_workspace()
+    run: Callable[..., RunReport] = run_embedded if prefect else run_plain
+    with session.progress() as progress:
+        return run(name, workspace, parameters, workers=workers, progress=progress)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """Return the options that were given; the flow knows the defaults of the others."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def ingest(
+    session: Session,
+    paths: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Folder of delivered files (default: data in the workspace)", show_default=False),
+    ] = None,
+    *,
+    data: Annotated[Path | None, typer.Option(help="The same, as an option.")] = None,
+    instrument: Annotated[
+        list[str] | None, typer.Option(help="Only this instrument; may be repeated.")
+    ] = None,
+    start: StartOption = None,
+    end: EndOption = None,
+    workers: WorkersOption = None,
+    no_prefect: NoPrefectOption = False,
+) -> None:
+    """Take delivered files into the archive; files already taken in cost nothing."""
+    folders = [*(paths or []), *([data] if data else [])]
+    if len(folders) > 1:
+        raise SettingsError(
+            f"{len(folders)} folders were named, one can be ingested at a time",
+            remedy="run the command once for each folder",
+        )
+    parameters = _given(data=folders[0] if folders else None, instruments=instrument, start=start, end=end)
+    session.finish(run_flow(session, "ingest", parameters, workers=workers, prefect=not no_prefect))
+
+
+def reprocess(
+    session: Session,
+    *,
+    start: StartOption = None,
+    end: EndOption = None,
+    comparison: ComparisonOption = "main",
+    batch_days: BatchOption = None,
+    force: ForceOption = False,
+    workers: WorkersOption = None,
+    no_prefect: NoPrefectOption = False,
+) -> None:
+    """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
+    settings = _given(comparison=comparison, batch_days=batch_days, force=force)
+    parameters = _given(start=start, end=end, settings=settings)
+    session.finish(run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect))
+
+
+def backfill(
+    session: Session,
+    *,
+    start: Annotated[str, typer.Option(help="First day, YYYY-MM-DD.")],
+    end: Annotated[str, typer.Option(help="Day after the last one, YYYY-MM-DD.")],
+    comparison: ComparisonOption = "main",
+    batch_days: BatchOption = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print the plan.")] = False,
+    workers: WorkersOption = None,
+    no_prefect: NoPrefectOption = False,
+) -> None:
+    """Take in and reprocess a past span: planned first, then only what is needed."""
+    settings = _given(comparison=comparison, batch_days=batch_days)
+    if dry_run:
+        _print_plan(session, start, end, settings)
+        return
+    parameters = {"start": start, "end": end, "settings": settings}
+    session.finish(run_flow(session, "backfill", parameters, workers=workers, prefect=not no_prefect))
+
+
+def _print_plan(session: Session, start: str, end: str, settings: Mapping[str, Any]) -> None:
+    from inflight.flows.plan import plan_span
+
+    fields = plan_span(session.open_workspace(), start, end, settings)
+
+    def show(console: Console) -> None:
+        days = fields["days"]
+        console.print(
+            f"backfill {start} to {end}: {days['planned']} days to do in {len(fields['batches'])} batches, "
+            f"{days['unchanged']} unchanged, {days['no_work']} without measurements"
+        )
+        for first, last, count in fields["batches"]:
+            console.print(f"  {first} to {last}  ({count} days)")
+
+    session.emit({"command": "backfill", "dry_run": True, **fields}, show)

@@ -1,0 +1,231 @@
+"""What every verb shares: the common options, progress, output and the way errors end a command.
+
+Standard output carries the result alone (one JSON object with ``--json``); progress goes to the
+standard error stream, and only where a person watches it.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inflight.errors import InflightError, SettingsError, WorkspaceError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from inflight.catalog import Catalog
+    from inflight.catalog.workspace import Workspace
+    from inflight.tasks.report import RunReport
+
+Progress = Callable[[str, int, int], None]
+
+WorkspaceOption = Annotated[
+    Path | None,
+    typer.Option("--workspace", "-w", help="Folder of the mission (default: .)", show_default=False),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+
+
+@dataclass(frozen=True)
+class Session:
+    """One command being carried out.
+
+    Parameters
+    ----------
+    workspace : Path
+        The folder to work in, not yet looked at.
+    json, debug : bool
+        The options of the same names.
+    """
+
+    workspace: Path = Path()
+    json: bool = False
+    debug: bool = False
+
+    def open_workspace(self) -> Workspace:
+        """Return the workspace; a folder that is none raises `WorkspaceError`."""
+        from inflight.catalog.workspace import Workspace
+
+        return Workspace.open(self.workspace)
+
+    def open_catalog(self) -> Catalog:
+        """Return the catalog of the workspace; a folder that is none raises `WorkspaceError`."""
+        from inflight.catalog import Catalog
+
+        return Catalog(self.open_workspace().root, create=True)
+
+    @property
+    def console(self) -> Console:
+        """Where results for a person go."""
+        from rich.console import Console
+
+        return Console(highlight=False)
+
+    @contextmanager
+    def progress(self) -> Iterator[Progress]:
+        """Yield a function ``(stage, done, total)`` that draws a bar a stage, or nothing."""
+        if self.json or not sys.stderr.isatty():
+            yield lambda stage, done, total: None
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bars
+
+        columns = (
+            TextColumn("{task.description:<12}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+        )
+        with Bars(*columns, console=Console(stderr=True)) as bars:
+            tasks: dict[str, Any] = {}
+
+            def show(stage: str, done: int, total: int) -> None:
+                if stage not in tasks:
+                    tasks[stage] = bars.add_task(stage, total=total)
+                bars.update(tasks[stage], completed=done, total=total)
+
+            yield show
+
+    def emit(self, fields: Mapping[str, Any], show: Callable[[Console], None]) -> None:
+        """Print a result: the fields with ``--json``, else whatever `show` prints."""
+        if self.json:
+            from inflight.tasks.report import to_json
+
+            print(to_json(fields))
+        else:
+            show(self.console)
+
+    def finish(self, report: RunReport) -> None:
+        """Print a run's report and end the command with its exit code."""
+        from inflight.tasks.report import print_report
+
+        self.emit(report.as_json(), lambda console: print_report(report, console))
+        if report.exit_code:
+            raise typer.Exit(report.exit_code)
+
+    def fail(self, fields: Mapping[str, str]) -> None:
+        """Print an error: an object with ``--json``, else one red paragraph with its remedy."""
+        if self.json:
+            from inflight.tasks.report import to_json
+
+            print(to_json({"error": fields}))
+            return
+        from rich.console import Console
+        from rich.text import Text
+
+        place = ": ".join(part for part in (fields.get("file"), _named(fields)) if part)
+        told = Text(f"{place}: " if place else "", style="red")
+        told.append(fields["message"], style="red")
+        Console(stderr=True, highlight=False, soft_wrap=True).print(told)
+        if fields.get("remedy"):
+            Console(stderr=True, highlight=False, soft_wrap=True).print(
+                Text(f"What to do: {fields['remedy']}")
+            )
+
+
+def _named(fields: Mapping[str, str]) -> str:
+    day = f"day {fields['day']}" if fields.get("day") else ""
+    channel = f"channel '{fields['channel']}'" if fields.get("channel") else ""
+    return ", ".join(part for part in (day, channel) if part)
+
+
+def _as_settings_error(error: Exception) -> Exception:
+    """Return pydantic's complaint about an option as ours; every other error as it is."""
+    complaints = getattr(error, "errors", None)
+    if type(error).__name__ != "ValidationError" or not callable(complaints):
+        return error
+    told = [
+        f"{'.'.join(map(str, item['loc'])) or 'settings'}: {item['msg'].removeprefix('Value error, ')}"
+        for item in complaints()
+    ]
+    return SettingsError("; ".join(told), remedy="correct the option and run the command again")
+
+
+def exit_code_of(error: Exception) -> int:
+    """Return 2 for errors of the person who typed the command, 1 for everything else."""
+    wrong_usage = isinstance(_as_settings_error(error), SettingsError | WorkspaceError)
+    return EXIT_USAGE if wrong_usage else EXIT_FAILED
+
+
+def carry_out(session: Session, work: Callable[[], None]) -> None:
+    """Run a verb; turn whatever it raises into a message and an exit code.
+
+    An `InflightError` is told as it is. Anything else is a defect of the software: it is told as
+    one, without the traceback unless ``--debug`` asks for it.
+    """
+    try:
+        work()
+    except (typer.Exit, typer.Abort, typer.TyperException, KeyboardInterrupt):
+        raise
+    except Exception as error:
+        if session.debug:
+            traceback.print_exc()
+        session.fail(_fields_of(error))
+        raise typer.Exit(exit_code_of(error)) from None
+
+
+def _fields_of(error: Exception) -> Mapping[str, str]:
+    error = _as_settings_error(error)
+    if isinstance(error, InflightError):
+        return error.as_json()
+    return {
+        "kind": type(error).__name__,
+        "message": f"unexpected error: {error}" if str(error) else f"unexpected {type(error).__name__}",
+        "remedy": "this is a defect; run again with --debug and report what it prints",
+        "file": "",
+        "channel": "",
+        "day": "",
+    }
+
+
+def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Register a function ``(session, ...)`` as a verb that also takes the common options.
+
+    The options are accepted before and behind the verb; behind wins. Typer reads parameters from
+    the signature, so the common ones are appended to it here, once.
+    """
+
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
+
+        @functools.wraps(function)
+        def command(
+            *, context: typer.Context, workspace: Path | None, json: bool, debug: bool, **arguments: Any
+        ) -> None:
+            before: Session = context.obj or Session()
+            session = Session(workspace or before.workspace, json or before.json, debug or before.debug)
+            carry_out(session, lambda: function(session, **arguments))
+
+        parameters = [_parameter("context", typer.Context), *own, *_COMMON]
+        parameters = [item.replace(kind=inspect.Parameter.KEYWORD_ONLY) for item in parameters]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {item.name: item.annotation for item in parameters}
+        app.command(name)(command)
+        return function
+
+    return register
+
+
+def _parameter(name: str, annotation: Any, default: Any = inspect.Parameter.empty) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+_COMMON = (
+    _parameter("workspace", WorkspaceOption, None),
+    _parameter("json", JsonOption, False),
+    _parameter("debug", DebugOption, False),
+)

@@ -1,0 +1,123 @@
+"""Verbs that begin a workspace: ``new`` and ``simulate``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inflight.cli.session import Progress, Session, verb
+from inflight.errors import SettingsError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from inflight.catalog.workspace import Workspace
+
+
+#: The shipped mission that the simulator flies.
+SIMULATED_MISSION = "champ"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs of this module."""
+    verb(app, "new")(new)
+    verb(app, "simulate")(simulate)
+
+
+def new(
+    session: Session,
+    mission: Annotated[
+        str | None, typer.Argument(help="A shipped mission or a YAML file; without it, they are listed.")
+    ] = None,
+    folder: Annotated[Path | None, typer.Argument(help="Folder to make.", metavar="DIR")] = None,
+) -> None:
+    """Make a workspace for a mission."""
+    from inflight.catalog.workspace import Workspace
+    from inflight.tasks.report import RunReport
+
+    if mission is None:
+        return _list_missions(session)
+    if folder is None:
+        raise SettingsError(
+            "the folder to make is missing", remedy=f"write: inflight new {mission} {Path(mission).stem}"
+        )
+    workspace = Workspace.create(folder, mission)
+    report = RunReport("new", outputs=[str(workspace.mission_file)])
+    session.emit(report.as_json(), lambda console: _print_made(console, workspace))
+    return None
+
+
+def _list_missions(session: Session) -> None:
+    from inflight.catalog.workspace import shipped_missions
+    from inflight.mission import Mission
+
+    shipped = shipped_missions()
+    items = [
+        {"name": name, "description": Mission.parse(path.read_text(encoding="utf-8"), str(path)).description}
+        for name, path in shipped.items()
+    ]
+
+    def show(console: Console) -> None:
+        for item in items:
+            console.print(f"  {item['name']:<14} {' '.join(item['description'].split())}")
+        console.print(
+            "\nMake a workspace: inflight new NAME DIR. A mission of your own: inflight new template DIR"
+        )
+
+    session.emit({"command": "new", "missions": items}, show)
+
+
+def _print_made(console: Console, workspace: Workspace) -> None:
+    console.print(f"{workspace.root} is ready.")
+    console.print(f"  mission   {workspace.mission_file}")
+    console.print(
+        f"  data      {workspace.data}  (put the delivered files here, or name them when ingesting)"
+    )
+    console.print(f"\nNext: inflight ingest --workspace {workspace.root}")
+
+
+def simulate(
+    session: Session,
+    *,
+    start: Annotated[str, typer.Option(help="First day, YYYY-MM-DD.")] = "2005-01-01",
+    days: Annotated[int, typer.Option(min=1, help="Number of days.")] = 30,
+    seed: Annotated[int, typer.Option(help="Same seed, same mission.")] = 1,
+    hide: Annotated[list[str] | None, typer.Option(help="Effect that only the truth names.")] = None,
+    without: Annotated[list[str] | None, typer.Option(help="Effect to leave out.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: the cores).")] = None,
+) -> None:
+    """Write day files like a real mission delivers, into the workspace's data folder.
+
+    A folder that is no workspace becomes one of the simulated mission.
+    """
+    from inflight.catalog.workspace import Workspace
+    from inflight.tasks.report import RunReport
+
+    workspace = Workspace(session.workspace)
+    if not workspace.mission_file.exists():
+        workspace = Workspace.create(session.workspace, SIMULATED_MISSION)
+    settings = {"start": start, "days": days, "seed": seed, "hide": hide or (), "without": without or ()}
+    with session.progress() as progress:
+        written = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
+    report = RunReport(
+        "simulate",
+        days={"planned": days, "done": days},
+        outputs=sorted({workspace.relative(path.parent) for path in written}),
+        extra={"files": len(written)},
+    )
+    session.finish(report)
+
+
+def write_deliveries(
+    folder: Path, settings: Mapping[str, Any], *, workers: int | None, progress: Progress
+) -> list[Path]:
+    """Simulate day files into a folder; `settings` are those of `inflight.simulate.SimulationSettings`."""
+    from inflight.flows.cluster import available_cores
+    from inflight.simulate import SimulationSettings
+    from inflight.tasks.simulate import simulate as write_files
+
+    wanted = SimulationSettings.model_validate(settings)
+    return write_files(wanted, folder, progress=progress, workers=workers or available_cores())
