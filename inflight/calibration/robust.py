@@ -8,14 +8,17 @@ from inflight.effects.base import Floats
 
 #: Tukey's biweight ends here, in robust standard deviations: 98.8 % efficient on Gaussian noise.
 BIWEIGHT_WIDTH = 6.0
-#: Median absolute deviation of a Gaussian, inverted.
-_MAD_TO_SIGMA = 1.482602218505602
+#: Median absolute value of a Gaussian, inverted.
+_TO_SIGMA = 1.482602218505602
 #: The scale is estimated from about this many samples, evenly spread.
 _SCALE_SAMPLES = 20_000
 
 
 def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
-    """Return the standard deviation by the median absolute deviation from the median; nT.
+    """Return the standard deviation about zero by the median of the absolute residuals; nT.
+
+    About zero, not about the median: the weights are centred on zero too, and a residual that has
+    not yet lost its mean must not lose all its weight.
 
     Parameters
     ----------
@@ -27,8 +30,8 @@ def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
     if residual.size == 0:
         return floor
     part = residual[:: max(1, residual.size // _SCALE_SAMPLES)]
-    spread = float(np.median(np.abs(part - np.median(part))))
-    return max(_MAD_TO_SIGMA * spread, floor)
+    spread = float(np.median(np.abs(part)))
+    return max(_TO_SIGMA * spread, floor)
 
 
 def biweight(residual: Floats, sigma: float) -> Floats:

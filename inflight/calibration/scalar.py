@@ -27,8 +27,12 @@ from inflight.model.timed import component_names
 SCALE = np.array([1e-5] * 3 + [1e-3] * 3 + [1.0] * 3)
 PARTS = ("scale_factor", "misalignment", "offset")
 UNITS = ("1",) * 3 + ("deg",) * 3 + ("nT",) * 3
-#: Sub-blocks whose scores are taken as independent: no shorter than 40 minutes of a day.
-SUB_BLOCKS = 36
+#: Sub-blocks of a block, for the covariance: 20 minutes of a day.
+SUB_BLOCKS = 72
+#: Residuals are taken as correlated over this many sub-blocks.
+BARTLETT = 3
+#: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
+BEND = 1e-4
 _MAX_PASSES = 25
 #: The iteration ends when no parameter moves by more than this part of its sigma.
 _SETTLED = 0.05
@@ -170,6 +174,7 @@ def fit_block(
     scalar: Floats,
     good: npt.NDArray[np.bool_],
     reference: Reference,
+    prior: Reference | None = None,
     sub_blocks: int = SUB_BLOCKS,
 ) -> BlockFit:
     """Fit nine parameters to one block.
@@ -181,7 +186,9 @@ def fit_block(
     good : ndarray of bool, shape (time,)
         Samples to use.
     reference : Reference
-        Start and prior.
+        Start of the iteration, and what the normal equations are expressed at.
+    prior : Reference, optional
+        What is known beforehand; the reference when absent.
     sub_blocks : int
         Number of spans whose scores are independent, for the covariance.
 
@@ -200,6 +207,7 @@ def fit_block(
     f = np.where(good, scalar, 1.0)
     edges = np.linspace(0, f.size, max(sub_blocks, 1) + 1).astype(np.int64)
     weight = good.astype(np.float64)
+    prior = prior or reference
     value, sigma_r = reference.value, 0.0
     for passes in range(1, _MAX_PASSES + 1):
         if passes > 1:
@@ -207,10 +215,10 @@ def fit_block(
             sigma_r = robust_sigma(r[good], floor=1e-6)
             weight = np.where(good, biweight(r, sigma_r), 0.0)
         blocks = grams(_theta(value), e, s, f, weight, _kernel_scale(value), edges)
-        found = _settle(blocks, weight, value, reference)
+        found = _settle(blocks, weight, value, prior)
         value = value + found.step * SCALE
         if passes > 1 and np.all(np.abs(found.step) <= _SETTLED * np.maximum(found.solution.sigma, 1e-12)):
-            return _finish(found, weight, value, reference, used, passes, sigma_r, e, s, f, good)
+            return _finish(found, weight, value, reference, prior, used, passes, sigma_r, e, s, f, good)
     raise CalibrationError(
         f"the fit did not settle in {_MAX_PASSES} passes", remedy="look at the day's residual for faults"
     )
@@ -236,28 +244,39 @@ def _kernel_scale(value: Floats) -> Floats:
     return scale
 
 
-def _settle(blocks: Floats, weight: Floats, value: Floats, reference: Reference) -> _Pass:
+def _settle(blocks: Floats, weight: Floats, value: Floats, known: Reference) -> _Pass:
     """Solve one pass; scores of the sub-blocks are taken at its solution."""
     gram = blocks.sum(axis=0)
-    prior = (reference.value - value) / SCALE
-    prior_sigma = reference.sigma / SCALE
+    prior = (known.value - value) / SCALE
+    prior_sigma = known.sigma / SCALE
     count = float(weight.sum())
     still = np.zeros((WIDTH - 1, WIDTH - 1))
     first = solve(gram, still, count, prior, prior_sigma)
-    scatter = score_scatter(blocks, first.value)
+    scatter = score_scatter(blocks, first.value, prior_sigma)
     solution = solve(gram, scatter, count, prior, prior_sigma)
     return _Pass(solution, solution.value, gram, scatter)
 
 
-def score_scatter(blocks: Floats, change: Floats) -> Floats:
-    """Return the sum of outer products of the blocks' scores after a change; (9, 9).
+def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats:
+    """Return the long-run scatter of the sub-blocks' scores after a change; (9, 9), scaled.
 
-    Scores of a fit sum to nearly zero, so that p of the G blocks are no free draws: G / (G - p).
+    Bartlett's kernel over `BARTLETT` sub-blocks (Newey and West 1987). The scores of a fit sum to
+    nearly zero, which makes the plain estimate too small; the factor that makes it right for white
+    residuals follows from the sub-blocks' own Gram matrices.
     """
-    scores = blocks[:, :-1, -1] + blocks[:, :-1, :-1] @ change
-    some = int(np.sum(np.einsum("bii->b", blocks[:, :-1, :-1]) > 0))
-    free = max(some - change.size, 1)
-    return np.asarray(scores.T @ scores * (some / free))
+    matrices = blocks[:, :-1, :-1]
+    scores = blocks[:, :-1, -1] + matrices @ change
+    lag = np.abs(np.subtract.outer(np.arange(len(blocks)), np.arange(len(blocks))))
+    kernel = np.maximum(0.0, 1.0 - lag / (BARTLETT + 1.0))
+    scatter = scores.T @ kernel @ scores
+    total = matrices.sum(axis=0)
+    unit = prior_sigma[:, None] * prior_sigma[None, :]
+    steadied = np.linalg.pinv(total * unit + np.eye(change.size), hermitian=True) * unit
+    smoothed = np.einsum("bc,cij->bij", kernel, matrices)
+    absorbed = np.einsum("bij,jk,bkl->il", matrices, steadied, smoothed)
+    known = float(np.trace(steadied @ total))
+    kept = 1.0 - float(np.trace(steadied @ absorbed)) / known if known > 0 else 1.0
+    return np.asarray(scatter / max(kept, 0.1))
 
 
 def _finish(
@@ -265,6 +284,7 @@ def _finish(
     weight: Floats,
     value: Floats,
     reference: Reference,
+    prior: Reference,
     used: int,
     passes: int,
     sigma_r: float,
@@ -277,9 +297,13 @@ def _finish(
     bread = _bread_ratio(residuals(_theta(value), e, s, f)[good], sigma_r)
     scatter = found.scatter * bread**2
     count = float(weight.sum())
-    prior = (reference.value - (value - found.step * SCALE)) / SCALE
-    solution = solve(found.gram, scatter, count, prior, reference.sigma / SCALE)
-    gram = shift_reference(found.gram, prior)
+    here = value - found.step * SCALE
+    solution = solve(found.gram, scatter, count, (prior.value - here) / SCALE, prior.sigma / SCALE)
+    if bend(value, reference.value, float(np.median(f[good]))) > BEND:
+        whole = np.array([0, f.size])
+        gram = grams(_theta(reference.value), e, s, f, weight, _kernel_scale(reference.value), whole)[0]
+    else:
+        gram = shift_reference(found.gram, (reference.value - here) / SCALE)
     to_physical = np.outer(SCALE, SCALE)
     covariance = solution.covariance * to_physical
     return BlockFit(
@@ -303,6 +327,16 @@ def _bread_ratio(r: Floats, sigma: float) -> float:
     u = np.minimum((r / (BIWEIGHT_WIDTH * sigma)) ** 2, 1.0)
     slope = float(np.mean((1.0 - u) * (1.0 - 5.0 * u)))
     return float(np.mean((1.0 - u) ** 2)) / slope if slope > 0.2 else 1.0
+
+
+def bend(value: Floats, reference: Floats, strength: float) -> float:
+    """Return by how much the residual bends between two sets of parameters; nT.
+
+    A change dB of the corrected field across the field's direction lengthens it by dB^2 / 2 B.
+    """
+    change = np.abs(_theta(value) - _theta(reference))
+    across = float(np.hypot(np.linalg.norm(change[:6]) * strength, np.linalg.norm(change[6:])))
+    return across**2 / (2.0 * strength)
 
 
 def shift_reference(gram: Floats, change: Floats) -> Floats:

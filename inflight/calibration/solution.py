@@ -3,7 +3,7 @@
 Columns are scaled. In coordinates z = (parameter - prior) / prior sigma the data's information has
 the eigenvalues mu: a direction with mu < 1 is known better beforehand than from the data, and stays
 at its prior exactly; the others take the maximum of the posterior. A single parameter counts as
-determined when its own uncertainty, everything else being free, falls to half its prior's.
+determined when the data alone, everything else being free, know it to half its prior's sigma.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from inflight.effects.base import Floats
 MIN_INFORMATION = 1.0
 #: A parameter is determined when its sigma is at most this part of its prior's.
 DETERMINED = 0.5
+#: Priors are widened by this when the question is what the data alone determine.
+_WIDE = 1e3
 #: The variance of rounding: readings are never better than this; nT^2.
 _SMALLEST_VARIANCE = 1e-12
 
@@ -76,7 +78,7 @@ def solve(gram: Floats, scatter: Floats, count: float, prior: Floats, prior_sigm
     gram : ndarray, shape (parameter + 1, parameter + 1)
         Weighted Gram matrix of [X | y], scaled columns, nT^2.
     scatter : ndarray, shape (parameter, parameter)
-        Sum over independent sub-blocks of the outer products of their scores ``X^T y``.
+        Long-run scatter of the scores ``X^T y``, which knows how far residuals are correlated.
     count : float
         Sum of the weights.
     prior, prior_sigma : ndarray, shape (parameter,)
@@ -87,49 +89,79 @@ def solve(gram: Floats, scatter: Floats, count: float, prior: Floats, prior_sigm
     Solution
     """
     matrix, cross = gram[:-1, :-1], gram[:-1, -1]
-    inverse_prior = np.divide(1.0, prior_sigma**2, out=np.zeros_like(prior_sigma), where=prior_sigma > 0)
-    first = _map(matrix, cross, prior, prior_sigma, _variance(gram, prior, count))
-    variance = _variance(gram, first, count)
-    steadied = np.linalg.pinv(matrix / variance + np.diag(inverse_prior), hermitian=True)
-    white = float(np.trace(steadied @ matrix)) / variance
-    inflation = max(1.0, float(np.trace(steadied @ scatter)) / variance**2 / white) if white > 0 else 1.0
-    effective = variance * inflation
-
-    information = prior_sigma[:, None] * matrix * prior_sigma[None, :] / effective
-    mu, vectors = np.linalg.eigh(information)
-    known = mu >= MIN_INFORMATION
-    pull = -(prior_sigma * (matrix @ prior + cross)) / effective
-    step = np.where(known, (vectors.T @ pull) / (1.0 + mu), 0.0)
-    value = prior + prior_sigma * (vectors @ step)
-
-    noise = vectors.T @ (prior_sigma[:, None] * scatter * prior_sigma[None, :]) @ vectors / effective**2
-    shrink = 1.0 / (1.0 + np.maximum(mu, 0.0))
-    of_prior, of_noise = np.where(known, shrink, 1.0), np.where(known, shrink, 0.0)
-    spread = np.diag(of_prior**2) + of_noise[:, None] * noise * of_noise[None, :]
-    covariance = prior_sigma[:, None] * (vectors @ spread @ vectors.T) * prior_sigma[None, :]
-    sigma = np.sqrt(np.diag(covariance))
+    first = _directions(matrix, scatter, _variance(gram, prior, count), prior_sigma)
+    value = _posterior(first, prior, matrix @ prior + cross, prior_sigma)
+    variance = _variance(gram, value, count)
+    found = _directions(matrix, scatter, variance, prior_sigma)
+    value = _posterior(found, prior, matrix @ prior + cross, prior_sigma)
+    alone = _directions(matrix, scatter, variance, prior_sigma * _WIDE)
     return Solution(
         value,
-        covariance,
-        determined=(sigma <= DETERMINED * prior_sigma) & (prior_sigma > 0),
+        found.covariance(prior_sigma),
+        determined=(
+            np.sqrt(np.clip(np.diag(alone.covariance(prior_sigma * _WIDE)), 0, None))
+            <= DETERMINED * prior_sigma
+        )
+        & (prior_sigma > 0),
         retained=retained_fraction(matrix),
         moved=np.abs(value - prior) > 1e-9 * np.maximum(prior_sigma, 1e-300),
-        directions=vectors[:, known].T[::-1],
+        directions=found.vectors[:, found.known].T[::-1],
         variance=variance,
-        inflation=inflation,
+        inflation=float(np.median(found.inflation[found.known])) if found.known.any() else 1.0,
     )
+
+
+@dataclass(frozen=True)
+class _Directions:
+    """Independent directions of the data's information, in units of prior sigma.
+
+    `white` is the information for uncorrelated residuals, `inflation` how many times less there
+    really is along each direction: a drift spoils the mean of a day more than its slopes.
+    """
+
+    vectors: Floats
+    white: Floats
+    inflation: Floats
+    noise: Floats
+    variance: float
+
+    @property
+    def information(self) -> Floats:
+        return self.white / self.inflation
+
+    @property
+    def known(self) -> npt.NDArray[np.bool_]:
+        return self.information >= MIN_INFORMATION
+
+    def covariance(self, prior_sigma: Floats) -> Floats:
+        """Covariance of the posterior's maximum, sandwiched; scaled."""
+        shrink = 1.0 / (1.0 + self.information)
+        of_prior, of_noise = np.where(self.known, shrink, 1.0), np.where(self.known, shrink, 0.0)
+        gain = of_noise / self.inflation
+        spread = np.diag(of_prior**2) + gain[:, None] * self.noise * gain[None, :]
+        return np.asarray(
+            prior_sigma[:, None] * (self.vectors @ spread @ self.vectors.T) * prior_sigma[None, :]
+        )
+
+
+def _directions(matrix: Floats, scatter: Floats, variance: float, prior_sigma: Floats) -> _Directions:
+    unit = prior_sigma[:, None] * prior_sigma[None, :]
+    white, vectors = np.linalg.eigh(matrix * unit / variance)
+    white = np.maximum(white, 0.0)
+    noise = vectors.T @ (scatter * unit) @ vectors / variance**2
+    inflation = np.divide(np.diag(noise), white, out=np.ones_like(white), where=white > 0)
+    return _Directions(vectors, white, np.maximum(inflation, 1.0), noise, variance)
+
+
+def _posterior(found: _Directions, prior: Floats, slope: Floats, prior_sigma: Floats) -> Floats:
+    """Return the maximum of the posterior; directions the prior knows better stay."""
+    pull = -(found.vectors.T @ (prior_sigma * slope))
+    step = np.where(found.known, pull / found.variance / found.inflation / (1.0 + found.information), 0.0)
+    return np.asarray(prior + prior_sigma * (found.vectors @ step))
 
 
 def _variance(gram: Floats, change: Floats, count: float) -> float:
     return max(residual_sum(gram, change) / max(count - change.size, 1.0), _SMALLEST_VARIANCE)
-
-
-def _map(matrix: Floats, cross: Floats, prior: Floats, prior_sigma: Floats, variance: float) -> Floats:
-    """Maximum of the posterior for white noise; the eigenvalues below rounding stay at the prior."""
-    information = prior_sigma[:, None] * matrix * prior_sigma[None, :] / variance
-    pull = -(prior_sigma * (matrix @ prior + cross)) / variance
-    eye = np.eye(prior.size)
-    return np.asarray(prior + prior_sigma * np.linalg.solve(information + eye, pull))
 
 
 def retained_fraction(matrix: Floats) -> Floats:
