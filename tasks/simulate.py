@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from cdflib.cdfwrite import CDF
+from ruamel.yaml import YAML
 from threadpoolctl import threadpool_limits
 
 from inflight.errors import CatalogError, StorageError
@@ -138,6 +140,33 @@ def write_day(settings: SimulationSettings, destination: Path, day: np.datetime6
             written.append(path)
         _write_truth(truth_path(destination, day), simulated)
     return written
+
+
+def preflight_model(text: str, settings: SimulationSettings) -> str:
+    """Return the pre-flight model without the effects that are hidden or not in the data.
+
+    Parameters
+    ----------
+    text : str
+        The mission's pre-flight model YAML.
+    settings : SimulationSettings
+        Names the effects in `hide` and `without`.
+
+    Returns
+    -------
+    str
+        The model YAML a team would start from.
+    """
+    gone = {*settings.hide, *settings.without}
+    yaml = YAML()
+    yaml.width = 110
+    tree = yaml.load(text)
+    for index, entry in reversed(list(enumerate(tree["effects"]))):
+        if entry["effect"] in gone:
+            del tree["effects"][index]
+    stream = io.StringIO()
+    yaml.dump(tree, stream)
+    return stream.getvalue()
 
 
 def _written(

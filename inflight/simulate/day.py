@@ -41,8 +41,8 @@ class SimulatedDay:
         Undamaged, along ``record`` at the cadence of the magnetometers: ``FIELD`` (record, axis)
         and ``STRENGTH`` of the ambient field at the stamp, ``STRAY_VECTOR``, ``STRAY_SCALAR``
         (record, axis) the spacecraft's field at the sensors, all nT in spacecraft axes; ``T_EFF``
-        degC that acts on the coil, ``SUNLIT``, ``I_PANEL`` (record, panel) A. Attributes name
-        parameters and effects.
+        degC that acts on the coil, ``SUNLIT``, ``I_PANEL`` (record, panel) A. Attributes hold
+        effects, hidden ones, parameters and the nine parameters at noon, as JSON.
     """
 
     day: np.datetime64
@@ -266,6 +266,9 @@ class _Scene:
             effects=json.dumps(sorted(self.effects)),
             hidden=json.dumps(sorted(self.settings.hide)),
             parameters=json.dumps(self.parameters.as_dict()),
+            nine_parameters=json.dumps(
+                fluxgate.nine_parameters((self.start + self.end) / 2 / SECOND, self.parameters, self.effects)
+            ),
             altitude_km=radius - EARTH_RADIUS,
             node_local_time_h=float(node_local_time(self.times.seconds[:1], self.parameters)[0]),
         )

@@ -19,6 +19,24 @@ def scale_factors(seconds: Float, parameters: Parameters, effects: Collection[st
     return np.asarray(parameters.scale_constant + growth[:, None] * np.array(parameters.scale_log))
 
 
+def nine_parameters(
+    seconds: float, parameters: Parameters, effects: Collection[str]
+) -> dict[str, list[float]]:
+    """Return scale factors, angles (deg) and offsets (nT) of ``B = K (E - E0)`` at one TT2000.
+
+    K is the unit-diagonal angle matrix times the scale factors, so its entry xy is
+    ``l_y cos a_xy``: the angles here are ``arccos`` of K's entries and differ from the thesis' by up
+    to 0.6 arcsec. Fields constant in spacecraft axes are not in the offsets.
+    """
+    scale = scale_factors(np.array([seconds]), parameters, effects)[0]
+    cosines = np.cos(np.radians(parameters.angles)) * ("misalignment" in effects)
+    return {
+        "scale_factor": scale.tolist(),
+        "misalignment": np.degrees(np.arccos(cosines * scale[[1, 2, 2]])).tolist(),
+        "offset": [value * ("offset" in effects) for value in parameters.offset],
+    }
+
+
 def thermal_factors(coil: Float, converter: Float, parameters: Parameters, effects: Collection[str]) -> Float:
     """Return ``1 - lT1 dT - lT2 dT^2``, shape (time, 3) (Yin 2010, 2.4 step 4a).
 
@@ -36,11 +54,11 @@ def thermal_factors(coil: Float, converter: Float, parameters: Parameters, effec
 def solve_reading(corrected: Float, linear: Float, quadratic: Float, cubic: Float) -> Float:
     """Return E' with ``linear E' + quadratic E'^2 + cubic E'^3 = corrected``, by Newton's method.
 
-    All of one shape or broadcastable; nT, 1, 1/nT, 1/nT^2. Three steps reach rounding for any
-    non-linearity far below the linear term.
+    All of one shape or broadcastable; nT, 1, 1/nT, 1/nT^2. A start without non-linearity is wrong by
+    about 0.1 nT and each step leaves 1e-11 of the square of that, so two reach rounding.
     """
     reading = corrected / linear
-    for _ in range(3):
+    for _ in range(2):
         slope = linear + reading * (2.0 * quadratic + 3.0 * cubic * reading)
         excess = reading * (linear + reading * (quadratic + cubic * reading)) - corrected
         reading = reading - excess / slope
