@@ -128,26 +128,30 @@ class Store:
         return block[tuple(slice(0, size) for size in variable.shape)] if not all(variable.shape) else block
 
 
-@lru_cache(maxsize=512)
 def open_store(folder: str) -> Store:
-    """Open a store by the absolute path of its folder.
+    """Open a store by the absolute path of its folder; it is read once a process.
 
     Raises
     ------
     IntegrityError
         When it is missing, damaged, or of a layout this version does not know.
     """
+    try:
+        stamp = (Path(folder) / "zarr.json").stat().st_mtime_ns
+    except OSError as error:
+        raise _cannot_open(folder, error) from error
+    return _read_metadata(folder, stamp)
+
+
+@lru_cache(maxsize=512)
+def _read_metadata(folder: str, _stamp: int) -> Store:
     path = Path(folder)
     try:
         root = json.loads((path / "zarr.json").read_text("utf-8"))
         described = root["attributes"].pop(LAYOUT_ATTRIBUTE)
         arrays = root["consolidated_metadata"]["metadata"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise IntegrityError(
-            f"store cannot be opened: {error}",
-            file=folder,
-            remedy="run 'inflight catalog verify', then make its days again",
-        ) from error
+        raise _cannot_open(folder, error) from error
     if described["layout"] != LAYOUT_VERSION:
         raise IntegrityError(
             f"store has layout {described['layout']}, this version reads {LAYOUT_VERSION}", file=folder
@@ -163,6 +167,11 @@ def open_store(folder: str) -> Store:
         day_attributes=tuple(described.get("day_attributes", ())),
         variable_attributes=described.get("variable_attributes", {}),
     )
+
+
+def _cannot_open(folder: str, error: Exception) -> IntegrityError:
+    remedy = "run 'inflight catalog verify', then make its days again"
+    return IntegrityError(f"store cannot be opened: {error}", file=folder, remedy=remedy)
 
 
 def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:
