@@ -7,15 +7,15 @@ the archive again.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 import xarray as xr
 
-from inflight.calibration.scalar import SCALE, SUB_BLOCKS, BlockFit, Reference
+from inflight.calibration.scalar import SCALE, SUB_BLOCKS, BlockFit, Reference, shift_reference
 from inflight.calibration.solution import Solution, solve
 from inflight.effects.base import Floats
 from inflight.errors import CalibrationError
@@ -33,8 +33,8 @@ class NormalEquations:
     dataset : xarray.Dataset
         dims block, column, other (= column): `gram` (block, column, other) nT^2 in scaled columns,
         residual last; `scatter` (block, column, other), scores of sub-blocks at the block's own
-        fit; `linearised_at` (block, column) physical units; `start`, `end` (block) TT2000;
-        `count` (block) sum of weights; `scale`, `reference` (column), physical units.
+        fit; `reference` (block, column), what the residual column refers to, physical units;
+        `start`, `end` (block) TT2000; `count` (block) sum of weights; `scale` (column).
         Attributes: comparison, model, cadence_ns, filter, key.
     """
 
@@ -54,12 +54,11 @@ class NormalEquations:
             {
                 "gram": (row, fit.gram[None], {"units": "nT2"}),
                 "scatter": (row, scatter[None], {"units": "nT4", "sub_blocks": SUB_BLOCKS}),
-                "linearised_at": (("block", "column"), np.append(fit.value, 0.0)[None]),
+                "reference": (("block", "column"), np.append(reference.value, 0.0)[None]),
                 "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
                 "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
                 "count": ("block", np.array([fit.count])),
                 "scale": ("column", np.append(SCALE, 1.0)),
-                "reference": ("column", np.append(reference.value, 0.0)),
             },
             coords={"column": names, "other": names},
             attrs=attributes,
@@ -82,14 +81,13 @@ class NormalEquations:
         CalibrationError
             When columns, scale or reference differ, or blocks overlap.
         """
-        for name in ("column", "scale", "reference"):
+        for name in ("column", "scale"):
             if not np.array_equal(self.dataset[name].values, other.dataset[name].values):
                 raise CalibrationError(
                     f"normal equations differ in '{name}'", remedy="recompute them with one model version"
                 )
-        static = self.dataset[["scale", "reference"]]
-        rows = [part.dataset.drop_vars(["scale", "reference"]) for part in (self, other)]
-        joined = xr.concat(rows, "block", join="exact").assign(dict(static.data_vars))
+        rows = [part.dataset.drop_vars("scale") for part in (self, other)]
+        joined = xr.concat(rows, "block", join="exact").assign(scale=self.dataset["scale"])
         joined = joined.isel(block=np.argsort(joined["start"].values, kind="stable"))
         if np.any(joined["start"].values[1:] < joined["end"].values[:-1]):
             raise CalibrationError("blocks overlap", remedy="add each block once")
@@ -105,24 +103,39 @@ class NormalEquations:
         inside = (self.dataset["start"].values >= start) & (self.dataset["end"].values <= end)
         return NormalEquations(self.dataset.isel(block=np.flatnonzero(inside)))
 
+    def at(self, reference: Floats) -> NormalEquations:
+        """Return the equations with every block's residual expressed at one reference, physical units."""
+        scale = self.dataset["scale"].values[:-1]
+        change = (reference - self.dataset["reference"].values[:, :-1]) / scale
+        gram = np.array(
+            [
+                shift_reference(one, step)
+                for one, step in zip(self.dataset["gram"].values, change, strict=True)
+            ]
+        )
+        common = np.broadcast_to(np.append(reference, 0.0), (len(self), reference.size + 1))
+        dataset = self.dataset.assign(
+            gram=self.dataset["gram"].copy(data=gram), reference=self.dataset["reference"].copy(data=common)
+        )
+        return NormalEquations(dataset)
+
     def merge(self, edges: Sequence[int]) -> NormalEquations:
         """Return the equations of wider blocks: all blocks between two TT2000 edges become one.
 
         Gram matrices, scores' scatter and counts add up; scatter between the blocks is not in it.
         """
-        parts = [self.within(start, end) for start, end in itertools.pairwise(edges)]
-        return NormalEquations(xr.concat([part._total() for part in parts if len(part)], "block"))
+        common = self.at(self.reference)
+        parts = [common.within(start, end) for start, end in pairwise(edges)]
+        totals = [part._total() for part in parts if len(part)]
+        return NormalEquations(xr.concat(totals, "block").assign(scale=self.dataset["scale"]))
 
     def _total(self) -> xr.Dataset:
         data = self.dataset
         total = data[["gram", "scatter", "count"]].sum("block", keep_attrs=True).expand_dims("block")
-        mean = data["linearised_at"].mean("block").expand_dims("block")
         return total.assign(
-            linearised_at=mean,
+            reference=data["reference"].isel(block=[0]),
             start=("block", data["start"].values[:1], data["start"].attrs),
             end=("block", data["end"].values[-1:], data["end"].attrs),
-            scale=data["scale"],
-            reference=data["reference"],
         ).assign_attrs(data.attrs)
 
     def solve(self, prior_sigma: Floats, prior: Floats | None = None) -> Solution:
@@ -141,6 +154,8 @@ class NormalEquations:
             Scaled, relative to the reference; its covariance holds the scatter within and between
             blocks.
         """
+        if len(self) > 1 and np.ptp(self.dataset["reference"].values, axis=0).any():
+            return self.at(self.reference).solve(prior_sigma, prior)
         scale = self.dataset["scale"].values[:-1]
         centre = np.zeros_like(scale) if prior is None else (prior - self.reference) / scale
         gram, within = self.dataset["gram"].values, self.dataset["scatter"].values[:, :-1, :-1].sum(axis=0)
@@ -159,8 +174,8 @@ class NormalEquations:
 
     @property
     def reference(self) -> Floats:
-        """Values the residual column refers to, physical units."""
-        return np.asarray(self.dataset["reference"].values[:-1])
+        """What the residual of the first block refers to, physical units; solutions are relative to it."""
+        return np.asarray(self.dataset["reference"].values[0, :-1])
 
     def split(self, folds: int) -> list[tuple[Self, Self]]:
         """Return (fitted, held-out) pairs of contiguous blocks for cross-validation."""

@@ -21,6 +21,8 @@ MIN_INFORMATION = 1.0
 DETERMINED = 0.5
 #: Priors are widened by this when the question is what the data alone determine.
 _WIDE = 1e3
+#: Systems with a smaller ratio of singular values do not determine their unknowns.
+SINGULAR = 1e-9
 #: The variance of rounding: readings are never better than this; nT^2.
 _SMALLEST_VARIANCE = 1e-12
 
