@@ -140,7 +140,7 @@ class Files(Strict):
 
     #: Path below the data folder with ``*``, ``?`` and ``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``.
     pattern: Annotated[list[Pattern] | None, BeforeValidator(_list)] = None
-    #: Take the files of another instrument.
+    #: Take the files of another instrument; whatever else is given here wins over its options.
     same_as: str | None = None
     reader: Reader | None = None
     #: Variable or columns that hold the time; columns are joined by a blank.
@@ -173,9 +173,9 @@ class Files(Strict):
 
     @model_validator(mode="after")
     def _pattern_or_same(self) -> Self:
-        if (self.pattern is None) == (self.same_as is None):
-            raise ValueError("give either 'pattern' or 'same_as'")
-        if self.pattern is not None and self.reader is None:
+        if self.pattern is None and self.same_as is None:
+            raise ValueError("give 'pattern', or 'same_as' to take another instrument's files")
+        if self.same_as is None and self.reader is None:
             raise ValueError("'reader' is missing")
         return self
 

@@ -1,0 +1,147 @@
+"""One channel of a file in the mission YAML's unit: shape, fill, scaling, unit, range.
+
+A unit the file states is checked against the YAML and converted; a file's own VALIDMIN and VALIDMAX are
+not applied, because delivered files often carry wrong ones: `range` in the YAML decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.catalog.readers.source import Array, Float, Source, Variable, missing_where, numbers
+from inflight.errors import ContentError
+from inflight.instruments import Channel
+from inflight.units import factor_and_offset
+
+Mask = npt.NDArray[np.bool_]
+
+
+def read_channel(source: Source, name: str, channel: Channel, shape: tuple[int, ...]) -> tuple[Float, Mask]:
+    """Read one channel.
+
+    Parameters
+    ----------
+    source : Source
+        An open file.
+    name : str
+        The channel's name, for errors.
+    channel : Channel
+        What the YAML says.
+    shape : tuple of int
+        Shape of the file's times: (row,) or (report, sample).
+
+    Returns
+    -------
+    values : ndarray
+        (row,) or (row, axis), in `channel.unit`, NaN where missing or out of range. float32 and small
+        integers stay float32 (exact), everything else is float64.
+    outside : ndarray of bool
+        Rows with a reading out of `channel.range`, of `shape`.
+
+    Raises
+    ------
+    ContentError
+        Naming file, channel, and what was found.
+    """
+    wanted = _Wanted(source, name, channel, shape)
+    if channel.variables is not None:
+        values = np.stack([_series(wanted, variable, 0) for variable in channel.variables], axis=-1)
+    else:
+        values = _series(wanted, channel.variable or "", len(channel.axis_names))
+    outside = np.zeros(values.shape, dtype=bool)
+    if channel.range is not None:
+        with np.errstate(invalid="ignore"):
+            outside = np.asarray((values < channel.range[0]) | (values > channel.range[1]))
+        values[outside] = np.nan
+    rows = int(np.prod(shape))
+    by_row = outside.reshape(rows, -1).any(axis=1).reshape(shape)
+    return values.reshape((rows, *values.shape[len(shape) :])), np.asarray(by_row)
+
+
+def read_for_expression(source: Source, name: str, shape: tuple[int, ...]) -> Array:
+    """Read a variable for `good_when`; one value a report is repeated for its samples."""
+    variable = source.read(name)
+    values = np.asarray(variable.values)
+    if variable.scale != (1.0, 0.0):
+        values = numbers(variable)
+    if len(shape) == 2 and values.ndim == 1 and len(values) == shape[0]:
+        values = values[:, None]
+    if len(values) != shape[0]:
+        raise ContentError(
+            f"variable {name!r} of 'good_when' has shape {values.shape}, the times {shape}",
+            remedy="use a variable with one value a row",
+            file=str(source.path),
+        )
+    return values
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """A channel to be read, and the shape of the times it belongs to."""
+
+    source: Source
+    name: str
+    channel: Channel
+    shape: tuple[int, ...]
+
+    def error(self, message: str, remedy: str) -> ContentError:
+        return ContentError(message, remedy=remedy, file=str(self.source.path), channel=self.name)
+
+
+def _series(wanted: _Wanted, variable_name: str, axes: int) -> Float:
+    """Read one variable: shape of the times, and axes when there are any."""
+    variable = wanted.source.read(variable_name, wanted.name)
+    picked = _pick(wanted, variable, variable_name, axes)
+    # The YAML's fill values are the file's numbers, before any scaling.
+    missing = missing_where(picked.values, tuple(wanted.channel.fill or ()))
+    try:
+        values = numbers(picked)
+    except ValueError as error:
+        raise wanted.error(
+            f"variable {variable_name!r} holds text where numbers belong ({error})",
+            "correct the channel in the mission YAML or repair the file",
+        ) from None
+    values[missing] = np.nan
+    return _converted(wanted, values, variable.unit)
+
+
+def _pick(wanted: _Wanted, variable: Variable, variable_name: str, axes: int) -> Variable:
+    """Return the variable cut to the shape the YAML promises, or say what is wrong with it."""
+    values, shape, column = variable.values, wanted.shape, wanted.channel.column
+    goal = (*shape, axes) if axes else shape
+    found = f"variable {variable_name!r} has shape {values.shape}, {goal} is expected"
+    if values.shape[: len(shape)] != shape:
+        raise wanted.error(
+            f"{found} for times {shape}",
+            "correct 'variable' or 'time'; 'flatten: true' joins (report, sample)",
+        )
+    if values.ndim == len(shape) + 1:
+        if column is not None and column < values.shape[-1]:
+            values = values[..., column]
+        elif not axes and values.shape[-1] == 1:
+            values = values[..., 0]
+    if values.shape != goal:
+        named = f" for axes {', '.join(wanted.channel.axis_names)}" if axes else ""
+        raise wanted.error(f"{found}{named}", "correct 'axes', or choose one column with 'column'")
+    return Variable(values, variable.unit, variable.fill, variable.scale)
+
+
+def _converted(wanted: _Wanted, values: Float, stated: str | None) -> Float:
+    """Convert from the unit the YAML says the file has, else the one the file states."""
+    goal = wanted.channel.unit
+    unit = wanted.channel.file_unit or stated
+    if unit is None:
+        return values
+    try:
+        factor, offset = factor_and_offset(unit, goal)
+    except ValueError as error:
+        raise wanted.error(
+            f"the file's unit is {unit!r}, the mission YAML's {goal!r} ({error})",
+            "correct 'unit', or state the file's true unit in 'file_unit'",
+        ) from None
+    if (factor, offset) == (1.0, 0.0):
+        return values
+    return np.asarray(values.astype(np.float64) * factor + offset)

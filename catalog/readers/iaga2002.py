@@ -1,0 +1,82 @@
+"""IAGA-2002 text files (IAGA Division V, data exchange format of 2002), plain or gzipped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from inflight.catalog.readers.source import Source, Variable, open_text, reading, require_content
+from inflight.errors import ReadError
+from inflight.instruments import Files
+from inflight.time import SECOND, Int64, to_tt2000
+
+#: 99999: missing; 88888: the observatory does not record the element.
+_FILL = (99999.0, 99999.9, 88888.0, 88888.8)
+#: Elements that are angles; all others are field strengths in nT.
+_ANGLES = {"D": "arcmin", "I": "arcmin"}
+#: Lines a header may have before the line of column names.
+_LONGEST_HEADER = 500
+
+
+@contextmanager
+def open_source(path: Path, files: Files) -> Iterator[Source]:
+    """Open an IAGA-2002 file; its variables are the four columns, named as in its header, and ``time``."""
+    require_content(path)
+    with reading(path):
+        names, lines = _header(path, files.encoding)
+        table = pd.read_csv(
+            path,
+            sep=r"\s+",
+            header=None,
+            names=names,
+            usecols=list(range(len(names))),
+            skiprows=lines,
+            encoding=files.encoding,
+            dtype={"DATE": str, "TIME": str, "DOY": str},
+            compression="gzip" if _packed(path) else None,
+        )
+
+    def read(name: str) -> Variable:
+        if name == "time":
+            return Variable(_stamps(table), times=_ticks(table))
+        unit = _ANGLES.get(name[-1:], "nT")
+        return Variable(table[name].to_numpy(), unit=unit, fill=_FILL)
+
+    yield Source(path, ("time", *names[3:]), read, tuple(files.drop))
+
+
+def _packed(path: Path) -> bool:
+    with path.open("rb") as stream:
+        return stream.read(2) == b"\x1f\x8b"
+
+
+def _header(path: Path, encoding: str) -> tuple[list[str], int]:
+    """Return the column names and the number of lines up to and including theirs."""
+    with open_text(path, encoding) as stream:
+        for number, line in enumerate(stream):
+            if line.lstrip().upper().startswith("DATE "):
+                return line.replace("|", " ").split(), number + 1
+            if number > _LONGEST_HEADER:
+                break
+    raise ReadError(
+        "has no line 'DATE TIME DOY ...' as IAGA-2002 files have",
+        remedy="fetch it again or correct 'reader'",
+        file=str(path),
+    )
+
+
+def _stamps(table: pd.DataFrame) -> npt.NDArray[np.str_]:
+    dates = table["DATE"].to_numpy().astype(np.str_)
+    return np.strings.add(np.strings.add(dates, "T"), table["TIME"].to_numpy().astype(np.str_))
+
+
+def _ticks(table: pd.DataFrame) -> Int64:
+    text = _stamps(table)
+    leaping = np.strings.find(text, ":60") == 16
+    plain = np.where(leaping, np.strings.replace(text, ":60", ":59"), text)
+    return np.asarray(to_tt2000(plain.astype("datetime64[ns]")) + leaping * SECOND)

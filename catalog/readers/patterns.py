@@ -1,0 +1,213 @@
+"""Finding delivered files by the patterns of a mission YAML, and what their names say.
+
+A pattern is a path below the data folder with ``*`` and ``?`` (within one folder level) and date fields
+``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``; upper and lower case are the same. Of files that differ
+only in what the wildcards match, and whose names carry a date, the last in natural order (v9 before v10)
+is the newest version; the others are superseded.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from inflight.instruments import Files
+from inflight.time import DAY, SECOND, as_day, to_tt2000, to_utc
+
+_DIRECTIVE = {
+    "Y": r"\d{4}",
+    "y": r"\d{2}",
+    "m": r"\d{1,2}",
+    "d": r"\d{1,2}",
+    "j": r"\d{3}",
+    "H": r"\d{2}",
+    "M": r"\d{2}",
+    "S": r"\d{2}",
+    "b": r"[a-z]{3}",
+    "B": r"[a-z]+",
+}
+_TOKEN = re.compile(r"\{(day|start|end):([^{}]*)\}|(\*\*/|\*|\?)")
+#: What the last directive of a date leaves open: a file "of 1 May" ends when the day does.
+_LENGTH = {"H": 3600 * SECOND, "M": 60 * SECOND, "S": SECOND}
+
+
+@dataclass(frozen=True)
+class NameSpan:
+    """The half-open TT2000 span a file's name states; None where it does not say."""
+
+    start: int | None = None
+    end: int | None = None
+
+    @property
+    def day(self) -> np.datetime64 | None:
+        """The UTC day the name gives, its first one."""
+        inside = self.start if self.start is not None else None if self.end is None else self.end - 1
+        return None if inside is None else as_day(str(to_utc(inside)))
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """One delivered file: its path below the data folder, and what the name says."""
+
+    name: str
+    span: NameSpan
+    #: Equal for versions of one delivery; empty when the name carries no date.
+    family: tuple[str, ...]
+    #: Natural order of what the wildcards matched.
+    version: tuple[tuple[int, int, str], ...]
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    regex: re.Pattern[str]
+    root: str
+    #: For each group: a field and a directive, or ("*", "").
+    groups: tuple[tuple[str, str], ...]
+
+
+@lru_cache(maxsize=256)
+def _compile(pattern: str) -> _Compiled:
+    groups: list[tuple[str, str]] = []
+    text, at = "", 0
+    for token in _TOKEN.finditer(pattern):
+        text += re.escape(pattern[at : token.start()])
+        at = token.end()
+        field, layout, wildcard = token.groups()
+        if wildcard:
+            text += {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}[wildcard]
+            groups.append(("*", ""))
+        else:
+            for literal, directive in re.findall(r"([^%]*)%?(.?)", layout):
+                text += re.escape(literal)
+                if directive:
+                    text += f"({_DIRECTIVE[directive]})"
+                    groups.append((field, directive))
+    text += re.escape(pattern[at:])
+    first = _TOKEN.search(pattern)
+    root = os.path.dirname(pattern[: first.start()] if first else pattern)  # noqa: PTH120  part of a pattern
+    return _Compiled(re.compile(text, re.IGNORECASE), root, tuple(groups))
+
+
+def describe(name: str, files: Files) -> Delivered | None:
+    """Say what a path below the data folder (with ``/``) is; None when no pattern matches it.
+
+    A name whose digits are no date (``20230231``) does not match.
+    """
+    for number, pattern in enumerate(files.pattern or []):
+        compiled = _compile(pattern)
+        match = compiled.regex.fullmatch(name)
+        if not match:
+            continue
+        found = _fields(compiled, match)
+        try:
+            span = _span(found)
+        except ValueError:
+            continue
+        wild = [
+            text for (field, _), text in zip(compiled.groups, match.groups(), strict=True) if field == "*"
+        ]
+        dated = [
+            f"{field}{directive}{text.lower()}" for field, texts in found.items() for directive, text in texts
+        ]
+        family = (str(number), *dated) if dated else ()
+        return Delivered(name, span, family, tuple(part for text in wild for part in natural(text)))
+    return None
+
+
+def find_files(data: Path, files: Files) -> tuple[list[Delivered], dict[str, str]]:
+    """Return the newest versions of all files that match, in order of time, and which name superseded which.
+
+    Parameters
+    ----------
+    data : Path
+        Folder that the patterns start from.
+    files : Files
+        The instrument's files, with `pattern` set.
+    """
+    return newest(
+        found for name in sorted(_walk(data, files)) if (found := describe(name, files)) is not None
+    )
+
+
+def newest(found: Iterable[Delivered]) -> tuple[list[Delivered], dict[str, str]]:
+    """Keep the last version of each family; return them in order of time, and old name -> new name."""
+    kept: dict[tuple[str, ...], Delivered] = {}
+    superseded: dict[str, str] = {}
+    for file in found:
+        key = file.family or (file.name,)
+        other = kept.get(key)
+        if other is None:
+            kept[key] = file
+            continue
+        old, new = sorted((other, file), key=lambda one: (one.version, one.name))
+        superseded = {name: new.name if by == old.name else by for name, by in superseded.items()}
+        superseded[old.name], kept[key] = new.name, new
+    order = sorted(kept.values(), key=lambda one: (_first(one.span), natural(one.name)))
+    return order, superseded
+
+
+def natural(text: str) -> tuple[tuple[int, int, str], ...]:
+    """Return a sort key under which v9 comes before v10."""
+    return tuple(
+        (1, int(part), part) if part.isdigit() else (0, 0, part.lower())
+        for part in re.split(r"(\d+)", text)
+        if part
+    )
+
+
+def _first(span: NameSpan) -> int:
+    return span.start if span.start is not None else span.end if span.end is not None else -(2**63)
+
+
+def _walk(data: Path, files: Files) -> Iterator[str]:
+    """Yield the paths below the data folder that some pattern could match, each once."""
+    roots = {_compile(pattern).root for pattern in files.pattern or []}
+    seen: set[str] = set()
+    for root in sorted(roots):
+        for folder, _, names in os.walk(data / root):
+            below = Path(folder).relative_to(data).as_posix()
+            for name in names:
+                path = name if below == "." else f"{below}/{name}"
+                if path not in seen:
+                    seen.add(path)
+                    yield path
+
+
+def _fields(compiled: _Compiled, match: re.Match[str]) -> dict[str, list[tuple[str, str]]]:
+    found: dict[str, list[tuple[str, str]]] = {}
+    for (field, directive), text in zip(compiled.groups, match.groups(), strict=True):
+        if field != "*":
+            texts = found.setdefault(field, [])
+            if (directive, text) not in texts:
+                texts.append((directive, text))
+    return found
+
+
+def _span(found: dict[str, list[tuple[str, str]]]) -> NameSpan:
+    if "day" in found:
+        return NameSpan(*_interval(found["day"]))
+    start = _interval(found["start"])[0] if "start" in found else None
+    end = _interval(found["end"])[1] if "end" in found else None
+    return NameSpan(start, end)
+
+
+def _interval(texts: list[tuple[str, str]]) -> tuple[int, int]:
+    """Return the TT2000 span of one date in a name; a directive that states two values is no date."""
+    directives = [directive for directive, _ in texts]
+    if len(set(directives)) != len(directives):
+        raise ValueError(f"two dates in one name: {texts}")
+    stamp = dt.datetime.strptime(
+        " ".join(text for _, text in texts), " ".join(f"%{directive}" for directive in directives)
+    )
+    start = int(to_tt2000(np.datetime64(stamp, "ns")))
+    finest = next((directive for directive in "SMH" if directive in directives), "")
+    if finest:
+        return start, start + _LENGTH[finest]
+    return start, int(to_tt2000(np.datetime64(stamp, "ns") + np.timedelta64(DAY, "ns")))

@@ -1,0 +1,64 @@
+"""Text tables through pandas: any delimiter, decimal comma, encoding, header or none, plain or gzipped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from inflight.catalog.readers.source import Array, Source, Variable, open_text, reading, require_content
+from inflight.errors import ContentError
+from inflight.instruments import Files
+
+
+@contextmanager
+def open_source(path: Path, files: Files) -> Iterator[Source]:
+    """Open a text table; its variables are the columns. Time columns given as text stay text."""
+    require_content(path)
+    with reading(path), open_text(path, files.encoding) as stream:
+        table = pd.read_csv(stream, **_options(files))
+    table.columns = [str(name).strip() for name in table.columns]
+
+    def read(name: str) -> Variable:
+        return Variable(_values(table[name], name, path, files))
+
+    yield Source(path, tuple(table.columns), read, tuple(files.drop))
+
+
+def _options(files: Files) -> dict[str, Any]:
+    delimiter = files.delimiter
+    options: dict[str, Any] = {
+        "sep": r"\s+" if delimiter == "whitespace" else delimiter or ",",
+        "decimal": files.decimal,
+        "skiprows": files.skip,
+        "comment": files.comment,
+        "index_col": False,
+        "skipinitialspace": True,
+    }
+    if files.columns is not None:
+        options |= {"header": None, "names": files.columns}
+    if files.time_unit is None:
+        # A stamp such as 0921235902 must keep its leading zero.
+        options["dtype"] = dict.fromkeys(files.time or [], str)
+    return options
+
+
+def _values(column: Any, name: str, path: Path, files: Files) -> Array:
+    if name in (files.time or []) or column.dtype.kind in "biuf":
+        return np.asarray(column.to_numpy())
+    text = column.astype(str).str.strip()
+    numbers = pd.to_numeric(
+        text.str.replace(",", ".", regex=False) if files.decimal == "," else text, errors="coerce"
+    )
+    bad = np.flatnonzero(numbers.isna().to_numpy() & column.notna().to_numpy() & (text != "").to_numpy())
+    if bad.size:
+        raise ContentError(
+            f"column {name!r}, row {bad[0] + 1}: {str(column.iloc[bad[0]])!r} is no number",
+            remedy="correct 'delimiter', 'decimal', 'skip' or 'comment', or repair the file",
+            file=str(path),
+        )
+    return np.asarray(numbers.to_numpy(dtype=np.float64))
