@@ -15,9 +15,9 @@ from inflight.catalog.days import current_day, day_of_version, published_days, r
 from inflight.catalog.lineage import Edge, walk
 from inflight.catalog.opening import open_days, read_one_day
 from inflight.catalog.publishing import BASELINE_SETTING, baseline_of
-from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, TableRecord
+from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
 from inflight.catalog.release import freeze_release
-from inflight.catalog.runs import Run, close_dead_runs
+from inflight.catalog.runs import Run, close_dead_runs, run_records
 from inflight.catalog.schema import SettingRow
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
 from inflight.catalog.stores import open_store
@@ -95,6 +95,11 @@ class Catalog:
             Id of the context; it becomes a parent of all the run's days and tables.
         """
         return Run(self.workspace, self._database, kind, settings or {}, context)
+
+    def runs(self, kind: str | None = None) -> list[RunRecord]:
+        """Return all runs, or those of one kind, oldest first, with state, cause and message."""
+        with self._database.read() as session:
+            return run_records(session, kind)
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
         """Return the published revision of a day, or None; its `key` tells whether there is work to do."""

@@ -27,7 +27,7 @@ def day_record(row: DayRow, dataset: str, path: str | None) -> Day:
         message=row.message,
         version=version_text(row.baseline or 0, row.revision or 0) if published else "",
         revision=-1 if row.revision is None else row.revision,
-        coverage=float("nan") if row.coverage is None else row.coverage,
+        coverage=row.coverage,
         count=row.count,
         key=row.key,
         run=row.run_id,

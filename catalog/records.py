@@ -89,7 +89,7 @@ class Day:
 
     `version` is empty and `revision` is -1 until the day is published. `rows` are the rows
     ``[start, stop)`` of the store `segment` (relative to the workspace). `coverage` is the part of
-    the day's expected samples that is there (0 to 1), NaN when unknown.
+    the day's expected samples that is there (0 to 1), None when unknown.
     """
 
     dataset: str
@@ -99,7 +99,7 @@ class Day:
     message: str = ""
     version: str = ""
     revision: int = -1
-    coverage: float = float("nan")
+    coverage: float | None = None
     count: int = 0
     key: str = ""
     run: str = ""
@@ -140,6 +140,21 @@ class FileRecord:
     days: tuple[str, ...]
     report: Mapping[str, Any]
     run: str
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run; `state` is running, done or failed."""
+
+    id: str
+    kind: str
+    state: str
+    cause: str
+    message: str
+    context: str | None
+    settings: Mapping[str, Any]
+    started: str
+    ended: str | None
 
 
 @dataclass(frozen=True)

@@ -258,7 +258,7 @@ def _write_days(path: Path, collection: _Collection) -> None:
             ["dataset", "day", "version", "coverage", "samples", "state", "cause", "message", "key"]
         )
         for day in sorted((*collection.days, *collection.absent), key=lambda day: (day.dataset, day.day)):
-            coverage = "" if day.coverage != day.coverage else f"{day.coverage:.6f}"
+            coverage = "" if day.coverage is None else f"{day.coverage:.6f}"
             writer.writerow(
                 [
                     day.dataset,

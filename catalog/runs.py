@@ -23,7 +23,7 @@ from inflight.catalog.lineage import Edge, add_edges, parent_ids, walk
 from inflight.catalog.manifest import manifest_faults
 from inflight.catalog.processes import ProcessMark, this_process
 from inflight.catalog.publishing import publish_run
-from inflight.catalog.records import CAUSES, DAY_STATES, Day, DayData, Segment, SegmentRow, utc_day
+from inflight.catalog.records import CAUSES, DAY_STATES, Day, DayData, RunRecord, Segment, SegmentRow, utc_day
 from inflight.catalog.schema import DatasetRow, DayRow, RunRow, StoreRow, TableRow
 from inflight.catalog.segments import write_segment, write_table
 from inflight.catalog.spans import as_date
@@ -325,6 +325,27 @@ def close_run(session: Session, run_id: str, state: str, cause: str, message: st
             .where(DayRow.run_id == run_id, DayRow.state.in_(("running", "staged")))
             .values(state="failed", cause=cause, message=message)
         )
+
+
+def run_records(session: Session, kind: str | None) -> list[RunRecord]:
+    """Return the records of runs, oldest first."""
+    query = select(RunRow).order_by(RunRow.started, RunRow.id)
+    if kind is not None:
+        query = query.where(RunRow.kind == kind)
+    return [
+        RunRecord(
+            id=row.id,
+            kind=row.kind,
+            state=row.state,
+            cause=row.cause,
+            message=row.message,
+            context=row.context,
+            settings=row.settings,
+            started=row.started,
+            ended=row.ended,
+        )
+        for row in session.scalars(query)
+    ]
 
 
 def close_dead_runs(workspace: Path, database: Database) -> list[str]:

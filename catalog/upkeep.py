@@ -129,7 +129,7 @@ def _stores_in_use(session: Session, name: str | None) -> list[tuple[StoreRow, s
 def _summary(name: str, days: list[Day]) -> dict[str, Any]:
     states = Counter(day.state for day in days)
     published = [day for day in days if day.state == "published"]
-    known = [day.coverage for day in published if not np.isnan(day.coverage)]
+    known = [day.coverage for day in published if day.coverage is not None]
     return {
         "dataset": name,
         "first": str(published[0].day) if published else "",

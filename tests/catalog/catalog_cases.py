@@ -23,6 +23,7 @@ def samples(
     rng = np.random.default_rng([seed, abs(int(np.datetime64(day, "D").astype(int)))])
     if jitter:
         times = times + rng.integers(0, int(step_s * SECOND) // 2, times.size)
+        times = times[times < end]
     field = np.round(rng.normal(0, 30000, (times.size, 3)), 2)
     field[::17, 1] = np.nan
     return xr.Dataset(

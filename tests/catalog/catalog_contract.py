@@ -1,0 +1,521 @@
+"""What every catalog does, whatever database is behind it: subclass and give a `catalog` fixture."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+import xarray as xr
+from catalog_cases import days_from, publish, samples, table
+
+from inflight.catalog import Catalog, DayData, idempotency_key, write_segment
+from inflight.errors import CatalogError, ContentError, IntegrityError, ValidityError
+from inflight.time import day_bounds, to_tt2000, to_utc
+
+DAYS = days_from("2005-12-30", 4)  # the second one ends with a leap second
+NAME = "l1/fgm"
+
+
+class RunContract:
+    def test_days_are_unseen_until_published_and_then_have_versions(self, catalog):
+        with catalog.run("ingest", {"batch": 4}) as run:
+            segment = write_segment(
+                catalog.workspace, run.id, NAME, [DayData(day, samples(day)) for day in DAYS]
+            )
+            attached = run.attach(segment)
+            assert [(day.state, day.version) for day in attached] == [("verified", "")] * 4
+            assert catalog.current(NAME, DAYS[0]) is None
+            published = run.publish()
+        assert [(day.day, day.state, day.version) for day in published] == [
+            (day, "published", "v01.00") for day in DAYS
+        ]
+        assert catalog.days(NAME) == published
+        assert catalog.current(NAME, "2005-12-30") == published[0]
+
+    def test_leaving_without_publishing_leaves_the_view_unchanged(self, catalog):
+        publish(catalog, NAME, DAYS)
+        before = catalog.days(NAME)
+        with catalog.run("reprocess") as run:
+            run.stage(NAME, samples(DAYS[0], seed=1), day=DAYS[0])
+        assert catalog.days(NAME) == before
+
+    @pytest.mark.parametrize(
+        ("error", "cause"),
+        [
+            (ValueError("bad"), "bug"),
+            (ContentError("no such variable"), "repeatable"),
+            (OSError("lost"), "transient"),
+            (KeyboardInterrupt(), "transient"),
+        ],
+    )
+    def test_a_run_that_raises_is_recorded_as_failed_with_its_cause(self, catalog, error, cause):
+        def fail():
+            with catalog.run("reprocess") as run:
+                run.record(NAME, DAYS[0], "running")
+                raise error
+
+        with pytest.raises(type(error)):
+            fail()
+        (recorded,) = catalog.runs()
+        assert (recorded.state, recorded.cause) == ("failed", cause)
+        assert type(error).__name__ in recorded.message
+        (day,) = catalog.days(NAME)
+        assert (day.state, day.cause) == ("failed", cause)
+
+    def test_publishing_again_makes_new_revisions_and_old_ones_stay_readable(self, catalog):
+        for seed in range(3):
+            publish(catalog, NAME, DAYS, seed=seed)
+        assert {day.version for day in catalog.days(NAME)} == {"v01.02"}
+        for seed in range(3):
+            opened = catalog.read_day(NAME, DAYS[2], version=f"v01.{seed:02d}")
+            expected = samples(DAYS[2], seed=seed)
+            np.testing.assert_array_equal(opened["field"], expected["field"])
+        with pytest.raises(CatalogError, match=r"v01\.03"):
+            catalog.read_day(NAME, DAYS[2], version="v01.03")
+
+    def test_the_baseline_leads_the_version_and_never_goes_back(self, catalog):
+        publish(catalog, NAME, DAYS[:1])
+        catalog.set_baseline(2)
+        publish(catalog, NAME, DAYS[:1])
+        publish(catalog, NAME, DAYS[:1])
+        assert catalog.current(NAME, DAYS[0]).version == "v02.01"
+        with pytest.raises(CatalogError, match="lower"):
+            catalog.set_baseline(1)
+
+    def test_a_day_of_the_same_key_is_not_published_twice(self, catalog):
+        publish(catalog, NAME, DAYS, key="k")
+        with catalog.run("ingest") as run:
+            run.stage(NAME, samples(DAYS[0]), day=DAYS[0], key=f"k-{DAYS[0]}")
+            run.stage(NAME, samples(DAYS[1], seed=5), day=DAYS[1], key="other")
+            published = run.publish()
+        assert [(day.day, day.version) for day in published] == [(DAYS[1], "v01.01")]
+        assert catalog.current(NAME, DAYS[0]).version == "v01.00"
+
+    def test_one_failing_certification_publishes_nothing(self, catalog):
+        with catalog.run("calibrate") as run:
+            first = run.stage_table("offsets", table(), start=0, end=10)
+            catalog.certify(first, 0, 10)
+            second = run.stage_table("offsets", table(2.0), start=5, end=15)
+            run.stage(NAME, samples(DAYS[0]), day=DAYS[0])
+            with pytest.raises(ValidityError):
+                run.publish(certify=[(second, 5, 15, None)])
+            assert catalog.current(NAME, DAYS[0]) is None
+            run.publish(certify=[(second, 5, 15, None)], supersede=True)
+        assert catalog.current(NAME, DAYS[0]) is not None
+        assert catalog.table("offsets", 7)["value"].values[0, 0] == 2.0
+
+    def test_a_store_damaged_before_publication_stops_it(self, catalog):
+        with catalog.run("ingest") as run:
+            day = run.stage(NAME, samples(DAYS[0]), day=DAYS[0])
+            (catalog.workspace / day.segment / "MANIFEST.sha256").write_text("")
+            with pytest.raises(IntegrityError):
+                run.publish()
+        assert catalog.current(NAME, DAYS[0]) is None
+
+    def test_states_of_days_are_recorded_and_listed(self, catalog):
+        with catalog.run("ingest") as run:
+            run.record(NAME, DAYS[0], "planned")
+            run.record(NAME, DAYS[0], "failed", "repeatable", "file is cut", report={"coverage": 0.1})
+            run.record(NAME, DAYS[1], "no_work", "no_work", "nothing delivered")
+            run.stage(NAME, samples(DAYS[2]), day=DAYS[2])
+            run.publish()
+        states = [(day.state, day.cause) for day in catalog.days(NAME)]
+        assert states == [("failed", "repeatable"), ("no_work", "no_work"), ("published", "")]
+        assert [day.day for day in catalog.days(NAME, states=["failed"])] == [DAYS[0]]
+        assert [day.day for day in catalog.days(NAME, time=slice(DAYS[1], DAYS[2]))] == [DAYS[1]]
+
+    def test_a_failure_is_listed_until_the_day_is_published_after_it(self, catalog):
+        publish(catalog, NAME, DAYS[:1])
+        with catalog.run("reprocess") as run:
+            run.record(NAME, DAYS[0], "failed", "bug", "division")
+        assert catalog.days(NAME)[0].state == "published"
+        assert [day.message for day in catalog.days(NAME, states=["failed"])] == ["division"]
+        publish(catalog, NAME, DAYS[:1], seed=1)
+        assert catalog.days(NAME, states=["failed"]) == []
+
+    @pytest.mark.parametrize(("state", "cause"), [("published", ""), ("failed", ""), ("failed", "weather")])
+    def test_a_state_or_cause_that_does_not_exist_is_refused(self, catalog, state, cause):
+        with catalog.run("ingest") as run, pytest.raises(CatalogError):
+            run.record(NAME, DAYS[0], state, cause)
+
+    def test_a_verified_day_of_an_ended_run_is_adopted_by_its_key(self, catalog):
+        with catalog.run("ingest") as dead:
+            dead.stage(
+                NAME, samples(DAYS[0]), day=DAYS[0], key="k", parents=["file:1"], report={"coverage": 1.0}
+            )
+        with catalog.run("ingest") as run:
+            run.record(NAME, DAYS[0], "planned")
+            assert run.adopt(NAME, DAYS[0], "other") is None
+            assert run.adopt(NAME, DAYS[0], "") is None
+            adopted = run.adopt(NAME, DAYS[0], "k")
+            run.publish()
+        assert adopted.state == "verified"
+        current = catalog.current(NAME, DAYS[0])
+        assert (current.run, current.key, current.report) == (run.id, "k", {"coverage": 1.0})
+        assert [edge.parent for edge in catalog.lineage(current)] == ["file:1"]
+        xr.testing.assert_equal(catalog.read_day(NAME, DAYS[0]).drop_vars("time"), samples(DAYS[0]))
+
+    def test_a_damaged_day_is_not_adopted(self, catalog):
+        with catalog.run("ingest") as dead:
+            day = dead.stage(NAME, samples(DAYS[0]), day=DAYS[0], key="k")
+        (catalog.workspace / day.segment / "flag" / "c" / "0").unlink()
+        with catalog.run("ingest") as run:
+            assert run.adopt(NAME, DAYS[0], "k") is None
+
+    def test_a_run_restages_a_day_until_it_has_published_it(self, catalog):
+        with catalog.run("ingest") as run:
+            run.stage(NAME, samples(DAYS[0]), day=DAYS[0])
+            run.stage(NAME, samples(DAYS[0], seed=1), day=DAYS[0])
+            run.publish()
+            with pytest.raises(CatalogError, match="already published"):
+                run.stage(NAME, samples(DAYS[0], seed=2), day=DAYS[0])
+        expected = samples(DAYS[0], seed=1)
+        np.testing.assert_array_equal(catalog.read_day(NAME, DAYS[0])["field"], expected["field"])
+
+    def test_keys_depend_on_everything_but_the_order_of_inputs(self):
+        key = idempotency_key("l2/field", "2005-01-01", 1, "c", ["a", "b"])
+        assert key == idempotency_key("l2/field", np.datetime64("2005-01-01"), 1, "c", ["b", "a"])
+        others = [
+            idempotency_key("l2/flag", "2005-01-01", 1, "c", ["a", "b"]),
+            idempotency_key("l2/field", "2005-01-02", 1, "c", ["a", "b"]),
+            idempotency_key("l2/field", "2005-01-01", 2, "c", ["a", "b"]),
+            idempotency_key("l2/field", "2005-01-01", 1, None, ["a", "b"]),
+            idempotency_key("l2/field", "2005-01-01", 1, "c", ["ab"]),
+        ]
+        assert len({key, *others}) == 6
+
+
+class ReadingContract:
+    def test_a_span_opens_lazily_indexed_by_utc(self, catalog):
+        publish(catalog, NAME, DAYS[:2])
+        publish(catalog, NAME, DAYS[2:])
+        opened = catalog.open(NAME)
+        assert all(opened[name].chunks for name in ("field", "temperature", "flag"))
+        expected = xr.concat(
+            [samples(day) for day in DAYS], "time", data_vars="minimal", coords="minimal", compat="equals"
+        )
+        assert opened.indexes["time"].is_monotonic_increasing
+        np.testing.assert_array_equal(opened["time"].values, to_utc(expected["tt2000"].values))
+        xr.testing.assert_identical(opened.drop_vars("time").compute(), expected)
+
+    @pytest.mark.parametrize("jitter", [False, True])
+    @pytest.mark.parametrize(
+        ("start", "stop"),
+        [
+            ("2005-12-30T06:05", "2006-01-01T12:00"),
+            ("2005-12-31T23:59:50", "2006-01-01"),
+            (None, "2005-12-31"),
+            ("2006-01-02", None),
+        ],
+    )
+    def test_a_span_is_cut_exactly_and_half_open(self, catalog, start, stop, jitter):
+        with catalog.run("ingest") as run:
+            data = [DayData(day, samples(day, jitter=jitter)) for day in DAYS]
+            run.attach(write_segment(catalog.workspace, run.id, NAME, data))
+            run.publish()
+        every = np.concatenate([item.dataset["tt2000"].values for item in data])
+        keep = np.ones(every.size, bool)
+        if start:
+            keep &= every >= to_tt2000(np.datetime64(start, "ns"))
+        if stop:
+            keep &= every < to_tt2000(np.datetime64(stop, "ns"))
+        opened = catalog.open(NAME, slice(start, stop), variables=["field"])
+        np.testing.assert_array_equal(opened["tt2000"].values, every[keep])
+        fields = np.concatenate([item.dataset["field"].values for item in data])
+        np.testing.assert_array_equal(opened["field"].values, fields[keep])
+
+    def test_one_day_reads_eagerly_and_equals_the_lazy_one(self, catalog):
+        publish(catalog, NAME, DAYS)
+        for day in DAYS:
+            eager = catalog.read_day(NAME, day)
+            assert not any(variable.chunks for variable in eager.variables.values())
+            xr.testing.assert_identical(eager, catalog.open(NAME, day).compute())
+
+    def test_chosen_variables_come_with_their_times(self, catalog):
+        publish(catalog, NAME, DAYS)
+        assert set(catalog.read_day(NAME, DAYS[0], ["flag"]).variables) == {"flag", "tt2000", "time"}
+        assert set(catalog.open(NAME, variables=["flag"]).variables) == {"flag", "tt2000", "time"}
+        for read in (
+            lambda: catalog.read_day(NAME, DAYS[0], ["fild"]),
+            lambda: catalog.open(NAME, variables=["fild"]),
+        ):
+            with pytest.raises(CatalogError, match="fild"):
+                read()
+
+    def test_what_is_not_there_is_told(self, catalog):
+        with pytest.raises(CatalogError, match="none"):
+            catalog.open("l1/none")
+        publish(catalog, NAME, DAYS)
+        with pytest.raises(CatalogError, match="l1/fgm"):
+            catalog.open("l1/fgn")
+        with pytest.raises(CatalogError, match="no published days"):
+            catalog.open(NAME, slice("2010-01-01", "2010-02-01"))
+        with pytest.raises(CatalogError, match="2010-01-01"):
+            catalog.read_day(NAME, "2010-01-01")
+        for span in (slice("2006-01-02", "2006-01-01"), slice("a", None), slice(None, None, 2)):
+            with pytest.raises(CatalogError):
+                catalog.open(NAME, span)
+
+    def test_a_channel_absent_on_some_days_is_nan_there(self, catalog):
+        publish(catalog, NAME, DAYS[:1])
+        with catalog.run("ingest") as run:
+            run.stage(NAME, samples(DAYS[1]).drop_vars("temperature"), day=DAYS[1])
+            run.publish()
+        opened = catalog.open(NAME)["temperature"].compute()
+        assert np.isnan(opened.values[opened["time"].values >= DAYS[1]]).all()
+        assert np.isfinite(opened.values[opened["time"].values < DAYS[1]]).all()
+
+    def test_a_change_of_unit_inside_a_span_is_refused(self, catalog):
+        publish(catalog, NAME, DAYS[:1])
+        other = samples(DAYS[1])
+        other["field"].attrs["units"] = "uT"
+        with catalog.run("ingest") as run:
+            run.stage(NAME, other, day=DAYS[1])
+            run.publish()
+        with pytest.raises(CatalogError, match="units"):
+            catalog.open(NAME)
+        assert catalog.open(NAME, DAYS[1])["field"].attrs["units"] == "uT"
+
+    def test_long_spans_have_a_lazy_time_without_an_index(self, catalog, monkeypatch):
+        from inflight.catalog import opening
+
+        publish(catalog, NAME, DAYS)
+        indexed = catalog.open(NAME)
+        monkeypatch.setattr(opening, "INDEX_LIMIT", 100)
+        lazy = catalog.open(NAME)
+        assert "time" not in lazy.indexes
+        np.testing.assert_array_equal(lazy["time"].values, indexed["time"].values)
+        np.testing.assert_array_equal(lazy["tt2000"].values, indexed["tt2000"].values)
+
+    def test_blocks_open_along_block_and_belong_to_the_span_they_start_in(self, catalog):
+        with catalog.run("calibrate") as run:
+            for day in DAYS:
+                edges = np.linspace(*day_bounds(day), 5).astype(np.int64)
+                dataset = xr.Dataset(
+                    {
+                        "gram": (("block", "column"), np.ones((4, 2))),
+                        "start": ("block", edges[:-1]),
+                        "end": ("block", edges[1:]),
+                    }
+                )
+                run.stage("equations/main/base", dataset, day=day)
+            run.publish()
+        opened = catalog.open("equations/main/base", slice("2005-12-30T12:00", "2005-12-31T01:00"))
+        assert opened.sizes["block"] == 3
+        assert catalog.open("equations/main/base").sizes["block"] == 16
+
+    def test_the_newest_revision_of_a_context_is_read(self, catalog):
+        version = catalog.save_model("m", "effects: []")
+        contexts = [catalog.save_context(text, "m", version, {}) for text in ("one", "two")]
+        for seed, context in enumerate([*contexts, contexts[0]]):
+            publish(catalog, "l2/field", DAYS[:1], seed=seed, context=context)
+        for context, seed in ((None, 2), (contexts[0], 2), (contexts[1], 1)):
+            opened = catalog.open("l2/field", context=context)
+            np.testing.assert_array_equal(opened["field"], samples(DAYS[0], seed=seed)["field"])
+
+    def test_a_catalog_travels_to_another_process_as_its_folder(self, catalog):
+        publish(catalog, NAME, DAYS[:1])
+        assert pickle.loads(pickle.dumps(catalog)).days(NAME) == catalog.days(NAME)
+        opened = pickle.loads(pickle.dumps(catalog.open(NAME)))
+        np.testing.assert_array_equal(opened["field"], samples(DAYS[0])["field"])
+
+    def test_an_unpublished_day_is_read_by_its_record(self, catalog):
+        with catalog.run("ingest") as run:
+            day = run.stage(NAME, samples(DAYS[0]), day=DAYS[0])
+            np.testing.assert_array_equal(catalog.read(day)["field"], samples(DAYS[0])["field"])
+            with pytest.raises(CatalogError, match="no data"):
+                catalog.read(run.record(NAME, DAYS[1], "failed", "bug", "x"))
+
+
+class TableContract:
+    def staged(self, catalog, *values):
+        with catalog.run("calibrate") as run:
+            return [run.stage_table("offsets", table(value), start=0, end=100) for value in values]
+
+    def value_at(self, catalog, at, context=None):
+        return float(catalog.table("offsets", at, context)["value"].values[0, 0])
+
+    def test_a_table_holds_in_its_half_open_validity_only(self, catalog):
+        one, two = self.staged(catalog, 1.0, 2.0)
+        catalog.certify(one, 0, 50)
+        catalog.certify(two, 50, 100)
+        assert [self.value_at(catalog, at) for at in (0, 49, 50, 99)] == [1.0, 1.0, 2.0, 2.0]
+        assert catalog.table("offsets", 50).attrs["table_id"] == two
+        for at in (-1, 100):
+            with pytest.raises(CatalogError, match="no table 'offsets'"):
+                catalog.table("offsets", at)
+
+    def test_an_overlap_names_both_tables_and_changes_nothing(self, catalog):
+        one, two = self.staged(catalog, 1.0, 2.0)
+        catalog.certify(one, 0, 50)
+        with pytest.raises(ValidityError, match=rf"table {two} .* table {one},"):
+            catalog.certify(two, 49, 60)
+        with pytest.raises(ValidityError):
+            catalog.certify(two, 60, 60)
+        assert [record.certified for record in catalog.tables("offsets")] == [((None, 0, 50),), ()]
+
+    def test_superseding_ends_the_older_validity_and_keeps_what_is_left(self, catalog):
+        one, two, three = self.staged(catalog, 1.0, 2.0, 3.0)
+        catalog.certify(one, 0, 100)
+        catalog.certify(two, 20, 40, supersede=True)
+        assert [self.value_at(catalog, at) for at in (0, 19, 20, 39, 40, 99)] == [1, 1, 2, 2, 1, 1]
+        catalog.certify(three, 0, 100, supersede=True)
+        assert {self.value_at(catalog, at) for at in range(0, 100, 5)} == {3.0}
+
+    def test_contexts_have_validities_of_their_own_and_go_first(self, catalog):
+        one, two, three = self.staged(catalog, 1.0, 2.0, 3.0)
+        version = catalog.save_model("m", "effects: []")
+        context = catalog.save_context("mission", "m", version, {"offsets": two})
+        catalog.certify(one, 0, 100)
+        assert self.value_at(catalog, 5) == 1.0
+        assert self.value_at(catalog, 5, context) == 2.0
+        catalog.certify(three, 0, 50, context)
+        assert self.value_at(catalog, 5, context) == 3.0
+        assert self.value_at(catalog, 5) == 1.0
+
+    def test_a_table_is_read_by_time_or_by_id(self, catalog):
+        (one,) = self.staged(catalog, 1.5)
+        start, end = day_bounds("2005-01-01")
+        catalog.certify(one, start, end)
+        expected = table(1.5).assign_attrs(table_id=one)
+        xr.testing.assert_identical(catalog.table("offsets", "2005-01-01T12:00:00Z"), expected)
+        xr.testing.assert_identical(catalog.table_by_id(one), expected)
+        with pytest.raises(CatalogError):
+            catalog.table_by_id(99)
+        with pytest.raises(CatalogError, match="99"):
+            catalog.certify(99, 0, 1)
+
+
+class RegistryContract:
+    def test_models_are_versioned_and_identical_text_keeps_its_version(self, catalog):
+        first = catalog.save_model("champ", "a: 1")
+        second = catalog.save_model("champ", "a: 2", parent=first, message="more")
+        assert (first, second, catalog.save_model("champ", "a: 1")) == (1, 2, 1)
+        assert catalog.model_text("champ") == ("champ", 2, "a: 2")
+        assert catalog.model_text("champ", 1) == ("champ", 1, "a: 1")
+        catalog.save_model("other", "b: 1")
+        assert catalog.model_text() == ("other", 1, "b: 1")
+        assert [(record.name, record.version, record.parent) for record in catalog.models()] == [
+            ("champ", 1, None),
+            ("champ", 2, 1),
+            ("other", 1, None),
+        ]
+        with pytest.raises(CatalogError, match="champ 2"):
+            catalog.model_text("champ", 7)
+        with pytest.raises(CatalogError, match="no version 9"):
+            catalog.save_model("champ", "a: 3", parent=9)
+
+    def test_a_context_pins_what_it_names_and_its_id_is_its_content(self, catalog):
+        version = catalog.save_model("champ", "a: 1")
+        with catalog.run("calibrate") as run:
+            offsets = run.stage_table("offsets", table(), start=0, end=1)
+        one = catalog.save_context("mission: champ", "champ", version, {"offsets": offsets})
+        assert one == catalog.save_context("mission: champ", "champ", version, {"offsets": offsets})
+        assert one != catalog.save_context("mission: champ", "champ", version, {})
+        record = catalog.context(one)
+        assert (record.mission_text, record.model_name, record.tables) == (
+            "mission: champ",
+            "champ",
+            {"offsets": offsets},
+        )
+        for name, pinned in (("none", {}), ("champ", {"offsets": 99})):
+            with pytest.raises(CatalogError):
+                catalog.save_context("mission", name, version, pinned)
+
+    def test_delivered_files_count_once_their_days_are_published(self, catalog):
+        def take(sha256, *, publishing):
+            with catalog.run("ingest") as run:
+                catalog.record_file(run, "fgm", "a.cdf", sha256, 10, 123, [DAYS[0]], {"dropped": 1})
+                if publishing:
+                    run.publish()
+            return run.id
+
+        take("1" * 64, publishing=False)
+        assert catalog.files("fgm") == {}
+        take("1" * 64, publishing=True)
+        last = take("2" * 64, publishing=True)
+        record = catalog.files("fgm")["a.cdf"]
+        assert (record.sha256, record.size, record.mtime_ns, record.run) == ("2" * 64, 10, 123, last)
+        assert (record.days, record.report) == (("2005-12-30",), {"dropped": 1})
+        assert catalog.files("ovm") == {}
+
+    def test_lineage_leads_from_product_to_file_and_back(self, catalog):
+        version = catalog.save_model("champ", "a: 1")
+        context = catalog.save_context("mission: champ", "champ", version, {})
+        with catalog.run("ingest") as run:
+            catalog.record_file(run, "fgm", "a.cdf", "1" * 64, 10, 123)
+            raw = run.stage(NAME, samples(DAYS[0]), day=DAYS[0], parents=["file:" + "1" * 64])
+            run.publish()
+        with catalog.run("reprocess", {}, context) as run:
+            product = run.stage("l2/field", samples(DAYS[0]), day=DAYS[0], parents=[raw])
+            run.publish()
+        up = {(edge.parent, edge.child) for edge in catalog.lineage(product)}
+        assert up == {
+            (raw.id, product.id),
+            (f"context:{context}", product.id),
+            ("model:champ@1", f"context:{context}"),
+            ("file:" + "1" * 64, raw.id),
+        }
+        assert [edge.child for edge in catalog.lineage("file:" + "1" * 64, up=False)] == [raw.id, product.id]
+        assert catalog.verify() == []
+
+
+class UpkeepContract:
+    def test_verify_names_every_damaged_file_of_what_is_in_use(self, catalog):
+        publish(catalog, NAME, DAYS)
+        with catalog.run("ingest") as run:
+            catalog.record_file(run, "fgm", "a.cdf", "abc", 10, 123)
+        assert catalog.verify() == []
+        chunk = catalog.workspace / catalog.current(NAME, DAYS[0]).segment / "flag" / "c" / "0"
+        chunk.write_bytes(b"nonsense")
+        (fault,) = catalog.verify()
+        assert fault["item"] == NAME
+        assert fault["path"].endswith("flag/c/0")
+        assert catalog.verify("l1/other") == []
+
+    def test_verify_tells_a_parent_that_does_not_exist(self, catalog):
+        publish(catalog, NAME, DAYS)
+        assert [fault["item"] for fault in catalog.verify()] == ["file:abc"]
+
+    def test_garbage_is_what_nothing_refers_to(self, catalog):
+        publish(catalog, NAME, DAYS, key="k")
+        with catalog.run("ingest") as run:
+            superseded = run.stage(NAME, samples(DAYS[0]), day=DAYS[0], key="old")
+        with catalog.run("ingest") as run:
+            waiting = run.stage("l1/ovm", samples(DAYS[0]), day=DAYS[0], key="new")
+        publish(catalog, NAME, DAYS, seed=1)
+        orphan = write_segment(catalog.workspace, "nobody", NAME, [DayData(DAYS[0], samples(DAYS[0]))])
+        (catalog.workspace / "staging" / "nobody" / "half").mkdir()
+        expected = sorted([superseded.segment, orphan.path, "staging/nobody"])
+        assert sorted(catalog.gc()) == expected
+        assert (catalog.workspace / orphan.path).exists()
+        assert sorted(catalog.gc(dry_run=False)) == expected
+        assert not any((catalog.workspace / path).exists() for path in expected)
+        assert (catalog.workspace / waiting.segment).exists()
+        assert catalog.gc() == []
+        catalog.read_day(NAME, DAYS[0], version="v01.00")
+
+    def test_what_a_live_run_writes_is_no_garbage(self, catalog):
+        with catalog.run("ingest") as run:
+            write_segment(catalog.workspace, run.id, NAME, [DayData(DAYS[0], samples(DAYS[0]))])
+            assert catalog.gc(dry_run=False) == []
+
+    def test_the_inventory_tells_span_gaps_failures_and_versions(self, catalog):
+        publish(catalog, NAME, DAYS[:1])
+        publish(catalog, NAME, DAYS[3:])
+        publish(catalog, NAME, DAYS[3:], seed=1)
+        with catalog.run("ingest") as run:
+            run.record(NAME, DAYS[1], "failed", "repeatable", "cut")
+        (item,) = catalog.inventory()
+        assert (item["dataset"], item["first"], item["last"]) == (NAME, "2005-12-30", "2006-01-02")
+        assert (item["days"], item["failed"], item["gaps"]) == (2, 1, ["2005-12-31", "2006-01-01"])
+        assert item["versions"] == {"v01.00": 1, "v01.01": 1}
+
+    def test_opening_twice_changes_nothing(self, catalog):
+        publish(catalog, NAME, DAYS)
+        assert Catalog(catalog.workspace).days(NAME) == catalog.days(NAME)
+
+
+class CatalogContract(RunContract, ReadingContract, TableContract, RegistryContract, UpkeepContract):
+    """All of it."""
