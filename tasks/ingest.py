@@ -77,7 +77,9 @@ class _Plan:
     #: Failures that are on record with the same key, and new ones.
     failed: dict[str, Problem] = field(default_factory=dict)
     fresh_failures: dict[str, Problem] = field(default_factory=dict)
+    #: Days between the first and the last that no file holds; those not on record yet.
     empty: list[str] = field(default_factory=list)
+    fresh_empty: list[str] = field(default_factory=list)
     told: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
@@ -87,7 +89,7 @@ class _Plan:
     @property
     def has_work(self) -> bool:
         fresh = any(not file.known for file in self.delivery.files)
-        return bool(fresh or self.todo or self.adopt or self.fresh_failures or self.empty)
+        return bool(fresh or self.todo or self.adopt or self.fresh_failures or self.fresh_empty)
 
 
 def ingest(
@@ -202,8 +204,9 @@ def _plan_empty(cat: Catalog, plan: _Plan, known: set[str]) -> None:
         return
     first, last = min(plan.keys), max(plan.keys)
     told = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
-    held = set(plan.delivery.by_day()) | known | told
+    held = set(plan.delivery.by_day()) | known
     plan.empty = [str(day) for day in day_range(first, last) if str(day) not in held]
+    plan.fresh_empty = [day for day in plan.empty if day not in told]
 
 
 def _jobs(
@@ -354,7 +357,7 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
             {"problem": problem},
             plan.keys[day],
         )
-    for day in plan.empty:
+    for day in plan.fresh_empty:
         run.record(plan.dataset, day, "no_work", "no_work", "no delivered file holds rows of this day")
     for file in plan.delivery.files:
         if not file.known:
