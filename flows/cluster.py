@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,28 +33,51 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
         ``INFLIGHT_DASK_SCHEDULER`` names a running scheduler instead.
     """
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     # Workers import numpy before any task can set these, so they are part of how they are started.
     settings = {
-        "distributed.nanny.pre-spawn-environ": {**_ONE_THREAD, "MALLOC_TRIM_THRESHOLD_": "65536"},
+        "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
         "distributed.worker.memory.spill": False,
-        "distributed.admin.large-graph-warning-threshold": "100MB",
     }
     address = os.environ.get(SCHEDULER_VARIABLE)
-    with dask.config.set(settings):
+    with dask.config.set(settings), _quiet_log():
         if address:
-            with Client(address, set_as_default=False) as client:
+            with Client(address, set_as_default=False) as client:  # type: ignore[no-untyped-call]
                 yield client
-            return
-        with (
-            LocalCluster(
-                n_workers=workers or available_cores(),
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address=None,
-                silence_logs=40,
-            ) as cluster,
-            Client(cluster, set_as_default=False) as client,
-        ):
-            yield client
+        else:
+            with _local_client(workers or available_cores()) as client:
+                yield client
+
+
+@contextmanager
+def _local_client(workers: int) -> Iterator[Client]:
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(  # type: ignore[no-untyped-call]
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.ERROR,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,  # type: ignore[no-untyped-call]
+    ):
+        yield client
+
+
+@contextmanager
+def _quiet_log() -> Iterator[None]:
+    """Keep Dask's log to errors: Prefect's own logging set-up would otherwise show every connection."""
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] == "distributed"]
+    loggers = [logging.getLogger(name) for name in ["distributed", *names]]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)

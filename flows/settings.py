@@ -23,17 +23,17 @@ _IDLE_SERVICES = (
     "PAUSE_EXPIRATIONS",
     "REPOSSESSOR",
 )
-#: Set in both modes: no telemetry, no log traffic, warnings only.
+#: Set in both modes: no telemetry, no log traffic.
 _QUIET = {
     "DO_NOT_TRACK": "1",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
     "PREFECT_CLIENT_METRICS_ENABLED": "false",
-    "PREFECT_LOGGING_LEVEL": "WARNING",
     "PREFECT_LOGGING_TO_API_ENABLED": "false",
 }
-#: Set for the embedded server only. Its log is silenced because it is stopped hard at the end of a
-#: command and would then print the cancellation of its own housekeeping.
+#: Set for the embedded server only. Logs are silenced: the command line tells failures itself, and the
+#: server, stopped hard at the end of a command, would print the cancellation of its own housekeeping.
 _EMBEDDED = {
+    "PREFECT_LOGGING_LEVEL": "CRITICAL",
     "PREFECT_SERVER_ALLOW_EPHEMERAL_MODE": "true",
     "PREFECT_SERVER_EPHEMERAL_STARTUP_TIMEOUT_SECONDS": "120",
     "PREFECT_SERVER_UI_ENABLED": "false",

@@ -7,8 +7,8 @@ what went wrong and what to do about it, where the outputs are. `exit_code` foll
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from inflight.errors import InflightError
@@ -66,6 +66,21 @@ class RunReport:
             return DONE
         return DAYS_MISSING if self.days["done"] + self.days["unchanged"] > 0 else FAILED
 
+    def followed_by(self, later: RunReport, command: str) -> RunReport:
+        """Return one report of two steps: the later one's, with the problems of both.
+
+        What the first step did with its own days stands under its name in `extra`, because days of the
+        archive and days of products are not the same days.
+        """
+        first = {self.command: {"run": self.run, "days": dict(self.days)}}
+        return replace(
+            later,
+            command=command,
+            problems=[*self.problems, *later.problems],
+            outputs=[*self.outputs, *later.outputs],
+            extra={**later.extra, **first},
+        )
+
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON (INTERFACES "Command line")."""
         return {
@@ -89,7 +104,7 @@ class RunReport:
 
 
 def _whole_problem(item: Mapping[str, str]) -> dict[str, str]:
-    return {name: item.get(name, "") for name in ("day", "channel", "cause", "remedy", "message")}
+    return dict.fromkeys(("day", "channel", "cause", "remedy", "message"), "") | dict(item)
 
 
 def problem_of(error: InflightError, day: str = "") -> dict[str, str]:
@@ -101,20 +116,6 @@ def problem_of(error: InflightError, day: str = "") -> dict[str, str]:
         "remedy": error.remedy,
         "message": f"{error.file}: {error.message}" if error.file else error.message,
     }
-
-
-def combine(command: str, reports: Iterable[RunReport]) -> RunReport:
-    """Return one report of several runs: days are added up, the last run and context are named."""
-    listed = list(reports)
-    return RunReport(
-        command,
-        run=next((report.run for report in reversed(listed) if report.run), ""),
-        context=next((report.context for report in reversed(listed) if report.context), ""),
-        days={name: sum(report.days[name] for report in listed) for name in DAY_COUNTS},
-        problems=[item for report in listed for item in report.problems],
-        outputs=[path for report in listed for path in report.outputs],
-        extra={key: value for report in listed for key, value in report.extra.items()},
-    )
 
 
 def print_report(report: RunReport, console: Console) -> None:
@@ -131,13 +132,16 @@ def print_report(report: RunReport, console: Console) -> None:
 
 
 def _problem_table(problems: list[dict[str, str]]) -> Any:
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for name in ("day", "channel", "cause", "what was found", "what to do"):
+    for name in ("day", "where", "cause", "what was found", "what to do"):
         table.add_column(name, overflow="fold", no_wrap=name in ("day", "cause"))
-    for item in map(_whole_problem, problems[:SHOWN_PROBLEMS]):
-        table.add_row(item["day"], item["channel"], item["cause"], item["message"], item["remedy"])
+    for item in problems[:SHOWN_PROBLEMS]:
+        whole = _whole_problem(item)
+        where = ".".join(part for part in (item.get("instrument", ""), whole["channel"]) if part)
+        table.add_row(*map(escape, (whole["day"], where, whole["cause"], whole["message"], whole["remedy"])))
     return table
 
 

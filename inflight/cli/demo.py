@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +13,7 @@ from inflight.cli.pipeline import NoPrefectOption, WorkersOption, run_flow
 from inflight.cli.results import print_comparison
 from inflight.cli.session import Session, verb
 from inflight.cli.start import SIMULATED_MISSION, write_deliveries
-from inflight.tasks.report import RunReport, combine, print_report
+from inflight.tasks.report import RunReport, print_report
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,7 +61,7 @@ def demo(
         if not session.json:
             print_report(reports[-1], session.console)
     _say(session, "4 of 4  comparing the vector instrument with the scalar one")
-    _finish(session, workspace, combine("demo", reports), time.monotonic() - begun)
+    _finish(session, workspace, reports[0].followed_by(reports[1], "demo"), time.monotonic() - begun)
 
 
 def _workspace(folder: Path) -> Workspace:
@@ -81,15 +82,8 @@ def _finish(session: Session, workspace: Workspace, report: RunReport, seconds: 
     compared = compare(session.open_catalog(), workspace.mission())
     fields = compared.as_json()
     page = workspace.relative(compared.path)
-    total = RunReport(
-        "demo",
-        run=report.run,
-        context=report.context,
-        days=report.days,
-        problems=report.problems,
-        outputs=[*report.outputs, page],
-        extra={"residual": fields["residual"], "path": str(compared.path), "seconds": round(seconds, 1)},
-    )
+    added = {"residual": fields["residual"], "path": str(compared.path), "seconds": round(seconds, 1)}
+    total = replace(report, outputs=[*report.outputs, page], extra=report.extra | added)
 
     def show(console: Console) -> None:
         print_comparison(console, fields, str(compared.path))

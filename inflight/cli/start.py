@@ -71,12 +71,13 @@ def _list_missions(session: Session) -> None:
 
 
 def _print_made(console: Console, workspace: Workspace) -> None:
-    console.print(f"{workspace.root} is ready.")
-    console.print(f"  mission   {workspace.mission_file}")
-    console.print(
-        f"  data      {workspace.data}  (put the delivered files here, or name them when ingesting)"
-    )
-    console.print(f"\nNext: inflight ingest --workspace {workspace.root}")
+    for line in (
+        f"{workspace.root} is ready.",
+        f"  mission   {workspace.mission_file}",
+        f"  data      {workspace.data}  (delivered files go here, or say ingest FOLDER)",
+        f"\nNext: inflight ingest --workspace {workspace.root}",
+    ):
+        console.print(line, soft_wrap=True)
 
 
 def simulate(
@@ -120,4 +121,9 @@ def write_deliveries(
     from inflight.tasks.simulate import simulate as write_files
 
     wanted = SimulationSettings.model_validate(settings)
-    return write_files(wanted, folder, progress=progress, workers=workers or available_cores())
+    return write_files(
+        wanted,
+        folder,
+        progress=lambda done, total: progress("simulate", done, total),
+        workers=workers or available_cores(),
+    )

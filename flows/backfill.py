@@ -1,0 +1,54 @@
+"""The flow ``backfill``: take in and reprocess a past span, planned first, only what is needed."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+from typing import Any
+
+from prefect import flow
+from prefect.utilities.annotations import quote
+
+from inflight.flows.cluster import dask_client
+from inflight.flows.ingest import take_in
+from inflight.flows.reprocess import DEFAULT_SETTINGS, reprocess_span
+from inflight.flows.span import Span
+from inflight.flows.stages import batch_runner
+from inflight.tasks.reprocess import ReprocessSettings
+
+
+@flow(name="backfill", task_runner=batch_runner(), persist_result=False)
+def backfill(
+    workspace: Path,
+    start: dt.date,
+    end: dt.date,
+    settings: ReprocessSettings = DEFAULT_SETTINGS,
+    data: Path | None = None,
+    workers: int | None = None,
+) -> dict[str, Any]:
+    """Take in what was delivered late for a span, then reprocess the days whose inputs changed.
+
+    Parameters
+    ----------
+    workspace : Path
+        Folder of the mission.
+    start, end : date
+        UTC days, half-open.
+    settings : ReprocessSettings
+        As of the flow ``reprocess``.
+    data : Path, optional
+        Folder of the delivered files; ``data`` in the workspace when absent.
+    workers : int, optional
+        Dask processes; the cores when absent.
+
+    Returns
+    -------
+    dict
+        The fields of a `RunReport`: its days are those of the products; ``ingest`` tells what was
+        taken in.
+    """
+    span = Span(start=start, end=end)
+    with dask_client(workers) as client:
+        taken = take_in(workspace, data, None, span, quote(client))
+        report = reprocess_span(workspace, span, settings, client)
+    return taken.followed_by(report, "backfill").as_json()

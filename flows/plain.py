@@ -1,0 +1,71 @@
+"""What the flows do, without Prefect: for notebooks, for clusters without a server, and to compare with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.flows.cluster import dask_client
+from inflight.flows.progress import Progress
+from inflight.flows.span import Span
+from inflight.tasks.release import make_release
+from inflight.tasks.report import RunReport
+
+Parameters = Mapping[str, Any]
+
+
+def _span(parameters: Parameters) -> tuple[str | None, str | None]:
+    return Span(start=parameters.get("start"), end=parameters.get("end")).as_text()
+
+
+def ingest(
+    workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
+) -> RunReport:
+    """Take delivered files into the archive."""
+    from inflight.tasks.ingest import ingest as take_in
+
+    data = Path(parameters.get("data") or workspace.data)
+    names = parameters.get("instruments")
+    catalog, mission, span = Catalog(workspace.root), workspace.mission(), _span(parameters)
+    with dask_client(workers) as client:
+        return take_in(catalog, mission, data, names, *span, client=client, progress=progress)
+
+
+def reprocess(
+    workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
+) -> RunReport:
+    """Calibrate and write level-2 products of a span."""
+    from inflight.tasks.reprocess import ReprocessSettings
+    from inflight.tasks.reprocess import reprocess as work
+
+    settings = ReprocessSettings.model_validate(parameters.get("settings") or {})
+    catalog, mission, span = Catalog(workspace.root), workspace.mission(), _span(parameters)
+    with dask_client(workers) as client:
+        return work(catalog, mission, *span, settings=settings, client=client, progress=progress)
+
+
+def backfill(
+    workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
+) -> RunReport:
+    """Take in what was delivered late for a span, then reprocess the days whose inputs changed."""
+    taken = ingest(workspace, parameters, workers, progress)
+    return taken.followed_by(reprocess(workspace, parameters, workers, progress), "backfill")
+
+
+def release(
+    workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
+) -> RunReport:
+    """Freeze what is published and copy it out; `workers` and `progress` do not matter."""
+    return make_release(workspace, **parameters)
+
+
+#: Flow name -> plain function of (workspace, parameters, workers, progress).
+STEPS: dict[str, Callable[[Workspace, Parameters, int | None, Progress | None], RunReport]] = {
+    "ingest": ingest,
+    "reprocess": reprocess,
+    "backfill": backfill,
+    "release": release,
+}

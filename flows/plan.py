@@ -1,0 +1,44 @@
+"""The plan of a backfill, made and shown before anything is done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.flows.span import Span
+from inflight.tasks.reprocess import ReprocessSettings, plan
+
+
+def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return which days of a span a backfill would do, from the archive as it is.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        Where.
+    start, end : str
+        UTC days, half-open.
+    settings : mapping
+        Of `ReprocessSettings`.
+
+    Returns
+    -------
+    dict
+        ``context``; ``days`` with the counts ``planned``, ``unchanged`` and ``no_work``; ``batches`` with
+        first day, last day and number of days of each.
+    """
+    span = Span.model_validate({"start": start, "end": end}).as_text()
+    wanted = ReprocessSettings.model_validate(settings)
+    planned = plan(Catalog(workspace.root), workspace.mission(), *span, wanted)
+    batches = [[str(batch[0]), str(batch[-1]), len(batch)] for batch in planned.batches]
+    return {
+        "context": planned.context,
+        "days": {
+            "planned": sum(len(batch) for batch in planned.batches),
+            "unchanged": len(planned.unchanged),
+            "no_work": len(planned.no_work),
+        },
+        "batches": batches,
+    }
