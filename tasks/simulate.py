@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from cdflib import cdfwrite
 from cdflib.cdfwrite import CDF
 from ruamel.yaml import YAML
 from threadpoolctl import threadpool_limits
@@ -24,8 +26,8 @@ from inflight.simulate import SimulatedDay, SimulationSettings, simulate_day
 from inflight.simulate.defects import FILL
 from inflight.time import TT2000_FILL, day_bounds
 
-#: Called with what is being done, the number of days done and of all days.
-Progress = Callable[[str, int, int], None]
+#: Called with the number of days done and of all days.
+Progress = Callable[[int, int], None]
 INSTRUMENTS = ("fgm", "ovm", "tq", "hk", "att", "orb")
 TRUTH = "truth"
 #: zlib level of the deliveries; higher ones save 3 % and cost twice the time.
@@ -101,7 +103,7 @@ def simulate(
     destination : Path
         Folder for ``fgm/``, ``ovm/``, ``tq/``, ``hk/``, ``att/``, ``orb/`` and, apart, ``truth/``.
     progress : callable, optional
-        Called with ("simulate", days done, days).
+        Called with (days done, days).
     workers : int
         Processes; 1 stays in this one. The files do not depend on it.
 
@@ -123,7 +125,7 @@ def simulate(
     missing = [day for day in days if not _is_complete(settings, folder, day)]
     for number, _ in enumerate(_written(settings, folder, missing, workers), start=1):
         if progress is not None:
-            progress("simulate", len(days) - len(missing) + number, len(days))
+            progress(len(days) - len(missing) + number, len(days))
     paths = (delivered_path(folder, instrument, day) for day in days for instrument in INSTRUMENTS)
     return [path for path in paths if path.exists()]
 
@@ -240,7 +242,8 @@ def _storage(folder: Path, day: np.datetime64 | None) -> Iterator[None]:
 
 def _write_cdf(path: Path, instrument: str, data: xr.Dataset, day: np.datetime64) -> None:
     """Write one delivery as CDF with TT2000 and the attributes of the ISTP guidelines."""
-    with CDF(path, cdf_spec={"Compressed": 0, "Majority": 1}, delete=True) as file:
+    specification = {"Compressed": 0, "Majority": 1}
+    with _undated_compression(), CDF(path, cdf_spec=specification, delete=True) as file:
         file.write_globalattrs(_global_attributes(instrument, day))
         file.write_var(
             _specification("Epoch", CDF.CDF_TIME_TT2000, ()), _epoch_attributes(day), data["Epoch"].values
@@ -253,6 +256,20 @@ def _write_cdf(path: Path, instrument: str, data: xr.Dataset, day: np.datetime64
                 _variable_attributes(str(name), described),
                 np.ascontiguousarray(series.values, dtype=_DTYPES[described.kind]),
             )
+
+
+@contextmanager
+def _undated_compression() -> Iterator[None]:
+    """Keep the time of writing out of the compressed blocks, so equal days are equal files.
+
+    cdflib lets gzip stamp each block with the clock and offers no option against it.
+    """
+    stamped = cdfwrite.gzip_deflate
+    cdfwrite.gzip_deflate = lambda data, level: gzip.compress(data, compresslevel=level, mtime=0)
+    try:
+        yield
+    finally:
+        cdfwrite.gzip_deflate = stamped
 
 
 _DTYPES: dict[int, type] = {
