@@ -62,7 +62,7 @@ _VARIABLES = {
     "I_BAT": _Variable("Battery current, positive when charging", "mA", -20000, 20000, CDF.CDF_REAL4),
     "I_CAM": _Variable("Current of the boom star camera", "mA", 0, 2000, CDF.CDF_REAL4),
     "I_HTR": _Variable("Heater current", "mA", 0, 2000, CDF.CDF_REAL4),
-    "Q": _Variable("Quaternion spacecraft to ITRF", " ", -1, 1, labels=("x", "y", "z", "w"), format="F13.9"),
+    "Q": _Variable("Quaternion spacecraft to ITRF", " ", -1, 1, labels=("x", "y", "z", "w"), format="F11.7"),
     "POS_ITRF": _Variable("Position in ITRF", "km", -8000, 8000, labels=_XYZ, format="F13.5"),
 }
 _TITLES = {
@@ -377,9 +377,8 @@ def _write_truth(path: Path, simulated: SimulatedDay) -> None:
     """Write every tenth sample of the truth: enough to judge by, and small."""
     step = max(1, round(10e9 / np.diff(simulated.truth["Epoch"].values[:2]).item()))
     thinned = simulated.truth.isel(record=slice(None, None, step))
-    encoding = {str(name): {"zlib": True, "complevel": 1} for name in thinned.data_vars}
     with _atomic(path) as partial:
-        thinned.to_netcdf(partial, engine="h5netcdf", encoding=encoding)
+        thinned.to_netcdf(partial, engine="h5netcdf")
 
 
 def _compact(day: np.datetime64) -> str:

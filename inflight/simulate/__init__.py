@@ -2,7 +2,7 @@
 
 It shares no code with the corrections: orbit and main field, sunlight, temperatures and currents
 drive dipoles on the spacecraft and sensors whose equations are written here a second time, in the
-direction from field to reading. ``docs`` of each module name the source of each equation.
+direction from field to reading. Each module names the source of its equations.
 """
 
 from inflight.simulate.day import SimulatedDay, simulate_day

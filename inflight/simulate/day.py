@@ -238,7 +238,7 @@ class _Scene:
         turn = Rotation.from_quat(interpolate(nodes, self.wide, times))
         sigma = np.radians(self.parameters.attitude_noise / 3600.0)
         noise = Rotation.from_rotvec(self._noise("attitude", (times.count, 3), sigma))
-        return _delivery(times, Q=_rounded(_continuous((turn * noise).as_quat()), 1e-9))
+        return _delivery(times, Q=_rounded(_continuous((turn * noise).as_quat()), 1e-7))
 
     def orbit(self) -> xr.Dataset:
         """Position in itrf, km."""

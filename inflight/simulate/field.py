@@ -1,15 +1,33 @@
-"""The ambient field along the orbit: the IGRF of ppigrf, and what ionosphere and crust add."""
+"""The ambient field along the orbit: the IGRF of ppigrf, and what ionosphere and crust add.
+
+Coefficients and Legendre functions are ppigrf's; only the sums are written here, because its own
+evaluation raises to a power and calls pandas for every point and costs five times as much.
+"""
 
 from __future__ import annotations
 
-import datetime as dt
+from functools import lru_cache
 
 import numpy as np
-import ppigrf
+from ppigrf.ppigrf import RE, get_legendre, read_shc
 
-from inflight.simulate.grid import Float, Grid
+from inflight.simulate.grid import Float, Grid, Int64
 from inflight.simulate.randomness import wander
 from inflight.time import day_bounds
+
+
+@lru_cache(maxsize=1)
+def _coefficients() -> tuple[Float, Float, Float, Int64, Int64]:
+    """Epochs (days since 1970), g and h (epoch, term) in nT, degree and order of the terms."""
+    g, h = read_shc()
+    degree, order = np.array(list(g.columns), dtype=np.int64).T
+    epochs = g.index.to_numpy().astype("datetime64[ns]").astype(np.float64) / 86400e9
+    return epochs, g.to_numpy(np.float64), h.to_numpy(np.float64), degree, order
+
+
+def _at(epochs: Float, values: Float, days: Float) -> Float:
+    """Interpolate coefficients linearly to days since 1970; (term, day)."""
+    return np.array([np.interp(days, epochs, column) for column in values.T])
 
 
 def main_field(position: Float, seconds: Float, day: np.datetime64) -> Float:
@@ -27,25 +45,38 @@ def main_field(position: Float, seconds: Float, day: np.datetime64) -> Float:
     Returns
     -------
     ndarray, shape (time, 3)
-        nT, itrf.
+        nT, itrf. Schmidt semi-normalised spherical harmonics to degree 13.
     """
     x, y, z = position.T
     across = np.hypot(x, y)
     radius = np.hypot(across, z)
-    date = dt.datetime.combine(day.astype(dt.date), dt.time())
-    up, south, east = ppigrf.igrf_gc(
-        radius,
-        np.degrees(np.arctan2(across, z)),
-        np.degrees(np.arctan2(y, x)),
-        [date, date + dt.timedelta(days=1)],
-    )
+    sin_t, cos_t, sin_p, cos_p = across / radius, z / radius, y / across, x / across
     start, end = (bound / 1e9 for bound in day_bounds(day))
     later = (seconds - start) / (end - start)
-    up, south, east = (part[0] + later * (part[1] - part[0]) for part in (up, south, east))
-    cos_t, sin_t, cos_p, sin_p = z / radius, across / radius, x / across, y / across
+    theta, phi = np.arctan2(across, z), np.arctan2(y, x)
+    ends = _synthesis(radius, theta, phi, day.astype(np.float64) + np.array([0.0, 1.0]))
+    up, south, east = (part[:, 0] + later * (part[:, 1] - part[:, 0]) for part in ends)
     level = up * sin_t + south * cos_t
     return np.column_stack(
         [level * cos_p - east * sin_p, level * sin_p + east * cos_p, up * cos_t - south * sin_t]
+    )
+
+
+def _synthesis(radius: Float, theta: Float, phi: Float, days: Float) -> tuple[Float, Float, Float]:
+    """Up, south and east components, nT, each (time, day); angles in rad, radius in km."""
+    epochs, g, h, degree, order = _coefficients()
+    g, h = _at(epochs, g, days), _at(epochs, h, days)
+    legendre, slope = get_legendre(np.degrees(theta), list(zip(degree, order, strict=True)))
+    orders = np.arange(order.max() + 1) * phi[:, None]
+    cosine, sine = np.cos(orders)[:, order], np.sin(orders)[:, order]
+    powers = (RE / radius[:, None]) ** (np.arange(degree.max() + 1) + 2)
+    legendre, slope = legendre * powers[:, degree], slope * powers[:, degree]
+    rising, falling = legendre * cosine, legendre * sine
+    weight, turns = (degree + 1)[:, None], order[:, None]
+    return (
+        rising @ (weight * g) + falling @ (weight * h),
+        -(slope * cosine) @ g - (slope * sine) @ h,
+        (falling @ (turns * g) - rising @ (turns * h)) / np.sin(theta)[:, None],
     )
 
 
