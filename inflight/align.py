@@ -16,6 +16,7 @@ A target without the samples it needs is NaN.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numba
 import numpy as np
@@ -81,11 +82,18 @@ def align(
             flag[lost] |= np.uint32(_MISSING[name])
             flag |= _carried_flags(series, stamps)
         attrs = {**series.attrs, "lag_ns": lag, "resampling": method}
-        variables[name] = xr.Variable(("time", "axis")[: values.ndim], values, attrs)
+        variables[name] = xr.Variable(_dims(name, values), values, attrs)
     variables["tt2000"] = xr.Variable("time", stamps)
     variables["flag"] = xr.Variable("time", flag)
     variables["weight"] = xr.Variable("time", (flag & ~np.uint32(Flag.LEAP_SECOND) == 0).astype(np.float64))
     return xr.Dataset(variables, coords={"time": to_utc(stamps)})
+
+
+def _dims(name: str, values: Floats) -> tuple[str, ...]:
+    """Name the dimensions: `axis` belongs to vectors of three, others get one of their own."""
+    if values.ndim == 1:
+        return ("time",)
+    return ("time", "axis" if values.shape[1] == 3 else f"{name}_component")
 
 
 def _stamps(name: str, series: xr.DataArray) -> Int64:
@@ -101,12 +109,31 @@ def _carry(name: str, series: xr.DataArray, target: Int64) -> tuple[Floats, str]
     """Return values at the targets, (time,) or (time, axis), and the method used."""
     stamps = _stamps(name, series)
     values = np.asarray(series.values, dtype=np.float64)
+    if series.attrs.get("kind") == "attitude" and values.ndim == 2 and values.shape[1] == 4:
+        carried, method = _between(name, series.attrs, stamps, _one_sign(values), target)
+        return carried / np.linalg.norm(carried, axis=1, keepdims=True), method
+    return _between(name, series.attrs, stamps, values, target)
+
+
+def _one_sign(quaternion: Floats) -> Floats:
+    """Return the same rotations with signs that do not jump: q and -q turn alike but do not average."""
+    valid = np.isfinite(quaternion).all(axis=1)
+    flips = np.einsum("ij,ij->i", quaternion[valid][1:], quaternion[valid][:-1]) < 0
+    sign = np.ones(len(quaternion))
+    sign[valid] = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))[: valid.sum()]
+    return quaternion * sign[:, None]
+
+
+def _between(
+    name: str, attrs: Mapping[Any, Any], stamps: Int64, values: Floats, target: Int64
+) -> tuple[Floats, str]:
+    """Carry values from stamps to targets by the method that fits name and cadence."""
     if np.array_equal(stamps, target):
         return values, "exact"
     shape = (target.size, *values.shape[1:])
     if stamps.size == 0:
         return np.full(shape, np.nan), "none"
-    cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
+    cadence = int(attrs.get("cadence_ns", 0)) or _usual_step(stamps)
     picked = _pick(stamps, target, cadence)
     if picked is not None:
         index, there = picked

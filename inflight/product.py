@@ -1,0 +1,184 @@
+"""Level-2: the calibrated field with its corrections apart, uncertainty and quality, one day at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
+from inflight.calibration.scalar import Reference, split_chain, usable
+from inflight.effects.base import Floats, strength
+from inflight.flags import Flag, meanings
+from inflight.geometry import latitude_longitude, rotate, to_nec
+from inflight.model import Model
+
+_VECTOR, _SCALAR = ("time", "axis"), ("time",)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The nine parameters that hold for a day, and how sure they are; physical units."""
+
+    value: Floats
+    covariance: Floats
+    all_determined: bool
+    noise: float
+
+
+def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model) -> xr.Dataset:
+    """Return the level-2 product of one day.
+
+    Parameters
+    ----------
+    model : Model
+        Bound to the calibration table that holds.
+    samples : xarray.Dataset
+        Aligned raw samples: `vector`, `scalar`, channels; `attitude` (time, quaternion) and
+        `position` (time, axis) when they exist.
+    parameters : Parameters
+        For uncertainties and flags.
+    raw : Model
+        The pre-flight model, for the residual before calibration.
+
+    Returns
+    -------
+    xarray.Dataset
+        `field_sensor`, `field_spacecraft`, `field_nec` (time, axis) nT; `scalar` (time) nT;
+        `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
+        was taken out (vector sensors: spacecraft axes of the sensor; scalar sensors: along the
+        field); `uncertainty` (time, axis) nT, 1 sigma, sensor axes; `flag` (time) uint32;
+        `latitude`, `longitude` when the position is known.
+    """
+    corrected = model.correct(samples)
+    field = np.asarray(corrected["field"].values)
+    scalar = np.asarray(corrected["scalar"].values)
+    residual = strength(corrected) - scalar
+    reading, additive, _ = split_chain(model, samples)
+    flag = _quality(samples, reading, additive, scalar, residual, parameters)
+    sensor = next(entry.sensor for entry in model.effects if entry.sensor.role == "vector")
+    body = rotate(field, np.asarray(sensor.orientation))
+    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]] = {
+        "field_sensor": (_VECTOR, field, _told("calibrated field", "sensor")),
+        "field_spacecraft": (_VECTOR, body, _told("calibrated field", "spacecraft")),
+        "scalar": (_SCALAR, scalar, _told("calibrated field strength of the scalar sensor")),
+        "residual": (_SCALAR, residual, _told("|B_vector| - F after calibration")),
+        "residual_preflight": (
+            _SCALAR,
+            raw.residual(samples),
+            _told("|B_vector| - F with the pre-flight model"),
+        ),
+        "uncertainty": (_VECTOR, _uncertainty(reading, parameters), _told("one sigma", "sensor")),
+    }
+    for name, term in model.correction_terms(corrected).items():
+        dims = _VECTOR if term.ndim == 2 else _SCALAR
+        variables[f"correction_{name}"] = (dims, term, _told(f"taken out of the reading: {name}", "sensor"))
+    flag = _geometry(variables, samples, body, flag)
+    masks, names = meanings()
+    out = xr.Dataset(variables, coords={"axis": ["x", "y", "z"]}, attrs={"comparison": model.comparison})
+    out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
+    out["tt2000"] = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
+    return out
+
+
+def _told(what: str, frame: str = "") -> dict[str, object]:
+    told: dict[str, object] = {"units": "nT", "long_name": what}
+    return told | {"frame": frame} if frame else told
+
+
+def _quality(
+    samples: xr.Dataset,
+    reading: Floats,
+    additive: Floats,
+    scalar: Floats,
+    residual: Floats,
+    known: Parameters,
+) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
+    flag = samples["flag"].values.astype(np.uint32)
+    missing = np.uint32(Flag.VECTOR_MISSING | Flag.SCALAR_MISSING)
+    lost = ~(np.isfinite(reading.sum(axis=1)) & np.isfinite(additive.sum(axis=1)) & np.isfinite(scalar))
+    flag[lost & (flag & missing == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
+    good = usable(samples, reading, additive, scalar) & np.isfinite(residual)
+    if good.any():
+        # Half the weight of the biweight is lost at this many sigmas.
+        half = BIWEIGHT_WIDTH * np.sqrt(1.0 - np.sqrt(0.5))
+        centre = float(np.median(residual[good]))
+        wide = half * robust_sigma(residual[good] - centre, floor=1e-6)
+        flag[good & (np.abs(residual - centre) > wide)] |= np.uint32(Flag.OUTLIER)
+    if not known.all_determined:
+        flag |= np.uint32(Flag.PRIOR_PARAMETERS)
+    return flag
+
+
+def _uncertainty(reading: Floats, known: Parameters) -> Floats:
+    """Propagate the parameters' covariance and the residual's noise; (time, axis) nT, sensor axes.
+
+    B = K (E - E0): a row of K and the offsets enter each component.
+    """
+    cos = np.cos(np.deg2rad(known.value[3:6]))
+    slope = -np.sin(np.deg2rad(known.value[3:6])) * np.pi / 180.0
+    k = known.value[:3]
+    e = reading - known.value[6:]
+    one = np.ones(len(e))
+    # (parameters of the row, their derivatives): x has scale, two angles and three offsets.
+    rows = (
+        (
+            [0, 3, 4, 6, 7, 8],
+            [e[:, 0], slope[0] * e[:, 1], slope[1] * e[:, 2], -k[0] * one, -cos[0] * one, -cos[1] * one],
+        ),
+        ([1, 5, 7, 8], [e[:, 1], slope[2] * e[:, 2], -k[1] * one, -cos[2] * one]),
+        ([2, 8], [e[:, 2], -k[2] * one]),
+    )
+    out = np.empty_like(e)
+    for axis, (index, parts) in enumerate(rows):
+        derivative = np.stack(parts, axis=1)
+        covariance = known.covariance[np.ix_(index, index)]
+        out[:, axis] = np.einsum("ti,ij,tj->t", derivative, covariance, derivative, optimize=True)
+    return np.sqrt(np.maximum(out, 0.0) + known.noise**2)
+
+
+def _geometry(
+    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]],
+    samples: xr.Dataset,
+    body: Floats,
+    flag: np.ndarray[tuple[int], np.dtype[np.uint32]],
+) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
+    """Add NEC axes, latitude and longitude as far as attitude and position are there."""
+    position = None
+    if "position" in samples:
+        position = np.asarray(samples["position"].values, dtype=np.float64)
+        latitude, longitude = latitude_longitude(position)
+        variables["latitude"] = (_SCALAR, latitude, {"units": "deg", "long_name": "geocentric latitude"})
+        variables["longitude"] = (_SCALAR, longitude, {"units": "deg", "long_name": "longitude"})
+    if "attitude" not in samples:
+        return flag | np.uint32(Flag.NO_ATTITUDE)
+    attitude = np.asarray(samples["attitude"].values, dtype=np.float64)
+    frame = str(samples["attitude"].attrs.get("frame", ""))
+    nec = to_nec(body, attitude, position, frame)
+    variables["field_nec"] = (_VECTOR, nec, _told("calibrated field", "nec"))
+    lost = np.uint32(Flag.NO_ATTITUDE) * ~np.isfinite(nec.sum(axis=1))
+    return np.asarray(flag | lost.astype(np.uint32), dtype=np.uint32)
+
+
+def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> Parameters:
+    """Return what a calibration table says of an instant.
+
+    Raises
+    ------
+    KeyError
+        When no interval of the table holds the instant.
+    """
+    inside = (table["start"].values <= tt2000) & (tt2000 < table["end"].values)
+    if not inside.any():
+        raise KeyError(tt2000)
+    row = table.isel(interval=int(np.flatnonzero(inside)[-1])).sel(
+        parameter=reference.columns, other=reference.columns
+    )
+    free = reference.sigma > 0
+    return Parameters(
+        np.asarray(row["value"].values, dtype=np.float64),
+        np.asarray(row["covariance"].values, dtype=np.float64),
+        bool(np.all(row["determined"].values[free])),
+        float(row["after"]),
+    )

@@ -1,0 +1,170 @@
+"""Calibration of one batch of days: samples, the nine-parameter fit, normal equations as one segment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from threadpoolctl import threadpool_limits
+
+from inflight.calibration import (
+    BlockFit,
+    NormalEquations,
+    Reference,
+    fit_block,
+    reference_of,
+    split_chain,
+    usable,
+)
+from inflight.catalog import Catalog, DayData, Segment, write_segment
+from inflight.errors import CalibrationError, InflightError
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.tasks.samples import ArchiveIndex, Need, load_samples
+from inflight.time import SECOND, day_bounds
+
+#: Bumped by hand when the numbers of the normal equations change.
+EQUATIONS_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a day could not be made."""
+
+    cause: str
+    message: str
+    remedy: str = ""
+    channel: str = ""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A batch of days for one worker; it is read without the database."""
+
+    days: tuple[np.datetime64, ...]
+    keys: Mapping[np.datetime64, str]
+    parents: Mapping[np.datetime64, tuple[str, ...]]
+    index: ArchiveIndex
+    needs: tuple[Need, ...]
+    run: str
+    dataset: str
+
+
+@dataclass
+class Outcome:
+    """What a worker made of its batch."""
+
+    segment: Segment | None = None
+    failures: dict[np.datetime64, Failure] = field(default_factory=dict)
+
+
+def failure_of(error: BaseException) -> Failure:
+    """Return cause and remedy of an error; what is no error of ours is a bug."""
+    if isinstance(error, InflightError):
+        return Failure(error.cause, error.message, error.remedy, error.channel)
+    cause = "transient" if isinstance(error, OSError | MemoryError) else "bug"
+    return Failure(
+        cause, f"{type(error).__name__}: {error}", "please report it with the log" if cause == "bug" else ""
+    )
+
+
+def calibrate_batch(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    job: Job,
+    reference: Sequence[float] | None,
+    min_coverage: float,
+) -> Outcome:
+    """Make the normal equations of a batch of days and write them as one segment.
+
+    Parameters
+    ----------
+    cat : Catalog
+        Only its workspace is used.
+    model : Model
+        Gives everything but the nine parameters, their start and their priors.
+    reference : sequence of float or None
+        The nine values the equations are expressed at; the model's own when None.
+    min_coverage : float
+        Days with a smaller part of usable samples fail.
+
+    Returns
+    -------
+    Outcome
+        The segment, and why days are not in it.
+    """
+    outcome, made = Outcome(), []
+    with threadpool_limits(1):
+        for day in job.days:
+            try:
+                dataset, report = calibrate_day(cat, mission, model, day, job, reference, min_coverage)
+            except Exception as error:  # one bad day must not stop the others; its cause is recorded
+                outcome.failures[day] = failure_of(error)
+                continue
+            made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
+        if made:
+            outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
+    return outcome
+
+
+def calibrate_day(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    job: Job,
+    reference: Sequence[float] | None,
+    min_coverage: float,
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return one day's normal equations with its fit, and a report of what was used."""
+    samples = load_samples(cat, mission, model, day, list(job.needs), job.index)
+    start, end = day_bounds(day)
+    prior = reference_of(model, (start + end) // 2)
+    at = (
+        prior
+        if reference is None
+        else Reference(np.asarray(reference, dtype=np.float64), prior.sigma, prior.name)
+    )
+    reading, additive, scalar = split_chain(model, samples)
+    good = usable(samples, reading, additive, scalar)
+    cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
+    step = int(np.median(np.diff(samples["tt2000"].values))) if samples.sizes["time"] > 1 else cadence
+    coverage = float(good.sum() * step / (end - start))
+    if coverage < min_coverage:
+        raise CalibrationError(
+            f"{coverage:.1%} of the day is usable, at least {min_coverage:.1%} is needed",
+            remedy="lower 'min_coverage' or exclude the day",
+        )
+    fit = fit_block(reading, additive, scalar, good, at, prior)
+    attributes = {"comparison": model.comparison, "model": model.sha, "cadence_ns": step, "filter": "raw"}
+    equations = NormalEquations.from_fit(fit, at, (start, end), attributes)
+    report = {
+        "coverage": coverage,
+        "used": fit.used,
+        "passes": fit.passes,
+        "before_nT": fit.before,
+        "after_nT": fit.after,
+        "reference": at.value.tolist(),
+        "shared": reference is not None,
+        "strength_nT": float(np.median(scalar[good])),
+        "seconds": samples.sizes["time"] * step / SECOND,
+    }
+    return equations.dataset.assign(_fit_variables(fit)), report
+
+
+def _fit_variables(fit: BlockFit) -> dict[str, tuple[tuple[str, ...], np.ndarray[Any, Any]]]:
+    """Return the exact fit of the block beside its equations; the residual's column is empty."""
+    width = fit.value.size + 1
+    covariance = np.full((1, width, width), np.nan)
+    covariance[0, :-1, :-1] = fit.covariance
+    return {
+        "fit": (("block", "column"), np.append(fit.value, np.nan)[None]),
+        "fit_covariance": (("block", "column", "other"), covariance),
+        "before": (("block",), np.array([fit.before])),
+        "after": (("block",), np.array([fit.after])),
+        "used": (("block",), np.array([fit.used], dtype=np.int64)),
+    }

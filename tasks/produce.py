@@ -1,0 +1,107 @@
+"""Level-2 products of one batch of days, with the calibration table that holds."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from threadpoolctl import threadpool_limits
+
+from inflight.calibration import reference_of
+from inflight.catalog import Catalog, DayData, write_segment
+from inflight.flags import Flag
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.product import day_parameters, level2
+from inflight.tasks.calibrate import Job, Outcome, failure_of
+from inflight.tasks.samples import load_samples
+from inflight.time import day_bounds
+
+#: Bumped by hand when the numbers of the products change.
+PRODUCT_VERSION = 1
+#: Flags of samples that are as good as the rest for the eye that asks what is there.
+_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
+#: Stored steps of product variables: a tenth of a picotesla, a micro-degree.
+_RESOLUTION: dict[str, float] = {"nT": 1e-4, "deg": 1e-6}
+
+
+def produce_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job) -> Outcome:
+    """Make the products of a batch of days and write them as one segment.
+
+    Parameters
+    ----------
+    cat : Catalog
+        Only its workspace is used.
+    model : Model
+        What is corrected, in order.
+    table : xarray.Dataset
+        The calibration table whose values the model takes.
+
+    Returns
+    -------
+    Outcome
+        The segment, and why days are not in it.
+    """
+    outcome, made = Outcome(), []
+    with threadpool_limits(1):
+        for day in job.days:
+            try:
+                dataset, report = produce_day(cat, mission, model, table, day, job)
+            except Exception as error:  # one bad day must not stop the others; its cause is recorded
+                outcome.failures[day] = failure_of(error)
+                continue
+            made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
+        if made:
+            outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
+    return outcome
+
+
+def produce_day(
+    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return one day's product and a report: coverage, residual before and after."""
+    samples = load_samples(cat, mission, model, day, list(job.needs), job.index)
+    start, end = day_bounds(day)
+    middle = (start + end) // 2
+    parameters = day_parameters(table, middle, reference_of(model, middle))
+    product = level2(model.bind(table), samples, parameters, model)
+    good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
+    step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else end - start
+    report = {
+        "coverage": float(good.sum() * step / (end - start)),
+        "before_nT": rms(product["residual_preflight"].values),
+        "after_nT": rms(product["residual"].values),
+    }
+    product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
+    return _rounded(product), report
+
+
+def rms(residual: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    """Return the root mean square of what is finite; NaN when nothing is."""
+    finite = residual[np.isfinite(residual)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+
+
+def _rounded(product: xr.Dataset) -> xr.Dataset:
+    """Round each variable to its stored step and say so, so that a store holds what a user reads."""
+    out = product
+    for name, variable in product.data_vars.items():
+        step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
+        if step is not None and variable.dtype.kind == "f":
+            rounded = np.round(variable.values / step) * step
+            out = out.assign({name: (variable.dims, rounded, {**variable.attrs, "resolution": step})})
+    return out
+
+
+def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
+    """Return the hash of what a table says of an instant; a product changes only when this does."""
+    inside = np.flatnonzero((table["start"].values <= tt2000) & (tt2000 < table["end"].values))
+    if inside.size == 0:
+        return ""
+    row = table.isel(interval=int(inside[-1]))
+    digest = hashlib.sha256()
+    for name in ("value", "covariance", "determined", "after"):
+        digest.update(np.ascontiguousarray(row[name].values).tobytes())
+    return digest.hexdigest()

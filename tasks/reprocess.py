@@ -1,0 +1,508 @@
+"""The main job: archive days become normal equations, calibration tables and level-2 products.
+
+`reprocess` runs the whole chain; its stages are plain functions that a flow may chain itself. All
+batches of a stage are independent: `Mapper` says where they run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field
+
+from inflight.catalog import Catalog, Day, Run, idempotency_key
+from inflight.errors import CatalogError, MissionError
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.tasks.calibrate import EQUATIONS_VERSION, Job, Outcome, calibrate_batch
+from inflight.tasks.delivery import each_result
+from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
+from inflight.tasks.report import RunReport
+from inflight.tasks.samples import ArchiveIndex, Need, base_role, geometry_channels, needs_of
+from inflight.tasks.tables import (
+    TABLES_VERSION,
+    content_keys,
+    daily_table,
+    load_equations,
+    relinearise_at,
+    window_edges,
+    window_table,
+)
+from inflight.time import DayLike, as_day, day_bounds, day_range
+
+#: Called with (stage, done, total).
+Progress = Callable[[str, int, int], None]
+#: Runs a function over the argument lists of independent batches and yields the outcomes in order:
+#: (stage, function, argument lists).
+Mapper = Callable[[str, Callable[..., Outcome], Sequence[tuple[Any, ...]]], Iterator[Outcome]]
+#: Passes of linearisation at most; each one squares the bend that is left.
+_MOST_PASSES = 4
+_ONE_DAY = np.timedelta64(1, "D")
+
+
+class ReprocessSettings(BaseModel):
+    """What a user may choose of a reprocessing.
+
+    Attributes
+    ----------
+    comparison : str
+        Entry of the mission's `comparisons`.
+    table : str
+        Which table the products take: each day's own fit, windows of `window_days`, or one for the
+        whole span.
+    window_days : int
+        Length of a window; windows lie on a fixed grid from 2000-01-01.
+    batch_days : int
+        Days of one segment and one worker's task; it bounds the memory.
+    min_coverage : float
+        Part of a day that must be usable for a fit; with priors in place even little data does no harm.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    comparison: str = "main"
+    table: Literal["daily", "window", "span"] = "window"
+    window_days: int = Field(15, ge=1, le=3660)
+    batch_days: int = Field(10, ge=1, le=60)
+    min_coverage: float = Field(0.0, ge=0.0, le=1.0)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a reprocessing has to do; made without changing anything but the registry of models.
+
+    Attributes
+    ----------
+    batches : list of list of datetime64[D]
+        Days whose normal equations are missing or out of date.
+    unchanged : list of datetime64[D]
+        Days whose normal equations are up to date; their products still follow the table.
+    no_work : dict
+        Days without a measurement to work on, and what is missing.
+    """
+
+    settings: ReprocessSettings
+    used: UsedModel
+    context: str
+    needs: tuple[Need, ...]
+    index: ArchiveIndex
+    days: list[np.datetime64]
+    keys: Mapping[np.datetime64, str]
+    batches: list[list[np.datetime64]]
+    unchanged: list[np.datetime64]
+    no_work: Mapping[np.datetime64, str]
+    reference: list[float] | None
+    base: str
+
+    @property
+    def model(self) -> Model:
+        """The model to use."""
+        return self.used.model
+
+    @property
+    def equations(self) -> str:
+        """Dataset of the normal equations."""
+        return f"equations/{self.settings.comparison}/base"
+
+    @property
+    def product(self) -> str:
+        """Dataset of the products: the main comparison's are the mission's fields."""
+        return "l2/field" if self.settings.comparison == "main" else f"l2/field-{self.settings.comparison}"
+
+
+@dataclass
+class _Book:
+    """What became of each day, over all stages."""
+
+    done: set[np.datetime64] = field(default_factory=set)
+    failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
+
+    def take(self, run: Run, dataset: str, outcome: Outcome) -> list[Day]:
+        """Register an outcome with the run; remember failures."""
+        for day, failure in outcome.failures.items():
+            run.record(dataset, day, "failed", failure.cause, failure.message)
+            self.failed[day] = {
+                "day": str(day),
+                "channel": failure.channel,
+                "cause": failure.cause,
+                "remedy": failure.remedy,
+                "message": failure.message,
+            }
+        return run.attach(outcome.segment) if outcome.segment is not None else []
+
+
+def plan(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: ReprocessSettings | None = None,
+) -> Plan:
+    """Find out what has to be done for the half-open span of UTC days.
+
+    Parameters
+    ----------
+    start, end : UTC date, optional
+        The archive's own span when absent.
+
+    Raises
+    ------
+    MissionError
+        When the mission has no such comparison, or one of another kind than scalar.
+    CatalogError
+        When the archive has no day in the span.
+    """
+    settings = settings or ReprocessSettings()
+    comparison = mission.comparisons.get(settings.comparison)
+    scalar = [name for name, entry in mission.comparisons.items() if entry.kind == "scalar"]
+    if comparison is None or comparison.kind != "scalar":
+        raise MissionError(
+            f"'{settings.comparison}' is no scalar comparison of mission '{mission.mission}'",
+            remedy=f"choose one of {', '.join(scalar) or 'none: the mission has none'}",
+        )
+    used = current_model(cat, mission, settings.comparison)
+    needs = tuple(needs_of(mission, used.model, geometry_channels(mission)))
+    span = slice(
+        str(as_day(start) - _ONE_DAY) if start is not None else None,
+        str(as_day(end) + _ONE_DAY) if end is not None else None,
+    )
+    index = ArchiveIndex.of(cat, needs, span)
+    there = [day for day in index.with_all(needs) if _within(day, start, end)]
+    if not there:
+        raise CatalogError(
+            "the archive has no day of the span on which every instrument measured",
+            remedy="ingest the files first; 'inflight catalog list' shows what is there",
+        )
+    asked = day_range(start or there[0], end or there[-1] + _ONE_DAY)
+    context = cat.save_context(mission.text, used.model.name, used.version, {})
+    base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
+    equations = f"equations/{settings.comparison}/base"
+    keys = {
+        day: idempotency_key(
+            equations,
+            day,
+            EQUATIONS_VERSION,
+            context,
+            [source.key for source in index.sources(needs, day, base)] + [str(settings.min_coverage)],
+        )
+        for day in there
+    }
+    published = {day.day: day for day in cat.days(equations, states=("published",))}
+    todo = [day for day in there if day not in published or published[day].key != keys[day]]
+    size = settings.batch_days
+    return Plan(
+        settings,
+        used,
+        context,
+        needs,
+        index,
+        there,
+        keys,
+        [todo[at : at + size] for at in range(0, len(todo), size)],
+        [day for day in there if day not in set(todo)],
+        {day: _missing(index, needs, day) for day in asked if day not in keys},
+        _reference(published, there, keys),
+        base.name,
+    )
+
+
+def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:
+    return bool((start is None or day >= as_day(start)) and (end is None or day < as_day(end)))
+
+
+def _missing(index: ArchiveIndex, needs: Sequence[Need], day: np.datetime64) -> str:
+    gone = sorted(
+        {need.instrument for need in needs if need.channel == "field" and index.get(need, day) is None}
+    )
+    return f"no measurements of {', '.join(gone)}"
+
+
+def _reference(
+    published: Mapping[np.datetime64, Day], days: Sequence[np.datetime64], keys: Mapping[np.datetime64, str]
+) -> list[float] | None:
+    """Return where published equations of this context are linearised, so that new ones fit to them."""
+    for day in days:
+        if day in published and published[day].key == keys[day] and published[day].report.get("shared"):
+            return [float(value) for value in published[day].report["reference"]]
+    return None
+
+
+def _jobs(
+    made: Plan, run: Run, days: Sequence[Sequence[np.datetime64]], dataset: str, keys: Any
+) -> list[Job]:
+    base = next(need for need in made.needs if need.name == made.base)
+    return [
+        Job(
+            tuple(batch),
+            {day: keys[day] for day in batch},
+            {day: tuple(source.id for source in made.index.sources(made.needs, day, base)) for day in batch},
+            made.index.around(batch),
+            made.needs,
+            run.id,
+            dataset,
+        )
+        for batch in days
+    ]
+
+
+def calibrate(
+    cat: Catalog,
+    mission: Mission,
+    made: Plan,
+    run: Run,
+    batches: Sequence[Sequence[np.datetime64]],
+    reference: Sequence[float] | None,
+    mapper: Mapper,
+    book: _Book,
+) -> dict[np.datetime64, Day]:
+    """Make and stage the normal equations of batches of days; return the staged days."""
+    fresh: dict[np.datetime64, Day] = {}
+    left = []
+    for batch in batches:
+        adopted = (
+            {day: run.adopt(made.equations, day, made.keys[day]) for day in batch}
+            if reference is None
+            else {}
+        )
+        fresh |= {day: found for day, found in adopted.items() if found is not None}
+        left.append([day for day in batch if day not in fresh])
+    jobs = _jobs(made, run, [batch for batch in left if batch], made.equations, made.keys)
+    arguments = [(cat, mission, made.model, job, reference, made.settings.min_coverage) for job in jobs]
+    for outcome in mapper("calibrate", calibrate_batch, arguments):
+        fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
+    return fresh
+
+
+@dataclass(frozen=True)
+class SolvedTables:
+    """Tables of a run: the one products take, and what is to be certified at publication."""
+
+    used: xr.Dataset
+    ids: dict[str, int]
+    certify: list[tuple[int, int, int, str | None]]
+
+
+def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
+    """Make the daily, window and whole-span tables from the normal equations of all days.
+
+    Tables whose content is that of the newest ones of their name are not made again.
+    """
+    settings, model = made.settings, made.model
+    equations = load_equations(cat, list(days.values()))
+    edges = window_edges(min(days), max(days), settings.window_days)
+    whole = [min(days), max(days) + _ONE_DAY]
+    makers: dict[str, Callable[[], xr.Dataset]] = {
+        "daily": partial(daily_table, equations, model),
+        "window": partial(window_table, equations, model, edges, "window"),
+        "span": partial(window_table, equations, model, whole, "span"),
+    }
+    tables: dict[str, xr.Dataset] = {}
+    ids: dict[str, int] = {}
+    certify: list[tuple[int, int, int, str | None]] = []
+    for kind, make in makers.items():
+        name = f"{settings.comparison}-{kind}"
+        content = "".join(
+            [*content_keys(days), kind, str(settings.window_days), str(TABLES_VERSION), made.context]
+        )
+        key = hashlib.sha256(content.encode()).hexdigest()
+        known = [record for record in cat.tables(name) if record.key == key]
+        if known:
+            tables[kind], ids[kind] = cat.table_by_id(known[-1].id), known[-1].id
+            certified = bool(known[-1].certified)
+        else:
+            tables[kind], certified = make(), False
+            start, end = int(tables[kind]["start"].values[0]), int(tables[kind]["end"].values[-1])
+            parents = list(days.values())
+            ids[kind] = run.stage_table(name, tables[kind], start=start, end=end, parents=parents, key=key)
+        if not certified:
+            start, end = int(tables[kind]["start"].values[0]), int(tables[kind]["end"].values[-1])
+            certify.append((ids[kind], start, end, None))
+    return SolvedTables(tables[settings.table], ids, certify)
+
+
+def produce(
+    cat: Catalog, mission: Mission, made: Plan, run: Run, tables: SolvedTables, mapper: Mapper, book: _Book
+) -> list[np.datetime64]:
+    """Make and stage the products that the table changes; return the days that need none."""
+    current = {day.day: day for day in cat.days(made.product, states=("published",))}
+    keys, todo, same = {}, [], []
+    for day in made.days:
+        if day in book.failed:
+            continue
+        start, end = day_bounds(day)
+        row = table_row_hash(tables.used, (start + end) // 2)
+        keys[day] = idempotency_key(made.product, day, PRODUCT_VERSION, made.context, [made.keys[day], row])
+        if day in current and current[day].key == keys[day]:
+            same.append(day)
+        elif run.adopt(made.product, day, keys[day]) is not None:
+            book.done.add(day)
+        else:
+            todo.append(day)
+    size = made.settings.batch_days
+    batches = [todo[at : at + size] for at in range(0, len(todo), size)]
+    parents = f"table:{tables.ids[made.settings.table]}"
+    jobs = [
+        replace(job, parents={day: (*ids, parents) for day, ids in job.parents.items()})
+        for job in _jobs(made, run, batches, made.product, keys)
+    ]
+    arguments = [(cat, mission, made.model, tables.used, job) for job in jobs]
+    for outcome in mapper("produce", produce_batch, arguments):
+        book.done |= {day.day for day in book.take(run, made.product, outcome)}
+    return same
+
+
+def reprocess(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: ReprocessSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+    mapper: Mapper | None = None,
+) -> RunReport:
+    """Run the whole chain for the half-open span of UTC days; publish all of it, or nothing.
+
+    Parameters
+    ----------
+    cat : Catalog
+        The workspace's catalog.
+    mission : Mission
+        What was measured and what is held against what.
+    start, end : UTC date, optional
+        The archive's own span when absent.
+    settings : ReprocessSettings, optional
+        Choices; the defaults when absent.
+    client : distributed.Client, optional
+        Batches run on it; the result is the same byte for byte as without.
+    progress : callable, optional
+        Called with (stage, done, total).
+    mapper : Mapper, optional
+        Runs the batches instead of `client`.
+
+    Returns
+    -------
+    RunReport
+        Days by outcome; extra field ``residual`` with `before_nT` and `after_nT` over the span.
+
+    Raises
+    ------
+    MissionError, ModelError, CatalogError
+        When there is nothing to work on or the model does not fit the mission.
+    """
+    made = plan(cat, mission, start, end, settings)
+    spread = mapper or _plain_mapper(client, progress or (lambda stage, done, total: None))
+    book = _Book()
+    with cat.run("reprocess", made.settings.model_dump() | _span_of(made), context=made.context) as run:
+        for day, message in made.no_work.items():
+            run.record(made.product, day, "no_work", "no_work", message)
+        days = _equations(cat, mission, made, run, spread, book)
+        if not days:
+            return _report(made, run, book, [], {})
+        tables = solve(cat, made, run, days)
+        same = produce(cat, mission, made, run, tables, spread, book)
+        run.publish(certify=tables.certify, supersede=True)
+    return _report(made, run, book, same, _residual(cat, made))
+
+
+def _equations(
+    cat: Catalog, mission: Mission, made: Plan, run: Run, mapper: Mapper, book: _Book
+) -> dict[np.datetime64, Day]:
+    """Make equations until they are linearised near enough to their solution; return all days' equations."""
+    kept = {
+        day.day: day
+        for day in cat.days(made.equations, states=("published",))
+        if day.day in made.keys and day.key == made.keys[day.day]
+    }
+    beside = {day.day: day for day in _same_context(cat, made) if day.day not in made.keys}
+    fresh = calibrate(cat, mission, made, run, made.batches, made.reference, mapper, book)
+    for _ in range(_MOST_PASSES):
+        days = beside | kept | fresh
+        if not fresh:
+            break
+        equations = load_equations(cat, list(days.values()))
+        strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
+        again = relinearise_at(equations, made.model, strength)
+        if again is None:
+            break
+        batch_of = [day for day in made.days if day not in book.failed]
+        size = made.settings.batch_days
+        batches = [batch_of[at : at + size] for at in range(0, len(batch_of), size)]
+        fresh = calibrate(cat, mission, made, run, batches, again.tolist(), mapper, book)
+    return beside | kept | fresh
+
+
+def _same_context(cat: Catalog, made: Plan) -> list[Day]:
+    """Return published equations outside the span that were made with the same mission and model."""
+    return [day for day in cat.days(made.equations, states=("published",)) if day.context == made.context]
+
+
+def _plain_mapper(client: Any, progress: Progress) -> Mapper:
+    """Return a mapper that runs batches here, or on a Dask client."""
+
+    def spread(
+        stage: str, function: Callable[..., Outcome], arguments: Sequence[tuple[Any, ...]]
+    ) -> Iterator[Outcome]:
+        progress(stage, 0, len(arguments))
+        for done, outcome in enumerate(each_result(client, function, arguments), start=1):
+            progress(stage, done, len(arguments))
+            yield outcome
+
+    return spread
+
+
+def _span_of(made: Plan) -> dict[str, str]:
+    return {"start": str(made.days[0]), "end": str(made.days[-1] + _ONE_DAY)}
+
+
+def _residual(cat: Catalog, made: Plan) -> dict[str, Any]:
+    """Return the rms residual of the span before and after, from the days' own reports."""
+    inside = [day for day in cat.days(made.product, states=("published",)) if day.day in made.keys]
+    reports = [(day.count, day.report) for day in inside if np.isfinite(day.report.get("after_nT", np.nan))]
+    total = sum(count for count, _ in reports)
+    if not total:
+        return {}
+    return {
+        name: float(np.sqrt(sum(count * report[name] ** 2 for count, report in reports) / total))
+        for name in ("before_nT", "after_nT")
+    }
+
+
+def _report(
+    made: Plan, run: Run, book: _Book, same: Sequence[np.datetime64], residual: dict[str, Any]
+) -> RunReport:
+    counts = {
+        "planned": len(made.days) + len(made.no_work),
+        "done": len(book.done - set(book.failed)),
+        "unchanged": len(same),
+        "failed": len(book.failed),
+        "no_work": len(made.no_work),
+    }
+    problems = [book.failed[day] for day in sorted(book.failed)]
+    problems += [
+        {
+            "day": str(day),
+            "channel": "",
+            "cause": "no_work",
+            "remedy": "ingest the day's files",
+            "message": message,
+        }
+        for day, message in made.no_work.items()
+    ]
+    return RunReport(
+        "reprocess",
+        run.id,
+        made.context,
+        counts,
+        problems,
+        [made.product, f"tables/{made.settings.comparison}-{made.settings.table}"],
+        {"residual": residual},
+    )

@@ -1,0 +1,130 @@
+"""Calibration tables from stored normal equations: a day, a window of days, the whole span."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+
+from inflight.calibration import Interval, NormalEquations, calibration_table, reference_of
+from inflight.calibration.scalar import bend
+from inflight.calibration.solution import residual_sum
+from inflight.catalog import Catalog, Day
+from inflight.effects.base import Floats
+from inflight.model import Model
+from inflight.time import as_day, day_bounds
+
+#: Bumped by hand when the numbers of the tables change.
+TABLES_VERSION = 1
+#: The first day of the grid of windows.
+GRID_ORIGIN = np.datetime64("2000-01-01", "D")
+#: Equations are linearised again when the fit bends the residual by more than this; nT.
+MOST_BEND = 1e-3
+
+
+def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
+    """Read the normal equations of days, published or verified, in order of time."""
+    parts = [cat.read(day) for day in sorted(days, key=lambda day: day.day)]
+    static = parts[0][["scale"]]
+    rows = xr.concat(
+        [part.drop_vars("scale") for part in parts], "block", join="exact", combine_attrs="override"
+    )
+    return NormalEquations(rows.assign(scale=static["scale"]))
+
+
+def window_edges(first: np.datetime64, last: np.datetime64, days: int) -> list[np.datetime64]:
+    """Return the edges of the fixed grid of windows that covers the days first to last (inclusive)."""
+    step = np.timedelta64(days, "D")
+    begin = GRID_ORIGIN + ((as_day(first) - GRID_ORIGIN) // step) * step
+    count = int((as_day(last) - begin) // step) + 1
+    return [begin + index * step for index in range(count + 1)]
+
+
+def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
+    """Return the table of the blocks' own fits, one interval a block."""
+    data = equations.dataset
+    rows = []
+    for index in range(len(equations)):
+        one = NormalEquations(data.isel(block=[index]))
+        start, end = int(data["start"].values[index]), int(data["end"].values[index])
+        prior = reference_of(model, (start + end) // 2)
+        solution = one.solve(prior.sigma, prior.value)
+        rows.append(
+            Interval(
+                start,
+                end,
+                np.asarray(data["fit"].values[index, :-1]),
+                np.asarray(data["fit_covariance"].values[index, :-1, :-1]),
+                solution,
+                float(data["used"].values[index]),
+                float(data["before"].values[index]),
+                float(data["after"].values[index]),
+            )
+        )
+    return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, "daily"))
+
+
+def window_table(
+    equations: NormalEquations, model: Model, edges: Sequence[np.datetime64], kind: str
+) -> xr.Dataset:
+    """Return the table of windows solved from the sums of their blocks; empty windows are left out."""
+    bounds = [day_bounds(edge)[0] for edge in edges]
+    rows = []
+    for start, end in itertools.pairwise(bounds):
+        part = equations.within(start, end)
+        if len(part):
+            rows.append(_interval(part, model, start, end))
+    return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+
+
+def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
+    centre = int(part.dataset["start"].values[0] // 2 + part.dataset["end"].values[-1] // 2)
+    prior = reference_of(model, centre)
+    common = part.at(prior.value)
+    solution = common.solve(prior.sigma, prior.value)
+    value, covariance = common.physical(solution)
+    gram, count = common.dataset["gram"].values.sum(axis=0), float(common.dataset["count"].values.sum())
+    return Interval(
+        start,
+        end,
+        value,
+        covariance,
+        solution,
+        float(part.dataset["used"].values.sum()),
+        float(np.sqrt(gram[-1, -1] / count)),
+        float(np.sqrt(residual_sum(gram, solution.value) / count)),
+        len(part),
+    )
+
+
+def _attributes(model: Model, kind: str) -> dict[str, str]:
+    return {"comparison": model.comparison, "kind": kind, "model": model.sha, "model_name": model.name}
+
+
+def relinearise_at(equations: NormalEquations, model: Model, strength: float) -> Floats | None:
+    """Return where the equations should be linearised again, or None when they are good enough.
+
+    Each block's equations are exact at its own fit or, where that is far from the reference, at the
+    reference. A solution that bends the residual by more than `MOST_BEND` against it asks for
+    another pass.
+    """
+    whole = equations.at(equations.reference)
+    prior = reference_of(model, int(whole.dataset["start"].values[0]))
+    value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
+    fits = equations.dataset["fit"].values[:, :-1]
+    references = equations.dataset["reference"].values[:, :-1]
+    worst = max(
+        min(
+            bend(value, at, strength),
+            bend(value, fit, strength) if bend(fit, at, strength) < 1e-4 else np.inf,
+        )
+        for at, fit in zip(references, fits, strict=True)
+    )
+    return value if worst > MOST_BEND else None
+
+
+def content_keys(days: Mapping[np.datetime64, Day]) -> list[str]:
+    """Return the keys of days in order: what a table's own key is made from."""
+    return [days[day].key for day in sorted(days)]
