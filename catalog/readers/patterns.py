@@ -84,15 +84,26 @@ def _compile(pattern: str) -> _Compiled:
             text += {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}[wildcard]
             groups.append(("*", ""))
         else:
-            for literal, directive in re.findall(r"([^%]*)%?(.?)", layout):
-                text += re.escape(literal)
-                if directive:
-                    text += f"({_DIRECTIVE[directive]})"
-                    groups.append((field, directive))
+            text += _layout_regex(layout)
+            groups += [(field, directive) for directive in re.findall(r"%(.)", layout)]
     text += re.escape(pattern[at:])
     first = _TOKEN.search(pattern)
     root = os.path.dirname(pattern[: first.start()] if first else pattern)  # noqa: PTH120  part of a pattern
     return _Compiled(re.compile(text, re.IGNORECASE), root, tuple(groups))
+
+
+def _layout_regex(layout: str) -> str:
+    """Return the regex of a strftime layout; a day or month may have one digit only where it stands alone."""
+    text, pieces = "", re.split(r"(%.)", layout)
+    for index, piece in enumerate(pieces):
+        if index % 2 == 0:
+            text += re.escape(piece)
+            continue
+        crowded = index > 1 and pieces[index - 1] == ""
+        crowded = crowded or (pieces[index + 1] == "" and index + 2 < len(pieces))
+        known = _DIRECTIVE[piece[1]]
+        text += f"({known.replace('{1,2}', '{2}') if crowded else known})"
+    return text
 
 
 def describe(name: str, files: Files) -> Delivered | None:
