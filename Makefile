@@ -29,12 +29,14 @@ $(VENV)/.locked: requirements.lock
 		"install one or say which: make setup PYTHON=/path/to/python3"; exit 1; }
 	@echo "Making the environment $(VENV) with $(PYTHON); the first time takes a few minutes."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.lock
+	@# The lock is complete, so nothing is resolved: what it does not name is not installed.
+	$(BIN)/python -m pip install -qq --no-compile --no-deps --require-hashes -r requirements.lock
 	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null 2>&1 || true
 	@touch $@
 
 $(VENV)/.installed: pyproject.toml $(VENV)/.locked
-	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m pip check
 	@touch $@
 
 demo: setup  ## simulate a month, run the whole chain, show what came out (under 3 minutes)
@@ -61,7 +63,7 @@ docs: setup  ## build the documentation into docs/_build/html
 	@echo "docs/_build/html/index.html"
 
 lock: setup  ## resolve requirements.lock anew for Python 3.11 and later
-	@command -v uv >/dev/null || test -x $(BIN)/uv || $(BIN)/python -m pip install --quiet uv
+	@command -v uv >/dev/null || test -x $(BIN)/uv || $(BIN)/python -m pip install -qq uv
 	PATH="$$PATH:$(abspath $(BIN))" uv pip compile --quiet --universal --generate-hashes --no-emit-index-url \
 		--python-version 3.11 --extra dev --extra docs pyproject.toml -o requirements.lock \
 		--custom-compile-command "make lock"
