@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_sp
 from inflight.catalog.stores import open_store
 from inflight.catalog.upkeep import collect_garbage, dataset_summary, find_faults
 from inflight.catalog.validity import certify_table, table_records, valid_table
-from inflight.errors import CatalogError
+from inflight.errors import CatalogError, StorageError
 
 _FOLDERS = ("staging", "stores", "releases")
 
@@ -72,7 +73,8 @@ class Catalog:
         for folder in _FOLDERS:
             (self.workspace / folder).mkdir(parents=True, exist_ok=True)
         self._database = Database(f"sqlite:///{self.workspace / 'catalog.db'}")
-        close_dead_runs(self.workspace, self._database)
+        with suppress(StorageError):  # a full disk must not keep anyone from reading
+            close_dead_runs(self.workspace, self._database)
 
     def __repr__(self) -> str:
         return f"Catalog({str(self.workspace)!r})"

@@ -49,7 +49,7 @@ class Run:
         self.kind, self.context, self.workspace = kind, context, workspace
         self.settings: dict[str, Any] = plain_attributes(settings, f"run '{kind}'")
         self._database = database
-        self._started = now.isoformat(timespec="seconds")
+        self._started = now.isoformat(timespec="microseconds")
         self._sound_stores: set[str] = set()
 
     def __enter__(self) -> Self:
@@ -75,9 +75,15 @@ class Run:
     ) -> None:
         state = "done" if error is None else "failed"
         cause, message = ("", "") if error is None else (cause_of(error), f"{type(error).__name__}: {error}")
-        with self._database.write() as session:
-            close_run(session, self.id, state, cause, message)
         shutil.rmtree(self.workspace / "staging" / self.id, ignore_errors=True)
+        try:
+            with self._database.write() as session:
+                close_run(session, self.id, state, cause, message)
+        except CatalogError as refused:
+            if error is None:
+                raise
+            # The first failure is the one to tell; the next opening after this process closes the run.
+            error.add_note(f"the run could not be closed: {refused}")
 
     def attach(self, segment: Segment, parents: Iterable[Day | str] = ()) -> list[Day]:
         """Register the days of a verified segment with this run.

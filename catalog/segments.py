@@ -251,8 +251,12 @@ def _write_array(
     if not item.in_rows:
         array[...] = blocks[0]
         return
+    # One chunk a call: of several, Zarr would go on writing some after one was refused by a full
+    # disk, into a staging folder that is already being removed.
     for index, block in enumerate(blocks):
-        array[index * block.shape[0] : (index + 1) * block.shape[0]] = block
+        rows = slice(index * block.shape[0], (index + 1) * block.shape[0])
+        for part in [slice(one, one + 1) for one in range(*inner)] if components else [slice(None)]:
+            array[(rows, part) if inner else rows] = block[:, part] if inner else block
 
 
 def _read_back(folder: Path, item: Variable, blocks: Sequence[Array]) -> None:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Sequence
+import multiprocessing
+import os
+import resource
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog, DayData, write_segment
+from inflight.errors import StorageError
 from inflight.time import SECOND, day_bounds
 
 
@@ -75,13 +79,84 @@ def table(value: float = 1.0) -> xr.Dataset:
     )
 
 
-def python(code: str, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
-    """Start a Python of its own that runs `code`."""
-    import os
+def publish_seed(catalog: Catalog, seed: int) -> None:
+    """Publish one generation of four days in two segments, with a table certified in the same transaction.
 
-    return subprocess.Popen(
-        [sys.executable, "-c", code, *arguments],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent), **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
+    Every value says of which generation it is. Days that a dead run left verified are adopted.
+    """
+    with catalog.run("generation", {"seed": seed}) as run:
+        for half in (GENERATION_DAYS[:2], GENERATION_DAYS[2:]):
+            new = [day for day in half if run.adopt("l2/field", day, f"{seed}-{day}") is None]
+            data = [DayData(day, generation(day, seed), f"{seed}-{day}", ("file:abc",)) for day in new]
+            if data:
+                run.attach(write_segment(catalog.workspace, run.id, "l2/field", data))
+        made = run.stage_table("offsets", table(float(seed)), start=0, end=100)
+        run.publish(certify=[(made, 0, 100, None)], supersede=True)
+
+
+GENERATION_DAYS = days_from("2005-01-01", 4)
+
+
+def generation(day: np.datetime64, seed: int) -> xr.Dataset:
+    dataset = samples(day, step_s=3600)
+    return dataset.assign(seed=("time", np.full(dataset.sizes["time"], seed)))
+
+
+def generation_seen(catalog: Catalog) -> int:
+    """Return the one generation that every day, every value and the table show; fail when they differ."""
+    days = catalog.days("l2/field")
+    assert len(days) == len(GENERATION_DAYS)
+    assert {day.state for day in days} == {"published"}
+    runs = {day.run for day in days}
+    assert len(runs) == 1, f"days of different runs are visible together: {runs}"
+    seeds = set(np.unique(catalog.open("l2/field", variables=["seed"])["seed"].values))
+    assert len(seeds) == 1, f"values of generations {seeds} are visible together"
+    return int(seeds.pop())
+
+
+def spawn(target: Callable[..., None], *arguments: object, kill_at: str = "") -> BaseProcess:
+    """Start a process of its own, quickly: its imports are made once, by a server that forks."""
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["catalog_cases"])
+    process = context.Process(target=_begin, args=(kill_at, target, arguments))
+    process.start()
+    return process
+
+
+def _begin(kill_at: str, target: Callable[..., None], arguments: tuple[object, ...]) -> None:
+    os.environ["INFLIGHT_KILL_AT"] = kill_at
+    target(*arguments)
+
+
+def publish_generations(workspace: Path, first: int, stop: int, ready: Connection | None = None) -> None:
+    """Publish one generation after the other."""
+    catalog = Catalog(workspace)
+    if ready is not None:
+        ready.send("ready")
+    for seed in range(first, stop):
+        publish_seed(catalog, seed)
+
+
+def save_a_model(workspace: Path, text: str) -> None:
+    Catalog(workspace).save_model("m", text)
+
+
+def hold_a_run(workspace: Path, pipe: Connection) -> None:
+    """Begin a run, tell so, and end it when told."""
+    with Catalog(workspace).run("slow") as run:
+        pipe.send(run.id)
+        pipe.recv()
+
+
+def write_under_a_size_limit(workspace: Path, pipe: Connection) -> None:
+    """Write a segment where the kernel refuses files of more than 4000 bytes; tell the error."""
+    catalog = Catalog(workspace)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
+    day = GENERATION_DAYS[0]
+    try:
+        write_segment(catalog.workspace, "run", "l2/field", [DayData(day, samples(day))])
+    except StorageError as error:
+        pipe.send((error.cause, error.remedy))
+    else:
+        pipe.send(("", "written"))
