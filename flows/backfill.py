@@ -9,6 +9,7 @@ from typing import Any
 from prefect import flow
 from prefect.utilities.annotations import quote
 
+from inflight.catalog.workspace import Workspace
 from inflight.flows.cluster import dask_client
 from inflight.flows.ingest import take_in
 from inflight.flows.reprocess import DEFAULT_SETTINGS, reprocess_span
@@ -50,5 +51,5 @@ def backfill(
     span = Span(start=start, end=end)
     with dask_client(workers) as client:
         taken = take_in(workspace, data, None, span, quote(client))
-        report = reprocess_span(workspace, span, settings, client)
+        report = reprocess_span(Workspace.open(workspace), span, settings, client)
     return taken.followed_by(report, "backfill").as_json()

@@ -1,38 +1,52 @@
-"""Carrying out one step for many batches of days: a Prefect task a batch, a Dask process for its work."""
+"""Carrying out one stage for many batches of days: a Prefect task a batch, a Dask process for its work."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from prefect.futures import as_completed
-from prefect.tasks import Task
 from prefect.utilities.annotations import quote
 
 from inflight.flows.progress import tell
+from inflight.flows.stages import step
 
 if TYPE_CHECKING:
     from distributed import Client
 
+    from inflight.tasks.reprocess import Mapper
 
-def in_process(client: Client, function: Callable[..., Any], *arguments: Any) -> Any:
+
+def batch_tasks(client: Client) -> Mapper:
+    """Return a mapper that runs every batch as a Prefect task whose work a Dask process does.
+
+    It yields the outcomes in the order of the batches, so that what is registered does not depend
+    on which process was faster. It must be called inside a flow.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Shared by all batches of the run.
+    """
+
+    def spread(
+        stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
+    ) -> Iterator[Any]:
+        run_batch = step(stage)(_run_batch)
+        tell(stage, 0, len(arguments))
+        # Quoted, because Prefect would search every argument for futures to wait for.
+        futures = [run_batch.submit(quote(client), quote(function), quote(batch)) for batch in arguments]
+        for done, future in enumerate(futures, start=1):
+            outcome = future.result()
+            tell(stage, done, len(arguments))
+            yield outcome
+
+    return spread
+
+
+def _run_batch(client: Client, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """Run a plain function in one of the client's processes and wait for its result.
 
-    The function is not pure to Dask: it writes to the catalog, so an equal call is never answered
-    from memory. A process that dies takes the call with it; whether to try again is the caller's
-    decision, because a day that was staged need not be made again.
+    The function is not pure to Dask: it writes a store, so an equal call is never answered from
+    memory.
     """
-    return client.submit(function, *arguments, pure=False, retries=0).result()
-
-
-def for_batches(stage: str, task: Task[..., Any], batches: Sequence[Any], *arguments: Any) -> list[Any]:
-    """Run a Prefect task once a batch and return the results in the order of the batches.
-
-    Every batch is given its chance before the first failure is raised, so that one bad batch
-    costs one batch.
-    """
-    tell(stage, 0, len(batches))
-    futures = [task.submit(quote(batch), *map(quote, arguments)) for batch in batches]
-    for done, _ in enumerate(as_completed(futures), start=1):
-        tell(stage, done, len(batches))
-    return [future.result() for future in futures]
+    return client.submit(function, *arguments, pure=False).result()

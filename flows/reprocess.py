@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prefect import flow
-from prefect.utilities.annotations import quote
 
-from inflight.catalog import Catalog, Day
-from inflight.catalog.workspace import load_mission
-from inflight.flows.batches import for_batches, in_process
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.flows.batches import batch_tasks
 from inflight.flows.cluster import dask_client
-from inflight.flows.span import Span
-from inflight.flows.stages import batch_runner, step
-from inflight.tasks import reprocess as steps
+from inflight.flows.span import DateOrNone, Span
+from inflight.flows.stages import batch_runner
 from inflight.tasks.report import RunReport
-from inflight.tasks.reprocess import Plan, ReprocessSettings
+from inflight.tasks.reprocess import ReprocessSettings
+from inflight.tasks.reprocess import reprocess as run_chain
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -25,11 +23,11 @@ if TYPE_CHECKING:
 DEFAULT_SETTINGS = ReprocessSettings()
 
 
-@flow(name="reprocess", task_runner=batch_runner(), persist_result=False, log_prints=False)
+@flow(name="reprocess", task_runner=batch_runner(), persist_result=False)
 def reprocess(
     workspace: Path,
-    start: dt.date | None = None,
-    end: dt.date | None = None,
+    start: DateOrNone = None,
+    end: DateOrNone = None,
     settings: ReprocessSettings = DEFAULT_SETTINGS,
     workers: int | None = None,
 ) -> dict[str, Any]:
@@ -53,46 +51,12 @@ def reprocess(
     """
     span = Span(start=start, end=end)
     with dask_client(workers) as client:
-        return reprocess_span(workspace, span, settings, client).as_json()
+        return reprocess_span(Workspace.open(workspace), span, settings, client).as_json()
 
 
-def reprocess_span(workspace: Path, span: Span, settings: ReprocessSettings, client: Client) -> RunReport:
-    """Carry out the stages of a span, within the flow that calls this."""
-    planned = plan_days(workspace, span, settings)
-    shared = (client, workspace, settings, planned.context)
-    calibrated = for_batches("calibrate", calibrate_days, planned.batches, *shared)
-    tables = solve_tables(workspace, quote(planned), settings)
-    produced = for_batches("produce", produce_days, planned.batches, *shared)
-    return steps.report_of(planned, [*calibrated, *produced], tables)
-
-
-@step("plan")
-def plan_days(workspace: Path, span: Span, settings: ReprocessSettings) -> Plan:
-    """Find out which days need work."""
-    return steps.plan(Catalog(workspace), load_mission(workspace), *span.as_text(), settings)
-
-
-@step("calibrate")
-def calibrate_days(batch: list[Any], client: Any, workspace: Path, settings: Any, context: str) -> list[Day]:
-    """Form the normal equations and daily parameters of one batch."""
-    return in_process(client, _calibrate, workspace, batch, settings, context)
-
-
-@step("solve")
-def solve_tables(workspace: Path, planned: Plan, settings: ReprocessSettings) -> list[int]:
-    """Solve and certify the calibration tables of the span."""
-    return steps.solve(Catalog(workspace), load_mission(workspace), planned, settings)
-
-
-@step("produce")
-def produce_days(batch: list[Any], client: Any, workspace: Path, settings: Any, context: str) -> list[Day]:
-    """Write the level-2 products of one batch."""
-    return in_process(client, _produce, workspace, batch, settings, context)
-
-
-def _calibrate(workspace: Path, batch: list[Any], settings: ReprocessSettings, context: str) -> list[Day]:
-    return steps.calibrate(Catalog(workspace), load_mission(workspace), batch, settings, context)
-
-
-def _produce(workspace: Path, batch: list[Any], settings: ReprocessSettings, context: str) -> list[Day]:
-    return steps.produce(Catalog(workspace), load_mission(workspace), batch, settings, context)
+def reprocess_span(
+    workspace: Workspace, span: Span, settings: ReprocessSettings, client: Client
+) -> RunReport:
+    """Carry out the whole chain for a span, within the flow that calls this; a Prefect task a batch."""
+    catalog, mission = Catalog(workspace.root), workspace.mission()
+    return run_chain(catalog, mission, *span.as_text(), settings=settings, mapper=batch_tasks(client))

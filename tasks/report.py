@@ -127,6 +127,9 @@ def print_report(report: RunReport, console: Console) -> None:
     hidden = len(report.problems) - SHOWN_PROBLEMS
     if hidden > 0:
         console.print(f"... and {hidden} more; --json lists all", highlight=False)
+    if residual := report.extra.get("residual"):
+        before, after = residual["before_nT"], residual["after_nT"]
+        console.print(f"  residual {before:.3f} nT before, {after:.3f} nT after (rms)", highlight=False)
     for path in report.outputs:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
 

@@ -32,9 +32,21 @@ WorkersOption = Annotated[
 NoPrefectOption = Annotated[
     bool, typer.Option("--no-prefect", help="Run the plain functions, without a flow.")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Do again what is unchanged, too.")]
+TableOption = Annotated[
+    str | None,
+    typer.Option(help="Table the products take: daily, window or span (default: window)", show_default=False),
+]
+WindowOption = Annotated[
+    int | None, typer.Option(min=1, help="Days of a window (default: 15)", show_default=False)
+]
+CoverageOption = Annotated[
+    float | None,
+    typer.Option(min=0, max=1, help="Part of a day that must be usable (default: 0)", show_default=False),
+]
 ComparisonOption = Annotated[str, typer.Option(help="What is held against what.")]
-BatchOption = Annotated[int | None, typer.Option(min=1, help="Days a batch; bounds the memory.")]
+BatchOption = Annotated[
+    int | None, typer.Option(min=1, help="Days a batch; bounds the memory (default: 10)", show_default=False)
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -108,13 +120,21 @@ def reprocess(
     start: StartOption = None,
     end: EndOption = None,
     comparison: ComparisonOption = "main",
+    table: TableOption = None,
+    window_days: WindowOption = None,
+    min_coverage: CoverageOption = None,
     batch_days: BatchOption = None,
-    force: ForceOption = False,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
 ) -> None:
     """Calibrate and write level-2 products of a span; days whose inputs did not change are left alone."""
-    settings = _given(comparison=comparison, batch_days=batch_days, force=force)
+    settings = _given(
+        comparison=comparison,
+        table=table,
+        window_days=window_days,
+        min_coverage=min_coverage,
+        batch_days=batch_days,
+    )
     parameters = _given(start=start, end=end, settings=settings)
     session.finish(run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect))
 
