@@ -10,7 +10,7 @@ import xarray as xr
 
 from inflight.calibration import Interval, NormalEquations, calibration_table, reference_of
 from inflight.calibration.scalar import bend
-from inflight.calibration.solution import residual_sum
+from inflight.calibration.solution import Solution, residual_sum
 from inflight.catalog import Catalog, Day
 from inflight.effects.base import Floats
 from inflight.model import Model
@@ -97,6 +97,12 @@ def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Inte
         float(np.sqrt(residual_sum(gram, solution.value) / count)),
         len(part),
     )
+
+
+def span_solution(equations: NormalEquations, model: Model) -> Solution:
+    """Solve all blocks together with the model's prior; scaled, relative to that prior."""
+    prior = reference_of(model, int(equations.dataset["start"].values[0]))
+    return equations.at(prior.value).solve(prior.sigma, prior.value)
 
 
 def _attributes(model: Model, kind: str) -> dict[str, str]:

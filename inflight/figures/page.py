@@ -1,0 +1,55 @@
+"""A self-contained static page: text and figures in one HTML file that needs no network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from bokeh.embed import components
+from bokeh.resources import INLINE
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1180px; color: #222 }
+h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
+.row { display: flex; flex-wrap: wrap; gap: 8px }
+table { border-collapse: collapse; margin: .5rem 0 }
+td, th { padding: .15rem .8rem .15rem 0; text-align: right }
+td:first-child, th:first-child { text-align: left } th { border-bottom: 1px solid #999; font-weight: 600 }
+.quiet { color: #666; font-size: .9rem }
+"""
+
+
+def html_page(
+    title: str, sections: Sequence[tuple[str, Sequence[str], Sequence[Any]]], footer: str = ""
+) -> str:
+    """Return a page.
+
+    Parameters
+    ----------
+    title : str
+        Heading.
+    sections : sequence of (heading, paragraphs, figures)
+        Paragraphs are HTML the caller has escaped; figures are Bokeh models.
+    footer : str
+        Plain text, such as an acknowledgement of the data.
+    """
+    figures = [plot for _, _, plots in sections for plot in plots]
+    script, placed = components(figures) if figures else ("", ())
+    marks, body = iter(placed), []
+    for heading, paragraphs, plots in sections:
+        body.append(f"<h2>{escape(heading)}</h2>")
+        body += [f"<div>{paragraph}</div>" for paragraph in paragraphs]
+        body.append('<div class="row">' + "".join(next(marks) for _ in plots) + "</div>")
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f"<style>{_STYLE}</style>{INLINE.render()}</head><body><h1>{escape(title)}</h1>"
+        f'{"".join(body)}<p class="quiet">{escape(footer)}</p>{script}</body></html>\n'
+    )
+
+
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table; cells are escaped."""
+    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+    lines = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
+    return f"<table><tr>{top}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"

@@ -1,0 +1,264 @@
+"""Compare the model with the measurements: size of the residual before and after, and where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.calibration import describe_directions, reference_of
+from inflight.catalog import Catalog, Day
+from inflight.effects.base import Floats
+from inflight.errors import CatalogError
+from inflight.flags import Flag
+from inflight.geometry import orbit_phase
+from inflight.mission import Mission
+from inflight.statistics import (
+    Dependence,
+    Size,
+    dependence,
+    joined,
+    noise_floor,
+    size_of,
+    spectrum,
+    strongest,
+)
+from inflight.tasks.compare_page import CompareReport, Drawn, write_page
+from inflight.tasks.models import current_model
+from inflight.tasks.samples import channel_homes
+from inflight.tasks.tables import load_equations, span_solution
+from inflight.time import SECOND, DayLike
+
+Progress = Callable[[str, int, int], None]
+#: Means the figures are drawn from: at most so many rows in all, each of at least so many seconds.
+_ROWS, _SHORTEST = 400_000, 60.0
+#: Blocks of the dependences' uncertainty, seconds.
+_BLOCK = 3 * 3600.0
+_BINS = 160
+#: Samples with one of these flags are no measurement of the residual.
+_LEFT_OUT = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
+_LEFT_OUT |= Flag.INSTRUMENT_FLAG
+
+
+@dataclass
+class _Digest:
+    """Aggregates of a span: what figures and dependences are made from."""
+
+    rows: list[dict[str, Floats]] = field(default_factory=list)
+    before: list[Size] = field(default_factory=list)
+    after: list[Size] = field(default_factory=list)
+    power: list[tuple[Floats, Floats, Floats]] = field(default_factory=list)
+    counts: dict[str, Floats] = field(default_factory=dict)
+    left_out: int = 0
+    outliers: int = 0
+
+
+def compare(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    comparison: str = "main",
+    output: Path | None = None,
+    progress: Progress | None = None,
+) -> CompareReport:
+    """Measure the residual of published products before and after calibration, and draw it.
+
+    Parameters
+    ----------
+    start, end : UTC date, optional
+        Half-open span of days; all published days when absent.
+    output : Path, optional
+        Where to write the static page; none is written when absent.
+
+    Raises
+    ------
+    CatalogError
+        When no product of the comparison is published in the span.
+    """
+    product = "l2/field" if comparison == "main" else f"l2/field-{comparison}"
+    span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
+    days = cat.days(product, span, states=("published",))
+    if not days:
+        raise CatalogError(
+            f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
+        )
+    tell = progress or (lambda stage, done, total: None)
+    digest = _Digest()
+    length = max(_SHORTEST, 86_400.0 * len(days) / _ROWS)
+    for done, day in enumerate(days):
+        tell("compare", done, len(days))
+        _take(digest, cat, mission, day, length)
+    tell("compare", len(days), len(days))
+    rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
+    density = _mean_power(digest.power)
+    found = list(_dependences(rows, mission))
+    equations = load_equations(cat, cat.days(f"equations/{comparison}/base", span, states=("published",)))
+    model = current_model(cat, mission, comparison).model
+    solution = span_solution(equations, model)
+    names = reference_of(model, int(equations.dataset["start"].values[0])).columns
+    report = CompareReport(
+        comparison,
+        days[-1].context or "",
+        joined(digest.before),
+        joined(digest.after),
+        noise_floor(density[0], density[2]),
+        [
+            {
+                "day": str(day.day),
+                "version": day.version,
+                "before_nT": b.rms,
+                "after_nT": a.rms,
+                "before_less_mean_nT": b.std,
+                "after_less_mean_nT": a.std,
+                "samples": a.count,
+            }
+            for day, b, a in zip(days, digest.before, digest.after, strict=True)
+        ],
+        strongest(found),
+        describe_directions(solution, names),
+        [name for name, known in zip(names, solution.determined, strict=True) if known],
+        left_out=digest.left_out,
+        outliers=digest.outliers,
+        acknowledgement=mission.acknowledgement,
+    )
+    if output is not None:
+        tables = (
+            cat.table(f"{comparison}-daily", str(days[0].day)),
+            cat.table(f"{comparison}-window", str(days[0].day)),
+        )
+        drawn = Drawn(digest.counts, rows, density, found, tables)
+        write_page(report, output, mission, drawn)
+    return report
+
+
+def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: float) -> None:
+    """Add one day to the digest."""
+    product = cat.read(day)
+    flag = product["flag"].values
+    good = (flag & np.uint32(_LEFT_OUT)) == 0
+    after = np.where(good, product["residual"].values, np.nan)
+    before = np.where(good, product["residual_preflight"].values, np.nan)
+    digest.before.append(size_of(before))
+    digest.after.append(size_of(after))
+    _count(digest, before, after)
+    # Outliers belong to the size of the residual, but would hide its structure.
+    clear = (flag & np.uint32(Flag.OUTLIER)) == 0
+    digest.left_out += int((~good).sum())
+    digest.outliers += int((good & ~clear).sum())
+    after, before = np.where(clear, after, np.nan), np.where(clear, before, np.nan)
+    stamps = product["tt2000"].values
+    cadence = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    frequency, power = spectrum(after, cadence)
+    if frequency.size:
+        digest.power.append((frequency, spectrum(before, cadence)[1], power))
+    digest.rows.append(_means(product, before, after, stamps, length, _channels(cat, mission, day, stamps)))
+
+
+def _count(digest: _Digest, before: Floats, after: Floats) -> None:
+    """Add to the histograms; the first day sets their range."""
+    if "edges" not in digest.counts:
+        wide = 8.0 * max(digest.before[-1].std, digest.after[-1].std, 1e-3)
+        digest.counts["edges"] = np.linspace(-wide, wide, _BINS + 1)
+        digest.counts |= {"before": np.zeros(_BINS), "after": np.zeros(_BINS)}
+    for name, values, size in (("before", before, digest.before[-1]), ("after", after, digest.after[-1])):
+        shifted = values[np.isfinite(values)] - size.mean
+        digest.counts[name] += np.histogram(shifted, digest.counts["edges"])[0]
+
+
+def _means(
+    product: xr.Dataset,
+    before: Floats,
+    after: Floats,
+    stamps: Any,
+    length: float,
+    channels: dict[str, Floats],
+) -> dict[str, Floats]:
+    """Return means over spans of `length` seconds of the residuals and of everything they may follow."""
+    span = ((stamps - stamps[0]) / (length * SECOND)).astype(np.int64)
+    first = np.flatnonzero(np.append(True, np.diff(span) > 0))
+    good = np.isfinite(after)
+    count = np.maximum(np.add.reduceat(good.astype(np.float64), first), 0.0)
+
+    def mean(values: Floats) -> Floats:
+        total = np.add.reduceat(np.where(good & np.isfinite(values), values, 0.0), first)
+        return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
+
+    field_ = product["field_sensor"].values
+    size = np.linalg.norm(field_, axis=1)
+    filled = np.where(good, after, np.inf), np.where(good, after, -np.inf)
+    out = {
+        "tt2000": stamps[first].astype(np.float64),
+        "before": mean(before),
+        "after": mean(after),
+        "low": np.minimum.reduceat(filled[0], first),
+        "high": np.maximum.reduceat(filled[1], first),
+    }
+    out |= {f"field direction {axis}": mean(field_[:, i] / size) for i, axis in enumerate("xyz")}
+    out["field strength"] = mean(size)
+    if "latitude" in product:
+        latitude = product["latitude"].values
+        out["latitude"] = latitude[first]
+        out["longitude"] = product["longitude"].values[first]
+        out["orbit phase"] = orbit_phase(latitude, np.gradient(latitude))[first]
+    out["time of day"] = (stamps[first] - stamps[0]) / (3600.0 * SECOND)
+    return out | {name: values[first] for name, values in channels.items()}
+
+
+def _channels(cat: Catalog, mission: Mission, day: Day, stamps: Any) -> dict[str, Floats]:
+    """Return every channel of one number a time, at the nearest earlier sample; NaN where there is none."""
+    found = {}
+    for name, (instrument, channel) in channel_homes(mission).items():
+        told = mission.instruments[instrument].channels[channel]
+        if told.axis_names or told.kind in ("flag", "attitude", "position"):
+            continue
+        source = cat.current(f"l1/{instrument}", day.day)
+        if source is None:
+            found[name] = np.full(stamps.size, np.nan)
+            continue
+        data = cat.read(source, [channel])
+        own = data["tt2000"].values
+        index = np.clip(np.searchsorted(own, stamps, side="right") - 1, 0, None)
+        stale = np.abs(stamps - own[index]) > 2 * mission.instruments[instrument].cadence
+        found[name] = np.where(stale, np.nan, data[channel].values[index].astype(np.float64))
+    return found
+
+
+def _mean_power(parts: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, Floats, Floats]:
+    """Average the spectra of days that share the most common frequencies."""
+    if not parts:
+        return np.empty(0), np.empty(0), np.empty(0)
+    longest = max(parts, key=lambda part: part[0].size)[0]
+    same = [part for part in parts if part[0].shape == longest.shape and np.allclose(part[0], longest)]
+    whole = [part for part in same if part[1].size == longest.size]
+    before = np.mean([part[1] for part in whole], axis=0) if whole else np.full(longest.size, np.nan)
+    return longest, before, np.mean([part[2] for part in same], axis=0)
+
+
+_NO_COORDINATE = {"tt2000", "before", "after", "low", "high"}
+_UNITS = {
+    "latitude": "deg",
+    "longitude": "deg",
+    "orbit phase": "deg",
+    "time of day": "h",
+    "field strength": "nT",
+}
+
+
+def _dependences(rows: dict[str, Floats], mission: Mission) -> Iterator[Dependence]:
+    block = (rows["tt2000"] / (_BLOCK * SECOND)).astype(np.int64)
+    homes = channel_homes(mission)
+    for name, values in rows.items():
+        if name in _NO_COORDINATE:
+            continue
+        unit = _UNITS.get(name, "")
+        if name in homes:
+            instrument, channel = homes[name]
+            unit = mission.instruments[instrument].channels[channel].unit
+        found = dependence(name, unit, values, rows["after"], block)
+        if found is not None:
+            yield found
