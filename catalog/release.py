@@ -103,9 +103,9 @@ def freeze_release(
         collection = _collect(session, version, context, datasets, notes)
         _refuse_without_provenance(session, collection.days)
     _refuse_unexplained(collection)
-    destination.mkdir(parents=True, exist_ok=True)
     staged = destination / f".{version}-{uuid.uuid4().hex[:8]}"
     try:
+        destination.mkdir(parents=True, exist_ok=True)
         _write_release(workspace, staged, collection)
         reached("release_written")
         return _register(database, collection, context, staged, destination / version)

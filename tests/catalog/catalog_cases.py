@@ -160,3 +160,7 @@ def write_under_a_size_limit(workspace: Path, pipe: Connection) -> None:
         pipe.send((error.cause, error.remedy))
     else:
         pipe.send(("", "written"))
+
+
+def freeze(workspace: Path, version: str) -> None:
+    Catalog(workspace).release(version)
