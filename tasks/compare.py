@@ -162,7 +162,7 @@ def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: flo
 def _count(digest: _Digest, before: Floats, after: Floats) -> None:
     """Add to the histograms; the first day sets their range."""
     if "edges" not in digest.counts:
-        wide = 8.0 * max(digest.before[-1].std, digest.after[-1].std, 1e-3)
+        wide = 8.0 * max(digest.after[-1].std, 1e-3)
         digest.counts["edges"] = np.linspace(-wide, wide, _BINS + 1)
         digest.counts |= {"before": np.zeros(_BINS), "after": np.zeros(_BINS)}
     for name, values, size in (("before", before, digest.before[-1]), ("after", after, digest.after[-1])):

@@ -10,22 +10,18 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.catalog import Catalog, Day, Run, idempotency_key
-from inflight.errors import CatalogError, MissionError
 from inflight.mission import Mission
-from inflight.model import Model
-from inflight.tasks.calibrate import EQUATIONS_VERSION, Job, Outcome, calibrate_batch
+from inflight.tasks.calibrate import Job, Outcome, calibrate_batch
 from inflight.tasks.delivery import each_result
-from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import RunReport
-from inflight.tasks.samples import ArchiveIndex, Need, base_role, geometry_channels, needs_of
 from inflight.tasks.tables import (
     TABLES_VERSION,
     content_keys,
@@ -35,7 +31,7 @@ from inflight.tasks.tables import (
     window_edges,
     window_table,
 )
-from inflight.time import DayLike, as_day, day_bounds, day_range
+from inflight.time import DayLike, day_bounds
 
 #: Called with (stage, done, total).
 Progress = Callable[[str, int, int], None]
@@ -44,77 +40,6 @@ Progress = Callable[[str, int, int], None]
 Mapper = Callable[[str, Callable[..., Outcome], Sequence[tuple[Any, ...]]], Iterator[Outcome]]
 #: Passes of linearisation at most; each one squares the bend that is left.
 _MOST_PASSES = 4
-_ONE_DAY = np.timedelta64(1, "D")
-
-
-class ReprocessSettings(BaseModel):
-    """What a user may choose of a reprocessing.
-
-    Attributes
-    ----------
-    comparison : str
-        Entry of the mission's `comparisons`.
-    table : str
-        Which table the products take: each day's own fit, windows of `window_days`, or one for the
-        whole span.
-    window_days : int
-        Length of a window; windows lie on a fixed grid from 2000-01-01.
-    batch_days : int
-        Days of one segment and one worker's task; it bounds the memory.
-    min_coverage : float
-        Part of a day that must be usable for a fit; with priors in place even little data does no harm.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    comparison: str = "main"
-    table: Literal["daily", "window", "span"] = "window"
-    window_days: int = Field(15, ge=1, le=3660)
-    batch_days: int = Field(10, ge=1, le=60)
-    min_coverage: float = Field(0.0, ge=0.0, le=1.0)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What a reprocessing has to do; made without changing anything but the registry of models.
-
-    Attributes
-    ----------
-    batches : list of list of datetime64[D]
-        Days whose normal equations are missing or out of date.
-    unchanged : list of datetime64[D]
-        Days whose normal equations are up to date; their products still follow the table.
-    no_work : dict
-        Days without a measurement to work on, and what is missing.
-    """
-
-    settings: ReprocessSettings
-    used: UsedModel
-    context: str
-    needs: tuple[Need, ...]
-    index: ArchiveIndex
-    days: list[np.datetime64]
-    keys: Mapping[np.datetime64, str]
-    batches: list[list[np.datetime64]]
-    unchanged: list[np.datetime64]
-    no_work: Mapping[np.datetime64, str]
-    reference: list[float] | None
-    base: str
-
-    @property
-    def model(self) -> Model:
-        """The model to use."""
-        return self.used.model
-
-    @property
-    def equations(self) -> str:
-        """Dataset of the normal equations."""
-        return f"equations/{self.settings.comparison}/base"
-
-    @property
-    def product(self) -> str:
-        """Dataset of the products: the main comparison's are the mission's fields."""
-        return "l2/field" if self.settings.comparison == "main" else f"l2/field-{self.settings.comparison}"
 
 
 @dataclass
@@ -136,102 +61,6 @@ class _Book:
                 "message": failure.message,
             }
         return run.attach(outcome.segment) if outcome.segment is not None else []
-
-
-def plan(
-    cat: Catalog,
-    mission: Mission,
-    start: DayLike | None = None,
-    end: DayLike | None = None,
-    settings: ReprocessSettings | None = None,
-) -> Plan:
-    """Find out what has to be done for the half-open span of UTC days.
-
-    Parameters
-    ----------
-    start, end : UTC date, optional
-        The archive's own span when absent.
-
-    Raises
-    ------
-    MissionError
-        When the mission has no such comparison, or one of another kind than scalar.
-    CatalogError
-        When the archive has no day in the span.
-    """
-    settings = settings or ReprocessSettings()
-    comparison = mission.comparisons.get(settings.comparison)
-    scalar = [name for name, entry in mission.comparisons.items() if entry.kind == "scalar"]
-    if comparison is None or comparison.kind != "scalar":
-        raise MissionError(
-            f"'{settings.comparison}' is no scalar comparison of mission '{mission.mission}'",
-            remedy=f"choose one of {', '.join(scalar) or 'none: the mission has none'}",
-        )
-    used = current_model(cat, mission, settings.comparison)
-    needs = tuple(needs_of(mission, used.model, geometry_channels(mission)))
-    span = slice(
-        str(as_day(start) - _ONE_DAY) if start is not None else None,
-        str(as_day(end) + _ONE_DAY) if end is not None else None,
-    )
-    index = ArchiveIndex.of(cat, needs, span)
-    there = [day for day in index.with_all(needs) if _within(day, start, end)]
-    if not there:
-        raise CatalogError(
-            "the archive has no day of the span on which every instrument measured",
-            remedy="ingest the files first; 'inflight catalog list' shows what is there",
-        )
-    asked = day_range(start or there[0], end or there[-1] + _ONE_DAY)
-    context = cat.save_context(mission.text, used.model.name, used.version, {})
-    base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
-    equations = f"equations/{settings.comparison}/base"
-    keys = {
-        day: idempotency_key(
-            equations,
-            day,
-            EQUATIONS_VERSION,
-            context,
-            [source.key for source in index.sources(needs, day, base)] + [str(settings.min_coverage)],
-        )
-        for day in there
-    }
-    published = {day.day: day for day in cat.days(equations, states=("published",))}
-    todo = [day for day in there if day not in published or published[day].key != keys[day]]
-    size = settings.batch_days
-    return Plan(
-        settings,
-        used,
-        context,
-        needs,
-        index,
-        there,
-        keys,
-        [todo[at : at + size] for at in range(0, len(todo), size)],
-        [day for day in there if day not in set(todo)],
-        {day: _missing(index, needs, day) for day in asked if day not in keys},
-        _reference(published, there, keys),
-        base.name,
-    )
-
-
-def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:
-    return bool((start is None or day >= as_day(start)) and (end is None or day < as_day(end)))
-
-
-def _missing(index: ArchiveIndex, needs: Sequence[Need], day: np.datetime64) -> str:
-    gone = sorted(
-        {need.instrument for need in needs if need.channel == "field" and index.get(need, day) is None}
-    )
-    return f"no measurements of {', '.join(gone)}"
-
-
-def _reference(
-    published: Mapping[np.datetime64, Day], days: Sequence[np.datetime64], keys: Mapping[np.datetime64, str]
-) -> list[float] | None:
-    """Return where published equations of this context are linearised, so that new ones fit to them."""
-    for day in days:
-        if day in published and published[day].key == keys[day] and published[day].report.get("shared"):
-            return [float(value) for value in published[day].report["reference"]]
-    return None
 
 
 def _jobs(
@@ -297,7 +126,7 @@ def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day])
     settings, model = made.settings, made.model
     equations = load_equations(cat, list(days.values()))
     edges = window_edges(min(days), max(days), settings.window_days)
-    whole = [min(days), max(days) + _ONE_DAY]
+    whole = [min(days), max(days) + ONE_DAY]
     makers: dict[str, Callable[[], xr.Dataset]] = {
         "daily": partial(daily_table, equations, model),
         "window": partial(window_table, equations, model, edges, "window"),
@@ -460,7 +289,7 @@ def _plain_mapper(client: Any, progress: Progress) -> Mapper:
 
 
 def _span_of(made: Plan) -> dict[str, str]:
-    return {"start": str(made.days[0]), "end": str(made.days[-1] + _ONE_DAY)}
+    return {"start": str(made.days[0]), "end": str(made.days[-1] + ONE_DAY)}
 
 
 def _residual(cat: Catalog, made: Plan) -> dict[str, Any]:

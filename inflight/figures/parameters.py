@@ -50,12 +50,15 @@ def _panel(daily: xr.Dataset, used: xr.Dataset, part: str, title: str, factor: f
         )
         fill = np.where(known, 1.0, 0.0)
         plot.scatter(middle, value, color=colour, fill_alpha=fill, size=5, legend_label=label)
-        _steps(plot, used, name, prior, factor, colour)
+        _steps(plot, daily, used, name, prior, factor, colour)
     place_legend(plot, "top_left")
     return plot
 
 
-def _steps(plot: figure, used: xr.Dataset, name: str, prior: float, factor: float, colour: str) -> None:
-    start, end = to_utc(used["start"].values), to_utc(used["end"].values)
-    value = (used["value"].sel(parameter=name).values - prior) * factor
+def _steps(
+    plot: figure, daily: xr.Dataset, used: xr.Dataset, part: str, prior: float, factor: float, colour: str
+) -> None:
+    begin, stop = int(daily["start"].values[0]), int(daily["end"].values[-1])
+    start, end = (to_utc(np.clip(used[name].values, begin, stop)) for name in ("start", "end"))
+    value = (used["value"].sel(parameter=part).values - prior) * factor
     plot.segment(start, value, end, value, color=colour, line_width=2, alpha=0.8)

@@ -41,7 +41,10 @@ def series_figure(time: Days, mean: Floats, low: Floats, high: Floats) -> figure
 
 
 def histogram_figure(edges: Floats, before: Floats, after: Floats) -> figure:
-    """Draw the distributions of the residual less its mean, before and after; logarithmic counts."""
+    """Draw the distributions of the residual less its mean, before and after; logarithmic counts.
+
+    The edges follow the calibrated residual; what lies outside them is not drawn.
+    """
     plot = plain_figure("Distribution (less its mean)", "nT", "samples", y_axis_type="log")
     for counts, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
         shown = np.maximum(counts, 0.5)
@@ -71,7 +74,7 @@ def dependence_figure(found: Dependence) -> figure:
     """Draw the mean residual in bins of a coordinate, with error bars of one sigma between blocks."""
     unit = f" ({found.unit})" if found.unit not in ("", "1") else ""
     plot = plain_figure(
-        f"against {found.coordinate}: rms {found.amplitude:.3f} +- {found.sigma_amplitude:.3f} nT",
+        f"{found.coordinate}: rms {found.amplitude:.3f} +- {found.sigma_amplitude:.3f} nT",
         f"{found.coordinate}{unit}",
         "nT",
         width=370,

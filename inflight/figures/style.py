@@ -25,7 +25,7 @@ def plain_figure(title: str, x: str, y: str, **options: Any) -> figure:
         toolbar_location="above",
         **options,
     )
-    plot.title.text_font_size = "13px"
+    plot.title.text_font_size = "13px" if plot.width >= _WIDTH else "11px"
     plot.grid.grid_line_alpha = 0.4
     plot.toolbar.logo = None
     return plot
