@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 DAY_COUNTS = ("planned", "done", "unchanged", "failed", "no_work")
 #: Problems shown to a person before the rest is only counted.
 SHOWN_PROBLEMS = 12
+SHOWN_OUTPUTS = 3
 
 DONE, FAILED, USAGE, DAYS_MISSING = 0, 1, 2, 3
 
@@ -130,8 +131,10 @@ def print_report(report: RunReport, console: Console) -> None:
     if residual := report.extra.get("residual"):
         before, after = residual["before_nT"], residual["after_nT"]
         console.print(f"  residual {before:.3f} nT before, {after:.3f} nT after (rms)", highlight=False)
-    for path in report.outputs:
+    for path in report.outputs[:SHOWN_OUTPUTS]:
         console.print(f"  {path}", highlight=False, soft_wrap=True)
+    if len(report.outputs) > SHOWN_OUTPUTS:
+        console.print(f"  ... and {len(report.outputs) - SHOWN_OUTPUTS} more", highlight=False)
 
 
 def _problem_table(problems: list[dict[str, str]]) -> Any:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.cli.pipeline import NoPrefectOption, WorkersOption, run_flow
-from inflight.cli.results import print_comparison
+from inflight.cli.results import compare_span, print_comparison
 from inflight.cli.session import Session, verb
 from inflight.cli.start import SIMULATED_MISSION, write_deliveries
 from inflight.tasks.report import RunReport, print_report
@@ -77,16 +77,13 @@ def _say(session: Session, text: str) -> None:
 
 
 def _finish(session: Session, workspace: Workspace, report: RunReport, seconds: float) -> None:
-    from inflight.tasks.compare import compare
-
-    compared = compare(session.open_catalog(), workspace.mission())
-    fields = compared.as_json()
-    page = workspace.relative(compared.path)
-    added = {"residual": fields["residual"], "path": str(compared.path), "seconds": round(seconds, 1)}
+    fields = compare_span(session, workspace).as_json()
+    page = workspace.relative(fields["path"])
+    added = {"residual": fields["residual"], "path": page, "seconds": round(seconds, 1)}
     total = replace(report, outputs=[*report.outputs, page], extra=report.extra | added)
 
     def show(console: Console) -> None:
-        print_comparison(console, fields, str(compared.path))
+        print_comparison(console, fields)
         _print_next(console, workspace, seconds)
 
     session.emit(total.as_json(), show)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +13,9 @@ from inflight.cli.session import Session, verb
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from inflight.catalog.workspace import Workspace
+    from inflight.tasks.compare_page import CompareReport
 
 
 def register(app: typer.Typer) -> None:
@@ -30,37 +34,51 @@ def compare(
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Tell how well the calibrated instrument agrees with its reference, before and after."""
-    from inflight.tasks.compare import compare as make_comparison
-
     workspace = session.open_workspace()
-    report = make_comparison(
-        session.open_catalog(), workspace.mission(), start, end, comparison=comparison, output=output
-    )
+    report = compare_span(session, workspace, start=start, end=end, comparison=comparison, output=output)
     fields = report.as_json()
-    session.emit(fields, lambda console: print_comparison(console, fields, workspace.relative(report.path)))
+    session.emit(fields, lambda console: print_comparison(console, fields))
     if show:
         import webbrowser
 
-        webbrowser.open(Path(report.path).resolve().as_uri())
+        webbrowser.open(Path(fields["path"]).resolve().as_uri())
 
 
-def print_comparison(console: Console, fields: dict[str, Any], path: str) -> None:
-    """Print residual before and after, the worst days and where it still fails."""
+def compare_span(
+    session: Session,
+    workspace: Workspace,
+    *,
+    start: str | None = None,
+    end: str | None = None,
+    comparison: str = "main",
+    output: Path | None = None,
+) -> CompareReport:
+    """Compare and write the page, into the workspace's reports unless `output` says otherwise."""
+    from inflight.flows.span import Span
+    from inflight.tasks.compare import compare as measure
+
+    span = Span.model_validate({"start": start, "end": end}).as_text()
+    page = output or workspace.reports / "-".join(["compare", comparison, *filter(None, span)])
+    page = page.with_name(f"{page.name}.html") if page.suffix != ".html" else page
+    page.parent.mkdir(parents=True, exist_ok=True)
+    catalog, mission = session.open_catalog(), workspace.mission()
+    with session.progress() as progress:
+        return measure(catalog, mission, *span, comparison=comparison, output=page, progress=progress)
+
+
+def print_comparison(console: Console, fields: dict[str, Any]) -> None:
+    """Print residual before and after, what the data determine, where it still fails, and the page."""
     residual = fields["residual"]
-    console.print(f"residual before {_nanotesla(residual['before_nT'])}", style="bold")
-    console.print(f"residual after  {_nanotesla(residual['after_nT'])}", style="bold")
-    floor = residual.get("noise_floor_nT")
-    if isinstance(floor, int | float):
-        console.print(f"noise floor     {floor:.3f} nT")
-    for failing in fields.get("fails_where", []):
-        console.print(f"  {failing['sentence']}")
-    console.print(f"  {path}", soft_wrap=True)
-
-
-def _nanotesla(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {number:.3f} nT" for name, number in value.items() if number is not None)
-    return f"{value:.3f} nT" if isinstance(value, int | float) else "unknown"
+    for name in ("before", "after"):
+        rms, spread = residual[f"{name}_nT"], residual[f"{name}_less_mean_nT"]
+        console.print(f"residual {name:<7} {rms:8.3f} nT rms, {spread:.3f} nT about its mean", style="bold")
+    if math.isfinite(residual["noise_floor_nT"]):
+        console.print(f"noise floor      {residual['noise_floor_nT']:8.3f} nT")
+    determined = ", ".join(fields["parameters"]["determined"]) or "none"
+    console.print(f"  determined by these data: {determined}", soft_wrap=True, markup=False)
+    for failing in fields["fails_where"]:
+        console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
+    console.print(f"  page: {fields['path']}", soft_wrap=True)
 
 
 def release(
