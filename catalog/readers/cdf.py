@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cdflib
 import numpy as np
@@ -21,6 +21,8 @@ _EPOCH_TO_1970_MS = 62_167_219_200_000
 _EPOCH_TO_1970_S = 62_167_219_200
 _MAGIC = {0xCDF30001: 8, 0xCDF26002: 4}
 _PLAIN, _PACKED = 0x0000FFFF, 0xCCCC0001
+#: Bytes; every variable and every attribute has a record of at least this size.
+_SMALLEST_RECORD = 50
 
 
 @contextmanager
@@ -38,7 +40,8 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
 def _require_whole(path: Path) -> None:
     """Compare the file's length with what its own records say (CDF internal format, CDR, GDR, CCR, CPR).
 
-    cdflib reads what is left of a truncated file without a word.
+    cdflib reads what is left of a truncated file without a word, and follows a damaged count of variables
+    for hours.
     """
     with path.open("rb") as stream:
         head = stream.read(28)
@@ -53,17 +56,34 @@ def _require_whole(path: Path) -> None:
                 file=str(path),
             )
         offset = "q" if wide == 8 else "i"
+        # Both CDR and CCR: record size, record type, offset of the next record (GDR or CPR).
+        (record,) = struct.unpack_from(f">{offset}", head, 8 + wide + 4)
         if kind == _PLAIN:
-            # CDR: record size, record type, offset of the GDR, whose last offset here is the end of file.
-            (gdr,) = struct.unpack_from(f">{offset}", head, 8 + wide + 4)
-            place = gdr + wide + 4 + 3 * wide
-        else:
-            # CCR: record size, record type, offset of the CPR, which stands last and begins with its size.
-            (place,) = struct.unpack_from(f">{offset}", head, 8 + wide + 4)
-        require_bytes(path, place + wide)
-        stream.seek(place)
-        (length,) = struct.unpack(f">{offset}", stream.read(wide))
-    require_bytes(path, length if kind == _PLAIN else place + length)
+            _require_plain(path, stream, record, wide, offset)
+            return
+        # The CPR stands last and begins with its size.
+        (length,) = _unpack(path, stream, record, f">{offset}")
+        require_bytes(path, record + length)
+
+
+def _require_plain(path: Path, stream: BinaryIO, gdr: int, wide: int, offset: str) -> None:
+    """Check the GDR: heads of three lists, then the end of file, then counts."""
+    end, rvars, attributes, _, _, zvars = _unpack(path, stream, gdr + wide + 4 + 3 * wide, f">{offset}iiiii")
+    require_bytes(path, end)
+    counts = (rvars, attributes, zvars)
+    if min(counts) < 0 or sum(counts) * _SMALLEST_RECORD > end:
+        raise ReadError(
+            f"is damaged: its header counts {rvars} and {zvars} variables and {attributes} attributes in "
+            f"{end} bytes",
+            remedy="fetch it again",
+            file=str(path),
+        )
+
+
+def _unpack(path: Path, stream: BinaryIO, place: int, layout: str) -> tuple[Any, ...]:
+    require_bytes(path, place + struct.calcsize(layout))
+    stream.seek(max(place, 0))
+    return struct.unpack(layout, stream.read(struct.calcsize(layout)))
 
 
 def _read(cdf: Any, name: str, path: Path) -> Variable:
