@@ -23,6 +23,10 @@ DETERMINED = 0.5
 _WIDE = 1e3
 #: Systems with a smaller ratio of singular values do not determine their unknowns.
 SINGULAR = 1e-9
+#: Information smaller than this many times the rounding error of its own sum is no information.
+_ROUNDING = 64 * float(np.finfo(np.float64).eps)
+#: Turns of residual variance and known directions at most.
+_VARIANCE_PASSES = 10
 #: The variance of rounding: readings are never better than this; nT^2.
 _SMALLEST_VARIANCE = 1e-12
 
@@ -72,7 +76,33 @@ def residual_sum(gram: Floats, change: Floats) -> float:
     return float(max(own + 2.0 * cross @ change + change @ matrix @ change, 0.0))
 
 
-def solve(gram: Floats, scatter: Floats, count: float, prior: Floats, prior_sigma: Floats) -> Solution:
+def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
+    """Return the maximum of the posterior and its covariance for uncorrelated residuals; scaled.
+
+    Parameters
+    ----------
+    gram, count, prior, prior_sigma
+        As in `solve`.
+    """
+    matrix, cross = gram[:-1, :-1], gram[:-1, -1]
+    unit = prior_sigma[:, None] * prior_sigma[None, :]
+    pull = prior_sigma * (matrix @ prior + cross)
+    value = prior
+    for _ in range(2):
+        variance = _variance(gram, value, count)
+        inverse = np.linalg.inv(matrix * unit / variance + np.eye(prior.size))
+        value = prior - prior_sigma * (inverse @ pull) / variance
+    return value, inverse * unit
+
+
+def solve(
+    gram: Floats,
+    scatter: Floats,
+    count: float,
+    prior: Floats,
+    prior_sigma: Floats,
+    least: float = MIN_INFORMATION,
+) -> Solution:
     """Solve ``min |y + X d|^2`` with a Gaussian prior on d.
 
     Parameters
@@ -85,18 +115,23 @@ def solve(gram: Floats, scatter: Floats, count: float, prior: Floats, prior_sigm
         Sum of the weights.
     prior, prior_sigma : ndarray, shape (parameter,)
         Scaled mean and standard deviation; sigma 0 fixes a parameter.
+    least : float
+        Information relative to the prior below which a direction stays at its prior.
 
     Returns
     -------
     Solution
     """
     matrix, cross = gram[:-1, :-1], gram[:-1, -1]
-    first = _directions(matrix, scatter, _variance(gram, prior, count), prior_sigma)
-    value = _posterior(first, prior, matrix @ prior + cross, prior_sigma)
-    variance = _variance(gram, value, count)
-    found = _directions(matrix, scatter, variance, prior_sigma)
-    value = _posterior(found, prior, matrix @ prior + cross, prior_sigma)
-    alone = _directions(matrix, scatter, variance, prior_sigma * _WIDE)
+    value, variance = prior, _variance(gram, prior, count)
+    for _ in range(_VARIANCE_PASSES):
+        found = _directions(matrix, scatter, variance, prior_sigma, least)
+        value = _posterior(found, prior, matrix @ prior + cross, prior_sigma)
+        before, variance = variance, _variance(gram, value, count)
+        # A prior that is far off makes the residual look noisy and hides directions; it shrinks at each turn.
+        if abs(before - variance) <= 1e-6 * variance:
+            break
+    alone = _directions(matrix, scatter, variance, prior_sigma * _WIDE, least)
     return Solution(
         value,
         found.covariance(prior_sigma),
@@ -126,6 +161,7 @@ class _Directions:
     inflation: Floats
     noise: Floats
     variance: float
+    least: float
 
     @property
     def information(self) -> Floats:
@@ -133,7 +169,7 @@ class _Directions:
 
     @property
     def known(self) -> npt.NDArray[np.bool_]:
-        return self.information >= MIN_INFORMATION
+        return self.information >= self.least
 
     def covariance(self, prior_sigma: Floats) -> Floats:
         """Covariance of the posterior's maximum, sandwiched; scaled."""
@@ -146,13 +182,24 @@ class _Directions:
         )
 
 
-def _directions(matrix: Floats, scatter: Floats, variance: float, prior_sigma: Floats) -> _Directions:
+def _directions(
+    matrix: Floats, scatter: Floats, variance: float, prior_sigma: Floats, least: float
+) -> _Directions:
     unit = prior_sigma[:, None] * prior_sigma[None, :]
     white, vectors = np.linalg.eigh(matrix * unit / variance)
-    white = np.maximum(white, 0.0)
+    # What sums of squares leave behind where nothing is to be seen must not pass for information.
+    parts = np.abs(vectors).T @ (prior_sigma * np.sqrt(np.clip(np.diag(matrix), 0.0, None)))
+    rounding = _ROUNDING * np.maximum(parts**2 / variance, 0.125 * max(white[-1], 0.0))
+    white = np.where(white > rounding, white, 0.0)
     noise = vectors.T @ (scatter * unit) @ vectors / variance**2
-    inflation = np.divide(np.diag(noise), white, out=np.ones_like(white), where=white > 0)
-    return _Directions(vectors, white, np.maximum(inflation, 1.0), noise, variance)
+    # Few sub-blocks can show less scatter than uncorrelated residuals have; that is chance, not knowledge.
+    own = np.clip(np.diag(noise), 0.0, None)
+    short = own < white
+    noise[short, :] = 0.0
+    noise[:, short] = 0.0
+    noise[short, short] = white[short]
+    inflation = np.divide(own, white, out=np.ones_like(white), where=white > 0)
+    return _Directions(vectors, white, np.maximum(inflation, 1.0), noise, variance, least)
 
 
 def _posterior(found: _Directions, prior: Floats, slope: Floats, prior_sigma: Floats) -> Floats:
