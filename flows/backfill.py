@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from prefect import flow
-from prefect.utilities.annotations import quote
 
 from inflight.catalog.workspace import Workspace
 from inflight.flows.cluster import dask_client
 from inflight.flows.ingest import take_in
 from inflight.flows.reprocess import DEFAULT_SETTINGS, reprocess_span
 from inflight.flows.span import Span
-from inflight.flows.stages import batch_runner
-from inflight.tasks.reprocess import ReprocessSettings
+from inflight.flows.stages import batch_runner, unsearched
+from inflight.tasks.planning import ReprocessSettings
 
 
 @flow(name="backfill", task_runner=batch_runner(), persist_result=False)
@@ -50,6 +49,6 @@ def backfill(
     """
     span = Span(start=start, end=end)
     with dask_client(workers) as client:
-        taken = take_in(workspace, data, None, span, quote(client))
+        taken = take_in(workspace, data, None, span, unsearched(client))
         report = reprocess_span(Workspace.open(workspace), span, settings, client)
     return taken.followed_by(report, "backfill").as_json()

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from prefect.utilities.annotations import quote
-
 from inflight.flows.progress import tell
-from inflight.flows.stages import step
+from inflight.flows.stages import step, unsearched
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -33,8 +31,8 @@ def batch_tasks(client: Client) -> Mapper:
     ) -> Iterator[Any]:
         run_batch = step(stage)(_run_batch)
         tell(stage, 0, len(arguments))
-        # Quoted, because Prefect would search every argument for futures to wait for.
-        futures = [run_batch.submit(quote(client), quote(function), quote(batch)) for batch in arguments]
+        shared = (unsearched(client), unsearched(function))
+        futures = [run_batch.submit(*shared, unsearched(batch)) for batch in arguments]
         for done, future in enumerate(futures, start=1):
             outcome = future.result()
             tell(stage, done, len(arguments))

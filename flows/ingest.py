@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prefect import flow
-from prefect.utilities.annotations import quote
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.cluster import dask_client
 from inflight.flows.progress import tell
 from inflight.flows.span import DateOrNone, Span
-from inflight.flows.stages import batch_runner, step
+from inflight.flows.stages import batch_runner, step, unsearched
 from inflight.tasks import ingest as steps
 from inflight.tasks.report import RunReport
 
@@ -53,7 +52,7 @@ def ingest(
     """
     span = Span(start=start, end=end)
     with dask_client(workers) as client:
-        return take_in(workspace, data, instruments, span, quote(client)).as_json()
+        return take_in(workspace, data, instruments, span, unsearched(client)).as_json()
 
 
 @step("take in")

@@ -38,7 +38,7 @@ def reprocess(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
     """Calibrate and write level-2 products of a span."""
-    from inflight.tasks.reprocess import ReprocessSettings
+    from inflight.tasks.planning import ReprocessSettings
     from inflight.tasks.reprocess import reprocess as work
 
     settings = ReprocessSettings.model_validate(parameters.get("settings") or {})

@@ -8,7 +8,7 @@ from typing import Any
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.span import Span
-from inflight.tasks.reprocess import ReprocessSettings, plan
+from inflight.tasks.planning import ReprocessSettings, plan
 
 
 def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,13 +6,15 @@ Prefect plans, retries and shows; what was done is in the catalog alone.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 from prefect import task
 from prefect.cache_policies import NO_CACHE
 from prefect.client.schemas.objects import State, TaskRun
-from prefect.task_runners import ThreadPoolTaskRunner
+from prefect.futures import PrefectFuture
+from prefect.task_runners import TaskRunner, ThreadPoolTaskRunner
 from prefect.tasks import Task
+from prefect.utilities.annotations import quote
 
 from inflight.errors import InflightError
 
@@ -25,9 +27,14 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def batch_runner() -> ThreadPoolTaskRunner[Any]:
+def batch_runner() -> TaskRunner[PrefectFuture[Any]]:
     """Return the task runner of every flow: threads that wait for Dask."""
-    return ThreadPoolTaskRunner(max_workers=BATCHES_IN_FLIGHT)
+    return cast("TaskRunner[PrefectFuture[Any]]", ThreadPoolTaskRunner(max_workers=BATCHES_IN_FLIGHT))
+
+
+def unsearched(value: R) -> R:
+    """Return an argument that a task takes as it is: Prefect would search it for futures to wait for."""
+    return cast(R, quote(value))
 
 
 def can_pass(error: object) -> bool:
@@ -35,7 +42,7 @@ def can_pass(error: object) -> bool:
     if isinstance(error, InflightError):
         return error.cause == "transient"
     from distributed import KilledWorker
-    from distributed.comm import CommClosedError
+    from distributed.comm.core import CommClosedError
     from sqlalchemy.exc import OperationalError
 
     return isinstance(
