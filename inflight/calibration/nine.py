@@ -48,25 +48,32 @@ def residuals(theta: Floats, e: Floats, s: Floats, f: Floats) -> Floats:  # prag
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill(
-    rows: Floats, theta: Floats, e: Floats, s: Floats, f: Floats, root: Floats, scale: Floats, first: int
-) -> None:  # pragma: no cover
-    """Fill a block of weighted, scaled rows [nine columns | residual]."""
-    many = s.shape[0] > 1
+    rows: Floats, theta: Floats, e: Floats, s: Floats, f: Floats, width: float, scale: Floats, first: int
+) -> tuple[float, float]:  # pragma: no cover
+    """Fill a block of weighted, scaled rows [nine columns | residual].
+
+    The weight is Tukey's biweight ``(1 - (r / width)^2)^2``; its root multiplies the row. Returns
+    the sums of the weights and of the slopes of r w(r).
+    """
+    last = s.shape[0] - 1
+    weights, slopes = 0.0, 0.0
     for k in range(rows.shape[0]):
         i = first + k
-        w = root[i]
-        if w == 0.0:
-            rows[k, :] = 0.0
-            continue
         x, y, z = e[i, 0] - theta[6], e[i, 1] - theta[7], e[i, 2] - theta[8]
-        q = i if many else 0
+        q = min(i, last)
         bx = theta[0] * x + theta[3] * y + theta[4] * z - s[q, 0]
         by = theta[1] * y + theta[5] * z - s[q, 1]
         bz = theta[2] * z - s[q, 2]
         norm = np.sqrt(bx * bx + by * by + bz * bz)
-        ux, uy, uz = w * bx / norm, w * by / norm, w * bz / norm
+        r = norm - f[i]
+        u = min((r / width) ** 2, 1.0)
+        root = 1.0 - u
+        weights += root * root
+        slopes += root * (1.0 - 5.0 * u)
+        part = root / norm
+        ux, uy, uz = part * bx, part * by, part * bz
         rows[k, 0] = ux * x * scale[0]
         rows[k, 1] = uy * y * scale[1]
         rows[k, 2] = uz * z * scale[2]
@@ -76,13 +83,22 @@ def _fill(
         rows[k, 6] = -theta[0] * ux * scale[6]
         rows[k, 7] = -(theta[3] * ux + theta[1] * uy) * scale[7]
         rows[k, 8] = -(theta[4] * ux + theta[5] * uy + theta[2] * uz) * scale[8]
-        rows[k, 9] = w * (norm - f[i])
+        rows[k, 9] = root * r
+    return weights, slopes
+
+
+@numba.njit(cache=True, nogil=True)
+def rows(theta: Floats, e: Floats, s: Floats, f: Floats, scale: Floats) -> Floats:  # pragma: no cover
+    """Return unweighted rows [nine scaled columns | residual]; (time, 10) nT."""
+    out = np.empty((f.size, WIDTH))
+    _fill(out, theta, e, s, f, np.inf, scale, 0)
+    return out
 
 
 @numba.njit(cache=True, nogil=True)
 def grams(
-    theta: Floats, e: Floats, s: Floats, f: Floats, weight: Floats, scale: Floats, edges: Int64
-) -> Floats:  # pragma: no cover
+    theta: Floats, e: Floats, s: Floats, f: Floats, width: float, scale: Floats, edges: Int64
+) -> tuple[Floats, float, float]:  # pragma: no cover
     """Return the weighted Gram matrices of [nine columns | residual] of consecutive sub-blocks.
 
     Parameters
@@ -90,9 +106,9 @@ def grams(
     theta : ndarray, shape (9,)
         Point of linearisation.
     e, s, f : ndarray
-        Readings, additive fields, scalar field, nT, all finite where `weight` is positive.
-    weight : ndarray, shape (time,)
-        Robust weight, 0 = unused.
+        Readings (time, 3), additive fields (time, 3) or (1, 3), scalar field (time,); finite, nT.
+    width : float
+        Where the biweight ends, nT; infinite for plain least squares.
     scale : ndarray, shape (9,)
         Units of the columns: a column holds the change of the residual by ``scale`` of its parameter.
     edges : ndarray of int64, shape (block + 1,)
@@ -100,18 +116,22 @@ def grams(
 
     Returns
     -------
-    ndarray, shape (block, 10, 10)
+    gram : ndarray, shape (block, 10, 10)
         nT^2.
+    weights, slopes : float
+        Sums of the biweight and of the slope of its influence function.
     """
     out = np.zeros((edges.size - 1, WIDTH, WIDTH))
     rows = np.empty((_ROWS, WIDTH))
-    root = np.sqrt(weight)
+    weights, slopes = 0.0, 0.0
     for b in range(edges.size - 1):
         at = edges[b]
         while at < edges[b + 1]:
             many = min(_ROWS, edges[b + 1] - at)
             part = rows[:many]
-            _fill(part, theta, e, s, f, root, scale, at)
+            w, d = _fill(part, theta, e, s, f, width, scale, at)
+            weights += w
+            slopes += d
             out[b] += np.dot(part.T, part)
             at += many
-    return out
+    return out, weights, slopes

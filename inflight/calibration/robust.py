@@ -32,11 +32,3 @@ def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
     part = residual[:: max(1, residual.size // _SCALE_SAMPLES)]
     spread = float(np.median(np.abs(part)))
     return max(_TO_SIGMA * spread, floor)
-
-
-def biweight(residual: Floats, sigma: float) -> Floats:
-    """Return Tukey's biweight of residuals about zero, in [0, 1]; (time,)."""
-    scaled = residual * (1.0 / (BIWEIGHT_WIDTH * sigma))
-    inside = 1.0 - scaled * scaled
-    np.maximum(inside, 0.0, out=inside)
-    return np.asarray(inside * inside)

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.calibration.nine import WIDTH, grams, residuals
-from inflight.calibration.robust import BIWEIGHT_WIDTH, biweight, robust_sigma
-from inflight.calibration.solution import Solution, solve
+from inflight.calibration.nine import WIDTH, grams, residuals, rows
+from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
+from inflight.calibration.solution import Solution, posterior, solve
 from inflight.effects.base import Floats
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import CalibrationError, ModelError
@@ -34,8 +34,16 @@ BARTLETT = 3
 #: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
 BEND = 1e-4
 _MAX_PASSES = 25
-#: The iteration ends when no parameter moves by more than this part of its sigma.
-_SETTLED = 0.05
+#: The iteration ends when no parameter moves by more than this many of its sigmas: the next step would
+#: be at most a fiftieth of it.
+_SETTLED = 3.0
+#: Data that know every direction so many times better than the prior are solved without ado.
+_PLAIN = 1e3
+#: Longer blocks begin with every `_THIN`-th sample; the residual's scale is taken from so many.
+_LONG, _THIN, _SCALE_SAMPLES = 20_000, 4, 10_000
+#: A direction at the edge of what the data determine could come and go for ever: from this pass on
+#: the edge rises, pass by pass by this factor, until the direction stays at its prior.
+_EDGE_PASS, _EDGE_RISE = 6, 1.5
 #: Flags that take a sample out of the fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
 UNUSABLE |= Flag.INSTRUMENT_FLAG
@@ -77,8 +85,8 @@ class BlockFit:
         Sum of the weights.
     used : int
         Samples in the fit.
-    weight : ndarray, shape (time,)
-        Robust weights, 0 where unused.
+    sigma_residual : float
+        Robust standard deviation the weights were made with, nT.
     before, after : float
         Robustly weighted rms residual at the reference and at the fit, nT.
     passes : int
@@ -93,7 +101,7 @@ class BlockFit:
     scatter: Floats
     count: float
     used: int
-    weight: Floats
+    sigma_residual: float
     before: float
     after: float
     passes: int
@@ -202,34 +210,107 @@ def fit_block(
         raise CalibrationError(
             f"{used} usable samples for nine parameters", remedy="see the day's coverage and flags"
         )
-    e = np.ascontiguousarray(np.where(good[:, None], reading, 1.0))
-    s = np.ascontiguousarray(np.where(np.isfinite(additive), additive, 0.0))
-    f = np.where(good, scalar, 1.0)
-    edges = np.linspace(0, f.size, max(sub_blocks, 1) + 1).astype(np.int64)
-    weight = good.astype(np.float64)
     prior = prior or reference
-    value, sigma_r = reference.value, 0.0
-    for passes in range(1, _MAX_PASSES + 1):
-        if passes > 1:
-            r = residuals(_theta(value), e, s, f)
-            sigma_r = robust_sigma(r[good], floor=1e-6)
-            weight = np.where(good, biweight(r, sigma_r), 0.0)
-        blocks = grams(_theta(value), e, s, f, weight, _kernel_scale(value), edges)
-        found = _settle(blocks, weight, value, prior)
-        value = value + found.step * SCALE
-        if passes > 1 and np.all(np.abs(found.step) <= _SETTLED * np.maximum(found.solution.sigma, 1e-12)):
-            return _finish(found, weight, value, reference, prior, used, passes, sigma_r, e, s, f, good)
-    raise CalibrationError(
-        f"the fit did not settle in {_MAX_PASSES} passes", remedy="look at the day's residual for faults"
-    )
+    data = _Data.of(reading, additive, scalar, good, sub_blocks)
+    value, passes = reference.value, 0
+    for part in (data.thinned(), data):
+        for _ in range(_MAX_PASSES):
+            found = _pass(part, value, prior, weighted=passes > 0)
+            moved, value, passes = found.value - value, found.value, passes + 1
+            settled = np.all(np.abs(moved) <= _SETTLED * np.maximum(found.sigma, 1e-12 * SCALE))
+            if passes > 1 and settled and bend(value, value - moved, data.strength) <= BEND:
+                break
+        else:
+            raise CalibrationError(
+                f"the fit did not settle in {passes} passes", remedy="look at the day's residual for faults"
+            )
+    return _finish(found, data, reference, prior, used, passes)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """The usable samples of a block, without holes, and the sub-blocks they fall in."""
+
+    e: Floats
+    s: Floats
+    f: Floats
+    edges: npt.NDArray[np.int64]
+    strength: float
+
+    @classmethod
+    def of(
+        cls, reading: Floats, additive: Floats, scalar: Floats, good: npt.NDArray[np.bool_], sub_blocks: int
+    ) -> _Data:
+        bounds = np.linspace(0, good.size, max(sub_blocks, 1) + 1).astype(np.int64)
+        many = additive.shape[0] > 1
+        if good.all():
+            e, s, f, edges = reading, additive, scalar, bounds
+        else:
+            e, f, s = reading[good], scalar[good], additive[good] if many else additive
+            edges = np.append(0, np.cumsum(good))[bounds].astype(np.int64)
+        return cls(
+            np.ascontiguousarray(e),
+            np.ascontiguousarray(s),
+            np.ascontiguousarray(f),
+            edges,
+            float(np.median(f[::64])),
+        )
+
+    def thinned(self) -> _Data:
+        """Every fourth sample of a long block: it brings the fit near its end at a fourth of the cost."""
+        if self.f.size < _LONG:
+            return self
+        s = self.s[::_THIN] if self.s.shape[0] > 1 else self.s
+        e, f = self.e[::_THIN], self.f[::_THIN]
+        return _Data(
+            np.ascontiguousarray(e),
+            np.ascontiguousarray(s),
+            np.ascontiguousarray(f),
+            -(-self.edges // _THIN),
+            self.strength,
+        )
+
+    def sigma(self, value: Floats) -> float:
+        """Robust standard deviation of the residual, from some evenly spread samples; nT."""
+        step = max(1, self.f.size // _SCALE_SAMPLES)
+        s = self.s[::step] if self.s.shape[0] > 1 else self.s
+        some = residuals(_theta(value), self.e[::step], s, self.f[::step])
+        return robust_sigma(some, floor=1e-6)
 
 
 @dataclass(frozen=True)
 class _Pass:
-    solution: Solution
-    step: Floats
-    gram: Floats
-    scatter: Floats
+    """One Gauss-Newton pass: where it was linearised, where it leads, and its equations."""
+
+    here: Floats
+    value: Floats
+    sigma: Floats
+    blocks: Floats
+    count: float
+    bread: float
+    sigma_residual: float
+
+
+def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool) -> _Pass:
+    """Make one pass.
+
+    The step is lengthened by `bread`, the ratio of the weights to their slope: weights follow the
+    residual, so that a plain step with fixed weights falls short by a tenth.
+    """
+    sigma = data.sigma(value) if weighted else float("inf")
+    blocks, count, slopes = grams(
+        _theta(value), data.e, data.s, data.f, BIWEIGHT_WIDTH * sigma, _kernel_scale(value), data.edges
+    )
+    bread = count / slopes if slopes > 0.2 * count else 1.0
+    gram = blocks.sum(axis=0)
+    centre, spread = (prior.value - value) / SCALE, prior.sigma / SCALE
+    step, covariance, least = posterior(gram, count, centre, spread)
+    if least < _PLAIN:
+        # Weak directions need their true weight, or the iteration runs along them for nothing.
+        solution = solve(gram, score_scatter(blocks, step, spread), count, centre, spread)
+        step, covariance, bread = solution.value, solution.covariance, 1.0
+    sigmas = np.sqrt(np.diag(covariance)) * SCALE
+    return _Pass(value, value + step * bread * SCALE, sigmas, blocks, count, bread, sigma)
 
 
 def _theta(value: Floats) -> Floats:
@@ -242,19 +323,6 @@ def _kernel_scale(value: Floats) -> Floats:
     scale = SCALE.copy()
     scale[3:6] *= -np.sin(np.deg2rad(value[3:6])) * np.pi / 180.0
     return scale
-
-
-def _settle(blocks: Floats, weight: Floats, value: Floats, known: Reference) -> _Pass:
-    """Solve one pass; scores of the sub-blocks are taken at its solution."""
-    gram = blocks.sum(axis=0)
-    prior = (known.value - value) / SCALE
-    prior_sigma = known.sigma / SCALE
-    count = float(weight.sum())
-    still = np.zeros((WIDTH - 1, WIDTH - 1))
-    first = solve(gram, still, count, prior, prior_sigma)
-    scatter = score_scatter(blocks, first.value, prior_sigma)
-    solution = solve(gram, scatter, count, prior, prior_sigma)
-    return _Pass(solution, solution.value, gram, scatter)
 
 
 def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats:
@@ -280,32 +348,21 @@ def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats
 
 
 def _finish(
-    found: _Pass,
-    weight: Floats,
-    value: Floats,
-    reference: Reference,
-    prior: Reference,
-    used: int,
-    passes: int,
-    sigma_r: float,
-    e: Floats,
-    s: Floats,
-    f: Floats,
-    good: npt.NDArray[np.bool_],
+    found: _Pass, data: _Data, reference: Reference, prior: Reference, used: int, passes: int
 ) -> BlockFit:
-    """Collect the result; normal equations are expressed at the reference."""
-    bread = _bread_ratio(residuals(_theta(value), e, s, f)[good], sigma_r)
-    scatter = found.scatter * bread**2
-    count = float(weight.sum())
-    here = value - found.step * SCALE
-    solution = solve(found.gram, scatter, count, (prior.value - here) / SCALE, prior.sigma / SCALE)
-    if bend(value, reference.value, float(np.median(f[good]))) > BEND:
-        whole = np.array([0, f.size])
-        gram = grams(_theta(reference.value), e, s, f, weight, _kernel_scale(reference.value), whole)[0]
+    """Solve the last pass with the scatter of its scores; express its equations at the reference."""
+    gram = found.blocks.sum(axis=0)
+    centre, spread = (prior.value - found.here) / SCALE, prior.sigma / SCALE
+    near, _, _ = posterior(gram, found.count, centre, spread)
+    scatter = score_scatter(found.blocks, near, spread) * found.bread**2
+    solution = solve(gram, scatter, found.count, centre, spread)
+    value = found.here + (solution.value + (found.bread - 1.0) * near) * SCALE
+    value = np.where(solution.moved, value, prior.value)
+    if bend(value, reference.value, data.strength) > BEND:
+        gram = _gram_at(reference.value, data, found)
     else:
-        gram = shift_reference(found.gram, (reference.value - here) / SCALE)
-    to_physical = np.outer(SCALE, SCALE)
-    covariance = solution.covariance * to_physical
+        gram = shift_reference(gram, (reference.value - found.here) / SCALE)
+    covariance = solution.covariance * np.outer(SCALE, SCALE)
     return BlockFit(
         value,
         np.sqrt(np.diag(covariance)),
@@ -313,20 +370,27 @@ def _finish(
         solution,
         gram,
         scatter,
-        count,
+        found.count,
         used,
-        weight,
-        before=float(np.sqrt(gram[-1, -1] / count)),
+        found.sigma_residual,
+        before=float(np.sqrt(gram[-1, -1] / found.count)),
         after=float(np.sqrt(solution.variance)),
         passes=passes,
     )
 
 
-def _bread_ratio(r: Floats, sigma: float) -> float:
-    """Return mean weight over mean slope of the biweight's psi: the sandwich's bread is the slope."""
-    u = np.minimum((r / (BIWEIGHT_WIDTH * sigma)) ** 2, 1.0)
-    slope = float(np.mean((1.0 - u) * (1.0 - 5.0 * u)))
-    return float(np.mean((1.0 - u) ** 2)) / slope if slope > 0.2 else 1.0
+def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
+    """Return the Gram matrix linearised at a far reference, with the weights of the last pass."""
+    r = residuals(_theta(found.here), data.e, data.s, data.f)
+    root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
+    out = np.zeros((WIDTH, WIDTH))
+    for low in range(0, r.size, _SCALE_SAMPLES):
+        part = slice(low, low + _SCALE_SAMPLES)
+        s = data.s[part] if data.s.shape[0] > 1 else data.s
+        weighted = rows(_theta(reference), data.e[part], s, data.f[part], _kernel_scale(reference))
+        weighted *= root[part, None]
+        out += weighted.T @ weighted
+    return out
 
 
 def bend(value: Floats, reference: Floats, strength: float) -> float:

@@ -76,8 +76,8 @@ def residual_sum(gram: Floats, change: Floats) -> float:
     return float(max(own + 2.0 * cross @ change + change @ matrix @ change, 0.0))
 
 
-def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
-    """Return the maximum of the posterior and its covariance for uncorrelated residuals; scaled.
+def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) -> tuple[Floats, Floats, float]:
+    """Return the posterior's maximum, its covariance and the least information, for white residuals.
 
     Parameters
     ----------
@@ -92,7 +92,9 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
         variance = _variance(gram, value, count)
         inverse = np.linalg.inv(matrix * unit / variance + np.eye(prior.size))
         value = prior - prior_sigma * (inverse @ pull) / variance
-    return value, inverse * unit
+    free = prior_sigma > 0
+    largest = np.linalg.eigvalsh(inverse[np.ix_(free, free)])[-1] if free.any() else 0.0
+    return value, inverse * unit, 1.0 / largest - 1.0 if largest > 0 else np.inf
 
 
 def solve(
