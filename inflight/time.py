@@ -13,6 +13,7 @@ from __future__ import annotations
 import datetime as dt
 import io
 import re
+from fractions import Fraction
 from typing import cast
 
 import numpy as np
@@ -98,6 +99,9 @@ def in_leap_second(tt2000: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     return (following < _LEAP_TT2000.size) & (following > 0) & (upcoming - ticks <= SECOND)
 
 
+_UTC_TEXT = re.compile(r"^\d{4}(-\d\d){0,2}([T ]\d\d(:\d\d){1,2}(\.\d{1,9})?)?$")
+
+
 def parse_utc(text: str | dt.date | dt.datetime | np.datetime64) -> np.datetime64:
     """Read a UTC date or time as a person writes it; a trailing ``Z`` is allowed, other zones are not.
 
@@ -111,6 +115,9 @@ def parse_utc(text: str | dt.date | dt.datetime | np.datetime64) -> np.datetime6
     if isinstance(text, str):
         text = text.strip().removesuffix("Z").removesuffix("+00:00")
     try:
+        # numpy alone would also take "now", an empty text as no time, and shift by any zone.
+        if not _UTC_TEXT.match(str(text)):
+            raise ValueError
         return cast("np.datetime64", np.array(str(text), dtype="datetime64[ns]")[()])
     except ValueError:
         raise ValueError(
@@ -141,7 +148,7 @@ def day_range(start: DayLike, end: DayLike) -> list[np.datetime64]:
     return [as_day(first + np.timedelta64(step, "D")) for step in range(count)]
 
 
-_DURATION = re.compile(r"^\s*([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(ns|us|ms|s|min|h|d)\s*$")
+_DURATION = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(ns|us|ms|s|min|h|d)\s*$")
 _UNIT_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": SECOND, "min": 60 * SECOND, "h": 3600 * SECOND, "d": DAY}
 
 
@@ -158,4 +165,4 @@ def parse_duration(text: str) -> int:
         raise ValueError(
             f"{text!r} is no duration; write a number and one of {', '.join(_UNIT_NS)}, as in '10 s'"
         )
-    return round(float(match[1]) * _UNIT_NS[match[2]])
+    return round(Fraction(match[1]) * _UNIT_NS[match[2]])
