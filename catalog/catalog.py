@@ -366,7 +366,27 @@ class Catalog:
         notes: str = "",
         destination: Path | str | None = None,
     ) -> Path:
-        """Freeze a collection and copy it out; see `inflight.catalog.release.freeze_release`."""
+        """Freeze the published days of some datasets as a release and copy it out.
+
+        Parameters
+        ----------
+        version : str
+            Such as ``1.0``; never given out twice.
+        context : str or None
+            Take the newest revisions made in it; datasets without contexts give their present ones.
+        datasets : sequence of str
+            Patterns, such as ``l2/*``.
+        notes : str
+            Text of RELEASE_NOTES.md.
+        destination : path
+            Folder in which one named after the version appears, by one rename; ``releases`` by default.
+
+        Raises
+        ------
+        CatalogError
+            When the version exists, nothing matches, a day has no provenance, or a day is missing
+            without a recorded cause.
+        """
         target = Path(destination) if destination is not None else self.workspace / "releases"
         return freeze_release(self.workspace, self._database, version, context, datasets, notes, target)
 

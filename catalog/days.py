@@ -11,7 +11,15 @@ from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from inflight.catalog.records import DAY_STATES, Day, parse_version, utc_day, version_text
-from inflight.catalog.schema import CurrentRow, DatasetRow, DayRow, ReleaseDayRow, ReleaseRow, StoreRow
+from inflight.catalog.schema import (
+    CurrentRow,
+    DatasetRow,
+    DayRow,
+    ReleaseDayRow,
+    ReleaseRow,
+    RunRow,
+    StoreRow,
+)
 from inflight.catalog.spans import Span
 from inflight.errors import CatalogError
 
@@ -160,12 +168,19 @@ def released_days(session: Session, version: str, name: str | None, span: Span) 
 
 
 def adoptable_day(session: Session, name: str, day: dt.date, key: str) -> tuple[DayRow, StoreRow] | None:
-    """Return a day that a run verified and never published, made from the same key."""
+    """Return a day that an ended run verified and never published, made from the same key."""
     found = session.execute(
         select(DayRow, StoreRow)
         .join(StoreRow, StoreRow.id == DayRow.store_id)
         .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
-        .where(DatasetRow.name == name, DayRow.day == day, DayRow.key == key, DayRow.state == "verified")
+        .join(RunRow, RunRow.id == DayRow.run_id)
+        .where(
+            DatasetRow.name == name,
+            DayRow.day == day,
+            DayRow.key == key,
+            DayRow.state == "verified",
+            RunRow.state != "running",
+        )
         .order_by(DayRow.id.desc())
     ).first()
     return (found[0], found[1]) if found else None

@@ -44,7 +44,7 @@ def read_one_day(workspace: Path, day: Day, variables: Iterable[str] | None) -> 
     start, stop = day.rows
     dataset = store.dataset_of_day(start // store.chunk, names, start, stop)
     if store.row_dim == "time":
-        dataset = dataset.assign_coords(time=("time", to_utc(_row_times(_Piece(store, day, start, stop)))))
+        dataset = dataset.assign_coords(time=("time", utc_of_day(dataset["tt2000"].values)))
     return dataset
 
 
@@ -71,7 +71,22 @@ def load_rows(folder: str, name: str, start: int, stop: int) -> Array:
 
 def load_times(folder: str, start: int, stop: int) -> npt.NDArray[np.datetime64]:
     """Read the UTC stamps of rows of one day."""
-    return to_utc(open_store(folder).rows("tt2000", start, stop))
+    return utc_of_day(open_store(folder).rows("tt2000", start, stop))
+
+
+def utc_of_day(stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.datetime64]:
+    """Return the UTC stamps of increasing TT2000 within one day.
+
+    TAI - UTC only grows: where both ends have one offset, no leap second lies between, and a shift
+    does what the table of leap seconds would take five times as long for.
+    """
+    if not stamps.size:
+        return to_utc(stamps)
+    shifts = to_utc(stamps[[0, -1]]).astype(np.int64) - stamps[[0, -1]]
+    if shifts[0] != shifts[1]:
+        return to_utc(stamps)
+    utc: npt.NDArray[np.datetime64] = (stamps + shifts[0]).view("datetime64[ns]")
+    return utc
 
 
 def _piece(workspace: Path, day: Day) -> _Piece:
@@ -171,9 +186,9 @@ def _task(name: str, piece: _Piece, inner: tuple[int, ...], dtype: np.dtype[Any]
 def _with_time(opened: xr.Dataset, pieces: Sequence[_Piece]) -> xr.Dataset:
     if sum(piece.stop - piece.start for piece in pieces) > INDEX_LIMIT:
         return opened.assign_coords(xr.Coordinates({"time": _lazy_time(pieces)}, indexes={}))
-    stamps = np.concatenate([_row_times(piece) for piece in pieces])
-    opened["tt2000"] = ("time", stamps, opened["tt2000"].attrs)
-    return opened.assign_coords(time=("time", to_utc(stamps)))
+    stamps = [_row_times(piece) for piece in pieces]
+    opened["tt2000"] = ("time", np.concatenate(stamps), opened["tt2000"].attrs)
+    return opened.assign_coords(time=("time", np.concatenate([utc_of_day(part) for part in stamps])))
 
 
 def _lazy_time(pieces: Sequence[_Piece]) -> xr.Variable:

@@ -64,36 +64,7 @@ def freeze_release(
     notes: str,
     destination: Path,
 ) -> Path:
-    """Freeze the published days of some datasets as a release and copy it out.
-
-    Parameters
-    ----------
-    workspace : path
-        Folder of the catalog.
-    database : Database
-        Of the catalog.
-    version : str
-        Such as ``1.0``; never given out twice.
-    context : str or None
-        Take the newest revisions made in this context; datasets without contexts give their present ones.
-    datasets : sequence of str
-        Patterns, such as ``l2/*``.
-    notes : str
-        Text of RELEASE_NOTES.md.
-    destination : path
-        Folder in which a folder named after the version appears, by one rename.
-
-    Returns
-    -------
-    path
-        The release's folder.
-
-    Raises
-    ------
-    CatalogError
-        When the version exists, nothing matches, a day has no provenance, or a day is missing without a
-        recorded cause.
-    """
+    """Freeze the published days of some datasets and copy them out; see `Catalog.release`."""
     if not re.fullmatch(r"[0-9A-Za-z][0-9A-Za-z.-]*", version):
         raise CatalogError(
             f"{version!r} is no release version", remedy="use digits, letters, '.' and '-', as in '1.0'"

@@ -55,9 +55,8 @@ def write_segment(
 ) -> Segment:
     """Write several days of one dataset as one immutable Zarr store.
 
-    The store is written below ``staging/<run_id>``, every array is read back and compared, all
-    files are hashed into a manifest and flushed, and one rename puts it below ``stores/<run_id>``.
-    Equal input gives equal bytes.
+    Written below ``staging/<run_id>``, read back, hashed, flushed, then renamed into
+    ``stores/<run_id>``. Equal input gives equal bytes.
 
     Parameters
     ----------
@@ -68,7 +67,6 @@ def write_segment(
     name : str
         Dataset, such as ``l1/fgm``.
     days : sequence of DayData
-        In any order.
     portable : bool
         Leave out the delta filter, which the Zarr v3 specification does not know.
 
