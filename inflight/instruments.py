@@ -135,6 +135,18 @@ class Channel(Strict):
         return tuple(self.variables or ())
 
 
+class ClockStep(Strict):
+    """What is added to the stamps of a file from one stamp on."""
+
+    #: First stamp, as the file writes it, that the offset is for; all stamps when absent.
+    since: Instant | None = None
+    offset: Duration
+
+
+def _clock_steps(value: Any) -> Any:
+    return value if isinstance(value, list) else [{"offset": value}]
+
+
 class Files(Strict):
     """Where an instrument's files are and how they are read; options are shared by all readers."""
 
@@ -153,8 +165,8 @@ class Files(Strict):
     time_start: Instant | None = None
     #: Which sample of a report (from 0) stamps it, where times have shape (report, sample).
     time_column: Annotated[int | None, Field(ge=0)] = None
-    #: Added to every stamp: 13 s when the stamps are 13 s early.
-    clock_offset: Duration = 0
+    #: Added to every stamp: 13 s when the stamps are 13 s early; or a list of steps, each since its stamp.
+    clock_offset: Annotated[list[ClockStep], BeforeValidator(_clock_steps)] = Field(default_factory=list)
     #: Rows farther than this outside the span a file's name states are dropped and reported.
     spill: Duration = 86_400_000_000_000
     #: Variables of the file that are never read.

@@ -18,6 +18,7 @@ from ruamel.yaml.error import MarkedYAMLError
 from inflight.errors import MissionError
 from inflight.instruments import (
     Channel,
+    ClockStep,
     Duration,
     Files,
     Instant,
@@ -33,6 +34,7 @@ from inflight.instruments import (
 
 __all__ = [
     "Channel",
+    "ClockStep",
     "Comparison",
     "DualComparison",
     "Duration",
@@ -210,7 +212,7 @@ class Mission(Strict):
         if own.same_as is None:
             return own
         shared = self.instruments[own.same_as].files
-        overrides = own.model_dump(exclude_unset=True, exclude={"same_as"})
+        overrides = {key: getattr(own, key) for key in own.model_fields_set if key != "same_as"}
         # Durations are already nanoseconds here, so the copy must not be validated again.
         return shared.model_copy(update=overrides)
 

@@ -133,7 +133,7 @@ def _times(
     else:
         times = _series(decode_times(source, files, span), source, files)
     missing = times == TT2000_FILL
-    times = np.where(missing, TT2000_FILL, times + files.clock_offset)
+    times = np.where(missing, TT2000_FILL, times + clock_offset(times, files))
     outside = np.zeros(times.shape, dtype=bool)
     if span.start is not None:
         outside |= times < span.start - files.spill
@@ -143,6 +143,15 @@ def _times(
     found = {"no_time": int(missing.sum()), "outside_span_of_file_name": int(outside.sum())}
     dropped = {reason: count for reason, count in found.items() if count}
     return times, ~(missing | outside).ravel(), dropped
+
+
+def clock_offset(times: Int64, files: Files) -> Int64:
+    """Return what `Files.clock_offset` adds to each stamp, ns: the last step that has begun."""
+    offset = np.zeros(times.shape, dtype=np.int64)
+    steps = [(-(2**63) if step.since is None else step.since, step.offset) for step in files.clock_offset]
+    for since, added in sorted(steps):
+        offset[times >= since] = added
+    return offset
 
 
 def _series(times: Int64, source: Source, files: Files) -> Int64:

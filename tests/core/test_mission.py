@@ -34,7 +34,7 @@ def test_every_shipped_mission_parses_and_states_a_comparison(path):
 
 def test_the_template_shows_every_key():
     text = next(path for path in MISSIONS if path.stem == "template").read_text(encoding="utf-8")
-    for model in ("Files", "Channel", "Instrument", "Mission", "Positions"):
+    for model in ("Files", "Channel", "ClockStep", "Instrument", "Mission", "Positions"):
         import inflight.mission
 
         for key in getattr(inflight.mission, model).model_fields:
@@ -77,4 +77,4 @@ comparisons:""",
     files = Mission.parse(text).files("other")
     assert files.reader == "cdf"
     assert files.time == ["Epoch2"]
-    assert files.clock_offset == 13 * 10**9
+    assert [(step.since, step.offset) for step in files.clock_offset] == [(None, 13 * 10**9)]

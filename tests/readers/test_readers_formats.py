@@ -292,6 +292,13 @@ def test_fill_range_column_and_clock_offset(tmp_path):
     assert table.flag.tolist() == [0, 0, 0, int(Flag.OUT_OF_RANGE)]
 
 
+def test_a_clock_that_was_set_anew_has_an_offset_for_each_part(tmp_path):
+    path = write_cdf(tmp_path / "a.cdf", {"Epoch": (TIMES, TT2000, {}), "B": (FIELD, DOUBLE, {})})
+    steps = [{"since": "2016-12-31T20:00:00Z", "offset": "-8 s"}, {"offset": "13 s"}]
+    table = read_file(path, *vector(reader="cdf", time="Epoch", clock_offset=steps))
+    assert ((table.times - TIMES) // 10**9).tolist() == [13, 13, -8, -8, -8, -8]
+
+
 def test_rows_without_a_time_or_far_from_the_name_are_dropped_and_counted(tmp_path):
     times = TIMES.copy()
     times[1], times[4] = np.int64(-(2**63)), 0
