@@ -3,10 +3,11 @@
 Each channel is carried to the base by one of three stated methods (attribute ``resampling``):
 
 exact
-    The base's stamps are among the channel's: values are picked.
+    The base's stamps are among the channel's: values are picked (but never from a faster field).
 band_limited
     A field whose own cadence is as fast or faster: Kaiser-windowed sinc, low-passed at the base's
-    Nyquist frequency when the base is slower. All samples under the window must be there.
+    Nyquist frequency when the base is slower. All samples under the window must be there, and none
+    of them rejected by its own instrument.
 linear
     Everything else: between two samples no further apart than one and a half cadences.
 
@@ -39,6 +40,7 @@ _KAISER_BETA = 10.0
 _SAME_STAMP = 1e-3
 #: Neighbours further apart than this many cadences have a gap between them.
 GAP = 1.5
+_REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE
 _MISSING = {"vector": Flag.VECTOR_MISSING, "scalar": Flag.SCALAR_MISSING}
 _MISSING |= {"inboard": Flag.VECTOR_MISSING, "outboard": Flag.VECTOR_MISSING}
 
@@ -80,7 +82,10 @@ def align(
         if name in _MISSING:
             lost = ~np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
             flag[lost] |= np.uint32(_MISSING[name])
-            flag |= _carried_flags(series, stamps)
+            if name == "scalar":
+                # No place near the Earth or in the solar wind has no field: the instrument failed.
+                flag[values <= 0] |= np.uint32(Flag.OUT_OF_RANGE)
+            flag |= _carried_flags(series, stamps - lag)
         attrs = {**series.attrs, "lag_ns": lag, "resampling": method}
         variables[name] = xr.Variable(_dims(name, values), values, attrs)
     variables["tt2000"] = xr.Variable("time", stamps)
@@ -112,7 +117,7 @@ def _carry(name: str, series: xr.DataArray, target: Int64) -> tuple[Floats, str]
     if series.attrs.get("kind") == "attitude" and values.ndim == 2 and values.shape[1] == 4:
         carried, method = _between(name, series.attrs, stamps, _one_sign(values), target)
         return carried / np.linalg.norm(carried, axis=1, keepdims=True), method
-    return _between(name, series.attrs, stamps, values, target)
+    return _between(name, series.attrs, stamps, values, target, _own_flags(series))
 
 
 def _one_sign(quaternion: Floats) -> Floats:
@@ -125,7 +130,12 @@ def _one_sign(quaternion: Floats) -> Floats:
 
 
 def _between(
-    name: str, attrs: Mapping[Any, Any], stamps: Int64, values: Floats, target: Int64
+    name: str,
+    attrs: Mapping[Any, Any],
+    stamps: Int64,
+    values: Floats,
+    target: Int64,
+    own_flags: npt.NDArray[np.uint32] | None = None,
 ) -> tuple[Floats, str]:
     """Carry values from stamps to targets by the method that fits name and cadence."""
     if np.array_equal(stamps, target):
@@ -134,15 +144,21 @@ def _between(
     if stamps.size == 0:
         return np.full(shape, np.nan), "none"
     cadence = int(attrs.get("cadence_ns", 0)) or _usual_step(stamps)
-    picked = _pick(stamps, target, cadence)
+    base_step = _usual_step(target)
+    is_field = name in FIELD_ROLES
+    # A faster field is low-passed even where stamps coincide: picking would fold its noise into the band.
+    faster = is_field and target.size > 1 and cadence < base_step * (1 - _SAME_STAMP)
+    picked = None if faster else _pick(stamps, target, cadence)
     if picked is not None:
         index, there = picked
         chosen = values[index]
         chosen[~there] = np.nan
         return chosen, "exact"
     wide = values.reshape(values.shape[0], -1)
-    base_step = _usual_step(target)
-    if name in FIELD_ROLES and cadence <= base_step * (1 + _SAME_STAMP):
+    if own_flags is not None:
+        # A reading its own instrument rejects would spread under the window to good ones.
+        wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
+    if is_field and cadence <= base_step * (1 + _SAME_STAMP):
         cutoff = min(1.0, cadence / base_step)
         return _sinc(stamps, wide, target, float(cadence), cutoff).reshape(shape), "band_limited"
     return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
@@ -166,14 +182,29 @@ def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArra
 
 
 def _carried_flags(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
-    """Return the instrument's own flags at the targets: those of the nearest sample not later."""
-    if "flag" not in series.coords or series.sizes["time"] == 0:
-        return np.zeros(target.size, dtype=np.uint32)
-    own = np.asarray(series["flag"].values, dtype=np.uint32)
-    if not own.any():
-        return np.zeros(target.size, dtype=np.uint32)
+    """Return the instrument's own flags at the targets: those of the samples on both sides."""
+    out = np.zeros(target.size, dtype=np.uint32)
+    own = _own_flags(series)
+    if own is None:
+        return out
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
-    return own[np.clip(np.searchsorted(stamps, target, side="right") - 1, 0, None)]
+    cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
+    same = int(_SAME_STAMP * cadence)
+    left = np.searchsorted(stamps, target + same, side="right") - 1
+    on_stamp = (left >= 0) & (target - stamps[np.clip(left, 0, None)] <= same)
+    for index in (left, np.where(on_stamp, left, left + 1)):
+        near = np.clip(index, 0, stamps.size - 1)
+        beside = (near == index) & (np.abs(stamps[near] - target) < GAP * cadence)
+        out[beside] |= own[near[beside]]
+    return out
+
+
+def _own_flags(series: xr.DataArray) -> npt.NDArray[np.uint32] | None:
+    """Return the flags a series carries, or None when there are none."""
+    if "flag" not in series.coords or series.sizes["time"] == 0:
+        return None
+    own = np.asarray(series["flag"].values, dtype=np.uint32)
+    return own if own.any() else None
 
 
 @numba.njit(cache=True, nogil=True)
@@ -201,6 +232,20 @@ def _bessel_i0(x: float) -> float:  # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
+def _whole(
+    stamps: Int64, first: int, last: int, target: int, half: float, cadence: float
+) -> bool:  # pragma: no cover
+    """Return True when no sample is missing under a window of half-width `half`, ns."""
+    edge = half - GAP * cadence
+    if target - stamps[first] < edge or stamps[last] - target < edge:
+        return False
+    for j in range(first, last):  # noqa: SIM110, numba knows no generator expressions
+        if stamps[j + 1] - stamps[j] > GAP * cadence:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
 def _sinc(
     stamps: Int64, values: Floats, target: Int64, cadence: float, cutoff: float
 ) -> Floats:  # pragma: no cover
@@ -219,7 +264,9 @@ def _sinc(
             first -= 1
         while last + 1 < stamps.size and stamps[last + 1] - target[i] < half * cadence:
             last += 1
-        if last - first + 1 < int(2 * half) - 1:
+        if last - first + 1 < int(2 * half) - 1 or not _whole(
+            stamps, first, last, target[i], half * cadence, cadence
+        ):
             continue
         total = 0.0
         width = float(stamps[last] - stamps[first])

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from enum import IntFlag
 
+import numpy as np
+import numpy.typing as npt
+
 
 class Flag(IntFlag):
     """What is wrong with, or was done to, one sample."""
@@ -39,3 +42,9 @@ def meanings() -> tuple[list[int], str]:
     """Return the masks and the space-separated meanings for product attributes."""
     bits = [bit for bit in Flag if bit]
     return [int(bit) for bit in bits], " ".join(str(bit.name).lower() for bit in bits)
+
+
+def tally(flag: npt.NDArray[np.uint32]) -> str:
+    """Say how many samples carry which flag: ``1200 scalar_missing, 30 outlier``; empty when none does."""
+    counts = {bit: int(np.count_nonzero(flag & np.uint32(bit))) for bit in Flag if bit}
+    return ", ".join(f"{count} {str(bit.name).lower()}" for bit, count in counts.items() if count)

@@ -21,6 +21,7 @@ from inflight.calibration import (
 )
 from inflight.catalog import Catalog, DayData, Segment, write_segment
 from inflight.errors import CalibrationError, InflightError
+from inflight.flags import tally
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
@@ -134,6 +135,12 @@ def calibrate_day(
     cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
     step = int(np.median(np.diff(samples["tt2000"].values))) if samples.sizes["time"] > 1 else cadence
     coverage = float(good.sum() * step / (end - start))
+    if good.sum() <= len(prior.value):
+        told = tally(samples["flag"].values) or "a channel the model needs is missing"
+        raise CalibrationError(
+            f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {told}",
+            remedy="look at the day's deliveries, or exclude the day",
+        )
     if coverage < min_coverage:
         raise CalibrationError(
             f"{coverage:.1%} of the day is usable, at least {min_coverage:.1%} is needed",
