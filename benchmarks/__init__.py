@@ -1,0 +1,1 @@
+"""Speed and memory against the naive way and the floor; ``make bench`` prints them."""
