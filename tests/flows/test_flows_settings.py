@@ -1,0 +1,84 @@
+"""How Prefect and Dask are set up: quiet, private, and giving way to what a team has already."""
+
+from pathlib import Path
+
+import pytest
+
+from inflight.errors import SettingsError
+from inflight.flows.cluster import available_cores, dask_client
+from inflight.flows.settings import prefect_environment, prefect_settings
+from inflight.flows.span import Span
+
+
+def test_the_embedded_server_is_private_and_quiet(monkeypatch, tmp_path):
+    for name in ("PREFECT_API_URL", "PREFECT_HOME", "DO_NOT_TRACK"):
+        monkeypatch.delenv(name, raising=False)
+    environment = prefect_environment(tmp_path)
+    assert environment["PREFECT_HOME"] == str(tmp_path)
+    assert environment["DO_NOT_TRACK"] == "1"
+    assert environment["PREFECT_SERVER_ANALYTICS_ENABLED"] == "false"
+    assert environment["PREFECT_SERVER_SERVICES_SCHEDULER_ENABLED"] == "false"
+
+
+def test_a_named_server_is_used_and_its_own_settings_are_left_alone(monkeypatch, tmp_path):
+    monkeypatch.setenv("PREFECT_API_URL", "http://localhost:4200/api")
+    environment = prefect_environment(tmp_path)
+    assert "PREFECT_HOME" not in environment
+    assert not any(name.startswith("PREFECT_SERVER_SERVICES") for name in environment)
+
+
+def test_what_the_user_has_set_wins(monkeypatch, tmp_path):
+    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    monkeypatch.setenv("PREFECT_HOME", "/mine")
+    assert prefect_environment(tmp_path)["PREFECT_HOME"] == "/mine"
+
+
+def test_a_second_workspace_in_one_process_is_refused_clearly(monkeypatch, tmp_path):
+    import prefect  # noqa: F401  (its settings are read on import)
+
+    monkeypatch.delenv("PREFECT_API_URL", raising=False)
+    monkeypatch.delenv("PREFECT_HOME", raising=False)
+    with pytest.raises(SettingsError, match="already imported"), prefect_settings(tmp_path):
+        pass
+
+
+def test_the_heartbeat_of_flow_runs_is_off_inside(embedded):
+    from prefect.settings import get_current_settings
+
+    assert get_current_settings().flows.heartbeat_frequency is None
+
+
+def test_dask_processes_use_one_thread_and_one_blas_thread(monkeypatch):
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
+
+    def threads() -> int:
+        import numpy as np
+        from threadpoolctl import threadpool_info
+
+        np.ones((8, 8)) @ np.ones((8, 8))
+        return max(item["num_threads"] for item in threadpool_info())
+
+    with dask_client(1) as client:
+        assert client.submit(threads).result() == 1
+        assert sum(client.nthreads().values()) == 1
+    assert available_cores() >= 1
+
+
+def test_a_running_scheduler_is_used_when_named(monkeypatch):
+    with dask_client(1) as client:
+        address = str(client.scheduler.address)
+        monkeypatch.setenv("INFLIGHT_DASK_SCHEDULER", address)
+        with dask_client(7) as other:
+            assert str(other.scheduler.address) == address
+            assert len(other.nthreads()) == 1
+
+
+def test_a_span_gives_its_days_as_text_and_refuses_to_run_backwards():
+    assert Span.model_validate({"start": "2005-01-01"}).as_text() == ("2005-01-01", None)
+    with pytest.raises(ValueError, match="holds no day"):
+        Span.model_validate({"start": "2005-01-01", "end": "2005-01-01"})
+
+
+def test_the_flow_modules_are_not_needed_to_read_settings():
+    text = Path(prefect_settings.__code__.co_filename).read_text(encoding="utf-8")
+    assert not any(line.startswith(("import prefect", "from prefect")) for line in text.splitlines())
