@@ -8,18 +8,15 @@ makes new revisions of exactly its days, and an ingest that was killed goes on w
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
-from inflight.catalog import Catalog, Day, DayData, Run, Segment, idempotency_key, write_segment
-from inflight.catalog.readers import NameSpan, RawTable, assemble_day, read_file, split_days
-from inflight.errors import InflightError, MissionError, StorageError
-from inflight.instruments import Files, Instrument
+from inflight.catalog import Catalog, Day, Run, idempotency_key
+from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.delivery import (
     INGEST_VERSION,
@@ -30,39 +27,12 @@ from inflight.tasks.delivery import (
     survey,
     within,
 )
-from inflight.tasks.report import RunReport, problem_of
+from inflight.tasks.ingest_batch import BatchJob, days_of_batch, make_batch, source_file
+from inflight.tasks.report import RunReport
 from inflight.time import day_range, parse_utc, to_tt2000
 
 #: Called with (stage, done, total).
 Progress = Callable[[str, int, int], None]
-#: Samples of one batch in memory, before packing; it bounds the memory of a worker.
-BATCH_BYTES = 64_000_000
-MOST_DAYS = 60
-
-
-@dataclass(frozen=True)
-class BatchJob:
-    """Days of one instrument that a worker makes into one segment; it needs no database."""
-
-    workspace: Path
-    run: str
-    instrument_name: str
-    instrument: Instrument
-    files: Files
-    #: Name, path and what the name says, of every file that holds rows of these days.
-    sources: tuple[tuple[str, Path, NameSpan], ...]
-    #: Day, key, names of its files, their hashes.
-    days: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...]
-
-
-@dataclass(frozen=True)
-class BatchResult:
-    """What came of a batch: a segment of the days that could be made, and why the others could not."""
-
-    segment: Segment | None
-    failures: dict[str, Problem]
-    #: What was dropped and noted, per file.
-    told: dict[str, dict[str, Any]]
 
 
 @dataclass
@@ -230,7 +200,7 @@ def _jobs(
                 name,
                 instrument,
                 files,
-                tuple((file.name, data / file.name, file.delivered.span) for file in wanted.values()),
+                tuple(source_file(file, data) for file in wanted.values()),
                 tuple(
                     (
                         day,
@@ -245,13 +215,6 @@ def _jobs(
     return jobs
 
 
-def days_of_batch(instrument: Instrument) -> int:
-    """Return how many days of an instrument fit `BATCH_BYTES`, at least 1."""
-    numbers = sum(max(1, len(channel.axis_names)) for channel in instrument.channels.values())
-    per_day = 86_400_000_000_000 / instrument.cadence * (12 + 8 * numbers)
-    return int(np.clip(BATCH_BYTES // per_day, 1, MOST_DAYS))
-
-
 def _make_days(
     run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, tell: Progress
 ) -> None:
@@ -263,86 +226,6 @@ def _make_days(
         plan.fresh_failures |= result.failures
         plan.told |= result.told
         tell("ingest", count, len(jobs))
-
-
-def make_batch(job: BatchJob) -> BatchResult:
-    """Read the files of a batch one after the other, make its days, write them as one segment.
-
-    Raises
-    ------
-    StorageError
-        When the disk refuses the write. What is wrong with files and days is returned instead.
-    """
-    parts, broken, told = _read_parts(job)
-    made: list[DayData] = []
-    failures: dict[str, Problem] = {}
-    for day, key, names, hashes in job.days:
-        problem = next((broken[name] for name in names if name in broken), None)
-        if problem is not None:
-            failures[day] = problem | {"day": day}
-            continue
-        try:
-            made.append(_make_day(job, day, key, parts.pop(day, []), hashes))
-        except StorageError:
-            raise
-        except InflightError as error:
-            failures[day] = problem_of(error, day)
-    if not made:
-        return BatchResult(None, failures, told)
-    segment = write_segment(job.workspace, job.run, f"l1/{job.instrument_name}", _alike(made))
-    return BatchResult(segment, failures, told)
-
-
-def _read_parts(
-    job: BatchJob,
-) -> tuple[dict[str, list[RawTable]], dict[str, Problem], dict[str, dict[str, Any]]]:
-    wanted = {day for day, *_ in job.days}
-    parts: dict[str, list[RawTable]] = {}
-    broken: dict[str, Problem] = {}
-    told: dict[str, dict[str, Any]] = {}
-    for name, path, span in job.sources:
-        try:
-            table = read_file(path, job.files, job.instrument, span, name)
-        except InflightError as error:
-            broken[name] = problem_of(error)
-            continue
-        told[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
-        for day, part in split_days(table).items():
-            if str(day) in wanted:
-                parts.setdefault(str(day), []).append(part)
-    return parts, broken, told
-
-
-def _make_day(job: BatchJob, day: str, key: str, parts: list[RawTable], hashes: Iterable[str]) -> DayData:
-    if not parts:
-        raise InflightError("no file holds rows of this day any more", remedy="ingest again", day=day)
-    date = np.datetime64(day, "D")
-    dataset, report = assemble_day(date, parts, job.instrument_name, job.instrument)
-    channels = report["channels"]
-    main = [channels["field"]] if "field" in channels else list(channels.values())
-    report["coverage"] = min(channel["coverage"] for channel in main)
-    return DayData(date, dataset, key, tuple(f"file:{sha256}" for sha256 in hashes), report)
-
-
-def _alike(days: list[DayData]) -> list[DayData]:
-    """Give a channel one number type in all days of a segment, the one that holds them all exactly."""
-    types: dict[str, np.dtype[Any]] = {}
-    for item in days:
-        for name, array in item.dataset.variables.items():
-            types[str(name)] = np.result_type(array.dtype, types.get(str(name), array.dtype))
-    return [
-        DayData(item.day, _cast(item.dataset, types), item.key, item.parents, item.report) for item in days
-    ]
-
-
-def _cast(dataset: xr.Dataset, types: dict[str, np.dtype[Any]]) -> xr.Dataset:
-    return dataset.assign(
-        {
-            name: array.astype(types[str(name)])
-            for name, array in dataset.data_vars.items()
-            if array.dtype != types[str(name)]
-        }
-    )
 
 
 def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
@@ -375,7 +258,9 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
 
 
 def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunReport:
-    done = Counter(day.dataset for day in published)
+    done: dict[str, list[Day]] = {plan.dataset: [] for plan in plans}
+    for day in published:
+        done[day.dataset].append(day)
     problems = []
     for plan in plans:
         name = plan.delivery.instrument
@@ -409,13 +294,14 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     return RunReport("ingest", run=run, days=counts, problems=problems, outputs=outputs, extra=extra)
 
 
-def _told_of(plan: _Plan, done: int) -> dict[str, Any]:
+def _told_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
     dropped: Counter[str] = Counter()
     for told in plan.told.values():
         dropped.update(told["dropped"])
     return {
         "days": len(plan.keys),
-        "done": done,
+        "done": len(done),
+        "mean_coverage": round(float(np.mean([day.coverage for day in done])), 6) if done else None,
         "first": min(plan.keys, default=""),
         "last": max(plan.keys, default=""),
         "dropped": dict(dropped),

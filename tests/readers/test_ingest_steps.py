@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from reader_cases import MISSION, day_times, field_of, mission_with, write_fgm
 
-import inflight.tasks.ingest as ingest_module
 from inflight.catalog import Catalog
 from inflight.errors import MissionError, StorageError
-from inflight.tasks.ingest import days_of_batch, ingest
+from inflight.tasks import ingest_batch
+from inflight.tasks.ingest import ingest
+from inflight.tasks.ingest_batch import days_of_batch
 
 PROBE = mission_with()
 DAYS = ["2020-05-01", "2020-05-02", "2020-05-03"]
@@ -59,6 +60,7 @@ def test_days_are_published_with_coverage_and_lineage(cat, data):
     day = cat.current("l1/fgm", DAYS[1])
     assert day.coverage == 1.0
     assert day.report["channels"]["temperature"]["valid"] == 1440
+    assert report.extra["datasets"]["l1/fgm"]["mean_coverage"] == 1.0
     assert [edge.parent.split(":")[0] for edge in cat.lineage(day.id)] == ["file"]
     assert cat.verify() == []
 
@@ -185,6 +187,19 @@ def test_files_cleared_away_after_ingest_change_nothing(cat, data):
     assert report.days["done"] == 1
 
 
+def test_a_day_that_needs_a_file_no_longer_there_fails_and_says_which(cat, data):
+    times = np.concatenate([day_times(DAYS[0]), day_times(DAYS[1])[:5]])
+    write_fgm(data, DAYS[0], times=times)
+    ingest(cat, PROBE, data)
+    (data / "fgm_20200501_v01.cdf").unlink()
+    write_fgm(data, DAYS[1], field=field_of(day_times(DAYS[1])) + 1.0, version="02")
+    report = ingest(cat, PROBE, data)
+    (problem,) = report.problems
+    assert "fgm_20200501_v01.cdf" in problem["message"]
+    assert problem["remedy"] == "restore the file"
+    assert versions(cat) == dict.fromkeys(DAYS, "v01.00")
+
+
 def test_a_day_between_others_that_nobody_delivered_is_recorded_with_its_cause(cat, data):
     (data / "fgm_20200502_v01.cdf").unlink()
     report = ingest(cat, PROBE, data)
@@ -216,7 +231,7 @@ def test_a_full_disk_publishes_nothing_and_the_next_ingest_completes(cat, data, 
         raise StorageError("No space left on device", remedy="free space")
 
     with monkeypatch.context() as patched:
-        patched.setattr(ingest_module, "write_segment", full)
+        patched.setattr(ingest_batch, "write_segment", full)
         with pytest.raises(StorageError):
             ingest(cat, PROBE, data)
     assert versions(cat) == {}
@@ -275,13 +290,13 @@ def test_parallel_ingest_is_byte_for_byte_the_serial_one(tmp_path, data):
 
 
 def test_batches_are_bounded_by_their_samples():
-    assert days_of_batch(PROBE.instruments["fgm"]) == ingest_module.MOST_DAYS
+    assert days_of_batch(PROBE.instruments["fgm"]) == ingest_batch.MOST_DAYS
     fast = mission_with(("cadence: 60 s", "cadence: 10 ms"))
     assert days_of_batch(fast.instruments["fgm"]) == 1
     second = mission_with(("cadence: 60 s", "cadence: 1 s"))
     days = days_of_batch(second.instruments["fgm"])
     assert 10 <= days <= 20
-    assert days * 86400 * 44 <= ingest_module.BATCH_BYTES
+    assert days * 86400 * 44 <= ingest_batch.BATCH_BYTES
 
 
 def test_progress_is_told(cat, data):
