@@ -165,13 +165,45 @@ class Effect:
         return np.asarray(series.values, dtype=np.float64) * factor + offset
 
 
+def best_field(samples: xr.Dataset) -> Floats:
+    """Return the best present field estimate; (time, axis) nT, vector sensor axes.
+
+    Raises
+    ------
+    SamplesError
+        When there is none yet: an effect that needs the field stands where the field is being made.
+    """
+    if "field" not in samples:
+        raise SamplesError(
+            "the field is not known before the vector sensor's readings are corrected",
+            channel="field",
+            remedy="an effect that follows the field acts on the scalar sensor, or overrides "
+            "'correct' and 'disturb' to work on the reading itself",
+        )
+    return np.asarray(samples["field"].values, dtype=np.float64)
+
+
 def direction(samples: xr.Dataset) -> Floats:
     """Return the unit vector of the best present field estimate; (time, axis), vector sensor axes."""
-    field = np.asarray(samples["field"].values, dtype=np.float64)
+    field = best_field(samples)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(field / np.linalg.norm(field, axis=1, keepdims=True))
 
 
+def multiply(flat: Floats, vectors: Floats) -> Floats:
+    """Return matrix times vector at each time; (time, 3).
+
+    Parameters
+    ----------
+    flat : ndarray, shape (9,) or (time, 9)
+        Matrix, row by row, constant or at each time.
+    vectors : ndarray, shape (time, 3)
+    """
+    if flat.ndim == 1:
+        return vectors @ flat.reshape(3, 3).T
+    return np.asarray(np.einsum("tij,tj->ti", flat.reshape(-1, 3, 3), vectors))
+
+
 def strength(samples: xr.Dataset) -> Floats:
     """Return |B| of the best present field estimate; (time,) nT."""
-    return np.asarray(np.linalg.norm(np.asarray(samples["field"].values, dtype=np.float64), axis=1))
+    return np.asarray(np.linalg.norm(best_field(samples), axis=1))

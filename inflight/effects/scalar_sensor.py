@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import AXES, Effect, Floats, Parameter, Values, strength
+from inflight.effects.base import AXES, Effect, Floats, Parameter, Values, best_field, strength
 from inflight.sensors import Sensor
 from inflight.time import SECOND
 
@@ -23,11 +23,11 @@ class TimeShift(Effect):
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the early reading; (time,) nT."""
-        return np.asarray(reading - values["seconds"][..., 0] * rate(samples))
+        return np.asarray(reading - _shifted(values, samples))
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading at the vector sensor's time; (time,) nT."""
-        return np.asarray(reading + values["seconds"][..., 0] * rate(samples))
+        return np.asarray(reading + _shifted(values, samples))
 
 
 class Oscillator(Effect):
@@ -79,18 +79,27 @@ class Induced(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``diagonal * B``; (time, axis) nT (Yin 2010, section 2.5, the q terms)."""
-        return np.asarray(samples["field"].values * values["diagonal"])
+        return np.asarray(best_field(samples) * values["diagonal"])
+
+
+def _shifted(values: Values, samples: xr.Dataset) -> Floats:
+    """Return the change of the field within the shift; (time,) nT, 0 without a shift."""
+    seconds = np.broadcast_to(values["seconds"][..., 0], samples.sizes["time"])
+    return np.where(seconds == 0.0, 0.0, seconds * rate(samples))
 
 
 def rate(samples: xr.Dataset) -> Floats:
-    """Return d|B|/dt of the best present field estimate; (time,) nT/s, central within gap-free runs."""
+    """Return d|B|/dt of the best present field estimate; (time,) nT/s, NaN where no neighbour is.
+
+    Central within gap-free runs, one-sided at their ends.
+    """
     f, t = strength(samples), samples["tt2000"].values
     if f.size < 2:
-        return np.zeros_like(f)
+        return np.full_like(f, np.nan)
     step = np.diff(t) / SECOND
     slope = np.diff(f) / step
     usual = np.median(step)
     slope = np.where(step > 1.5 * usual, np.nan, slope)
     before, after = np.append(np.nan, slope), np.append(slope, np.nan)
     both = 0.5 * (before + after)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, np.nan_to_num(after)))
+    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import AXES, Effect, Floats, Parameter, Values
+from inflight.effects.base import AXES, Effect, Floats, Parameter, Values, multiply
 from inflight.mission import Mission
 from inflight.sensors import Sensor
 
@@ -25,8 +25,7 @@ class Torquer(Effect):
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the stray field; (time, axis) nT."""
         current = self.channel(samples, "A")
-        matrix = values["matrix"].reshape(*values["matrix"].shape[:-1], 3, 3)
-        return np.asarray(np.einsum("...ij,tj->ti", matrix, current))
+        return multiply(values["matrix"], current)
 
 
 class Remanent(Effect):

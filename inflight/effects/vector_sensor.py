@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import AXES, Effect, Floats, Parameter, Values
+from inflight.effects.base import AXES, Effect, Floats, Parameter, Values, multiply
 from inflight.errors import ModelError
 from inflight.sensors import Sensor
 
@@ -134,10 +134,9 @@ class Affine(Effect):
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``matrix @ reading + shift``; (time, axis) nT."""
-        matrix = values["matrix"].reshape(*values["matrix"].shape[:-1], 3, 3)
-        return np.asarray(np.einsum("...ij,tj->ti", matrix, reading) + values["shift"])
+        return np.asarray(multiply(values["matrix"], reading) + values["shift"])
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the raw reading; solves the matrix, (time, axis) nT."""
-        matrix = values["matrix"].reshape(*values["matrix"].shape[:-1], 3, 3)
-        return np.asarray(np.linalg.solve(matrix, (reading - values["shift"]).T).T)
+        matrix = values["matrix"].reshape(-1, 3, 3)
+        return np.asarray(np.linalg.solve(matrix, (reading - values["shift"])[:, :, None])[:, :, 0])

@@ -42,7 +42,8 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     SamplesError
         When a reading is missing.
     """
-    out = samples
+    # A field of an earlier correction is none of this one's.
+    out = samples.drop_vars("field", errors="ignore") if "vector" in samples else samples
     for role in ("vector", "scalar"):
         entries = [entry for entry in effects if entry.sensor.role == role]
         if role not in samples:

@@ -109,7 +109,7 @@ class TimedValue:
         if self.time in ("log", "linear"):
             found |= {"t0": f"{to_utc(self.t0)}Z", "per": f"{self.per} ns"}
         found["value"] = _as_yaml(self.value, axes)
-        if np.all(np.isfinite(self.sigma)):
+        if not np.array_equal(self.sigma, _default_sigma(self.parameter, self.sigma.shape[1])):
             found["sigma"] = _as_yaml(self.sigma, axes)
         found["free"] = self.free
         return found
@@ -144,7 +144,13 @@ def parse_timed(key: str, parameter: Parameter, given: Any) -> TimedValue:
         )
     count = COEFFICIENTS[time]
     value = _coefficients(key, parameter, entry.get("value"), count, parameter.default_values)
-    sigma = _coefficients(key, parameter, entry.get("sigma"), count, np.full(parameter.size, parameter.sigma))
+    sigma = _coefficients(key, parameter, entry.get("sigma"), count, _default_sigma(parameter, 1)[:, 0])
+    if count > 1 and "t0" not in entry:
+        raise ModelError(f"'{key}' changes with time but has no 't0'", remedy="say from when: t0: 2000-05-30")
+    if np.isnan(sigma).any() or np.any(sigma < 0) or np.isnan(value).any():
+        raise ModelError(
+            f"'{key}' has a value or sigma that is no number, or a sigma below 0", remedy="correct it"
+        )
     return TimedValue(
         parameter,
         time,
@@ -155,6 +161,13 @@ def parse_timed(key: str, parameter: Parameter, given: Any) -> TimedValue:
         per=parse_duration(_with_number(str(entry.get("per", "1 d")))),
         key=key,
     )
+
+
+def _default_sigma(parameter: Parameter, count: int) -> Floats:
+    """Return what the effect says is known beforehand; (component, coefficient)."""
+    sigma = np.zeros((parameter.size, count))
+    sigma[:, 0] = parameter.sigma
+    return sigma
 
 
 def _with_number(text: str) -> str:

@@ -1,0 +1,259 @@
+"""Every effect and every model is undone exactly, and says what it means in the published equations."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from effect_cases import MISSION, PLACES, PREFLIGHT, SENSORS, entry_of, model_of, true_samples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from inflight.effects import Effect, Parameter, known_effects
+from inflight.effects.conversions import from_sensor_angles, to_sensor_angles
+from inflight.effects.scalar_sensor import rate
+from inflight.errors import ModelError, SamplesError
+from inflight.model import Model, make_effect
+from inflight.time import SECOND
+
+#: Rounding of fields of 50 000 nT through a chain of a dozen effects: 8 units in the last place, nT.
+ROUNDING = 6e-11
+seeds = st.integers(0, 2**32 - 1)
+
+
+def test_the_cases_cover_the_whole_library():
+    library = {
+        name for name, kind in known_effects().items() if kind.__module__.startswith("inflight.effects")
+    }
+    assert library == set(PLACES)
+
+
+@pytest.mark.parametrize("time", ["constant", "linear", "log"])
+@pytest.mark.parametrize("name", sorted(PLACES))
+@given(seed=seeds)
+@settings(max_examples=10, deadline=None)
+def test_correct_undoes_disturb_for_each_effect(name, time, seed):
+    truth = true_samples(seed % 7)
+    model = model_of(entry_of(name, np.random.default_rng(seed), time))
+    raw = model.disturb(truth)
+    back = model.correct(raw)
+    assert_allclose(back["vector"].values, truth["vector"].values, rtol=0, atol=ROUNDING)
+    assert_allclose(back["scalar"].values, truth["scalar"].values, rtol=0, atol=ROUNDING)
+    moved = max(float(np.abs(raw[role].values - truth[role].values).max()) for role in ("vector", "scalar"))
+    assert moved > 1e-4, "an effect that changes nothing proves nothing"
+
+
+@given(seed=seeds)
+@settings(max_examples=25, deadline=None)
+def test_correct_undoes_disturb_for_all_effects_together_in_any_order(seed):
+    generator = np.random.default_rng(seed)
+    names = generator.permutation(sorted(PLACES)).tolist()
+    times = generator.choice(["constant", "linear", "log"], len(names))
+    model = model_of(*(entry_of(name, generator, str(time)) for name, time in zip(names, times, strict=True)))
+    truth = true_samples(seed % 7)
+    back = model.correct(model.disturb(truth))
+    assert_allclose(back["vector"].values, truth["vector"].values, rtol=0, atol=10 * ROUNDING)
+    assert_allclose(back["scalar"].values, truth["scalar"].values, rtol=0, atol=10 * ROUNDING)
+    forth = model.disturb(model.correct(truth))
+    assert_allclose(forth["vector"].values, truth["vector"].values, rtol=0, atol=10 * ROUNDING)
+
+
+def sensor_equation(field: np.ndarray, s: np.ndarray, u: np.ndarray, e0: np.ndarray) -> np.ndarray:
+    """Readings by eqs. 2.1 to 2.4 of Yin (2010), written out sample by sample."""
+    u1, u2, u3 = np.deg2rad(u)
+    w = np.sqrt(1 + np.tan(u2) ** 2 + np.tan(u3) ** 2)
+    readings = []
+    for bx, by, bz in field:
+        along_x = bx / w + np.tan(u2) / w * by + np.tan(u3) / w * bz
+        along_y = np.cos(u1) * by + np.sin(u1) * bz
+        readings.append([s[0] * along_x + e0[0], s[1] * along_y + e0[1], s[2] * bz + e0[2]])
+    return np.array(readings)
+
+
+@given(seed=seeds)
+@settings(max_examples=30, deadline=None)
+def test_nine_parameters_are_the_thesis_sensor_equation(seed):
+    generator = np.random.default_rng(seed)
+    s, u = 1 + generator.uniform(-0.01, 0.01, 3), generator.uniform(-1, 1, 3)
+    e0 = generator.uniform(-200, 200, 3)
+    scale, angles = from_sensor_angles(s, u)
+    entry = {
+        "effect": "vector_sensor",
+        "sensor": "fgm",
+        "scale_factor": scale.tolist(),
+        "misalignment": {"unit": "deg", "value": angles.tolist()},
+        "offset": {"unit": "nT", "value": e0.tolist()},
+    }
+    truth = true_samples(1, 30)
+    raw = model_of(entry).disturb(truth)["vector"].values
+    assert_allclose(raw, sensor_equation(truth["vector"].values, s, u, e0), rtol=0, atol=ROUNDING)
+
+
+@given(seed=seeds)
+@settings(max_examples=50, deadline=None)
+def test_both_forms_of_the_nine_parameters_convert_exactly(seed):
+    generator = np.random.default_rng(seed)
+    s, u = 1 + generator.uniform(-0.05, 0.05, 3), generator.uniform(-5, 5, 3)
+    told = to_sensor_angles(*from_sensor_angles(s, u))
+    assert_allclose(told.sensitivity, s, rtol=1e-14)
+    assert_allclose(told.angles, u, rtol=0, atol=1e-12)
+
+
+def test_the_published_angles_are_not_those_between_the_axes():
+    """A misalignment of 90.02613 deg means axes at 89.97387 deg (to first order)."""
+    told = to_sensor_angles(np.ones(3), np.array([90.02613, 90.0, 90.0]))
+    assert_allclose(told.between_axes, [89.97387, 90, 90], rtol=0, atol=1e-5)
+    assert_allclose(told.angles, [0.0, 0.02613, 0.0], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("s", "u"), [([1, -1, 1], [0, 0, 0]), ([1, 1, 1], [90, 0, 0]), ([1, 1, 1], [0, 89.9, 89.9])]
+)
+def test_no_sensor_is_made_of_impossible_numbers(s, u):
+    with pytest.raises(ModelError):
+        from_sensor_angles(np.array(s, dtype=float), np.array(u, dtype=float))
+
+
+def one(name: str, **given: object) -> Model:
+    return model_of({"effect": name, "sensor": PLACES[name][0], **PLACES[name][1], **given})
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_scalar_sensor_reads_the_projection_of_a_field_on_the_direction(sign):
+    truth = true_samples(2)
+    raw = one("heading", vector=[0.0, 0.0, 4.0 * sign]).disturb(truth)
+    b = truth["vector"].values
+    expected = truth["scalar"].values + 4.0 * sign * b[:, 2] / np.linalg.norm(b, axis=1)
+    assert_allclose(raw["scalar"].values, expected, rtol=0, atol=ROUNDING)
+    assert_allclose(raw["vector"].values, b, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_scalar_bias_adds_to_the_reading(sign):
+    truth = true_samples(2)
+    raw = one("scalar_bias", bias=0.4 * sign).disturb(truth)
+    assert_allclose(raw["scalar"].values - truth["scalar"].values, 0.4 * sign, rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("shift", [-0.015, 0.015])
+def test_a_scalar_reading_taken_early_shows_the_field_of_an_earlier_time(shift):
+    truth = true_samples(0)
+    seconds = (truth["tt2000"].values - truth["tt2000"].values[0]) / SECOND
+
+    def strength(t):
+        return 40_000 + 8_000 * np.sin(2 * np.pi * t / 800)
+
+    smooth = truth.assign(
+        vector=(("time", "axis"), np.stack([strength(seconds), 0 * seconds, 0 * seconds], axis=1)),
+        scalar=("time", strength(seconds)),
+    )
+    raw = one("time_shift", seconds=shift).disturb(smooth)["scalar"].values
+    assert_allclose(raw[1:-1], strength(seconds - shift)[1:-1], rtol=0, atol=1e-4)
+
+
+def test_a_rate_is_not_invented_where_a_sample_stands_alone():
+    truth = true_samples(0, 60)
+    lonely = truth["vector"].values.copy()
+    lonely[[29, 31]] = np.nan
+    samples = truth.assign(field=(("time", "axis"), lonely))
+    found = rate(samples)
+    assert np.isnan(found[[29, 30, 31]]).all()
+    assert np.isfinite(np.delete(found, [29, 30, 31])).all()
+    shifted = one("time_shift", seconds=0.0).correct(truth.assign(vector=(("time", "axis"), lonely)))
+    assert np.isfinite(shifted["scalar"].values).all(), "without a shift no rate is needed"
+
+
+@pytest.mark.parametrize("name", ["torquer", "channel_field", "remanent"])
+def test_what_an_additive_effect_takes_out_is_told_apart(name):
+    truth = true_samples(3)
+    model = model_of(entry_of(name, np.random.default_rng(4)))
+    raw = model.disturb(truth)
+    terms = model.correction_terms(model.correct(raw))
+    assert_allclose(terms[name], raw["vector"].values - truth["vector"].values, rtol=0, atol=ROUNDING)
+
+
+def test_a_torquer_matrix_has_coils_as_columns():
+    truth = true_samples(1)
+    current = np.zeros((truth.sizes["time"], 3))
+    current[:, 1] = 1000.0
+    truth["torquer_current"] = (("time", "axis"), current, {"units": "mA"})
+    raw = one("torquer", matrix=[1, 2, 3, 4, 5, 6, 7, 8, 9]).disturb(truth)
+    assert_allclose(
+        (raw["vector"] - truth["vector"]).values, np.tile([2.0, 5, 8], (400, 1)), rtol=0, atol=1e-9
+    )
+
+
+def test_temperature_lowers_the_corrected_field_of_a_warm_sensor():
+    truth = true_samples(1)
+    truth["coil_temperature"] = ("time", np.full(400, 30.0), {"units": "degC"})
+    corrected = one("temperature", linear=[3e-5] * 3, reference=20.0, quadratic=[4e-8] * 3).correct(truth)
+    factor = 1 - 3e-5 * 10 - 4e-8 * 100
+    assert_allclose(corrected["vector"].values, truth["vector"].values * factor, rtol=1e-15)
+
+
+def test_a_missing_channel_is_told_with_effect_and_remedy():
+    model = one("channel_field", coefficient=[1, 2, 3])
+    with pytest.raises(SamplesError, match=r"solar_current.*channel_field.*drop the effect"):
+        model.correct(true_samples(0).drop_vars("solar_current"))
+
+
+def test_a_channel_of_another_dimension_is_refused():
+    truth = true_samples(0)
+    truth["coil_temperature"].attrs["units"] = "mA"
+    with pytest.raises(SamplesError, match=r"coil_temperature.*cannot become.*correct the channel's unit"):
+        one("temperature").correct(truth)
+
+
+def test_an_effect_that_follows_the_field_is_refused_where_the_field_is_not_known_yet():
+    model = model_of({"effect": "induced", "sensor": "fgm", "diagonal": [1e-5, 1e-5, 1e-5]})
+    with pytest.raises(SamplesError, match="field is not known"):
+        model.correct(true_samples(0))
+
+
+def test_a_correction_forgets_the_field_of_an_earlier_one():
+    """Samples that went through another model keep nothing of it."""
+    truth = true_samples(0)
+    model = Model.parse(PREFLIGHT, MISSION)
+    raw = model.disturb(truth)
+    spoiled = raw.assign(field=raw["vector"] * 0 + 1.0)
+    assert_allclose(model.correct(spoiled)["scalar"].values, truth["scalar"].values, rtol=0, atol=1e-9)
+
+
+def test_missing_samples_stay_missing_and_harm_no_neighbour():
+    truth = true_samples(5)
+    model = Model.parse(PREFLIGHT, MISSION)
+    raw = model.disturb(truth)
+    holes = raw["vector"].values.copy()
+    holes[100:110] = np.nan
+    back = model.correct(raw.assign(vector=(("time", "axis"), holes)))
+    gone = np.zeros(400, dtype=bool)
+    gone[100:110] = True
+    assert np.isnan(back["field"].values[gone]).all()
+    assert_allclose(back["field"].values[~gone], truth["vector"].values[~gone], rtol=0, atol=1e-9)
+    assert np.isnan(back["scalar"].values[gone]).all(), "without a direction no projection is known"
+
+
+class Doubling(Effect):
+    """A user's own effect, in ten lines."""
+
+    channels = ("solar_current",)
+    gain = Parameter("nT/A", ("x", "y", "z"))
+
+    def field(self, samples, values, sensor):
+        return self.channel(samples, "A")[:, None] * values["gain"] * 2.0
+
+
+def test_a_users_own_effect_is_exact_too():
+    from inflight.effects import registry
+
+    registry.register(Doubling)
+    try:
+        model = Model(
+            "m", "champ", "main", (make_effect({"effect": "doubling", "gain": [1, -2, 3]}, SENSORS),)
+        )
+        truth = true_samples(0)
+        raw = model.disturb(truth)
+        added = 2e-3 * truth["solar_current"].values[:, None] * np.array([1, -2, 3])
+        assert_allclose(raw["vector"].values - truth["vector"].values, added, rtol=0, atol=1e-9)
+        assert xr.testing.assert_allclose(model.correct(raw)["vector"], truth["vector"], rtol=1e-12) is None
+    finally:
+        registry._registered.pop("doubling")
