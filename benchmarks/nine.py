@@ -10,8 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
-from inflight.calibration import fit_block, reference_of, split_chain, usable
-from inflight.calibration.scalar import Reference
+from inflight.calibration import Reference, fit_block, reference_of, split_chain, usable
 from inflight.catalog import Catalog, Day
 from inflight.catalog.workspace import Workspace
 from inflight.effects.base import Floats

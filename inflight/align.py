@@ -40,6 +40,8 @@ _KAISER_BETA = 10.0
 _SAME_STAMP = 1e-3
 #: Neighbours further apart than this many cadences have a gap between them.
 GAP = 1.5
+#: Stamps the usual distance is taken from.
+_TELLING = 2001
 _REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE
 _MISSING = {"vector": Flag.VECTOR_MISSING, "scalar": Flag.SCALAR_MISSING}
 _MISSING |= {"inboard": Flag.VECTOR_MISSING, "outboard": Flag.VECTOR_MISSING}
@@ -165,7 +167,8 @@ def _between(
 
 
 def _usual_step(stamps: Int64) -> int:
-    return int(np.median(np.diff(stamps))) if stamps.size > 1 else 1
+    """Return the median distance of neighbours, from as many as tell it: gaps are rare."""
+    return int(np.median(np.diff(stamps[:_TELLING]))) if stamps.size > 1 else 1
 
 
 def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
-from inflight.calibration.scalar import Reference, split_chain, usable
+from inflight.calibration.sensor import Reference, split_chain, usable
 from inflight.effects.base import Floats, strength
 from inflight.flags import Flag, meanings
 from inflight.geometry import latitude_longitude, rotate, to_nec

@@ -27,6 +27,7 @@ class Need:
     name: str
     instrument: str
     channel: str
+    cadence_ns: int
     lag_ns: int = 0
 
     @property
@@ -62,7 +63,7 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         When the model uses a channel the mission has not.
     """
     roles = mission.comparisons[model.comparison].instruments()
-    needs = [Need(role, name, "field") for role, name in roles.items()]
+    needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
     homes = channel_homes(mission)
     used = {channel for entry in model.effects for channel in entry.effect.channels}
     if unknown := used - set(homes):
@@ -73,8 +74,8 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
     wanted = used | (set(extra) & set(homes))
     for name in sorted(wanted):
         instrument, channel = homes[name]
-        lag = mission.instruments[instrument].channels[channel].lag
-        needs.append(Need(name, instrument, channel, lag))
+        home = mission.instruments[instrument]
+        needs.append(Need(name, instrument, channel, home.cadence, home.channels[channel].lag))
     return needs
 
 
@@ -145,9 +146,9 @@ class ArchiveIndex:
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if need.lag_ns or own.step_ns <= 0 or own.step_ns != other.step_ns:
-            return need.dataset == base.dataset and need.lag_ns == 0
-        return (own.first_tt2000 - other.first_tt2000) % own.step_ns == 0
+        if need.lag_ns or need.cadence_ns != base.cadence_ns:
+            return False
+        return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
 
 
 def load_samples(
@@ -199,7 +200,7 @@ def _series(
     today = index.get(need, day)
     if today is None:
         return None
-    cadence = mission.instruments[need.instrument].cadence
+    cadence = need.cadence_ns
     parts = [_read(cat, today, need)]
     if not alone:
         reach = _MARGIN_CADENCES * cadence + abs(need.lag_ns)

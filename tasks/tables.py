@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import Interval, NormalEquations, calibration_table, reference_of
-from inflight.calibration.scalar import bend
+from inflight.calibration.sensor import bend
 from inflight.calibration.solution import Solution, residual_sum
 from inflight.catalog import Catalog, Day
 from inflight.effects.base import Floats

@@ -15,7 +15,8 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
-from inflight.calibration.scalar import SCALE, SUB_BLOCKS, BlockFit, Reference, shift_reference
+from inflight.calibration.scalar import SUB_BLOCKS, BlockFit, shift_reference
+from inflight.calibration.sensor import SCALE, Reference
 from inflight.calibration.solution import Solution, solve
 from inflight.effects.base import Floats
 from inflight.errors import CalibrationError

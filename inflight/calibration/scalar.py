@@ -1,8 +1,7 @@
 """Scalar calibration of one block: exact robust Gauss-Newton on scaled normal equations.
 
 The nine parameters are those of the effect ``vector_sensor``. Everything else the model holds is
-taken out of the readings first: `split_chain` gives the reading that enters the sensor's equation,
-the additive fields behind it and the corrected scalar field.
+taken out of the readings first, see `inflight.calibration.sensor.split_chain`.
 """
 
 from __future__ import annotations
@@ -11,22 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 
 from inflight.calibration.nine import WIDTH, grams, residuals, rows
 from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
+from inflight.calibration.sensor import SCALE, Reference, bend, kernel_parameters, kernel_scale
 from inflight.calibration.solution import Solution, posterior, solve
 from inflight.effects.base import Floats
-from inflight.effects.vector_sensor import VectorSensor
-from inflight.errors import CalibrationError, ModelError
-from inflight.flags import Flag
-from inflight.model import Model, ModelEffect
-from inflight.model.timed import component_names
+from inflight.errors import CalibrationError
 
-#: Physical size of one scaled unit: 10 ppm, a thousandth of a degree, 1 nT.
-SCALE = np.array([1e-5] * 3 + [1e-3] * 3 + [1.0] * 3)
-PARTS = ("scale_factor", "misalignment", "offset")
-UNITS = ("1",) * 3 + ("deg",) * 3 + ("nT",) * 3
 #: Sub-blocks of a block, for the covariance: 20 minutes of a day.
 SUB_BLOCKS = 72
 #: Residuals are taken as correlated over this many sub-blocks.
@@ -44,24 +35,6 @@ _LONG, _THIN, _SCALE_SAMPLES = 20_000, 8, 10_000
 #: A direction at the edge of what the data determine could come and go for ever: from this pass on
 #: the edge rises, pass by pass by this factor, until the direction stays at its prior.
 _EDGE_PASS, _EDGE_RISE = 6, 1.5
-#: Flags that take a sample out of the fit.
-UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-UNUSABLE |= Flag.INSTRUMENT_FLAG
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Where the fit starts and what is known beforehand, physical units; shape (9,) each."""
-
-    value: Floats
-    sigma: Floats
-    name: str = "vector_sensor"
-
-    @property
-    def columns(self) -> list[str]:
-        """Names of the nine columns, ``vector_sensor.scale_factor[x]`` and so on."""
-        parameters = VectorSensor.parameters()
-        return [name for part in PARTS for name in component_names(f"{self.name}.{part}", parameters[part])]
 
 
 @dataclass(frozen=True)
@@ -105,75 +78,6 @@ class BlockFit:
     before: float
     after: float
     passes: int
-
-
-def vector_sensor_of(model: Model) -> ModelEffect:
-    """Return the model's nine-parameter effect.
-
-    Raises
-    ------
-    ModelError
-        When the model has none, or more than one.
-    """
-    found = [entry for entry in model.effects if isinstance(entry.effect, VectorSensor)]
-    if len(found) != 1:
-        raise ModelError(
-            f"model '{model.name}' has {len(found)} effects 'vector_sensor', a scalar calibration needs one",
-            remedy="add one to the model YAML",
-        )
-    return found[0]
-
-
-def reference_of(model: Model, tt2000: int) -> Reference:
-    """Return values and prior sigmas of the nine parameters at a time; fixed ones get sigma 0."""
-    entry = vector_sensor_of(model)
-    timed = [entry.parameters[part] for part in PARTS]
-    value = np.concatenate([part.at(tt2000) for part in timed])
-    sigma = np.concatenate([part.sigma[:, 0] if part.free else np.zeros(3) for part in timed])
-    return Reference(value, sigma, entry.name)
-
-
-def split_chain(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floats]:
-    """Take everything but the nine parameters out of the readings.
-
-    Returns
-    -------
-    reading : ndarray, shape (time, 3)
-        What enters the sensor's equation, nT.
-    additive : ndarray, shape (time, 3) or (1, 3)
-        Fields to be subtracted behind it, nT, orthogonal sensor axes.
-    scalar : ndarray, shape (time,)
-        Corrected scalar field at the reference parameters, nT.
-
-    Raises
-    ------
-    ModelError
-        When an effect behind ``vector_sensor`` is not additive.
-    """
-    own = vector_sensor_of(model)
-    times = samples["tt2000"].values
-    reading = np.asarray(samples["vector"].values, dtype=np.float64)
-    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
-    place = entries.index(own)
-    for entry in entries[:place]:
-        reading = entry.effect.correct(reading, samples, entry.values(times), entry.sensor)
-    corrected = model.correct(samples)
-    additive = np.zeros((1, 3))
-    for entry in entries[place + 1 :]:
-        if not entry.effect.is_additive:
-            raise ModelError(
-                f"effect '{entry.name}' stands behind '{own.name}' but does not only add a field",
-                remedy="list it before the vector_sensor",
-            )
-        additive = additive + entry.effect.field(corrected, entry.values(times), entry.sensor)
-    return reading, additive, np.asarray(corrected["scalar"].values, dtype=np.float64)
-
-
-def usable(samples: xr.Dataset, reading: Floats, additive: Floats, scalar: Floats) -> npt.NDArray[np.bool_]:
-    """Return which samples may enter a fit; (time,)."""
-    good = (samples["flag"].values & np.uint32(UNUSABLE)) == 0
-    finite = np.isfinite(reading.sum(axis=1)) & np.isfinite(scalar) & np.isfinite(additive.sum(axis=1))
-    return np.asarray(good & finite & (scalar > 0))
 
 
 def fit_block(
@@ -274,7 +178,7 @@ class _Data:
         """Robust standard deviation of the residual, from some evenly spread samples; nT."""
         step = max(1, self.f.size // _SCALE_SAMPLES)
         s = self.s[::step] if self.s.shape[0] > 1 else self.s
-        some = residuals(_theta(value), self.e[::step], s, self.f[::step])
+        some = residuals(kernel_parameters(value), self.e[::step], s, self.f[::step])
         return robust_sigma(some, floor=1e-6)
 
 
@@ -299,7 +203,13 @@ def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool) -> _Pass
     """
     sigma = data.sigma(value) if weighted else float("inf")
     blocks, count, slopes = grams(
-        _theta(value), data.e, data.s, data.f, BIWEIGHT_WIDTH * sigma, _kernel_scale(value), data.edges
+        kernel_parameters(value),
+        data.e,
+        data.s,
+        data.f,
+        BIWEIGHT_WIDTH * sigma,
+        kernel_scale(value),
+        data.edges,
     )
     bread = count / slopes if slopes > 0.2 * count else 1.0
     gram = blocks.sum(axis=0)
@@ -311,18 +221,6 @@ def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool) -> _Pass
         step, covariance, bread = solution.value, solution.covariance, 1.0
     sigmas = np.sqrt(np.diag(covariance)) * SCALE
     return _Pass(value, value + step * bread * SCALE, sigmas, blocks, count, bread, sigma)
-
-
-def _theta(value: Floats) -> Floats:
-    """Physical parameters to the kernel's (angles to entries of K)."""
-    return np.concatenate([value[:3], np.cos(np.deg2rad(value[3:6])), value[6:]])
-
-
-def _kernel_scale(value: Floats) -> Floats:
-    """Change of the kernel's parameters by one scaled unit."""
-    scale = SCALE.copy()
-    scale[3:6] *= -np.sin(np.deg2rad(value[3:6])) * np.pi / 180.0
-    return scale
 
 
 def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats:
@@ -383,26 +281,16 @@ def _finish(
 
 def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
     """Return the Gram matrix linearised at a far reference, with the weights of the last pass."""
-    r = residuals(_theta(found.here), data.e, data.s, data.f)
+    r = residuals(kernel_parameters(found.here), data.e, data.s, data.f)
     root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
     out = np.zeros((WIDTH, WIDTH))
     for low in range(0, r.size, _SCALE_SAMPLES):
         part = slice(low, low + _SCALE_SAMPLES)
         s = data.s[part] if data.s.shape[0] > 1 else data.s
-        weighted = rows(_theta(reference), data.e[part], s, data.f[part], _kernel_scale(reference))
+        weighted = rows(kernel_parameters(reference), data.e[part], s, data.f[part], kernel_scale(reference))
         weighted *= root[part, None]
         out += weighted.T @ weighted
     return out
-
-
-def bend(value: Floats, reference: Floats, strength: float) -> float:
-    """Return by how much the residual bends between two sets of parameters; nT.
-
-    A change dB of the corrected field across the field's direction lengthens it by dB^2 / 2 B.
-    """
-    change = np.abs(_theta(value) - _theta(reference))
-    across = float(np.hypot(np.linalg.norm(change[:6]) * strength, np.linalg.norm(change[6:])))
-    return across**2 / (2.0 * strength)
 
 
 def shift_reference(gram: Floats, change: Floats) -> Floats:

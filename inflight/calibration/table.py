@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from inflight.calibration.scalar import UNITS, Reference
+from inflight.calibration.sensor import UNITS, Reference
 from inflight.calibration.solution import Solution
 from inflight.effects.base import Floats
 
