@@ -13,7 +13,6 @@ import pandas as pd
 from inflight.catalog.readers.source import Source, Variable, open_text, reading, require_content
 from inflight.errors import ReadError
 from inflight.instruments import Files
-from inflight.time import SECOND, Int64, to_tt2000
 
 #: 99999: missing; 88888: the observatory does not record the element.
 _FILL = (99999.0, 99999.9, 88888.0, 88888.8)
@@ -43,7 +42,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
 
     def read(name: str) -> Variable:
         if name == "time":
-            return Variable(_stamps(table), times=_ticks(table))
+            return Variable(_stamps(table))
         unit = _ANGLES.get(name[-1:], "nT")
         return Variable(table[name].to_numpy(), unit=unit, fill=_FILL)
 
@@ -73,10 +72,3 @@ def _header(path: Path, encoding: str) -> tuple[list[str], int]:
 def _stamps(table: pd.DataFrame) -> npt.NDArray[np.str_]:
     dates = table["DATE"].to_numpy().astype(np.str_)
     return np.strings.add(np.strings.add(dates, "T"), table["TIME"].to_numpy().astype(np.str_))
-
-
-def _ticks(table: pd.DataFrame) -> Int64:
-    text = _stamps(table)
-    leaping = np.strings.find(text, ":60") == 16
-    plain = np.where(leaping, np.strings.replace(text, ":60", ":59"), text)
-    return np.asarray(to_tt2000(plain.astype("datetime64[ns]")) + leaping * SECOND)
