@@ -1,0 +1,166 @@
+"""The whole chain by the command line, on the tiny mission: what is printed, what is left, how it ends."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from tiny_mission import deliver_tiny_day, make_tiny_workspace
+
+from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
+
+REPORT = {"command", "run", "context", "days", "problems", "outputs"}
+COUNTS = {"planned", "done", "unchanged", "failed", "no_work"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def shared_cluster():
+    """One Dask process for all commands, as a team with a scheduler has it."""
+    with dask_client(1) as client, pytest.MonkeyPatch.context() as patch:
+        patch.setenv(SCHEDULER_VARIABLE, str(client.scheduler.address))
+        yield
+
+
+@pytest.fixture(scope="module")
+def finished(shared_cluster, tmp_path_factory) -> Path:
+    """A workspace with two calibrated days; tests that change it take a copy."""
+    from inflight.catalog.workspace import Workspace
+    from inflight.flows.launch import run_plain
+
+    root = make_tiny_workspace(tmp_path_factory.mktemp("chain") / "tiny")
+    for name in ("ingest", "reprocess"):
+        assert run_plain(name, Workspace.open(root), {}).exit_code == 0
+    return root
+
+
+@pytest.fixture
+def copied(finished, tmp_path) -> Path:
+    return Path(shutil.copytree(finished, tmp_path / "copy"))
+
+
+def test_ingest_reports_days_by_outcome_and_the_second_time_nothing_is_left_to_do(inflight, tiny_workspace):
+    command = ("ingest", "--no-prefect", "--json", "-w", tiny_workspace)
+    first, second = inflight(*command), inflight(*command)
+    assert first.code == second.code == 0
+    assert set(first.json) >= REPORT
+    assert set(first.json["days"]) == COUNTS
+    assert first.json["days"]["done"] == 4
+    assert second.json["days"]["unchanged"] == 4
+    assert second.json["days"]["done"] == 0
+
+
+def test_ingest_takes_one_instrument_and_one_span_when_asked(inflight, tiny_workspace):
+    span = ("--start", "2024-03-02", "--end", "2024-03-03", "--instrument", "turning")
+    told = inflight("ingest", *span, "--no-prefect", "--json", "-w", tiny_workspace)
+    assert told.json["days"]["done"] == 1
+
+
+def test_a_bad_day_is_told_with_its_remedy_and_ends_with_days_missing(inflight, tiny_workspace):
+    (tiny_workspace / "data" / "turning_20240302.csv").write_text("time,x,y,z\n", encoding="utf-8")
+    command = ("ingest", "--no-prefect", "-w", tiny_workspace)
+    told = inflight(*command, "--json")
+    assert told.code == 3
+    assert told.json["days"]["done"] == 3
+    assert told.json["problems"][0]["remedy"]
+    again = inflight(*command)
+    assert again.code == 3
+    assert "turning_20240302.csv" in again.out
+
+
+def test_an_archive_without_days_is_an_error_that_says_what_to_do(inflight, tiny_workspace):
+    told = inflight("reprocess", "--no-prefect", "--json", "-w", tiny_workspace)
+    assert told.code == 1
+    assert "ingest" in told.json["error"]["remedy"]
+
+
+def test_reprocess_again_finds_nothing_to_do_and_tells_the_residual(inflight, finished):
+    told = inflight("reprocess", "--no-prefect", "--json", "-w", finished)
+    assert told.code == 0
+    assert told.json["days"]["unchanged"] == 2
+    assert told.json["residual"]["after_nT"] < 0.1 < told.json["residual"]["before_nT"]
+
+
+def test_the_plan_of_a_backfill_is_printed_and_nothing_is_done(inflight, copied):
+    deliver_tiny_day(copied / "data", "2024-03-03")
+    assert inflight("ingest", "--no-prefect", "-w", copied).code == 0
+    span = ("--start", "2024-03-01", "--end", "2024-03-05")
+    told = inflight("backfill", *span, "--dry-run", "--json", "-w", copied)
+    assert told.code == 0
+    assert told.json["days"] == {"planned": 1, "unchanged": 2, "no_work": 1}
+    assert told.json["batches"] == [["2024-03-03", "2024-03-03", 1]]
+    assert len(inflight("catalog", "show", "l2/field", "--json", "-w", copied).json["items"]) == 2
+    done = inflight("backfill", *span, "--no-prefect", "--json", "-w", copied)
+    assert done.code == 0
+    assert done.json["days"]["done"] >= 1
+    assert len(inflight("catalog", "show", "l2/field", "--json", "-w", copied).json["items"]) >= 3
+
+
+def test_compare_writes_a_page_and_prints_before_and_after(inflight, finished, tmp_path):
+    page = tmp_path / "page.html"
+    told = inflight("compare", "--json", "-w", finished, "--output", page)
+    assert told.code == 0
+    assert set(told.json) >= {"residual", "by_day", "fails_where"}
+    assert told.json["residual"]["after_nT"] < told.json["residual"]["before_nT"] / 100
+    assert len(told.json["by_day"]) == 2
+    assert page.read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html")
+    shown = inflight("compare", "-w", finished)
+    assert "residual before" in shown.out
+    assert str(finished / "reports" / "compare-main.html") in shown.out
+
+
+def test_catalog_lists_shows_and_verifies(inflight, finished):
+    listed = inflight("catalog", "list", "--json", "-w", finished).json
+    assert {"l1/turning", "l1/absolute", "l2/field"} <= {item["dataset"] for item in listed["items"]}
+    days = inflight("catalog", "show", "l2/field", "--json", "-w", finished).json["items"]
+    assert [day["version"] for day in days] == ["v01.00", "v01.00"]
+    table = inflight("catalog", "show", "main-window", "--json", "-w", finished).json["items"]
+    assert "2024-0" in table[0]["valid"]
+    edges = inflight("catalog", "show", days[0]["id"], "--json", "-w", finished).json["items"]
+    assert edges
+    assert inflight("catalog", "verify", "--json", "-w", finished).json["faults"] == []
+
+
+def test_catalog_tells_the_same_to_a_person(inflight, finished):
+    assert "l2/field" in inflight("catalog", "list", "-w", finished).out
+    assert "2024-03-02" in inflight("catalog", "show", "l2/field", "-w", finished).out
+    assert "no gaps" in inflight("catalog", "gaps", "-w", finished).out
+    assert "whole" in inflight("catalog", "verify", "-w", finished).out
+
+
+def test_a_name_the_catalog_does_not_know_is_an_error(inflight, finished):
+    told = inflight("catalog", "show", "l9/nothing", "--json", "-w", finished)
+    assert told.code == 1
+    assert "catalog list" in told.json["error"]["remedy"]
+
+
+def test_a_damaged_store_is_found(inflight, copied):
+    chunk = next(path for path in (copied / "stores").rglob("c/*") if path.is_file())
+    chunk.chmod(0o644)
+    chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
+    told = inflight("catalog", "verify", "--json", "-w", copied)
+    assert told.code == 1
+    assert told.json["faults"]
+
+
+def test_gaps_tell_the_cause(inflight, copied):
+    deliver_tiny_day(copied / "data", "2024-03-04")
+    inflight("ingest", "--no-prefect", "-w", copied)
+    told = inflight("catalog", "gaps", "l1/turning", "--json", "-w", copied).json
+    assert [(item["day"], item["cause"]) for item in told["items"]] == [("2024-03-03", "no_work")]
+
+
+def test_a_release_is_copied_out_once(inflight, copied):
+    command = ("release", "1.0", "--no-prefect", "--json", "-w", copied)
+    told = inflight(*command)
+    assert told.code == 0
+    assert (copied / told.json["outputs"][0] / "days.csv").is_file()
+    assert inflight(*command).code == 1
+
+
+def test_the_demo_tells_residual_products_and_what_to_type_next(inflight, tmp_path):
+    told = inflight("demo", "--days", 1, "--no-prefect", "-w", tmp_path / "demo")
+    assert told.code == 0
+    for text in ("residual before", "residual after", "What to type next", "compare-main.html"):
+        assert text in told.out
+    again = inflight("demo", "--days", 1, "--no-prefect", "--json", "-w", tmp_path / "demo")
+    assert again.json["days"]["unchanged"] == 1
+    assert again.json["residual"]["after_nT"] < again.json["residual"]["before_nT"]
