@@ -36,8 +36,10 @@ FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")
 #: Half-width of the sinc window in lobes, and its Kaiser parameter: stop band below -100 dB.
 _LOBES = 16
 _KAISER_BETA = 10.0
-#: Stamps closer than this part of a cadence are the same stamp.
-_SAME_STAMP = 1e-3
+#: Stamps closer than this part of a cadence are the same stamp: at 1 s and 40 nT/s, less than a picotesla.
+_SAME_STAMP = 2e-5
+#: Cadences that differ by less than this part are the same cadence.
+_SAME_CADENCE = 1e-3
 #: Neighbours further apart than this many cadences have a gap between them.
 GAP = 1.5
 #: Stamps the usual distance is taken from.
@@ -149,7 +151,7 @@ def _between(
     base_step = _usual_step(target)
     is_field = name in FIELD_ROLES
     # A faster field is low-passed even where stamps coincide: picking would fold its noise into the band.
-    faster = is_field and target.size > 1 and cadence < base_step * (1 - _SAME_STAMP)
+    faster = is_field and target.size > 1 and cadence < base_step * (1 - _SAME_CADENCE)
     picked = None if faster else _pick(stamps, target, cadence)
     if picked is not None:
         index, there = picked
@@ -160,7 +162,7 @@ def _between(
     if own_flags is not None:
         # A reading its own instrument rejects would spread under the window to good ones.
         wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
-    if is_field and cadence <= base_step * (1 + _SAME_STAMP):
+    if is_field and cadence <= base_step * (1 + _SAME_CADENCE):
         cutoff = min(1.0, cadence / base_step)
         return _sinc(stamps, wide, target, float(cadence), cutoff).reshape(shape), "band_limited"
     return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
@@ -180,7 +182,7 @@ def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArra
     off = np.abs(stamps[nearest] - target)
     there = off <= _SAME_STAMP * cadence
     # A target in a gap of the channel has no stamp near it: it says nothing about the phase.
-    between = (off > _SAME_STAMP * cadence) & (off < 0.5 * cadence * (1 + _SAME_STAMP))
+    between = (off > _SAME_STAMP * cadence) & (off < 0.5 * cadence * (1 + _SAME_CADENCE))
     return None if between.any() else (nearest.astype(np.int64), there)
 
 
