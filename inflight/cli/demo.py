@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -92,14 +94,16 @@ def _finish(session: Session, workspace: Workspace, report: RunReport, seconds: 
 
 
 def _print_next(console: Console, workspace: Workspace, seconds: float) -> None:
-    root: Any = workspace.root
+    root = workspace.root
+    # A newcomer who came by `make demo` has not activated the environment.
+    program = "inflight" if shutil.which("inflight") else sys.argv[0]
     console.print(f"\nDone in {seconds:.0f} s. Products, tables and archive are in the catalog of {root}.")
     console.print("What to type next:")
     for command, told in (
-        (f"inflight catalog list -w {root}", "what there is"),
-        (f"inflight catalog show l2/field -w {root}", "day by day"),
-        (f"inflight compare -w {root} --open", "the page with the plots"),
-        (f"inflight reprocess -w {root}", "again: finds nothing to do"),
-        ("inflight new template my-mission", "begin with measurements of your own"),
+        (f"{program} catalog list -w {root}", "what there is"),
+        (f"{program} catalog show l2/field -w {root}", "day by day"),
+        (f"{program} compare -w {root} --open", "the page with the plots"),
+        (f"{program} reprocess -w {root}", "again: finds nothing to do"),
+        (f"{program} new template my-mission", "begin with measurements of your own"),
     ):
-        console.print(f"  {command:<46} {told}")
+        console.print(f"  {command:<56} {told}", soft_wrap=True)

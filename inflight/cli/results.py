@@ -74,7 +74,9 @@ def print_comparison(console: Console, fields: dict[str, Any]) -> None:
         console.print(f"residual {name:<7} {rms:8.3f} nT rms, {spread:.3f} nT about its mean", style="bold")
     if math.isfinite(residual["noise_floor_nT"]):
         console.print(f"noise floor      {residual['noise_floor_nT']:8.3f} nT")
-    determined = ", ".join(fields["parameters"]["determined"]) or "none"
+    determined = (
+        ", ".join(name.rpartition(".")[2] for name in fields["parameters"]["determined"]) or "nothing"
+    )
     console.print(f"  determined by these data: {determined}", soft_wrap=True, markup=False)
     for failing in fields["fails_where"]:
         console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
