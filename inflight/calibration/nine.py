@@ -88,11 +88,41 @@ def _fill(
 
 
 @numba.njit(cache=True, nogil=True)
-def rows(theta: Floats, e: Floats, s: Floats, f: Floats, scale: Floats) -> Floats:  # pragma: no cover
-    """Return unweighted rows [nine scaled columns | residual]; (time, 10) nT."""
-    out = np.empty((f.size, WIDTH))
-    _fill(out, theta, e, s, f, np.inf, scale, 0)
+def gram_elsewhere(
+    theta: Floats, e: Floats, s: Floats, f: Floats, root: Floats, scale: Floats
+) -> Floats:  # pragma: no cover
+    """Return the Gram matrix linearised at `theta` with weights ``root^2`` found elsewhere; (10, 10) nT^2."""
+    out = np.zeros((WIDTH, WIDTH))
+    rows = np.empty((_ROWS, WIDTH))
+    for at in range(0, f.size, _ROWS):
+        part = rows[: min(_ROWS, f.size - at)]
+        _fill(part, theta, e, s, f, np.inf, scale, at)
+        for k in range(part.shape[0]):
+            for column in range(WIDTH):
+                part[k, column] *= root[at + k]
+        out += np.dot(part.T, part)
     return out
+
+
+@numba.njit(cache=True, nogil=True)
+def compress(
+    e: Floats, s: Floats, f: Floats, good: npt.NDArray[np.bool_]
+) -> tuple[Floats, Floats, Floats]:  # pragma: no cover
+    """Return the rows where `good` is True; several times faster than indexing by a mask."""
+    many = good.sum()
+    held = s.shape[0] > 1
+    e_out, f_out = np.empty((many, 3)), np.empty(many)
+    s_out = np.empty((many, 3)) if held else s.copy()
+    k = 0
+    for i in range(good.size):
+        if good[i]:
+            for axis in range(3):
+                e_out[k, axis] = e[i, axis]
+                if held:
+                    s_out[k, axis] = s[i, axis]
+            f_out[k] = f[i]
+            k += 1
+    return e_out, s_out, f_out
 
 
 @numba.njit(cache=True, nogil=True)

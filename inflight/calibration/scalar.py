@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from inflight.calibration.nine import WIDTH, grams, residuals, rows
+from inflight.calibration.nine import WIDTH, compress, gram_elsewhere, grams, residuals
 from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
 from inflight.calibration.sensor import SCALE, Reference, bend, kernel_parameters, kernel_scale
-from inflight.calibration.solution import Solution, posterior, solve
+from inflight.calibration.solution import MIN_INFORMATION, Solution, posterior, solve
 from inflight.effects.base import Floats
 from inflight.errors import CalibrationError
 
@@ -25,6 +25,9 @@ BARTLETT = 3
 #: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
 BEND = 1e-4
 _MAX_PASSES = 25
+#: A direction at the edge of what the data determine could come and go for ever: from this turn on the
+#: edge rises by this factor a turn, until the direction stays at its prior.
+_EDGE_TURN, _EDGE_RISE = 5, 1.5
 #: The iteration ends when no parameter moves by more than this many of its sigmas: a lengthened step
 #: leaves a thousandth of itself to the next, also with outliers (measured).
 _SETTLED = 10.0
@@ -118,8 +121,9 @@ def fit_block(
     data = _Data.of(reading, additive, scalar, good, sub_blocks)
     value, passes = reference.value, 0
     for part in (data.thinned(), data):
-        for _ in range(_MAX_PASSES):
-            found = _pass(part, value, prior, weighted=passes > 0)
+        for turn in range(_MAX_PASSES):
+            least = MIN_INFORMATION * _EDGE_RISE ** max(0, turn - _EDGE_TURN)
+            found = _pass(part, value, prior, passes > 0, least)
             moved, value, passes = found.value - value, found.value, passes + 1
             settled = np.all(np.abs(moved) <= _SETTLED * np.maximum(found.sigma, 1e-12 * SCALE))
             if passes > 1 and settled and bend(value, value - moved, data.strength) <= BEND:
@@ -146,19 +150,13 @@ class _Data:
         cls, reading: Floats, additive: Floats, scalar: Floats, good: npt.NDArray[np.bool_], sub_blocks: int
     ) -> _Data:
         bounds = np.linspace(0, good.size, max(sub_blocks, 1) + 1).astype(np.int64)
-        many = additive.shape[0] > 1
+        many = np.ascontiguousarray(additive, dtype=np.float64)
+        e, f = np.ascontiguousarray(reading), np.ascontiguousarray(scalar)
         if good.all():
-            e, s, f, edges = reading, additive, scalar, bounds
-        else:
-            e, f, s = reading[good], scalar[good], additive[good] if many else additive
-            edges = np.append(0, np.cumsum(good))[bounds].astype(np.int64)
-        return cls(
-            np.ascontiguousarray(e),
-            np.ascontiguousarray(s),
-            np.ascontiguousarray(f),
-            edges,
-            float(np.median(f[::64])),
-        )
+            return cls(e, many, f, bounds, float(np.median(f[::64])))
+        e, many, f = compress(e, many, f, good)
+        edges = np.append(0, np.cumsum(good))[bounds].astype(np.int64)
+        return cls(e, many, f, edges, float(np.median(f[::64])))
 
     def thinned(self) -> _Data:
         """Every eighth sample of a long block: it brings the fit near its end at an eighth of the cost."""
@@ -195,7 +193,7 @@ class _Pass:
     sigma_residual: float
 
 
-def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool) -> _Pass:
+def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: float) -> _Pass:
     """Make one pass.
 
     The step is lengthened by `bread`, the ratio of the weights to their slope: weights follow the
@@ -217,7 +215,7 @@ def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool) -> _Pass
     step, covariance, least = posterior(gram, count, centre, spread)
     if least < _PLAIN:
         # Weak directions need their true weight, or the iteration runs along them for nothing.
-        solution = solve(gram, score_scatter(blocks, step, spread), count, centre, spread)
+        solution = solve(gram, score_scatter(blocks, step, spread), count, centre, spread, edge)
         step, covariance, bread = solution.value, solution.covariance, 1.0
     sigmas = np.sqrt(np.diag(covariance)) * SCALE
     return _Pass(value, value + step * bread * SCALE, sigmas, blocks, count, bread, sigma)
@@ -283,14 +281,8 @@ def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
     """Return the Gram matrix linearised at a far reference, with the weights of the last pass."""
     r = residuals(kernel_parameters(found.here), data.e, data.s, data.f)
     root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
-    out = np.zeros((WIDTH, WIDTH))
-    for low in range(0, r.size, _SCALE_SAMPLES):
-        part = slice(low, low + _SCALE_SAMPLES)
-        s = data.s[part] if data.s.shape[0] > 1 else data.s
-        weighted = rows(kernel_parameters(reference), data.e[part], s, data.f[part], kernel_scale(reference))
-        weighted *= root[part, None]
-        out += weighted.T @ weighted
-    return out
+    theta, scale = kernel_parameters(reference), kernel_scale(reference)
+    return np.asarray(gram_elsewhere(theta, data.e, data.s, data.f, root, scale))
 
 
 def shift_reference(gram: Floats, change: Floats) -> Floats:

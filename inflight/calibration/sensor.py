@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.effects.base import Floats
+from inflight.effects.base import Floats, with_field
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import ModelError
 from inflight.flags import Flag
@@ -100,7 +100,7 @@ def split_chain(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floa
         additive = additive + entry.effect.field(samples, entry.values(times), entry.sensor)
     field = own.effect.correct(reading, samples, own.values(times), own.sensor) - additive
     # With the field given, and no vector reading to make it from, the scalar sensor's chain is left.
-    known = samples.drop_vars("vector").assign(field=(samples["vector"].dims, field))
+    known = with_field(samples.drop_vars("vector"), field)
     scalar = correct([entry for entry in model.effects if entry.sensor.role == "scalar"], known)
     return reading, additive, np.asarray(scalar["scalar"].values, dtype=np.float64)
 
@@ -127,8 +127,17 @@ def kernel_scale(value: Floats) -> Floats:
 def bend(value: Floats, reference: Floats, strength: float) -> float:
     """Return by how much the residual bends between two sets of parameters; nT.
 
-    A change dB of the corrected field across the field's direction lengthens it by dB^2 / 2 B.
+    A change dB of the corrected field across the field's direction lengthens it by dB^2 / 2 B; a
+    change of all scale factors alike is along the field and bends nothing.
+
+    Parameters
+    ----------
+    value, reference : ndarray, shape (9,)
+        Physical units.
+    strength : float
+        Field strength, nT.
     """
-    change = np.abs(kernel_parameters(value) - kernel_parameters(reference))
+    change = kernel_parameters(value) - kernel_parameters(reference)
+    change[:3] -= change[:3].mean()
     across = float(np.hypot(np.linalg.norm(change[:6]) * strength, np.linalg.norm(change[6:])))
     return across**2 / (2.0 * strength)

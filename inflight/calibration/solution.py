@@ -85,16 +85,28 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
         As in `solve`.
     """
     matrix, cross = gram[:-1, :-1], gram[:-1, -1]
-    unit = prior_sigma[:, None] * prior_sigma[None, :]
     pull = prior_sigma * (matrix @ prior + cross)
-    value = prior
+    value, variance = prior, 1.0
+    own, vectors = _information(matrix, prior_sigma)
     for _ in range(2):
         variance = _variance(gram, value, count)
-        inverse = np.linalg.inv(matrix * unit / variance + np.eye(prior.size))
-        value = prior - prior_sigma * (inverse @ pull) / variance
+        shrink = 1.0 / (1.0 + own / variance)
+        value = prior - prior_sigma * (vectors @ (shrink * (vectors.T @ pull))) / variance
+    inverse = (vectors * shrink) @ vectors.T
     free = prior_sigma > 0
-    largest = np.linalg.eigvalsh(inverse[np.ix_(free, free)])[-1] if free.any() else 0.0
-    return value, inverse * unit, 1.0 / largest - 1.0 if largest > 0 else np.inf
+    least = float(own[-int(free.sum())]) / variance if free.any() else np.inf
+    return value, inverse * np.outer(prior_sigma, prior_sigma), least
+
+
+def _information(matrix: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
+    """Return information (nT^2, ascending) and its directions in units of prior sigma.
+
+    What sums of squares leave behind where nothing is to be seen must not pass for information.
+    """
+    own, vectors = np.linalg.eigh(matrix * np.outer(prior_sigma, prior_sigma))
+    parts = np.abs(vectors).T @ (prior_sigma * np.sqrt(np.clip(np.diag(matrix), 0.0, None)))
+    rounding = _ROUNDING * np.maximum(parts**2, 0.125 * max(own[-1], 0.0))
+    return np.where(own > rounding, own, 0.0), vectors
 
 
 def solve(
@@ -187,12 +199,9 @@ class _Directions:
 def _directions(
     matrix: Floats, scatter: Floats, variance: float, prior_sigma: Floats, least: float
 ) -> _Directions:
-    unit = prior_sigma[:, None] * prior_sigma[None, :]
-    white, vectors = np.linalg.eigh(matrix * unit / variance)
-    # What sums of squares leave behind where nothing is to be seen must not pass for information.
-    parts = np.abs(vectors).T @ (prior_sigma * np.sqrt(np.clip(np.diag(matrix), 0.0, None)))
-    rounding = _ROUNDING * np.maximum(parts**2 / variance, 0.125 * max(white[-1], 0.0))
-    white = np.where(white > rounding, white, 0.0)
+    unit = np.outer(prior_sigma, prior_sigma)
+    white, vectors = _information(matrix, prior_sigma)
+    white = white / variance
     noise = vectors.T @ (scatter * unit) @ vectors / variance**2
     # Few sub-blocks can show less scatter than uncorrelated residuals have; that is chance, not knowledge.
     own = np.clip(np.diag(noise), 0.0, None)

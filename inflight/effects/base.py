@@ -183,8 +183,20 @@ def best_field(samples: xr.Dataset) -> Floats:
     return np.asarray(samples["field"].values, dtype=np.float64)
 
 
+def with_field(samples: xr.Dataset, field: Floats) -> xr.Dataset:
+    """Return samples that hold a field estimate (time, axis), nT, and its direction for all who ask."""
+    dims = ("time", "axis")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = field / np.sqrt(np.einsum("ta,ta->t", field, field))[:, None]
+    return samples.assign(
+        field=(dims, field, {"units": "nT", "frame": "sensor"}), field_direction=(dims, unit, {"units": "1"})
+    )
+
+
 def direction(samples: xr.Dataset) -> Floats:
     """Return the unit vector of the best present field estimate; (time, axis), vector sensor axes."""
+    if "field_direction" in samples:
+        return np.asarray(samples["field_direction"].values, dtype=np.float64)
     field = best_field(samples)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(field / np.linalg.norm(field, axis=1, keepdims=True))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import Floats, strength
+from inflight.effects.base import Floats, strength, with_field
 from inflight.errors import ModelError, SamplesError
 
 if TYPE_CHECKING:
@@ -43,7 +43,8 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
         When a reading is missing.
     """
     # A field of an earlier correction is none of this one's.
-    out = samples.drop_vars("field", errors="ignore") if "vector" in samples else samples
+    stale = ["field", "field_direction"]
+    out = samples.drop_vars(stale, errors="ignore") if "vector" in samples else samples
     for role in ("vector", "scalar"):
         entries = [entry for entry in effects if entry.sensor.role == role]
         if role not in samples:
@@ -57,7 +58,7 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
             reading = entry.effect.correct(reading, out, entry.values(_times(entry, samples)), entry.sensor)
         out = out.assign({role: (samples[role].dims, reading, samples[role].attrs)})
         if role == "vector":
-            out = out.assign(field=(samples[role].dims, reading, {"units": "nT", "frame": "sensor"}))
+            out = with_field(out, reading)
     return out
 
 
@@ -76,7 +77,7 @@ def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     xarray.Dataset
         The samples with raw readings; `field` keeps the true field.
     """
-    out = samples.assign(field=samples["vector"])
+    out = with_field(samples, np.asarray(samples["vector"].values, dtype=np.float64))
     changed = {}
     for role in ("vector", "scalar"):
         reading = np.asarray(samples[role].values, dtype=np.float64)
