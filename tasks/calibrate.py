@@ -17,6 +17,7 @@ from inflight.calibration import (
     fit_block,
     reference_of,
     split_chain,
+    sub_blocks_for,
     usable,
 )
 from inflight.catalog import Catalog, DayData, Segment, write_segment
@@ -146,7 +147,8 @@ def calibrate_day(
             f"{coverage:.1%} of the day is usable, at least {min_coverage:.1%} is needed",
             remedy="lower 'min_coverage' or exclude the day",
         )
-    fit = fit_block(reading, additive, scalar, good, at, prior)
+    parts = sub_blocks_for(good.sum() * step / SECOND)
+    fit = fit_block(reading, additive, scalar, good, at, prior, parts)
     attributes = {"comparison": model.comparison, "model": model.sha, "cadence_ns": step, "filter": "raw"}
     equations = NormalEquations.from_fit(fit, at, (start, end), attributes)
     report = {

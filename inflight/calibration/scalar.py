@@ -20,6 +20,9 @@ from inflight.errors import CalibrationError
 
 #: Sub-blocks of a block, for the covariance: 20 minutes of a day.
 SUB_BLOCKS = 72
+#: Fewest sub-blocks of a shorter block: more would be too short to show correlation over minutes.
+FEWEST_SUB_BLOCKS = 12
+_SUB_BLOCK_S = 1200.0
 #: Residuals are taken as correlated over this many sub-blocks.
 BARTLETT = 3
 #: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
@@ -81,6 +84,11 @@ class BlockFit:
     before: float
     after: float
     passes: int
+
+
+def sub_blocks_for(seconds: float) -> int:
+    """Return into how many sub-blocks so many seconds of used samples are cut: one for 20 minutes."""
+    return int(np.clip(seconds / _SUB_BLOCK_S, FEWEST_SUB_BLOCKS, SUB_BLOCKS))
 
 
 def fit_block(
@@ -149,13 +157,13 @@ class _Data:
     def of(
         cls, reading: Floats, additive: Floats, scalar: Floats, good: npt.NDArray[np.bool_], sub_blocks: int
     ) -> _Data:
-        bounds = np.linspace(0, good.size, max(sub_blocks, 1) + 1).astype(np.int64)
+        # Cut by used samples, not by rows: hours of gaps are no sub-blocks.
+        edges = np.linspace(0, int(good.sum()), max(sub_blocks, 1) + 1).astype(np.int64)
         many = np.ascontiguousarray(additive, dtype=np.float64)
         e, f = np.ascontiguousarray(reading), np.ascontiguousarray(scalar)
         if good.all():
-            return cls(e, many, f, bounds, float(np.median(f[::64])))
+            return cls(e, many, f, edges, float(np.median(f[::64])))
         e, many, f = compress(e, many, f, good)
-        edges = np.append(0, np.cumsum(good))[bounds].astype(np.int64)
         return cls(e, many, f, edges, float(np.median(f[::64])))
 
     def thinned(self) -> _Data:

@@ -88,10 +88,11 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
     pull = prior_sigma * (matrix @ prior + cross)
     value, variance = prior, 1.0
     own, vectors = _information(matrix, prior_sigma)
+    seen = np.where(own > 0, vectors.T @ pull, 0.0)
     for _ in range(2):
         variance = _variance(gram, value, count)
         shrink = 1.0 / (1.0 + own / variance)
-        value = prior - prior_sigma * (vectors @ (shrink * (vectors.T @ pull))) / variance
+        value = prior - prior_sigma * (vectors @ (shrink * seen)) / variance
     inverse = (vectors * shrink) @ vectors.T
     free = prior_sigma > 0
     least = float(own[-int(free.sum())]) / variance if free.any() else np.inf
