@@ -45,6 +45,19 @@ def manifest_sha256(folder: Path) -> str:
         ) from None
 
 
+def stated_hashes(folder: Path) -> dict[str, str]:
+    """Return file name -> sha256 as a folder's manifest states them.
+
+    Raises
+    ------
+    OSError
+        When there is none.
+    """
+    text = (folder / MANIFEST).read_text("utf-8", errors="replace")
+    lines = (line.partition("  ") for line in text.splitlines())
+    return {name: digest for digest, _, name in lines}
+
+
 def manifest_faults(folder: Path, sha256: str) -> list[tuple[str, str]]:
     """Compare a folder with its manifest, and the manifest with `sha256` (skipped when empty).
 
@@ -59,8 +72,7 @@ def manifest_faults(folder: Path, sha256: str) -> list[tuple[str, str]]:
         return [(MANIFEST, error.message)]
     if sha256 and found != sha256:
         return [(MANIFEST, f"manifest has sha256 {found[:12]}, expected {sha256[:12]}")]
-    lines = (line.partition("  ") for line in (folder / MANIFEST).read_text("utf-8").splitlines())
-    stated = {name: digest for digest, _, name in lines}
+    stated = stated_hashes(folder)
     present = set(_files(folder))
     faults = [(name, "file is missing") for name in sorted(stated.keys() - present)]
     faults += [(name, "file is not in the manifest") for name in sorted(present - stated.keys())]
