@@ -308,8 +308,13 @@ class Catalog:
         told = FileRecord(
             instrument, str(path), sha256, size, mtime_ns, tuple(map(str, days)), dict(report or {}), run.id
         )
+        self.record_files(run, [told])
+
+    def record_files(self, run: Run, files: Iterable[FileRecord]) -> None:
+        """Record many delivered files in one transaction."""
         with self._database.write() as session:
-            registry.record_file(session, run.id, told)
+            for told in files:
+                registry.record_file(session, run.id, told)
 
     def files(self, instrument: str) -> dict[str, FileRecord]:
         """Return the delivered files already taken in, by path."""

@@ -186,6 +186,17 @@ def adoptable_day(session: Session, name: str, day: dt.date, key: str) -> tuple[
     return (found[0], found[1]) if found else None
 
 
+def adoptable_days(session: Session, name: str) -> list[tuple[dt.date, str]]:
+    """Return day and key of all days that ended runs verified and never published."""
+    found = session.execute(
+        select(DayRow.day, DayRow.key)
+        .join(DatasetRow, DatasetRow.id == DayRow.dataset_id)
+        .join(RunRow, RunRow.id == DayRow.run_id)
+        .where(DatasetRow.name == name, DayRow.state == "verified", RunRow.state != "running")
+    )
+    return [(day, key) for day, key in found]
+
+
 def _choose(rows: Sequence[Any], wanted: set[str] | None) -> Any:
     if wanted is not None:
         return next((found for found in reversed(rows) if found[0].state in wanted), None)

@@ -16,7 +16,7 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from inflight.catalog.database import Database
-from inflight.catalog.days import adoptable_day, day_record
+from inflight.catalog.days import adoptable_day, adoptable_days, day_record
 from inflight.catalog.faultpoints import reached
 from inflight.catalog.layout import plain_attributes
 from inflight.catalog.lineage import Edge, add_edges, parent_ids, walk
@@ -206,6 +206,19 @@ class Run:
             row.coverage = told.get("coverage")
             session.flush()
         return day_record(row, name, None)
+
+    def record_no_work(self, name: str, days: Mapping[Any, str]) -> None:
+        """Record, in one transaction, days with nothing to work on: day -> what is missing."""
+        with self._database.write() as session:
+            dataset = _dataset(session, name) if days else 0
+            for day, message in days.items():
+                row = self._own_row(session, dataset, as_date(day))
+                row.state, row.cause, row.message = "no_work", "no_work", message
+
+    def adoptable(self, name: str) -> set[tuple[np.datetime64, str]]:
+        """Return (day, key) of what `adopt` would find, by one query."""
+        with self._database.read() as session:
+            return {(np.datetime64(day, "D"), key) for day, key in adoptable_days(session, name)}
 
     def adopt(self, name: str, day: str | np.datetime64, key: str) -> Day | None:
         """Take over a day that an ended run verified with the same key and never published.

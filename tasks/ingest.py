@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from inflight.catalog import Catalog, Day, Run, idempotency_key
+from inflight.catalog import Catalog, Day, FileRecord, Run, idempotency_key
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.delivery import (
@@ -240,21 +240,26 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
             {"problem": problem},
             plan.keys[day],
         )
-    for day in plan.fresh_empty:
-        run.record(plan.dataset, day, "no_work", "no_work", "no delivered file holds rows of this day")
-    for file in plan.delivery.files:
-        if not file.known:
-            report = file_report(file, plan.delivery.key, plan.told.get(file.name, {}))
-            cat.record_file(
-                run,
+    run.record_no_work(
+        plan.dataset, dict.fromkeys(plan.fresh_empty, "no delivered file holds rows of this day")
+    )
+    cat.record_files(
+        run,
+        [
+            FileRecord(
                 plan.delivery.instrument,
                 file.name,
                 file.sha256,
                 file.size,
                 file.mtime_ns,
-                file.days,
-                report,
+                tuple(map(str, file.days)),
+                file_report(file, plan.delivery.key, plan.told.get(file.name, {})),
+                run.id,
             )
+            for file in plan.delivery.files
+            if not file.known
+        ],
+    )
 
 
 def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunReport:

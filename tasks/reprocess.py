@@ -92,21 +92,27 @@ def calibrate(
     book: _Book,
 ) -> dict[np.datetime64, Day]:
     """Make and stage the normal equations of batches of days; return the staged days."""
-    fresh: dict[np.datetime64, Day] = {}
-    left = []
-    for batch in batches:
-        adopted = (
-            {day: run.adopt(made.equations, day, made.keys[day]) for day in batch}
-            if reference is None
-            else {}
-        )
-        fresh |= {day: found for day, found in adopted.items() if found is not None}
-        left.append([day for day in batch if day not in fresh])
+    # Equations of a killed run's later passes are linearised elsewhere: only those of the first are taken.
+    fresh = _adopt(run, made.equations, made.keys, batches) if reference is None else {}
+    left = [[day for day in batch if day not in fresh] for batch in batches]
     jobs = _jobs(made, run, [batch for batch in left if batch], made.equations, made.keys)
     arguments = [(cat, mission, made.model, job, reference, made.settings.min_coverage) for job in jobs]
     for outcome in mapper("calibrate", calibrate_batch, arguments):
         fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
     return fresh
+
+
+def _adopt(
+    run: Run, dataset: str, keys: Mapping[np.datetime64, str], batches: Sequence[Sequence[np.datetime64]]
+) -> dict[np.datetime64, Day]:
+    """Take over the days that a killed run had made from the same inputs."""
+    offered = run.adoptable(dataset)
+    adopted = {}
+    for day in (day for batch in batches for day in batch if (day, keys[day]) in offered):
+        found = run.adopt(dataset, day, keys[day])
+        if found is not None:
+            adopted[day] = found
+    return adopted
 
 
 @dataclass(frozen=True)
@@ -170,10 +176,11 @@ def produce(
         keys[day] = idempotency_key(made.product, day, PRODUCT_VERSION, made.context, [made.keys[day], row])
         if day in current and current[day].key == keys[day]:
             same.append(day)
-        elif run.adopt(made.product, day, keys[day]) is not None:
-            book.done.add(day)
         else:
             todo.append(day)
+    adopted = _adopt(run, made.product, keys, [todo])
+    book.done |= set(adopted)
+    todo = [day for day in todo if day not in adopted]
     size = made.settings.batch_days
     batches = [todo[at : at + size] for at in range(0, len(todo), size)]
     parents = f"table:{tables.ids[made.settings.table]}"
@@ -231,8 +238,7 @@ def reprocess(
     spread = mapper or _plain_mapper(client, progress or (lambda stage, done, total: None))
     book = _Book()
     with cat.run("reprocess", made.settings.model_dump() | _span_of(made), context=made.context) as run:
-        for day, message in made.no_work.items():
-            run.record(made.product, day, "no_work", "no_work", message)
+        run.record_no_work(made.product, made.no_work)
         days = _equations(cat, mission, made, run, spread, book)
         if not days:
             return _report(made, run, book, [], {})
