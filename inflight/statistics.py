@@ -95,10 +95,8 @@ def spectrum(residual: Floats, cadence: float) -> tuple[Floats, Floats]:
     whole = [part for part in parts if np.isfinite(part).all()]
     if length < 64 or not whole:
         return np.empty(0), np.empty(0)
-    # scipy's stubs misspell the choices of `detrend`.
-    frequency, power = signal.periodogram(  # type: ignore[call-overload]
-        levelled, fs=1.0 / cadence, window="hann", detrend=False
-    )
+    levelled = signal.detrend(np.array(whole), axis=1)
+    frequency, power = signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
     return np.asarray(frequency[1:]), np.asarray(power.mean(axis=0)[1:])
 
 
