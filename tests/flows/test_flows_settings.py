@@ -65,6 +65,7 @@ def test_dask_processes_use_one_thread_and_one_blas_thread(monkeypatch):
 
 
 def test_a_running_scheduler_is_used_when_named(monkeypatch):
+    monkeypatch.delenv("INFLIGHT_DASK_SCHEDULER", raising=False)
     with dask_client(1) as client:
         address = str(client.scheduler.address)
         monkeypatch.setenv("INFLIGHT_DASK_SCHEDULER", address)
