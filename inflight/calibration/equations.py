@@ -80,8 +80,15 @@ class NormalEquations:
         Raises
         ------
         CalibrationError
-            When columns, scale or reference differ, or blocks overlap.
+            When comparison, model, filter, columns or scale differ, or blocks overlap.
         """
+        for name in ("comparison", "model", "filter"):
+            mine, theirs = self.dataset.attrs.get(name), other.dataset.attrs.get(name)
+            if mine != theirs:
+                raise CalibrationError(
+                    f"normal equations differ in '{name}': {mine} and {theirs}",
+                    remedy="recompute them with one model version",
+                )
         for name in ("column", "scale"):
             if not np.array_equal(self.dataset[name].values, other.dataset[name].values):
                 raise CalibrationError(
@@ -124,9 +131,16 @@ class NormalEquations:
         """Return the equations of wider blocks: all blocks between two TT2000 edges become one.
 
         Gram matrices, scores' scatter and counts add up; scatter between the blocks is not in it.
+
+        Raises
+        ------
+        CalibrationError
+            When a block lies across an edge or outside the edges: it would be lost.
         """
         common = self.at(self.reference)
         parts = [common.within(start, end) for start, end in pairwise(edges)]
+        if sum(len(part) for part in parts) != len(self):
+            raise CalibrationError("a block lies across or outside the edges", remedy="use edges of blocks")
         totals = [part._total() for part in parts if len(part)]
         return NormalEquations(xr.concat(totals, "block").assign(scale=self.dataset["scale"]))
 
@@ -152,8 +166,8 @@ class NormalEquations:
         Returns
         -------
         Solution
-            Scaled, relative to the reference; its covariance holds the scatter within and between
-            blocks.
+            Scaled, relative to the reference; its covariance holds, a direction, the larger of the
+            scatter within the blocks and between them.
         """
         if len(self) > 1 and np.ptp(self.dataset["reference"].values, axis=0).any():
             return self.at(self.reference).solve(prior_sigma, prior)
@@ -166,7 +180,8 @@ class NormalEquations:
         if len(self) == 1:
             return first
         scores = gram[:, :-1, -1] + gram[:, :-1, :-1] @ first.value
-        return solve(total, within + scores.T @ scores, count, centre, sigma)
+        between = scores.T @ scores * len(self) / (len(self) - 1)
+        return solve(total, larger_scatter(total[:-1, :-1], within, between, sigma), count, centre, sigma)
 
     def physical(self, solution: Solution) -> tuple[Floats, Floats]:
         """Return values (column,) and covariance (column, column) of a solution in physical units."""
@@ -179,9 +194,40 @@ class NormalEquations:
         return np.asarray(self.dataset["reference"].values[0, :-1])
 
     def split(self, folds: int) -> list[tuple[Self, Self]]:
-        """Return (fitted, held-out) pairs of contiguous blocks for cross-validation."""
+        """Return (fitted, held-out) pairs of contiguous blocks for cross-validation.
+
+        Raises
+        ------
+        CalibrationError
+            When there are not at least two folds, or fewer blocks than folds.
+        """
+        if not 2 <= folds <= len(self):
+            raise CalibrationError(
+                f"{len(self)} blocks make no {folds} folds",
+                remedy="ask for two or more, and at most one a block",
+            )
         indices = np.array_split(np.arange(len(self)), folds)
         return [(self._pick(np.setdiff1d(np.arange(len(self)), held)), self._pick(held)) for held in indices]
 
     def _pick(self, index: np.ndarray[Any, np.dtype[np.int64]]) -> Self:
         return type(self)(self.dataset.isel(block=index))
+
+
+def larger_scatter(matrix: Floats, within: Floats, between: Floats, prior_sigma: Floats) -> Floats:
+    """Return the scatter of scores that is larger, direction by direction; (column, column), scaled.
+
+    Both estimate the same when blocks differ by chance alone, so they must not be added; what
+    wanders from block to block shows between them only, and what few blocks show may be too little.
+    """
+    free = np.flatnonzero(prior_sigma > 0)
+    grid, sigma = np.ix_(free, free), prior_sigma[free]
+    unit = np.outer(sigma, sigma)
+    _, vectors = np.linalg.eigh(matrix[grid] * unit)
+    inside = vectors.T @ (within[grid] * unit) @ vectors
+    outside = np.diag(vectors.T @ (between[grid] * unit) @ vectors)
+    inside += np.diag(np.where(np.diag(inside) <= 0, outside, 0.0))
+    own = np.diag(inside)
+    lift = np.sqrt(np.maximum(np.divide(outside, own, out=np.ones_like(own), where=own > 0), 1.0))
+    out = np.zeros_like(matrix)
+    out[grid] = vectors @ (lift[:, None] * inside * lift[None, :]) @ vectors.T / unit
+    return out
