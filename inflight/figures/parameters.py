@@ -35,7 +35,7 @@ def parameter_figures(daily: xr.Dataset, used: xr.Dataset) -> list[figure]:
 
 
 def _panel(daily: xr.Dataset, used: xr.Dataset, part: str, title: str, factor: float, unit: str) -> figure:
-    plot = plain_figure(title, "", unit, x_axis_type="datetime", width=370)
+    plot = plain_figure(title, "", unit, x_axis_type="datetime")
     names = [str(name) for name in daily["parameter"].values if f".{part}[" in str(name)]
     middle = to_utc(daily["start"].values // 2 + daily["end"].values // 2)
     for name, colour in zip(names, COMPONENTS, strict=False):

@@ -77,8 +77,6 @@ def dependence_figure(found: Dependence) -> figure:
         f"{found.coordinate}: rms {found.amplitude:.3f} +- {found.sigma_amplitude:.3f} nT",
         f"{found.coordinate}{unit}",
         "nT",
-        width=370,
-        height=240,
     )
     source = ColumnDataSource(
         {

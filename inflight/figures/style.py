@@ -10,7 +10,7 @@ from bokeh.plotting import figure
 BEFORE, AFTER, REFERENCE = "#b0532c", "#1f5c99", "#7a7a7a"
 #: Sensor axes and angle pairs.
 COMPONENTS = ("#1f5c99", "#2a8a57", "#b0532c")
-_WIDTH, _HEIGHT = 560, 280
+_WIDTH, _HEIGHT = 376, 260
 
 
 def plain_figure(title: str, x: str, y: str, **options: Any) -> figure:
@@ -25,7 +25,7 @@ def plain_figure(title: str, x: str, y: str, **options: Any) -> figure:
         toolbar_location="above",
         **options,
     )
-    plot.title.text_font_size = "13px" if plot.width >= _WIDTH else "11px"
+    plot.title.text_font_size = "12px"
     plot.grid.grid_line_alpha = 0.4
     plot.toolbar.logo = None
     return plot
