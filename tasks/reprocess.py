@@ -92,14 +92,26 @@ def calibrate(
     book: _Book,
 ) -> dict[np.datetime64, Day]:
     """Make and stage the normal equations of batches of days; return the staged days."""
-    # Equations of a killed run's later passes are linearised elsewhere: only those of the first are taken.
-    fresh = _adopt(run, made.equations, made.keys, batches) if reference is None else {}
+    fresh = {}
+    if reference is None:
+        fresh = _of_one_pass(_adopt(run, made.equations, made.keys, batches), sum(map(len, batches)))
     left = [[day for day in batch if day not in fresh] for batch in batches]
     jobs = _jobs(made, run, [batch for batch in left if batch], made.equations, made.keys)
     arguments = [(cat, mission, made.model, job, reference, made.settings.min_coverage) for job in jobs]
     for outcome in mapper("calibrate", calibrate_batch, arguments):
         fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
     return fresh
+
+
+def _of_one_pass(adopted: dict[np.datetime64, Day], wanted: int) -> dict[np.datetime64, Day]:
+    """Return the adopted equations of the first pass, or all of them when a later pass was finished.
+
+    A run killed amid a later pass leaves equations linearised here and there; a mixture would end in
+    other bytes than an undisturbed run.
+    """
+    places = {tuple(day.report["reference"]) for day in adopted.values() if day.report["shared"]}
+    first = {when: day for when, day in adopted.items() if not day.report["shared"]}
+    return adopted if len(adopted) == wanted and not first and len(places) == 1 else first
 
 
 def _adopt(

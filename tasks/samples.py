@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from inflight.align import FIELD_ROLES, align
+from inflight.alignment import FIELD_ROLES, align
 from inflight.catalog import Catalog, Day
 from inflight.errors import SamplesError
 from inflight.mission import Mission

@@ -6,7 +6,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.align import align
+from inflight.alignment import align
 from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.time import SECOND, day_bounds
