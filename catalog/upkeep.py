@@ -42,13 +42,19 @@ def find_faults(workspace: Path, session: Session, name: str | None) -> list[dic
         found = manifest_faults(folder, store.sha256)
         faults += [{"item": item, "fault": fault, "path": f"{store.path}/{file}"} for file, fault in found]
     if name is None:
-        edges = session.execute(select(EdgeRow.parent, EdgeRow.child)).all()
-        unknown = unknown_ids(session, (end for edge in edges for end in edge))
+        unknown = unknown_ids(session, (end for edge in _edges_in_use(session) for end in edge))
         faults += [
             {"item": item, "fault": "lineage names what is not in the catalog", "path": ""}
             for item in unknown
         ]
     return faults
+
+
+def _edges_in_use(session: Session) -> list[tuple[str, str]]:
+    """Return the lineage of everything but days nobody sees: a run that died had not named their files yet."""
+    unseen = {f"day:{id}" for id in session.scalars(select(DayRow.id).where(DayRow.state != "published"))}
+    edges = session.execute(select(EdgeRow.parent, EdgeRow.child)).all()
+    return [(parent, child) for parent, child in edges if child not in unseen]
 
 
 def collect_garbage(workspace: Path, database: Database, *, dry_run: bool) -> list[str]:

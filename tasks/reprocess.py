@@ -92,7 +92,7 @@ def calibrate(
     book: _Book,
 ) -> dict[np.datetime64, Day]:
     """Make and stage the normal equations of batches of days; return the staged days."""
-    fresh = {}
+    fresh: dict[np.datetime64, Day] = {}
     if reference is None:
         fresh = _of_one_pass(_adopt(run, made.equations, made.keys, batches), sum(map(len, batches)))
     left = [[day for day in batch if day not in fresh] for batch in batches]
