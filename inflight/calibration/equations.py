@@ -7,7 +7,7 @@ the archive again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Self
@@ -21,6 +21,8 @@ from inflight.calibration.solution import Solution, solve
 from inflight.effects.base import Floats
 from inflight.errors import CalibrationError
 
+#: A function of time: from TT2000 nanoseconds (block,) to numbers (block,).
+TimeFunction = Callable[[Floats], Floats]
 #: Name of the residual among the columns.
 RESIDUAL = "residual"
 
@@ -152,6 +154,70 @@ class NormalEquations:
             start=("block", data["start"].values[:1], data["start"].attrs),
             end=("block", data["end"].values[-1:], data["end"].attrs),
         ).assign_attrs(data.attrs)
+
+    def expand(self, functions: Mapping[str, Mapping[str, TimeFunction]]) -> NormalEquations:
+        """Return the equations of parameters that depend on time from block to block.
+
+        Parameters
+        ----------
+        functions : mapping of str to mapping of str to callable
+            For each column to expand, functions of time by name: from the blocks' middles, (block,)
+            TT2000, to (block,). The column gives way to one column a function, ``column*name``;
+            the others stay.
+
+        Returns
+        -------
+        NormalEquations
+            A function is taken as constant within a block. Where a column was expanded, solutions are
+            changes against the reference of the first block, whatever it was: their own is 0.
+        """
+        common = self if not len(self) else self.at(self.reference)
+        data = common.dataset
+        middle = data["start"].values // 2 + data["end"].values // 2
+        names, turns = [], []
+        for index, column in enumerate(data["column"].values):
+            for name, function in functions.get(str(column), {"": np.ones_like}).items():
+                turn = np.zeros((len(self), data.sizes["column"]))
+                turn[:, index] = function(middle.astype(np.float64))
+                names.append(f"{column}*{name}" if name else str(column))
+                turns.append(turn)
+        turn = np.stack(turns, axis=1)
+        origin = [list(data["column"].values).index(name.split("*", maxsplit=1)[0]) for name in names]
+        kept = np.array(["*" not in name for name in names])
+        across = turn.transpose(0, 2, 1)
+        row = ("block", "column", "other")
+        dataset = xr.Dataset(
+            {
+                "gram": (row, turn @ data["gram"].values @ across, data["gram"].attrs),
+                "scatter": (row, turn @ data["scatter"].values @ across, data["scatter"].attrs),
+                "reference": (("block", "column"), data["reference"].values[:, origin] * kept),
+                "start": data["start"],
+                "end": data["end"],
+                "count": data["count"],
+                "scale": ("column", data["scale"].values[origin]),
+            },
+            coords={"column": names, "other": names},
+            attrs=data.attrs,
+        )
+        return NormalEquations(dataset)
+
+    def scores(self, value: Floats) -> Floats:
+        """Return each block's scores ``X^T y`` at values of the parameters.
+
+        Parameters
+        ----------
+        value : ndarray, shape (column,)
+            Physical units.
+
+        Returns
+        -------
+        ndarray, shape (block, column)
+            nT^2 per scaled unit; they sum to zero at a least-squares solution.
+        """
+        scale = self.dataset["scale"].values[:-1]
+        change = (value - self.dataset["reference"].values[:, :-1]) / scale
+        gram = self.dataset["gram"].values
+        return np.asarray(gram[:, :-1, -1] + np.einsum("bij,bj->bi", gram[:, :-1, :-1], change))
 
     def solve(self, prior_sigma: Floats, prior: Floats | None = None) -> Solution:
         """Solve all blocks together.
