@@ -10,7 +10,6 @@ import typer
 from inflight import __version__
 from inflight.cli import browse, demo, pipeline, results, start
 from inflight.cli.session import (
-    EXIT_INTERRUPTED,
     EXIT_USAGE,
     DebugOption,
     JsonOption,
@@ -68,9 +67,6 @@ def main(arguments: list[str] | None = None) -> None:
     except typer.TyperException as error:
         Session(json=True).fail(_usage_fields(error))
         code = EXIT_USAGE
-    except (typer.Abort, KeyboardInterrupt):
-        print("interrupted; finished days are kept, the same command continues", file=sys.stderr)
-        code = EXIT_INTERRUPTED
     sys.exit(code)
 
 

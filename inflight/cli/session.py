@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import functools
 import inspect
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -165,17 +168,51 @@ def carry_out(session: Session, work: Callable[[], None]) -> None:
     """Run a verb; turn whatever it raises into a message and an exit code.
 
     An `InflightError` is told as it is. Anything else is a defect of the software: it is told as
-    one, without the traceback unless ``--debug`` asks for it.
+    one, without the traceback unless ``--debug`` asks for it. After Ctrl-C any error is the
+    interruption: the embedded server and the Dask processes hear it, too, and may be gone first.
     """
+    interrupted = threading.Event()
+    with _hearing_interruption(interrupted):
+        try:
+            work()
+        except (typer.Exit, typer.Abort, typer.TyperException):
+            raise
+        except (Exception, KeyboardInterrupt) as error:
+            if session.debug:
+                traceback.print_exc()
+            if interrupted.is_set() or not isinstance(error, Exception):
+                session.fail(_INTERRUPTED)
+                raise typer.Exit(EXIT_INTERRUPTED) from None
+            session.fail(_fields_of(error))
+            raise typer.Exit(exit_code_of(error)) from None
+
+
+@contextmanager
+def _hearing_interruption(interrupted: threading.Event) -> Iterator[None]:
+    """Remember that Ctrl-C was pressed, whatever becomes of the exception it raises."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, hear)
     try:
-        work()
-    except (typer.Exit, typer.Abort, typer.TyperException, KeyboardInterrupt):
-        raise
-    except Exception as error:
-        if session.debug:
-            traceback.print_exc()
-        session.fail(_fields_of(error))
-        raise typer.Exit(exit_code_of(error)) from None
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+_INTERRUPTED = {
+    "kind": "Interrupted",
+    "message": "interrupted; what is published is unchanged",
+    "remedy": "the same command goes on where it was",
+    "file": "",
+    "channel": "",
+    "day": "",
+}
 
 
 def _fields_of(error: Exception) -> Mapping[str, str]:

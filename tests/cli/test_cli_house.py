@@ -115,3 +115,24 @@ def test_a_span_that_runs_backwards_is_wrong_usage(inflight, tiny_workspace):
     told = inflight("ingest", *span, "-w", tiny_workspace, "--json", "--no-prefect")
     assert told.code == 2
     assert "holds no day" in told.json["error"]["message"]
+
+
+@pytest.mark.parametrize("after", [KeyboardInterrupt, ConnectionRefusedError])
+def test_an_interruption_is_no_defect_whatever_it_turns_into(capsys, after):
+    """The embedded server hears Ctrl-C, too; the error of its absence must not be what is told."""
+    import signal
+
+    import typer
+
+    def work():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise after from None
+
+    with pytest.raises(typer.Exit) as left:
+        carry_out(Session(), work)
+    assert left.value.exit_code == 130
+    told = capsys.readouterr().err
+    assert "interrupted" in told
+    assert "defect" not in told
