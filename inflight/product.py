@@ -10,9 +10,11 @@ import xarray as xr
 from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
 from inflight.calibration.sensor import Reference, split_chain, usable
 from inflight.effects.base import Floats, strength
+from inflight.errors import ModelError
 from inflight.flags import Flag, meanings
 from inflight.geometry import latitude_longitude, rotate, to_nec
 from inflight.model import Model
+from inflight.time import to_utc
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
@@ -166,12 +168,15 @@ def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> Para
 
     Raises
     ------
-    KeyError
+    ModelError
         When no interval of the table holds the instant.
     """
     inside = (table["start"].values <= tt2000) & (tt2000 < table["end"].values)
     if not inside.any():
-        raise KeyError(tt2000)
+        raise ModelError(
+            f"the calibration table holds nothing at {to_utc(tt2000)}",
+            remedy="reprocess the span with its table",
+        )
     row = table.isel(interval=int(np.flatnonzero(inside)[-1])).sel(
         parameter=reference.columns, other=reference.columns
     )

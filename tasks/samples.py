@@ -208,7 +208,8 @@ def _series(
         before = _edge(cat, index.get(need, day - _DAY), need, start - reach, start)
         after = _edge(cat, index.get(need, day + _DAY), need, end, end + reach)
         parts = [*before, *parts, *after]
-    attrs = {**parts[0].attrs, "cadence_ns": cadence}
+    # The mission's lag and cadence hold, not those of the day the files were taken in.
+    attrs = {**parts[0].attrs, "cadence_ns": cadence, "lag_ns": need.lag_ns}
     series = parts[0] if len(parts) == 1 else xr.concat(parts, "time", combine_attrs="override")
     return series.assign_attrs(attrs)
 

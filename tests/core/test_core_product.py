@@ -1,0 +1,129 @@
+"""Level 2: uncertainties that a Monte Carlo confirms, axes an independent rotation confirms, honest flags."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from effect_cases import MISSION, true_samples
+from numpy.testing import assert_allclose
+
+from inflight.calibration import reference_of
+from inflight.errors import ModelError
+from inflight.flags import Flag
+from inflight.geometry import itrf_to_nec, to_nec
+from inflight.model import Model
+from inflight.product import Parameters, day_parameters, level2
+from inflight.time import DAY
+
+VALUE = np.array([1.0013, 0.9988, 1.0021, 90.03, 89.94, 90.04, 27.0, -20.0, 21.0])
+
+
+def model_with(value: np.ndarray) -> Model:
+    parts = {"scale_factor": value[:3], "misalignment": value[3:6], "offset": value[6:]}
+    lines = "\n".join(f"    {name}: {{time: block, value: {part.tolist()}}}" for name, part in parts.items())
+    text = f"model: m\nmission: champ\neffects:\n  - effect: vector_sensor\n    sensor: fgm\n{lines}\n"
+    return Model.parse(text, MISSION)
+
+
+def covariance(seed: int) -> np.ndarray:
+    """Correlated errors of realistic size."""
+    mix = np.random.default_rng(seed).normal(0, 1, (9, 9)) + np.eye(9)
+    mix /= np.linalg.norm(mix, axis=1, keepdims=True)
+    size = np.array([1e-5] * 3 + [1e-3] * 3 + [0.5] * 3)
+    return (mix @ mix.T) * np.outer(size, size)
+
+
+def samples_of(value: np.ndarray, count: int = 60) -> xr.Dataset:
+    return model_with(value).disturb(true_samples(0, count))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_uncertainty_is_the_spread_of_fields_over_likely_parameters(seed):
+    known = Parameters(VALUE, covariance(seed), True, 0.0)
+    samples = samples_of(VALUE)
+    stated = level2(model_with(VALUE), samples, known, model_with(VALUE))["uncertainty"].values
+    draws = np.random.default_rng(seed).multivariate_normal(VALUE, known.covariance, 1500, method="cholesky")
+    fields = np.array([model_with(draw).correct(samples)["field"].values for draw in draws])
+    assert_allclose(stated, fields.std(axis=0), rtol=0.09)
+
+
+def test_the_residuals_noise_adds_to_the_uncertainty_in_squares():
+    samples = samples_of(VALUE)
+    quiet, loud = (
+        level2(model_with(VALUE), samples, Parameters(VALUE, covariance(0), True, noise), model_with(VALUE))
+        for noise in (0.0, 0.3)
+    )
+    difference = loud["uncertainty"].values ** 2 - quiet["uncertainty"].values ** 2
+    assert_allclose(difference, 0.09, rtol=1e-9)
+
+
+def nec_axes(position: np.ndarray) -> np.ndarray:
+    """North, east and centre at a place, from cross products with the Earth's axis."""
+    up = position / np.linalg.norm(position)
+    east = np.cross([0.0, 0.0, 1.0], up)
+    east /= np.linalg.norm(east)
+    return np.stack([np.cross(up, east), east, -up])
+
+
+def test_north_east_centre_are_those_of_an_independent_construction():
+    g = np.random.default_rng(2)
+    position, field = g.normal(0, 4000, (200, 3)), g.normal(0, 30_000, (200, 3))
+    expected = np.stack([nec_axes(p) @ b for p, b in zip(position, field, strict=True)])
+    assert_allclose(itrf_to_nec(field, position), expected, rtol=0, atol=1e-9)
+    at_equator = itrf_to_nec(np.array([[1.0, 2.0, 3.0]]), np.array([[7000.0, 0.0, 0.0]]))
+    assert_allclose(at_equator, [[3.0, 2.0, -1.0]], atol=1e-12)
+
+
+def test_an_attitude_turns_spacecraft_axes_into_the_frame_it_names():
+    quarter = np.array([[0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)]])
+    turned = to_nec(np.array([[1.0, 0.0, 0.0]]), quarter, None, "nec")
+    assert_allclose(turned, [[0.0, 1.0, 0.0]], atol=1e-15)
+
+
+def test_flags_say_what_is_missing_and_nothing_else():
+    samples = samples_of(VALUE)
+    vector = samples["vector"].values.copy()
+    vector[10] = np.nan
+    flag = samples["flag"].values.copy()
+    flag[10] = Flag.VECTOR_MISSING
+    holed = samples.assign(vector=(("time", "axis"), vector), flag=("time", flag))
+    product = level2(
+        model_with(VALUE), holed, Parameters(VALUE, covariance(0), False, 0.1), model_with(VALUE)
+    )
+    own = product["flag"].values & ~np.uint32(Flag.NO_ATTITUDE)
+    assert own[10] == Flag.VECTOR_MISSING | Flag.PRIOR_PARAMETERS
+    assert (np.delete(own, 10) == Flag.PRIOR_PARAMETERS).all()
+    assert (product["flag"].values & np.uint32(Flag.NO_ATTITUDE) != 0).all()
+    assert np.isnan(product["field_sensor"].values[10]).all()
+    assert np.isfinite(np.delete(product["field_sensor"].values, 10, axis=0)).all()
+
+
+def test_one_outlier_is_flagged_and_its_value_kept():
+    samples = samples_of(VALUE)
+    noise = np.random.default_rng(0).normal(0, 0.1, 60)
+    noise[30] = 5.0
+    spoiled = samples.assign(scalar=("time", samples["scalar"].values + noise))
+    product = level2(
+        model_with(VALUE), spoiled, Parameters(VALUE, covariance(0), True, 0.1), model_with(VALUE)
+    )
+    assert np.flatnonzero(product["flag"].values & np.uint32(Flag.OUTLIER)).tolist() == [30]
+    assert product["residual"].values[30] == pytest.approx(-5.0, abs=1e-6)
+
+
+def test_a_table_is_not_asked_outside_its_intervals():
+    model = model_with(VALUE)
+    reference = reference_of(model, 0)
+    names = reference.columns
+    table = xr.Dataset(
+        {
+            "value": (("interval", "parameter"), VALUE[None]),
+            "covariance": (("interval", "parameter", "other"), covariance(0)[None]),
+            "determined": (("interval", "parameter"), np.ones((1, 9), dtype=bool)),
+            "after": ("interval", np.array([0.1])),
+            "start": ("interval", np.array([0])),
+            "end": ("interval", np.array([DAY])),
+        },
+        coords={"parameter": names, "other": names},
+    )
+    assert np.array_equal(day_parameters(table, DAY - 1, reference).value, VALUE)
+    with pytest.raises(ModelError, match="reprocess"):
+        day_parameters(table, DAY, reference)
