@@ -51,7 +51,7 @@ def find_faults(workspace: Path, session: Session, name: str | None) -> list[dic
 
 
 def _edges_in_use(session: Session) -> list[tuple[str, str]]:
-    """Return the lineage of everything but days nobody sees: a run that died had not named their files yet."""
+    """Return the lineage of all but days nobody sees: a run that died had not named their files yet."""
     unseen = {f"day:{id}" for id in session.scalars(select(DayRow.id).where(DayRow.state != "published"))}
     edges = session.execute(select(EdgeRow.parent, EdgeRow.child)).all()
     return [(parent, child) for parent, child in edges if child not in unseen]

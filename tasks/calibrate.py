@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
+from inflight.alignment import FIELD_ROLES
 from inflight.calibration import (
     BlockFit,
     NormalEquations,
@@ -66,7 +67,8 @@ class Outcome:
 def failure_of(error: BaseException) -> Failure:
     """Return cause and remedy of an error; what is no error of ours is a bug."""
     if isinstance(error, InflightError):
-        return Failure(error.cause, error.message, error.remedy, error.channel)
+        told = f"{error.file}: {error.message}" if error.file else error.message
+        return Failure(error.cause, told, error.remedy, error.channel)
     cause = "transient" if isinstance(error, OSError | MemoryError) else "bug"
     return Failure(
         cause, f"{type(error).__name__}: {error}", "please report it with the log" if cause == "bug" else ""
@@ -141,11 +143,13 @@ def calibrate_day(
         raise CalibrationError(
             f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {told}",
             remedy="look at the day's deliveries, or exclude the day",
+            **_poorest(job, samples, day),
         )
     if coverage < min_coverage:
         raise CalibrationError(
             f"{coverage:.1%} of the day is usable, at least {min_coverage:.1%} is needed",
             remedy="lower 'min_coverage' or exclude the day",
+            **_poorest(job, samples, day),
         )
     parts = sub_blocks_for(good.sum() * step / SECOND)
     fit = fit_block(reading, additive, scalar, good, at, prior, parts)
@@ -163,6 +167,25 @@ def calibrate_day(
         "seconds": samples.sizes["time"] * step / SECOND,
     }
     return equations.dataset.assign(_fit_variables(fit)), report
+
+
+def _poorest(job: Job, samples: xr.Dataset, day: np.datetime64) -> dict[str, str]:
+    """Return channel and files of the field that has the fewest readings of a day, as an error names them."""
+    fields = [need for need in job.needs if need.name in FIELD_ROLES]
+    count = samples.sizes["time"]
+
+    def readings(need: Need) -> int:
+        values = samples[need.name].values.reshape(count, -1)
+        return int((np.isfinite(values).all(axis=1) & values.any(axis=1)).sum())
+
+    poorest = min(fields, key=readings)
+    source = job.index.get(poorest, day)
+    files = source.report.get("files", ()) if source is not None else ()
+    return {
+        "file": ", ".join(files),
+        "channel": f"{poorest.instrument}.{poorest.channel}",
+        "day": str(day),
+    }
 
 
 def _fit_variables(fit: BlockFit) -> dict[str, tuple[tuple[str, ...], np.ndarray[Any, Any]]]:

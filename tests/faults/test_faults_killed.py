@@ -1,4 +1,4 @@
-"""kill -9 of real processes: after each, readers see the old or the new, and the rerun ends as if undisturbed."""
+"""kill -9 of real processes: readers see the old or the new, and the rerun ends as if undisturbed."""
 
 import signal
 
