@@ -58,9 +58,23 @@ def vector_sensor_of(model: Model) -> ModelEffect:
 
 
 def reference_of(model: Model, tt2000: int) -> Reference:
-    """Return values and prior sigmas of the nine parameters at a time; fixed ones get sigma 0."""
+    """Return values and prior sigmas of the nine parameters at a time; fixed ones get sigma 0.
+
+    Raises
+    ------
+    ModelError
+        When a free parameter is not a block's own, so that its fit would never reach a product, or its
+        sigma is infinite.
+    """
     entry = vector_sensor_of(model)
     timed = [entry.parameters[part] for part in PARTS]
+    for part in timed:
+        if part.free and (part.time != "block" or not np.all(np.isfinite(part.sigma))):
+            raise ModelError(
+                f"'{part.key}' is free with time '{part.time}' and sigma {part.sigma[:, 0].tolist()}; a fit "
+                "reaches the products through time 'block' only, and needs a finite sigma",
+                remedy="write time: block and a wide sigma, or free: false",
+            )
     value = np.concatenate([part.at(tt2000) for part in timed])
     sigma = np.concatenate([part.sigma[:, 0] if part.free else np.zeros(3) for part in timed])
     return Reference(value, sigma, entry.name)

@@ -127,3 +127,24 @@ def test_a_table_is_not_asked_outside_its_intervals():
     assert np.array_equal(day_parameters(table, DAY - 1, reference).value, VALUE)
     with pytest.raises(ModelError, match="reprocess"):
         day_parameters(table, DAY, reference)
+
+
+@pytest.mark.parametrize(
+    "told",
+    ["time: constant, free: true", "time: linear, t0: 2004-01-01, free: true", "time: block, sigma: .inf"],
+)
+def test_a_parameter_whose_fit_would_never_reach_a_product_is_refused(told):
+    entry = f"{{effect: vector_sensor, sensor: fgm, offset: {{{told}}}}}"
+    text = f"model: m\nmission: champ\neffects:\n  - {entry}\n"
+    with pytest.raises(ModelError, match=r"vector_sensor\.offset.*time: block"):
+        reference_of(Model.parse(text, MISSION), 0)
+
+
+def test_a_fixed_parameter_may_follow_a_trend():
+    text = (
+        "model: m\nmission: champ\neffects:\n  - {effect: vector_sensor, sensor: fgm,"
+        " offset: {time: linear, t0: 2000-01-01, value: [[1, 1], [1, 1], [1, 1]], free: false}}\n"
+    )
+    reference = reference_of(Model.parse(text, MISSION), DAY)
+    assert (reference.sigma[6:] == 0).all()
+    assert (reference.value[6:] > 1.5).all()
