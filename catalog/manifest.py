@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -11,6 +12,8 @@ from inflight.errors import IntegrityError
 
 #: Name of the manifest inside a store or a release; lines as ``sha256sum`` writes them.
 MANIFEST: Final = "MANIFEST.sha256"
+#: Files flushed at once.
+_FLUSHES: Final = 8
 
 
 def write_manifest(folder: Path) -> str:
@@ -18,7 +21,11 @@ def write_manifest(folder: Path) -> str:
 
     Everything is on the disk when this returns: files, manifest and folders.
     """
-    lines = [f"{_hash(folder / name, flush=True)}  {name}\n" for name in _files(folder)]
+    names = _files(folder)
+    # Flushes wait for the disk, not for the processor: together they wait once.
+    with ThreadPoolExecutor(_FLUSHES) as pool:
+        digests = pool.map(lambda name: _hash(folder / name, flush=True), names)
+        lines = [f"{digest}  {name}\n" for name, digest in zip(names, digests, strict=True)]
     manifest = folder / MANIFEST
     with manifest.open("w", encoding="utf-8", newline="\n") as stream:
         stream.writelines(lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -177,7 +178,7 @@ def load_samples(
     channels = {}
     for need in needs:
         alone = index.stands_alone(need, base, day)
-        channels[need.name] = _series(cat, mission, need, day, index, alone)
+        channels[need.name] = _series(cat, need, day, index, alone)
     missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
     if missing:
         raise SamplesError(
@@ -193,42 +194,54 @@ def load_samples(
     return _name_geometry(mission, samples)
 
 
+class _Part(NamedTuple):
+    """Rows of one day of a channel, as plain arrays: xarray is slow for many small pieces."""
+
+    values: np.ndarray[Any, Any]
+    stamps: np.ndarray[Any, np.dtype[np.int64]]
+    flag: np.ndarray[Any, np.dtype[np.uint32]] | None
+    attrs: dict[str, Any]
+
+    def between(self, low: int, high: int) -> _Part:
+        """Return the rows of a half-open TT2000 span."""
+        first, last = np.searchsorted(self.stamps, (low, high))
+        rows = slice(int(first), int(last))
+        flag = self.flag[rows] if self.flag is not None else None
+        return _Part(self.values[rows], self.stamps[rows], flag, self.attrs)
+
+
 def _series(
-    cat: Catalog, mission: Mission, need: Need, day: np.datetime64, index: ArchiveIndex, alone: bool
+    cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, alone: bool
 ) -> xr.DataArray | None:
     """Return a channel of a day, with a margin of its neighbours unless it stands alone."""
     today = index.get(need, day)
     if today is None:
         return None
-    cadence = need.cadence_ns
     parts = [_read(cat, today, need)]
     if not alone:
-        reach = _MARGIN_CADENCES * cadence + abs(need.lag_ns)
+        reach = _MARGIN_CADENCES * need.cadence_ns + abs(need.lag_ns)
         start, end = day_bounds(day)
-        before = _edge(cat, index.get(need, day - _DAY), need, start - reach, start)
-        after = _edge(cat, index.get(need, day + _DAY), need, end, end + reach)
-        parts = [*before, *parts, *after]
+        before, after = index.get(need, day - _DAY), index.get(need, day + _DAY)
+        if before is not None:
+            parts.insert(0, _read(cat, before, need).between(start - reach, start))
+        if after is not None:
+            parts.append(_read(cat, after, need).between(end, end + reach))
     # The mission's lag and cadence hold, not those of the day the files were taken in.
-    attrs = {**parts[0].attrs, "cadence_ns": cadence, "lag_ns": need.lag_ns}
-    series = parts[0] if len(parts) == 1 else xr.concat(parts, "time", combine_attrs="override")
-    return series.assign_attrs(attrs)
+    attrs = {**parts[0].attrs, "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
+    values = np.concatenate([part.values for part in parts])
+    coords: dict[str, Any] = {"tt2000": ("time", np.concatenate([part.stamps for part in parts]))}
+    flags = [part.flag for part in parts if part.flag is not None]
+    if len(flags) == len(parts):
+        coords["flag"] = ("time", np.concatenate(flags))
+    return xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
 
 
-def _edge(cat: Catalog, day: Day | None, need: Need, low: int, high: int) -> list[xr.DataArray]:
-    if day is None:
-        return []
-    part = _read(cat, day, need)
-    stamps = part["tt2000"].values
-    return [part.isel(time=np.flatnonzero((stamps >= low) & (stamps < high)))]
-
-
-def _read(cat: Catalog, day: Day, need: Need) -> xr.DataArray:
+def _read(cat: Catalog, day: Day, need: Need) -> _Part:
     flagged = need.name in FIELD_ROLES
     data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel])
-    coords = {"tt2000": ("time", data["tt2000"].values)}
-    if flagged:
-        coords["flag"] = ("time", data["flag"].values)
-    return data[need.channel].reset_coords(drop=True).assign_coords(coords)
+    series = data[need.channel]
+    flag = data["flag"].values if flagged else None
+    return _Part(series.values, data["tt2000"].values, flag, dict(series.attrs))
 
 
 def _absent(mission: Mission, need: Need, count: int) -> xr.DataArray:

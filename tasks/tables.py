@@ -112,23 +112,14 @@ def _attributes(model: Model, kind: str) -> dict[str, str]:
 def relinearise_at(equations: NormalEquations, model: Model, strength: float) -> Floats | None:
     """Return where the equations should be linearised again, or None when they are good enough.
 
-    Each block's equations are exact at its own fit or, where that is far from the reference, at the
-    reference. A solution that bends the residual by more than `MOST_BEND` against it asks for
-    another pass.
+    Each block states where it was linearised. A solution that bends the residual by more than
+    `MOST_BEND` against that asks for another pass.
     """
     whole = equations.at(equations.reference)
     prior = reference_of(model, int(whole.dataset["start"].values[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
-    fits = equations.dataset["fit"].values[:, :-1]
-    references = equations.dataset["reference"].values[:, :-1]
-    worst = max(
-        min(
-            bend(value, at, strength),
-            bend(value, fit, strength) if bend(fit, at, strength) < 1e-4 else np.inf,
-        )
-        for at, fit in zip(references, fits, strict=True)
-    )
-    return value if worst > MOST_BEND else None
+    places = equations.dataset["linearised_at"].values[:, :-1]
+    return value if max(bend(value, at, strength) for at in places) > MOST_BEND else None
 
 
 def content_keys(days: Mapping[np.datetime64, Day]) -> list[str]:

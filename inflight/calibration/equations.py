@@ -58,6 +58,7 @@ class NormalEquations:
                 "gram": (row, fit.gram[None], {"units": "nT2"}),
                 "scatter": (row, scatter[None], {"units": "nT4", "sub_blocks": SUB_BLOCKS}),
                 "reference": (("block", "column"), np.append(reference.value, 0.0)[None]),
+                "linearised_at": (("block", "column"), np.append(fit.linearised_at, 0.0)[None]),
                 "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
                 "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
                 "count": ("block", np.array([fit.count])),

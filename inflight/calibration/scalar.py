@@ -56,10 +56,12 @@ class BlockFit:
     solution : Solution
         The same, scaled, with what is determined.
     gram : ndarray, shape (10, 10)
-        Robustly weighted Gram matrix of [columns | residual], linearised at the fit, its residual
-        expressed at the reference; scaled columns, nT^2.
+        Robustly weighted Gram matrix of [columns | residual], its residual expressed at the
+        reference; scaled columns, nT^2.
     scatter : ndarray, shape (9, 9)
         Scatter of the sub-blocks' scores.
+    linearised_at : ndarray, shape (9,)
+        Where the rows were linearised, physical units.
     count : float
         Sum of the weights.
     used : int
@@ -78,6 +80,7 @@ class BlockFit:
     solution: Solution
     gram: Floats
     scatter: Floats
+    linearised_at: Floats
     count: float
     used: int
     sigma_residual: float
@@ -264,10 +267,13 @@ def _finish(
     solution = solve(gram, scatter, found.count, centre, spread)
     value = found.here + (solution.value + (found.bread - 1.0) * near) * SCALE
     value = np.where(solution.moved, value, prior.value)
-    if bend(value, reference.value, data.strength) > BEND:
-        gram = _gram_at(reference.value, data, found)
+    # Fits that are sure of every parameter lie close together, so that their own linearisations agree;
+    # others run along what they do not know, and need a common one.
+    sure = bool(np.all(solution.determined | (prior.sigma <= 0)))
+    if sure or bend(value, reference.value, data.strength) <= BEND:
+        gram, linearised_at = shift_reference(gram, (reference.value - found.here) / SCALE), found.here
     else:
-        gram = shift_reference(gram, (reference.value - found.here) / SCALE)
+        gram, linearised_at = _gram_at(reference.value, data, found), reference.value
     covariance = solution.covariance * np.outer(SCALE, SCALE)
     return BlockFit(
         value,
@@ -276,6 +282,7 @@ def _finish(
         solution,
         gram,
         scatter,
+        linearised_at,
         found.count,
         used,
         found.sigma_residual,

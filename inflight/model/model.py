@@ -6,6 +6,7 @@ import hashlib
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
@@ -112,7 +113,7 @@ class Model:
             tree.get("parent"),
         )
 
-    @property
+    @cached_property
     def text(self) -> str:
         """The model as YAML; parsing it gives an equal model."""
         tree: dict[str, Any] = {
