@@ -196,11 +196,10 @@ class Catalog:
         """
         date = as_date(day)
         with self._database.read() as session:
-            found = (
-                current_day(session, name, date)
-                if version is None
-                else day_of_version(session, name, date, version)
-            )
+            if version is None:
+                found = current_day(session, name, date)
+            else:
+                found = day_of_version(session, name, date, version)
         if found is None:
             raise CatalogError(
                 f"'{name}' has no {version or 'published revision'}",
@@ -234,10 +233,10 @@ class Catalog:
 
     def table_by_id(self, table_id: int) -> xr.Dataset:
         """Return a calibration table by its id, certified or not."""
-        known = {record.id: record for record in self.tables()}
+        known = {record.id: record.segment for record in self.tables()}
         if table_id not in known:
             raise CatalogError(f"table {table_id} is not in the catalog; it has {sorted(known)}")
-        return self._read_table(known[table_id].segment, table_id)
+        return self._read_table(known[table_id], table_id)
 
     def tables(self, name: str | None = None) -> list[TableRecord]:
         """Return the records of all tables, or of one name, oldest first, with their validities."""

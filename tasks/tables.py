@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import Interval, NormalEquations, calibration_table, reference_of
+from inflight.calibration.robust import WEIGHTED_RMS
 from inflight.calibration.sensor import bend
 from inflight.calibration.solution import Solution, residual_sum
 from inflight.catalog import Catalog, Day
@@ -94,7 +95,7 @@ def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Inte
         solution,
         float(part.dataset["used"].values.sum()),
         float(np.sqrt(gram[-1, -1] / count)),
-        float(np.sqrt(residual_sum(gram, solution.value) / count)),
+        float(np.sqrt(residual_sum(gram, solution.value) / count)) / WEIGHTED_RMS,
         len(part),
     )
 

@@ -8,6 +8,8 @@ from inflight.effects.base import Floats
 
 #: Tukey's biweight ends here, in robust standard deviations: 98.8 % efficient on Gaussian noise.
 BIWEIGHT_WIDTH = 6.0
+#: Weighted rms of Gaussian residuals over their standard deviation: the biweight favours small ones.
+WEIGHTED_RMS = 0.9447
 #: Median absolute value of a Gaussian, inverted.
 _TO_SIGMA = 1.482602218505602
 #: The scale is estimated from about this many samples, evenly spread.

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.calibration.nine import WIDTH, compress, gram_elsewhere, grams, residuals
-from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
+from inflight.calibration.robust import BIWEIGHT_WIDTH, WEIGHTED_RMS, robust_sigma
 from inflight.calibration.sensor import SCALE, Reference, bend, kernel_parameters, kernel_scale
 from inflight.calibration.solution import MIN_INFORMATION, Solution, posterior, solve
 from inflight.effects.base import Floats
@@ -69,7 +69,7 @@ class BlockFit:
     sigma_residual : float
         Robust standard deviation the weights were made with, nT.
     before, after : float
-        Robustly weighted rms residual at the reference and at the fit, nT.
+        Rms residual at the reference (robustly weighted) and at the fit (as if Gaussian), nT.
     passes : int
         Gauss-Newton passes made.
     """
@@ -287,7 +287,7 @@ def _finish(
         used,
         found.sigma_residual,
         before=float(np.sqrt(gram[-1, -1] / found.count)),
-        after=float(np.sqrt(solution.variance)),
+        after=float(np.sqrt(solution.variance)) / WEIGHTED_RMS,
         passes=passes,
     )
 
