@@ -6,13 +6,14 @@ places that judge them.
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 
 import pint
 
 REGISTRY: pint.UnitRegistry[float] = pint.UnitRegistry(autoconvert_offset_to_baseunit=True, cache_folder=None)
-REGISTRY.define("ppm = 1e-6")
-REGISTRY.define("count = []")
+
+_STRAY = re.compile(r"[^\w\s.*/^()%°·+-]")
 
 #: Spellings found in delivered files that pint does not know, lower case.
 _SPELLINGS = {
@@ -45,6 +46,9 @@ def parse_unit(text: str) -> pint.Unit:
         When the text names no unit.
     """
     plain = text.strip()
+    # pint passes over characters it cannot read.
+    if stray := set(_STRAY.findall(plain)):
+        raise ValueError(f"{text!r} is no known unit ({' '.join(sorted(stray))} has no meaning in a unit)")
     try:
         return REGISTRY.Unit(_SPELLINGS.get(plain.lower(), plain))
     except (pint.PintError, AssertionError, ValueError, TypeError) as error:
