@@ -138,12 +138,12 @@ def _errors_told(engine: Engine) -> Iterator[None]:
 def _told(error: DatabaseError, url: str) -> CatalogError:
     reason = str(error.orig)
     if isinstance(error, OperationalError) and any(
-        word in reason for word in ("locked", "full", "disk", "readonly")
+        word in reason for word in ("locked", "full", "disk", "readonly", "unable to open")
     ):
         return StorageError(
             f"the catalog's database refused: {reason}",
             file=url,
-            remedy="free space or wait for the other writer, then run again",
+            remedy="free space, make the workspace writable or wait for the other writer, then run again",
         )
     return CatalogError(
         f"the catalog's database failed: {reason}", file=url, remedy="restore the workspace's catalog.db"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from inflight.flows.progress import tell
 from inflight.flows.stages import step, unsearched
+from inflight.tasks.delivery import result_of
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -47,4 +48,4 @@ def _run_batch(client: Client, function: Callable[..., Any], arguments: tuple[An
     The function is not pure to Dask: it writes a store, so an equal call is never answered from
     memory.
     """
-    return client.submit(function, *arguments, pure=False).result()
+    return result_of(client.submit(function, *arguments, pure=False))

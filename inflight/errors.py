@@ -108,6 +108,12 @@ class StorageError(CatalogError, OSError):
     cause = "transient"
 
 
+class WorkerError(InflightError, RuntimeError):
+    """The processes that did the work ended before it was done."""
+
+    cause = "transient"
+
+
 class WorkspaceError(CatalogError, FileNotFoundError):
     """The folder is no workspace, or already is one."""
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from inflight.catalog import Catalog, FileRecord
 from inflight.catalog.readers import Delivered, NameSpan, describe, find_files, newest, read_times
-from inflight.errors import InflightError, ReadError
+from inflight.errors import InflightError, ReadError, WorkerError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
 from inflight.tasks.report import problem_of
@@ -203,9 +203,29 @@ def each_result(
     for job in jobs:
         waiting.append(client.submit(function, *job, pure=False))
         if len(waiting) >= IN_FLIGHT:
-            yield waiting.popleft().result()
+            yield result_of(waiting.popleft())
     while waiting:
-        yield waiting.popleft().result()
+        yield result_of(waiting.popleft())
+
+
+def result_of(future: Any) -> Any:
+    """Return the result of a Dask future.
+
+    Raises
+    ------
+    WorkerError
+        When several processes in turn died of it. What the function itself raised is raised as it is.
+    """
+    from distributed import KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise WorkerError(
+            f"{error.allowed_failures + 1} Dask processes in turn ended while they did one piece of work",
+            remedy="look for what ends them, most often too little memory: fewer '--workers' or "
+            "'--batch-days' need less; then run again",
+        ) from error
 
 
 def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str]:

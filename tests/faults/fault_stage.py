@@ -112,7 +112,7 @@ def _carry_out(told):
 
     os.environ["INFLIGHT_KILL_AT"] = told["kill_at"]
     if told["file_limit"]:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (told["file_limit"], told["file_limit"]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (told["file_limit"], resource.RLIM_INFINITY))
     code = 0
     try:
         outcome = {"report": WORK[told["work"]](told["workspace"], **told["options"]).as_json()}
@@ -141,6 +141,8 @@ def _serve():
                 # The pipe to the tests is the server's alone.
                 os.dup2(2, 1)
                 code = _carry_out(told)
+            except BaseException:
+                traceback.print_exc()
             finally:
                 os._exit(code)
         print(pid, flush=True)
