@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,13 +45,24 @@ _LEFT_OUT |= Flag.INSTRUMENT_FLAG
 
 
 @dataclass
+class _Power:
+    """Sums of the days' spectra on one frequency grid; a mission's spectra are never held one by one."""
+
+    frequency: Floats
+    before: Floats
+    after: Floats
+    days_before: int = 0
+    days: int = 0
+
+
+@dataclass
 class _Digest:
     """Aggregates of a span: what figures and dependences are made from."""
 
     rows: list[dict[str, Floats]] = field(default_factory=list)
     before: list[Size] = field(default_factory=list)
     after: list[Size] = field(default_factory=list)
-    power: list[tuple[Floats, Floats, Floats]] = field(default_factory=list)
+    power: dict[tuple[int, float], _Power] = field(default_factory=dict)
     counts: dict[str, Floats] = field(default_factory=dict)
     left_out: int = 0
     outliers: int = 0
@@ -87,53 +98,62 @@ def compare(
         raise CatalogError(
             f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
         )
-    tell = progress or (lambda stage, done, total: None)
-    digest = _Digest()
-    length = max(_SHORTEST, 86_400.0 * len(days) / _ROWS)
-    for done, day in enumerate(days):
-        tell("compare", done, len(days))
-        _take(digest, cat, mission, day, length)
-    tell("compare", len(days), len(days))
+    digest = _digest_of(cat, mission, days, progress or (lambda stage, done, total: None))
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
-    density = _mean_power(digest.power)
+    density = _mean_power(digest.power.values())
     found = list(_dependences(rows, mission))
-    equations = load_equations(cat, cat.days(f"equations/{comparison}/base", span, states=("published",)))
-    model = current_model(cat, mission, comparison).model
-    solution = span_solution(equations, model)
-    names = reference_of(model, int(equations.dataset["start"].values[0])).columns
+    determined, directions = _determined(cat, mission, comparison, span)
     report = CompareReport(
         comparison,
         days[-1].context or "",
         joined(digest.before),
         joined(digest.after),
         noise_floor(density[0], density[2]),
-        [
-            {
-                "day": str(day.day),
-                "version": day.version,
-                "before_nT": b.rms,
-                "after_nT": a.rms,
-                "before_less_mean_nT": b.std,
-                "after_less_mean_nT": a.std,
-                "samples": a.count,
-            }
-            for day, b, a in zip(days, digest.before, digest.after, strict=True)
-        ],
+        [_told_of_day(*told) for told in zip(days, digest.before, digest.after, strict=True)],
         strongest(found),
-        describe_directions(solution, names),
-        [name for name, known in zip(names, solution.determined, strict=True) if known],
+        directions,
+        determined,
         left_out=digest.left_out,
         outliers=digest.outliers,
         acknowledgement=mission.acknowledgement,
     )
     if output is not None:
-        tables = (
-            cat.table(f"{comparison}-daily", str(days[0].day)),
-            cat.table(f"{comparison}-window", str(days[0].day)),
-        )
-        drawn = Drawn(digest.counts, rows, density, found, tables)
-        write_page(report, output, mission, drawn)
+        daily, window = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
+        write_page(report, output, mission, Drawn(digest.counts, rows, density, found, (daily, window)))
     return report
+
+
+def _digest_of(cat: Catalog, mission: Mission, days: Sequence[Day], tell: Progress) -> _Digest:
+    """Read the days one after the other; what stays of each is small, however long the mission."""
+    digest = _Digest()
+    length = max(_SHORTEST, 86_400.0 * len(days) / _ROWS)
+    for done, day in enumerate(days):
+        tell("compare", done, len(days))
+        _take(digest, cat, mission, day, length)
+    tell("compare", len(days), len(days))
+    return digest
+
+
+def _determined(cat: Catalog, mission: Mission, comparison: str, span: slice) -> tuple[list[str], list[str]]:
+    """Return the parameters, and the combinations of them, that the span's equations determine."""
+    equations = load_equations(cat, cat.days(f"equations/{comparison}/base", span, states=("published",)))
+    model = current_model(cat, mission, comparison).model
+    solution = span_solution(equations, model)
+    names = reference_of(model, int(equations.dataset["start"].values[0])).columns
+    known = [name for name, sure in zip(names, solution.determined, strict=True) if sure]
+    return known, describe_directions(solution, names)
+
+
+def _told_of_day(day: Day, before: Size, after: Size) -> dict[str, Any]:
+    return {
+        "day": str(day.day),
+        "version": day.version,
+        "before_nT": before.rms,
+        "after_nT": after.rms,
+        "before_less_mean_nT": before.std,
+        "after_less_mean_nT": after.std,
+        "samples": after.count,
+    }
 
 
 def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: float) -> None:
@@ -153,9 +173,7 @@ def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: flo
     after, before = np.where(clear, after, np.nan), np.where(clear, before, np.nan)
     stamps = product["tt2000"].values
     cadence = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
-    frequency, power = spectrum(after, cadence)
-    if frequency.size:
-        digest.power.append((frequency, spectrum(before, cadence)[1], power))
+    _add_power(digest, spectrum(after, cadence), spectrum(before, cadence)[1])
     digest.rows.append(_means(product, before, after, stamps, length, _channels(cat, mission, day, stamps)))
 
 
@@ -228,15 +246,28 @@ def _channels(cat: Catalog, mission: Mission, day: Day, stamps: Any) -> dict[str
     return found
 
 
-def _mean_power(parts: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, Floats, Floats]:
-    """Average the spectra of days that share the most common frequencies."""
-    if not parts:
+def _add_power(digest: _Digest, after: tuple[Floats, Floats], before: Floats) -> None:
+    frequency, power = after
+    if not frequency.size:
+        return
+    grid = (frequency.size, round(float(frequency[-1]), 9))
+    if grid not in digest.power:
+        digest.power[grid] = _Power(frequency, np.zeros_like(power), np.zeros_like(power))
+    sums = digest.power[grid]
+    sums.after += power
+    sums.days += 1
+    if before.size == power.size:
+        sums.before += before
+        sums.days_before += 1
+
+
+def _mean_power(sums: Collection[_Power]) -> tuple[Floats, Floats, Floats]:
+    """Return frequency, mean power before and after, of the finest grid of frequencies."""
+    if not sums:
         return np.empty(0), np.empty(0), np.empty(0)
-    longest = max(parts, key=lambda part: part[0].size)[0]
-    same = [part for part in parts if part[0].shape == longest.shape and np.allclose(part[0], longest)]
-    whole = [part for part in same if part[1].size == longest.size]
-    before = np.mean([part[1] for part in whole], axis=0) if whole else np.full(longest.size, np.nan)
-    return longest, before, np.mean([part[2] for part in same], axis=0)
+    finest = max(sums, key=lambda one: (one.frequency.size, one.days))
+    before = finest.before / finest.days_before if finest.days_before else np.full_like(finest.before, np.nan)
+    return finest.frequency, before, finest.after / finest.days
 
 
 _NO_COORDINATE = {"tt2000", "before", "after", "low", "high"}

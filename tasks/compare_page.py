@@ -25,6 +25,9 @@ from inflight.mission import Mission
 from inflight.statistics import Dependence, Size
 from inflight.time import SECOND, to_utc
 
+#: Points of the figure of the residual in time.
+_POINTS = 20_000
+
 
 @dataclass
 class CompareReport:
@@ -95,7 +98,6 @@ def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Dra
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before = np.array([entry["before_nT"] for entry in report.by_day])
     after = np.array([entry["after_nT"] for entry in report.by_day])
-    shown = np.isfinite(rows["after"])
     lines = {name: period / SECOND for name, period in mission.periods.items()}
     overview = [
         daily_figure(day, before, after, report.floor),
@@ -103,12 +105,7 @@ def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Dra
     ]
     if drawn.density[0].size:
         overview.append(spectrum_figure(*drawn.density, lines))
-    series = series_figure(
-        to_utc(rows["tt2000"][shown].astype(np.int64)),
-        rows["after"][shown],
-        rows["low"][shown],
-        rows["high"][shown],
-    )
+    series = series_figure(*_thinned(rows))
     first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
     order = sorted(drawn.found, key=lambda one: -one.amplitude)
     page = html_page(
@@ -125,6 +122,21 @@ def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Dra
     unfinished.write_text(page, encoding="utf-8")
     unfinished.replace(output)
     report.path = output
+
+
+def _thinned(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:
+    """Return UTC, mean, lowest and highest of at most `_POINTS` groups of rows: what a browser can draw."""
+    shown = np.flatnonzero(np.isfinite(rows["after"]))
+    if not shown.size:
+        return to_utc(np.empty(0, dtype=np.int64)), np.empty(0), np.empty(0), np.empty(0)
+    first = np.arange(0, shown.size, -(-shown.size // _POINTS))
+    count = np.diff(np.append(first, shown.size))
+    return (
+        to_utc(rows["tt2000"][shown][first].astype(np.int64)),
+        np.add.reduceat(rows["after"][shown], first) / count,
+        np.minimum.reduceat(rows["low"][shown], first),
+        np.maximum.reduceat(rows["high"][shown], first),
+    )
 
 
 def _told(report: CompareReport) -> list[str]:

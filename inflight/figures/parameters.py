@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from bokeh.models import ColumnDataSource, Whisker
 from bokeh.plotting import figure
 
-from inflight.figures.style import COMPONENTS, place_legend, plain_figure
+from inflight.figures.style import COMPONENTS, error_bars, legend_below, plain_figure
 from inflight.time import to_utc
 
 #: What is drawn: part of the parameter's name, title, factor and unit shown, less the prior.
@@ -44,14 +43,12 @@ def _panel(daily: xr.Dataset, used: xr.Dataset, part: str, title: str, factor: f
         sigma = daily["sigma"].sel(parameter=name).values * factor
         known = daily["determined"].sel(parameter=name).values
         label = name.split("[")[-1].rstrip("]")
-        source = ColumnDataSource({"t": middle, "v": value, "up": value + sigma, "down": value - sigma})
-        plot.add_layout(
-            Whisker(base="t", upper="up", lower="down", source=source, line_color=colour, line_alpha=0.4)
-        )
+        # The prior's width is no measurement, and would flatten what was measured.
+        error_bars(plot, middle[known], value[known], sigma[known], colour, 0.4)
         fill = np.where(known, 1.0, 0.0)
         plot.scatter(middle, value, color=colour, fill_alpha=fill, size=5, legend_label=label)
         _steps(plot, daily, used, name, prior, factor, colour)
-    place_legend(plot, "top_left")
+    legend_below(plot)
     return plot
 
 

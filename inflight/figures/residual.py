@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.models import ColumnDataSource, Range1d, Whisker
+from bokeh.models import ColumnDataSource, Range1d
 from bokeh.plotting import figure
 
 from inflight.effects.base import Floats
-from inflight.figures.style import AFTER, BEFORE, REFERENCE, place_legend, plain_figure
+from inflight.figures.style import AFTER, BEFORE, REFERENCE, error_bars, log_ticks, place_legend, plain_figure
 from inflight.statistics import Dependence
 
 Days = npt.NDArray[np.datetime64]
+_HALF_DAY = np.timedelta64(12, "h")
 
 
 def daily_figure(day: Days, before: Floats, after: Floats, floor: float) -> figure:
@@ -22,9 +23,13 @@ def daily_figure(day: Days, before: Floats, after: Floats, floor: float) -> figu
     for values, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
         plot.line(day, values, color=colour, alpha=0.6)
         plot.scatter(day, values, color=colour, size=5, legend_label=label)
+    # Half a day to either side: of a single day the axis would tell microseconds.
+    ends = day[0] - _HALF_DAY, day[-1] + _HALF_DAY
+    plot.x_range = Range1d(*(int(end.astype("datetime64[ms]").astype(np.int64)) for end in ends))
+    if (ticks := log_ticks(np.concatenate([before, after]))) is not None:
+        plot.yaxis.ticker = ticks
     if np.isfinite(floor) and floor > 0:
-        ends = [day[0], day[-1]]
-        plot.line(ends, [floor, floor], color=REFERENCE, line_dash="dashed", legend_label="noise floor")
+        plot.line(list(ends), [floor, floor], color=REFERENCE, line_dash="dashed", legend_label="noise floor")
     place_legend(plot, "center_right")
     return plot
 
@@ -63,6 +68,8 @@ def spectrum_figure(frequency: Floats, before: Floats, after: Floats, lines: dic
     period = 1.0 / frequency
     for power, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
         plot.line(period, np.sqrt(power), color=colour, legend_label=label)
+    if (ticks := log_ticks(period)) is not None:
+        plot.xaxis.ticker = ticks
     for name, seconds in lines.items():
         if period.min() <= seconds <= period.max():
             plot.vspan(x=[seconds], line_color=REFERENCE, line_dash="dotted", legend_label=name)
@@ -78,15 +85,7 @@ def dependence_figure(found: Dependence) -> figure:
         f"{found.coordinate}{unit}",
         "nT",
     )
-    source = ColumnDataSource(
-        {
-            "x": found.centre,
-            "y": found.mean,
-            "upper": found.mean + found.sigma,
-            "lower": found.mean - found.sigma,
-        }
-    )
-    plot.line("x", "y", source=source, color=AFTER)
-    plot.scatter("x", "y", source=source, color=AFTER, size=5)
-    plot.add_layout(Whisker(base="x", upper="upper", lower="lower", source=source, line_color=AFTER))
+    error_bars(plot, found.centre, found.mean, found.sigma, AFTER)
+    plot.line(found.centre, found.mean, color=AFTER)
+    plot.scatter(found.centre, found.mean, color=AFTER, size=5)
     return plot

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from bokeh.models import ColumnDataSource, FixedTicker, Whisker
 from bokeh.plotting import figure
+
+from inflight.effects.base import Floats
 
 #: Before calibration, after it, and a reference line.
 BEFORE, AFTER, REFERENCE = "#b0532c", "#1f5c99", "#7a7a7a"
@@ -38,3 +42,37 @@ def place_legend(plot: figure, location: str = "top_right") -> None:
         plot.legend.click_policy = "hide"
         plot.legend.background_fill_alpha = 0.7
         plot.legend.label_text_font_size = "11px"
+
+
+def legend_below(plot: figure) -> None:
+    """Put the legend under a small figure, where it hides nothing."""
+    place_legend(plot)
+    if plot.legend:
+        legend = plot.legend[0]
+        legend.orientation = "horizontal"
+        plot.add_layout(legend, "below")
+
+
+def log_ticks(values: Floats) -> FixedTicker | None:
+    """Return ticks at 1 and 3 of each decade for values of less than two decades.
+
+    Bokeh's own labels would run into each other there; None when they do not.
+    """
+    positive = values[np.isfinite(values) & (values > 0)]
+    if not positive.size or positive.max() >= 100 * positive.min():
+        return None
+    low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
+    decades = 10.0 ** np.arange(low, high + 1)
+    return FixedTicker(ticks=sorted([*decades, *(3 * decades)]))
+
+
+def error_bars(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str, alpha: float = 1.0) -> None:
+    """Draw error bars of one sigma that the figure's range takes in."""
+    ends = ColumnDataSource({"x": x, "up": value + sigma, "down": value - sigma})
+    bars = Whisker(base="x", upper="up", lower="down", source=ends, line_color=colour, line_alpha=alpha)
+    for head in (bars.upper_head, bars.lower_head):
+        head.line_color, head.line_alpha, head.size = colour, alpha, 6
+    plot.add_layout(bars)
+    # Annotations do not widen the range; marks that nobody sees do.
+    for end in ("up", "down"):
+        plot.scatter("x", end, source=ends, size=0, alpha=0.0)
