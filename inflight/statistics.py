@@ -13,8 +13,9 @@ from inflight.effects.base import Floats
 
 #: The noise floor is the level of the spectrum above this part of the Nyquist frequency.
 _FLOOR_BAND = 0.1
-#: Samples of a spectrum's segment at most.
-_SEGMENT = 4096
+#: Samples of a spectrum's segment at most and at least, and the segments a shorter record is cut into: of
+#: fewer the median power, which the floor is, lies below the mean one, and one bad sample would cost all.
+_SEGMENT, _SHORTEST_SEGMENT, _SEGMENTS = 4096, 64, 8
 #: Bins of a dependence, and the fewest blocks its uncertainty is taken from.
 BINS = 24
 MIN_BLOCKS = 6
@@ -63,10 +64,12 @@ def joined(sizes: Sequence[Size]) -> Size:
     count = np.array([one.count for one in filled], dtype=np.float64)
     mean = float(np.sum(count * [one.mean for one in filled]) / count.sum())
     square = float(np.sum(count * [one.rms**2 for one in filled]) / count.sum())
+    # From the parts' own spreads: the square less the squared mean cancels where the mean is large.
+    spread = float(np.sum(count * [one.std**2 + (one.mean - mean) ** 2 for one in filled]) / count.sum())
     return Size(
         int(count.sum()),
         mean,
-        float(np.sqrt(max(square - mean**2, 0.0))),
+        float(np.sqrt(spread)),
         float(np.sqrt(square)),
         float(np.median([one.robust for one in filled])),
         min(one.least for one in filled),
@@ -89,11 +92,11 @@ def spectrum(residual: Floats, cadence: float) -> tuple[Floats, Floats]:
     tuple of ndarray
         Empty when no whole segment is there.
     """
-    length = min(_SEGMENT, residual.size)
+    length = min(max(residual.size // _SEGMENTS, _SHORTEST_SEGMENT), _SEGMENT)
     starts = range(0, residual.size - length + 1, max(length // 2, 1))
     parts = [residual[at : at + length] for at in starts]
     whole = [part for part in parts if np.isfinite(part).all()]
-    if length < 64 or not whole:
+    if not whole:
         return np.empty(0), np.empty(0)
     levelled = signal.detrend(np.array(whole), axis=1)
     frequency, power = signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)

@@ -91,13 +91,8 @@ def compare(
     CatalogError
         When no product of the comparison is published in the span.
     """
-    product = "l2/field" if comparison == "main" else f"l2/field-{comparison}"
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
-    days = cat.days(product, span, states=("published",))
-    if not days:
-        raise CatalogError(
-            f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
-        )
+    days = _products(cat, comparison, span)
     digest = _digest_of(cat, mission, days, progress or (lambda stage, done, total: None))
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
     density = _mean_power(digest.power.values())
@@ -121,6 +116,16 @@ def compare(
         daily, window = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
         write_page(report, output, mission, Drawn(digest.counts, rows, density, found, (daily, window)))
     return report
+
+
+def _products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
+    product = "l2/field" if comparison == "main" else f"l2/field-{comparison}"
+    days = cat.days(product, span, states=("published",))
+    if not days:
+        raise CatalogError(
+            f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
+        )
+    return days
 
 
 def _digest_of(cat: Catalog, mission: Mission, days: Sequence[Day], tell: Progress) -> _Digest:

@@ -46,7 +46,7 @@ def place_legend(plot: figure, location: str = "top_right") -> None:
 
 def legend_below(plot: figure) -> None:
     """Put the legend under a small figure, where it hides nothing."""
-    place_legend(plot)
+    place_legend(plot, "center")
     if plot.legend:
         legend = plot.legend[0]
         legend.orientation = "horizontal"

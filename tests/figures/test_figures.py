@@ -1,0 +1,143 @@
+"""Figures are built from minimal and awkward data, and a page needs nothing but itself."""
+
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import xarray as xr
+from bokeh.embed import json_item
+from bokeh.models import Legend, Whisker
+
+from inflight.figures import (
+    daily_figure,
+    dependence_figure,
+    histogram_figure,
+    html_page,
+    parameter_figures,
+    series_figure,
+    spectrum_figure,
+)
+from inflight.figures.page import html_table
+from inflight.statistics import Dependence
+from inflight.time import day_bounds
+
+NAN = float("nan")
+
+
+def written(plot):
+    """Return a figure as a browser gets it; it fails where something cannot be written."""
+    return json.dumps(json_item(plot))
+
+
+def days(count):
+    return np.datetime64("2024-03-01", "ns") + np.arange(count) * np.timedelta64(1, "D")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "floor"),
+    [([3.0], [0.1], 0.05), ([NAN], [NAN], NAN), ([3.0, NAN, 1.0], [0.1, 0.2, NAN], 0.0), ([0.0], [0.0], NAN)],
+)
+def test_daily(before, after, floor):
+    plot = daily_figure(days(len(before)), np.array(before), np.array(after), floor)
+    assert written(plot)
+    assert plot.x_range.end - plot.x_range.start >= 86_400_000
+
+
+def test_the_axis_of_less_than_two_decades_has_few_ticks():
+    plot = daily_figure(days(2), np.array([3.0, 2.0]), np.array([0.1, 0.2]), 0.05)
+    assert [tick for tick in plot.yaxis.ticker.ticks if 0.1 <= tick <= 3.0] == pytest.approx([0.1, 0.3, 1, 3])
+
+
+@pytest.mark.parametrize("count", [0, 1, 100])
+def test_series(count):
+    values = np.full(count, NAN if count == 1 else 0.5)
+    assert written(series_figure(days(count), values, values - 1, values + 1))
+
+
+def test_histogram_of_nothing_and_of_something():
+    edges = np.linspace(-1, 1, 161)
+    for counts in (np.zeros(160), np.full(160, 1e9)):
+        assert written(histogram_figure(edges, counts, np.zeros(160)))
+
+
+def test_spectrum_without_the_one_before_and_with_periods_outside():
+    frequency = np.linspace(1e-4, 0.5, 2048)
+    power = np.ones(2048)
+    plot = spectrum_figure(frequency, np.full(2048, NAN), power, {"torquer": 20.0, "year": 3e7})
+    text = written(plot)
+    assert "torquer" in text
+    assert "year" not in text
+
+
+def test_dependence_takes_its_error_bars_into_the_range():
+    centre, mean = np.array([1.0, 2.0]), np.array([0.0, NAN])
+    plot = dependence_figure(Dependence("current", "A", centre, mean, np.array([5.0, NAN]), 0.1, 0.01))
+    assert written(plot)
+    (bars,) = [item for item in plot.center if isinstance(item, Whisker)]
+    drawn = np.concatenate(
+        [
+            plot_values
+            for renderer in plot.renderers
+            for name, plot_values in renderer.data_source.data.items()
+            if name in {"up", "down"}
+        ]
+    )
+    assert np.nanmax(drawn) == np.nanmax(bars.source.data["up"]) == 5.0
+
+
+def table(intervals, known=True):
+    names = [f"fgm.{part}" for part in ("scale_factor[x]", "misalignment[xy]", "offset[x]", "offset[y]")]
+    bounds = [day_bounds(np.datetime64("2024-03-01", "D") + index) for index in range(intervals)]
+    shape = (intervals, len(names))
+    return xr.Dataset(
+        {
+            "value": (("interval", "parameter"), np.ones(shape)),
+            "sigma": (("interval", "parameter"), np.full(shape, 0.1 if known else np.inf)),
+            "determined": (("interval", "parameter"), np.full(shape, known)),
+            "prior": (("parameter",), np.zeros(len(names))),
+            "start": (("interval",), np.array([start for start, _ in bounds], dtype=np.int64)),
+            "end": (("interval",), np.array([end for _, end in bounds], dtype=np.int64)),
+        },
+        coords={"parameter": names},
+    )
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("intervals", [1, 3])
+def test_parameters_of_one_day_and_of_none_determined(intervals, known):
+    for plot in parameter_figures(table(intervals, known), table(1, known)):
+        assert written(plot)
+        assert any(isinstance(item, Legend) for item in plot.below), "a legend hides data"
+
+
+class _Loads(HTMLParser):
+    """Collects what the tags of a page make a browser load."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for name, value in attrs if name in {"src", "href", "srcset", "data"}]
+
+
+def loaded(page):
+    parser = _Loads()
+    parser.feed(page)
+    return parser.found
+
+
+def test_a_page_loads_nothing_from_elsewhere_and_escapes_what_it_is_told():
+    plot = series_figure(days(3), np.zeros(3), np.zeros(3), np.zeros(3))
+    page = html_page("A < B", [("<i>", [html_table(["<b>"], [["&"]])], [plot])], "thanks & more")
+    assert loaded(page) == []
+    assert "@import" not in page
+    assert "<h1>A &lt; B</h1>" in page
+    assert "<h2>&lt;i&gt;</h2>" in page
+    assert "<th>&lt;b&gt;</th>" in page
+    assert "thanks &amp; more" in page
+
+
+def test_a_page_without_figures_is_a_page():
+    assert "<h2>Nothing</h2>" in html_page("Title", [("Nothing", ["no data"], [])])

@@ -1,0 +1,216 @@
+"""The comparison of model and measurement: its numbers, its JSON, its page, in a real browser too."""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from tiny_mission import TINY_START, TINY_YAML, deliver_tiny_day
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.errors import CatalogError
+from inflight.tasks import compare as module
+from inflight.tasks import compare_page
+from inflight.tasks.compare import compare
+from inflight.tasks.ingest import ingest
+from inflight.tasks.report import to_json
+from inflight.tasks.reprocess import reprocess
+
+THANKS = "Thanks to <everyone> & all"
+DAYS = [str(day) for day in np.datetime64(TINY_START, "D") + np.arange(4)]
+
+
+def made(folder, days, rows=1440):
+    """Return catalog and mission of a workspace with so many calibrated days of so many rows."""
+    yaml = folder / "tiny.yaml"
+    yaml.write_text(TINY_YAML + f"acknowledgement: '{THANKS}'\n", encoding="utf-8")
+    place = Workspace.create(folder / "tiny", yaml)
+    for day in days:
+        deliver_tiny_day(place.data, day)
+    for path in place.data.iterdir():
+        lines = path.read_text(encoding="utf-8").splitlines()[: rows + 1]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    catalog, mission = Catalog(place.root), place.mission()
+    assert ingest(catalog, mission, place.data).exit_code == 0
+    assert reprocess(catalog, mission).exit_code == 0
+    return catalog, mission
+
+
+@pytest.fixture(scope="module")
+def four_days(tmp_path_factory):
+    return made(tmp_path_factory.mktemp("four"), DAYS)
+
+
+@pytest.fixture(scope="module")
+def short_day(tmp_path_factory):
+    """One day of forty samples: too few for a spectrum, for blocks and for most parameters."""
+    return made(tmp_path_factory.mktemp("short"), DAYS[:1], rows=40)
+
+
+@pytest.fixture(scope="module")
+def pages(four_days, short_day, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pages")
+    return {
+        name: (compare(*given, output=folder / name), folder / name)
+        for name, given in (("four.html", four_days), ("short.html", short_day))
+    }
+
+
+def residuals(catalog, days):
+    """Return the residuals before and after by a plain read of the products."""
+    products = [catalog.read_day("l2/field", day) for day in days]
+    bad = [product["flag"].values & np.uint32(module._LEFT_OUT) != 0 for product in products]
+    return [
+        [np.where(out, np.nan, product[name].values) for product, out in zip(products, bad, strict=True)]
+        for name in ("residual_preflight", "residual")
+    ]
+
+
+def test_the_numbers_are_those_of_a_direct_computation(four_days):
+    catalog, mission = four_days
+    report = compare(catalog, mission)
+    before, after = residuals(catalog, DAYS)
+    for size, parts in ((report.before, before), (report.after, after)):
+        whole = np.concatenate(parts)
+        assert size.count == np.isfinite(whole).sum() == 4 * 1440
+        assert size.rms == pytest.approx(np.sqrt(np.nanmean(whole**2)), rel=1e-12)
+        assert size.std == pytest.approx(np.nanstd(whole), rel=1e-9)
+        assert size.mean == pytest.approx(np.nanmean(whole), rel=1e-9, abs=1e-12)
+    assert [entry["day"] for entry in report.by_day] == DAYS
+    assert [entry["after_nT"] for entry in report.by_day] == pytest.approx(
+        [np.sqrt(np.nanmean(part**2)) for part in after], rel=1e-12
+    )
+    # Both sensors have white noise of 0.05 nT on every axis, and nothing else is left.
+    assert report.floor == pytest.approx(np.hypot(0.05, 0.05), rel=0.1)
+    assert report.after.rms == pytest.approx(np.hypot(0.05, 0.05), rel=0.05)
+
+
+def test_the_json_has_the_promised_shape(four_days):
+    told = json.loads(to_json(compare(*four_days).as_json()))
+    assert {"command", "run", "context", "residual", "by_day", "fails_where"} <= set(told)
+    assert told["command"] == "compare"
+    assert {"before_nT", "after_nT", "noise_floor_nT"} <= set(told["residual"])
+    assert told["residual"]["after_nT"] < told["residual"]["before_nT"] / 100
+    for entry in told["fails_where"]:
+        assert set(entry) == {"coordinate", "amplitude_nT", "sigma_nT", "sentence"}
+    assert told["path"] == ""
+
+
+def test_a_span_is_half_open_and_one_without_products_is_an_error(four_days):
+    report = compare(*four_days, start=DAYS[1], end=DAYS[3])
+    assert [entry["day"] for entry in report.by_day] == DAYS[1:3]
+    with pytest.raises(CatalogError, match="no published days") as caught:
+        compare(*four_days, start="2030-01-01", end="2030-02-01")
+    assert "reprocess" in caught.value.remedy
+
+
+def test_a_day_too_short_for_a_spectrum_is_told_without_one(short_day):
+    told = json.loads(to_json(compare(*short_day).as_json()))
+    assert told["residual"]["noise_floor_nT"] is None
+    assert told["residual"]["after"]["count"] == 40
+    assert told["fails_where"] == []
+    assert len(told["parameters"]["determined"]) < 9
+
+
+def test_an_injected_error_shows_where_the_model_fails(four_days, monkeypatch):
+    """A residual that follows the field's direction is what is said first."""
+    catalog, mission = four_days
+    read, along = Catalog.read, []
+
+    def with_structure(self, day, variables=None):
+        product = read(self, day, variables)
+        if day.dataset == "l2/field":
+            field = product["field_sensor"].values
+            along.append(field[:, 0] / np.linalg.norm(field, axis=1))
+            product["residual"] = product["residual"] + 0.3 * along[-1]
+        return product
+
+    monkeypatch.setattr(Catalog, "read", with_structure)
+    report = compare(catalog, mission)
+    first = report.fails_where[0]
+    assert first.coordinate == "field direction x"
+    assert first.amplitude == pytest.approx(0.3 * np.concatenate(along).std(), rel=0.05)
+    assert first.amplitude > 5 * first.sigma_amplitude
+
+
+@pytest.mark.parametrize("name", ["four.html", "short.html"])
+def test_the_page_shows_numbers_and_thanks(pages, name):
+    report, path = pages[name]
+    page = path.read_text(encoding="utf-8")
+    assert report.path == path
+    assert "Thanks to &lt;everyone&gt; &amp; all" in page
+    assert THANKS not in page
+    assert f"{report.after.rms:.4f}" in page
+    assert DAYS[0] in page
+    assert list(path.parent.glob(".*")) == []
+
+
+def test_a_page_that_cannot_be_made_leaves_the_old_one(four_days, pages, monkeypatch):
+    _, path = pages["four.html"]
+    before = path.read_bytes()
+
+    def refuse(*_arguments):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(compare_page, "html_page", refuse)
+    with pytest.raises(OSError, match="no space"):
+        compare(*four_days, output=path)
+    assert path.read_bytes() == before
+    assert sorted(item.name for item in path.parent.iterdir()) == ["four.html", "short.html"]
+
+
+def test_what_is_kept_of_a_mission_is_bounded(four_days, monkeypatch):
+    catalog, mission = four_days
+    monkeypatch.setattr(module, "_ROWS", 2_000)
+    days = catalog.days("l2/field", states=("published",)) * 50
+    digest = module._digest_of(catalog, mission, days, lambda stage, done, total: None)
+    assert sum(row["after"].size for row in digest.rows) <= 2_000 + len(days)
+    assert len(digest.power) == 1
+    frequency, before, after = module._mean_power(digest.power.values())
+    assert frequency.size == before.size == after.size
+
+
+def test_a_browser_is_given_no_more_points_than_it_can_draw():
+    rows = 400_001
+    given = {name: np.arange(float(rows)) for name in ("tt2000", "after", "low", "high")}
+    given["after"][7] = np.nan
+    time, mean, low, high = compare_page._thinned(given)
+    assert time.size == mean.size == low.size == high.size <= 20_000
+    assert high[-1] == rows - 1
+    assert low[0] == 0
+    assert (low <= mean).all()
+    assert (mean <= high).all()
+
+
+@pytest.mark.parametrize("name", ["four.html", "short.html"])
+def test_a_real_browser_draws_the_page_without_an_error_and_without_a_network(pages, tmp_path, name):
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no chromium or chrome on the path")
+    _, path = pages[name]
+    picture = tmp_path / "page.png"
+    told = subprocess.run(
+        [
+            browser,
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--enable-logging=stderr",
+            "--host-resolver-rules=MAP * ~NOTFOUND",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--virtual-time-budget=8000",
+            "--window-size=1250,1500",
+            f"--screenshot={picture}",
+            path.resolve().as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    console = [line for line in told.stderr.splitlines() if "CONSOLE" in line]
+    assert any("document idle" in line for line in console), told.stderr[-2000:]
+    assert [line for line in console if "INFO:CONSOLE" not in line or "rror" in line] == []
+    assert picture.stat().st_size > 50_000
