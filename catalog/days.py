@@ -204,11 +204,11 @@ def _choose(rows: Sequence[Any], wanted: set[str] | None) -> Any:
     return published or rows[-1]
 
 
-def _with_store() -> Select[*tuple[Any, ...]]:
+def _with_store() -> Select[Any]:
     return select(DayRow, StoreRow.path).outerjoin(StoreRow, StoreRow.id == DayRow.store_id)
 
 
-def _in_span(query: Select[*tuple[Any, ...]], span: Span) -> Select[*tuple[Any, ...]]:
+def _in_span(query: Select[Any], span: Span) -> Select[Any]:
     if (first := span.first_day()) is not None:
         query = query.where(DayRow.day >= first)
     if (last := span.last_day()) is not None:
