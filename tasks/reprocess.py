@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from inflight.calibration.sensor import bend
 from inflight.catalog import Catalog, Day, Run, idempotency_key
 from inflight.mission import Mission
 from inflight.tasks.calibrate import Job, Outcome, calibrate_batch
@@ -23,6 +24,7 @@ from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import RunReport
 from inflight.tasks.tables import (
+    MOST_BEND,
     TABLES_VERSION,
     content_keys,
     daily_table,
@@ -94,24 +96,16 @@ def calibrate(
     """Make and stage the normal equations of batches of days; return the staged days."""
     fresh: dict[np.datetime64, Day] = {}
     if reference is None:
-        fresh = _of_one_pass(_adopt(run, made.equations, made.keys, batches), sum(map(len, batches)))
+        # A run killed amid a later pass leaves equations linearised here and there, and one killed after
+        # it does not tell how many it made: only the first pass gives the bytes of an undisturbed run.
+        adopted = _adopt(run, made.equations, made.keys, batches)
+        fresh = {day: found for day, found in adopted.items() if not found.report["shared"]}
     left = [[day for day in batch if day not in fresh] for batch in batches]
     jobs = _jobs(made, run, [batch for batch in left if batch], made.equations, made.keys)
     arguments = [(cat, mission, made.model, job, reference, made.settings.min_coverage) for job in jobs]
     for outcome in mapper("calibrate", calibrate_batch, arguments):
         fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
     return fresh
-
-
-def _of_one_pass(adopted: dict[np.datetime64, Day], wanted: int) -> dict[np.datetime64, Day]:
-    """Return the adopted equations of the first pass, or all of them when a later pass was finished.
-
-    A run killed amid a later pass leaves equations linearised here and there; a mixture would end in
-    other bytes than an undisturbed run.
-    """
-    places = {tuple(day.report["reference"]) for day in adopted.values() if day.report["shared"]}
-    first = {when: day for when, day in adopted.items() if not day.report["shared"]}
-    return adopted if len(adopted) == wanted and not first and len(places) == 1 else first
 
 
 def _adopt(
@@ -271,6 +265,7 @@ def _equations(
     }
     beside = {day.day: day for day in _same_context(cat, made) if day.day not in made.keys}
     fresh = calibrate(cat, mission, made, run, made.batches, made.reference, mapper, book)
+    last = made.reference
     for _ in range(_MOST_PASSES):
         days = beside | kept | fresh
         if not fresh:
@@ -278,12 +273,14 @@ def _equations(
         equations = load_equations(cat, list(days.values()))
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
         again = relinearise_at(equations, made.model, strength)
-        if again is None:
+        # Days that are sure of their own fit stay linearised there: a pass at the same place moves nothing.
+        if again is None or (last is not None and bend(again, np.asarray(last), strength) <= MOST_BEND):
             break
+        last = again.tolist()
         batch_of = [day for day in made.days if day not in book.failed]
         size = made.settings.batch_days
         batches = [batch_of[at : at + size] for at in range(0, len(batch_of), size)]
-        fresh = calibrate(cat, mission, made, run, batches, again.tolist(), mapper, book)
+        fresh = calibrate(cat, mission, made, run, batches, last, mapper, book)
     return beside | kept | fresh
 
 

@@ -5,21 +5,12 @@ import signal
 import pytest
 from fault_cases import BATCH, assert_whole, versions, view
 
-INGEST_POINTS = [
-    "segment_begun",
-    "attach:2",
-    "segment_renamed:4",
-    "publish_begun",
-    "publish_flushed",
-    "published",
-]
+INGEST_POINTS = ["attach:2", "segment_renamed:4", "publish_begun", "publish_flushed", "published"]
 # Two passes of equations (stores 1 to 4), three tables (5 to 7), two stores of products (8 and 9).
 REPROCESS_POINTS = [
-    "segment_written:2",
     "attach:3",
     "attach:4",
     "segment_renamed:6",
-    "segment_begun:8",
     "attach:6",
     "publish_flushed",
     "published",
