@@ -9,12 +9,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
+from inflight.flows.cluster import dask_client
 from inflight.simulate import SimulationSettings
 from inflight.tasks.ingest import ingest
 from inflight.tasks.reprocess import ReprocessSettings, reprocess
@@ -43,18 +45,12 @@ def _child(folder: str, days: str, workers: str, batch_days: str) -> None:
     mission = Workspace.open(folder).mission()
     first = cat.days("l1/fgm", states=("published",))[0].day
     end = first + np.timedelta64(int(days), "D")
-    client = None
-    if int(workers) > 1:
-        from distributed import Client, LocalCluster
-
-        client = Client(LocalCluster(n_workers=int(workers), threads_per_worker=1, dashboard_address=None))
-    begun = time.perf_counter()
-    report = reprocess(cat, mission, first, end, ReprocessSettings(batch_days=int(batch_days)), client=client)
-    seconds = time.perf_counter() - begun
+    settings = ReprocessSettings(batch_days=int(batch_days))
+    with dask_client(int(workers)) if int(workers) > 1 else nullcontext() as client:
+        begun = time.perf_counter()
+        report = reprocess(cat, mission, first, end, settings, client=client)
+        seconds = time.perf_counter() - begun
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    if client is not None:
-        client.close()
-        client.cluster.close()
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
     told = {"seconds": seconds, "MiB": peak, "worker_MiB": children, "done": report.days["done"]}
     print(json.dumps(told | report.extra["residual"]))
