@@ -166,6 +166,7 @@ def index_file(path: Path, file: Delivered, files: Files, instrument: Instrument
     try:
         times = read_times(path, files, instrument, file.span)
     except InflightError as error:
+        error.file = file.name  # as every later step and the catalog name it
         return FileIndex(file, sha256, size, mtime_ns, named_days(file.span), problem_of(error))
     days = tuple(str(day) for day in np.unique(day_of(times)))
     return FileIndex(file, sha256, size, mtime_ns, days)
