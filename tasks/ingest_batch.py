@@ -126,6 +126,7 @@ def _read_parts(
             source.require_unchanged()
             table = read_file(source.path, job.files, job.instrument, source.span, name)
         except InflightError as error:
+            error.file = name  # below the data folder, as the catalog names it
             broken[name] = problem_of(error)
             continue
         told[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
