@@ -118,13 +118,13 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
     resolution = attributes.get("resolution")
     if resolution is None or dtype.kind != "f" or not float(resolution) > 0:
         return plain
-    return _packed(name, pieces, float(resolution)) or replace(
+    return _packed(pieces, float(resolution)) or replace(
         plain,
         note=f"{name}: stored as {dtype.name}: its values are no multiples of the resolution {resolution:g}",
     )
 
 
-def _packed(name: str, pieces: Sequence[Array], resolution: float) -> Encoding | None:
+def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
     largest = 0.0
     for piece in pieces:
         finite = piece[np.isfinite(piece)]

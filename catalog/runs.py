@@ -331,7 +331,7 @@ def cause_of(error: BaseException) -> str:
 
 
 def close_run(session: Session, run_id: str, state: str, cause: str, message: str) -> None:
-    """End a run and the days it had planned or begun."""
+    """End a run; with a failure, also the days it had begun."""
     ended = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
     session.execute(
         update(RunRow)

@@ -23,8 +23,6 @@ from inflight.mission import Mission
 MISSION_FILE = "mission.yaml"
 #: Deliveries are looked for here unless a command names another folder.
 DATA_FOLDER = "data"
-#: The shipped mission that only explains the keys.
-TEMPLATE = "template"
 
 
 @dataclass(frozen=True)
@@ -139,19 +137,6 @@ class Workspace:
             return str(Path(path).resolve().relative_to(self.root.resolve()))
         except ValueError:
             return str(path)
-
-
-def load_mission(workspace: Path | str) -> Mission:
-    """Read the mission of a workspace.
-
-    Raises
-    ------
-    WorkspaceError
-        When the folder is no workspace.
-    MissionError
-        When its YAML is wrong.
-    """
-    return Workspace.open(workspace).mission()
 
 
 def shipped_missions() -> dict[str, Path]:

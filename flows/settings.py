@@ -57,11 +57,6 @@ def prefect_environment(home: Path) -> dict[str, str]:
     return wanted | {name: os.environ[name] for name in wanted if name in os.environ}
 
 
-def uses_own_server() -> bool:
-    """Return True when no server is named, so that the command embeds one."""
-    return not os.environ.get("PREFECT_API_URL")
-
-
 @contextmanager
 def prefect_settings(home: Path) -> Iterator[None]:
     """Run what is inside with the project's Prefect settings.

@@ -27,9 +27,7 @@ import xarray as xr
 from inflight.effects.base import Floats
 from inflight.errors import SamplesError
 from inflight.flags import Flag
-from inflight.time import in_leap_second, to_utc
-
-Int64 = npt.NDArray[np.int64]
+from inflight.time import Int64, in_leap_second, to_utc
 
 #: Roles that hold fields: they are carried band-limited, the rest linearly.
 FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")

@@ -49,7 +49,7 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
     xarray.Dataset
         `field_sensor`, `field_spacecraft`, `field_nec` (time, axis) nT; `scalar` (time) nT;
         `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
-        was taken out (vector sensors: spacecraft axes of the sensor; scalar sensors: along the
+        was taken out (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
         field); `uncertainty` (time, axis) nT, 1 sigma, sensor axes; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
+from inflight.calibration.robust import TO_SIGMA
 from inflight.effects.base import Floats
 
 #: The noise floor is the level of the spectrum above this part of the Nyquist frequency.
@@ -50,7 +51,7 @@ def size_of(residual: Floats) -> Size:
         float(finite.mean()),
         float(finite.std()),
         float(np.sqrt(np.mean(finite**2))),
-        float(1.482602218505602 * np.median(np.abs(finite - middle))),
+        float(TO_SIGMA * np.median(np.abs(finite - middle))),
         float(finite.min()),
         float(finite.max()),
     )

@@ -1,7 +1,7 @@
 """Units: one registry for the project, and the conversions of channels to the units the physics uses.
 
-Delivered files spell units in many ways; `same_dimension` and `factor_and_offset` are the only
-places that judge them.
+Delivered files spell units in many ways; `parse_unit` and `factor_and_offset` are the only places
+that judge them.
 """
 
 from __future__ import annotations
@@ -53,12 +53,6 @@ def parse_unit(text: str) -> pint.Unit:
         return REGISTRY.Unit(_SPELLINGS.get(plain.lower(), plain))
     except (pint.PintError, AssertionError, ValueError, TypeError) as error:
         raise ValueError(f"{text!r} is no known unit ({error})") from None
-
-
-@lru_cache(maxsize=256)
-def same_unit(one: str, other: str) -> bool:
-    """Return True when two texts name the same unit."""
-    return parse_unit(one) == parse_unit(other)
 
 
 @lru_cache(maxsize=256)

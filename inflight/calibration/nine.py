@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.effects.base import Floats
-
-Int64 = npt.NDArray[np.int64]
+from inflight.time import Int64
 
 #: Rows handled at once: the block of columns stays in the cache and BLAS forms its Gram matrix.
 _ROWS = 2048

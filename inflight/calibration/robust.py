@@ -10,8 +10,8 @@ from inflight.effects.base import Floats
 BIWEIGHT_WIDTH = 6.0
 #: Weighted rms of Gaussian residuals over their standard deviation: the biweight favours small ones.
 WEIGHTED_RMS = 0.9447
-#: Median absolute value of a Gaussian, inverted.
-_TO_SIGMA = 1.482602218505602
+#: Standard deviation of a Gaussian over the median of its absolute deviations.
+TO_SIGMA = 1.482602218505602
 #: The scale is estimated from about this many samples, evenly spread.
 _SCALE_SAMPLES = 20_000
 
@@ -33,4 +33,4 @@ def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
         return floor
     part = residual[:: max(1, residual.size // _SCALE_SAMPLES)]
     spread = float(np.median(np.abs(part)))
-    return max(_TO_SIGMA * spread, floor)
+    return max(TO_SIGMA * spread, floor)

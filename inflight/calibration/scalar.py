@@ -38,9 +38,6 @@ _SETTLED = 10.0
 _PLAIN = 1e3
 #: Longer blocks begin with every `_THIN`-th sample; the residual's scale is taken from so many.
 _LONG, _THIN, _SCALE_SAMPLES = 20_000, 8, 10_000
-#: A direction at the edge of what the data determine could come and go for ever: from this pass on
-#: the edge rises, pass by pass by this factor, until the direction stays at its prior.
-_EDGE_PASS, _EDGE_RISE = 6, 1.5
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
             continue
         reading = np.asarray(samples[role].values, dtype=np.float64)
         for entry in entries:
-            reading = entry.effect.correct(reading, out, entry.values(_times(entry, samples)), entry.sensor)
+            reading = entry.effect.correct(reading, out, entry.values(_times(samples)), entry.sensor)
         out = out.assign({role: (samples[role].dims, reading, samples[role].attrs)})
         if role == "vector":
             out = with_field(out, reading)
@@ -82,7 +82,7 @@ def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     for role in ("vector", "scalar"):
         reading = np.asarray(samples[role].values, dtype=np.float64)
         for entry in reversed([entry for entry in effects if entry.sensor.role == role]):
-            reading = entry.effect.disturb(reading, out, entry.values(_times(entry, samples)), entry.sensor)
+            reading = entry.effect.disturb(reading, out, entry.values(_times(samples)), entry.sensor)
         changed[role] = (samples[role].dims, reading, samples[role].attrs)
     return out.assign(changed)
 
@@ -113,10 +113,10 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
     for entry in effects:
         if entry.effect.is_additive:
             still = np.zeros(samples["vector"].shape if not entry.sensor.is_scalar else samples.sizes["time"])
-            values = entry.values(_times(entry, samples))
+            values = entry.values(_times(samples))
             terms[entry.name] = -entry.effect.correct(still, samples, values, entry.sensor)
     return terms
 
 
-def _times(entry: ModelEffect, samples: xr.Dataset) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _times(samples: xr.Dataset) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     return np.asarray(samples["tt2000"].values, dtype=np.int64)

@@ -86,7 +86,11 @@ class Model:
         """
         tree = YAML(typ="safe").load(text)
         if not isinstance(tree, dict) or "effects" not in tree:
-            raise ModelError("the file holds no list 'effects'", file=source, remedy="see docs/models.md")
+            raise ModelError(
+                "the file holds no list 'effects'",
+                file=source,
+                remedy="missions/models/champ-preflight.yaml shows one",
+            )
         comparison = str(tree.get("comparison", "main"))
         if comparison not in mission.comparisons:
             raise ModelError(

@@ -3,14 +3,14 @@
 import pytest
 from tiny_mission import TINY_YAML
 
-from inflight.catalog.workspace import Workspace, load_mission, shipped_missions
+from inflight.catalog.workspace import Workspace, shipped_missions
 from inflight.errors import MissionError, WorkspaceError
 
 
 @pytest.mark.parametrize("name", sorted(shipped_missions()))
 def test_every_shipped_mission_makes_a_workspace_whole(name, tmp_path):
     workspace = Workspace.create(tmp_path / name, name)
-    mission = load_mission(workspace.root)
+    mission = Workspace.open(workspace.root).mission()
     assert mission.text == shipped_missions()[name].read_text(encoding="utf-8")
     for companion in filter(None, [mission.preflight, *mission.effects]):
         assert (workspace.root / companion).is_file()
@@ -31,7 +31,7 @@ def test_new_makes_a_workspace_and_says_what_comes_next(inflight, tmp_path):
     assert told.code == 0
     assert "inflight ingest" in told.out
     assert (tmp_path / "work" / "data").is_dir()
-    assert load_mission(tmp_path / "work").mission == "conrad"
+    assert Workspace.open(tmp_path / "work").mission().mission == "conrad"
 
 
 def test_new_takes_a_yaml_with_its_model_and_effect_files(inflight, tmp_path):
@@ -88,4 +88,4 @@ def test_a_companion_outside_the_missions_folder_is_refused(tmp_path):
 def test_a_damaged_mission_is_reported_when_the_workspace_is_used(tiny_workspace):
     (tiny_workspace / "mission.yaml").write_text("mission: [", encoding="utf-8")
     with pytest.raises(MissionError, match="line"):
-        load_mission(tiny_workspace)
+        Workspace.open(tiny_workspace).mission()
