@@ -8,9 +8,9 @@ from typing import Any
 
 from inflight.catalog.workspace import Workspace
 from inflight.errors import SettingsError
-from inflight.flows.progress import Progress, told_to
+from inflight.flows.progress import told_to
 from inflight.flows.settings import prefect_settings
-from inflight.tasks.report import RunReport
+from inflight.tasks.report import Progress, RunReport
 
 #: Flows there are; each lives in the module of its name.
 FLOWS = ("ingest", "reprocess", "backfill", "release")

@@ -9,10 +9,9 @@ from typing import Any
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.cluster import dask_client
-from inflight.flows.progress import Progress
 from inflight.flows.span import Span
 from inflight.tasks.release import make_release
-from inflight.tasks.report import RunReport
+from inflight.tasks.report import Progress, RunReport
 
 Parameters = Mapping[str, Any]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +22,7 @@ from inflight.calibration import (
     usable,
 )
 from inflight.catalog import Catalog, DayData, Segment, write_segment
+from inflight.catalog.runs import cause_of
 from inflight.errors import CalibrationError, InflightError
 from inflight.flags import tally
 from inflight.mission import Mission
@@ -69,7 +70,7 @@ def failure_of(error: BaseException) -> Failure:
     if isinstance(error, InflightError):
         told = f"{error.file}: {error.message}" if error.file else error.message
         return Failure(error.cause, told, error.remedy, error.channel)
-    cause = "transient" if isinstance(error, OSError | MemoryError) else "bug"
+    cause = cause_of(error)
     return Failure(
         cause, f"{type(error).__name__}: {error}", "please report it with the log" if cause == "bug" else ""
     )
@@ -101,11 +102,35 @@ def calibrate_batch(
     Outcome
         The segment, and why days are not in it.
     """
+    return make_days(
+        cat, job, lambda day: calibrate_day(cat, mission, model, day, job, reference, min_coverage)
+    )
+
+
+def make_days(
+    cat: Catalog, job: Job, make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]]
+) -> Outcome:
+    """Make each day of a batch, on one BLAS thread, and write those that succeed as one segment.
+
+    Parameters
+    ----------
+    cat : Catalog
+        Only its workspace is used.
+    job : Job
+        The batch.
+    make : callable
+        Returns the dataset and the report of a day.
+
+    Returns
+    -------
+    Outcome
+        The segment, and why days are not in it.
+    """
     outcome, made = Outcome(), []
     with threadpool_limits(1):
         for day in job.days:
             try:
-                dataset, report = calibrate_day(cat, mission, model, day, job, reference, min_coverage)
+                dataset, report = make(day)
             except Exception as error:  # one bad day must not stop the others; its cause is recorded
                 outcome.failures[day] = failure_of(error)
                 continue

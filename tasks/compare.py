@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import describe_directions, reference_of
+from inflight.calibration.sensor import UNUSABLE
 from inflight.catalog import Catalog, Day
 from inflight.effects.base import Floats
 from inflight.errors import CatalogError
@@ -29,19 +30,16 @@ from inflight.statistics import (
 )
 from inflight.tasks.compare_page import CompareReport, Drawn, write_page
 from inflight.tasks.models import current_model
+from inflight.tasks.report import Progress
 from inflight.tasks.samples import channel_homes
 from inflight.tasks.tables import load_equations, span_solution
-from inflight.time import SECOND, DayLike
+from inflight.time import SECOND, DayLike, day_bounds, day_of
 
-Progress = Callable[[str, int, int], None]
 #: Means the figures are drawn from: at most so many rows in all, each of at least so many seconds.
 _ROWS, _SHORTEST = 400_000, 60.0
 #: Blocks of the dependences' uncertainty, seconds.
 _BLOCK = 3 * 3600.0
 _BINS = 160
-#: Samples with one of these flags are no measurement of the residual.
-_LEFT_OUT = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-_LEFT_OUT |= Flag.INSTRUMENT_FLAG
 
 
 @dataclass
@@ -165,7 +163,7 @@ def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: flo
     """Add one day to the digest."""
     product = cat.read(day)
     flag = product["flag"].values
-    good = (flag & np.uint32(_LEFT_OUT)) == 0
+    good = (flag & np.uint32(UNUSABLE)) == 0
     after = np.where(good, product["residual"].values, np.nan)
     before = np.where(good, product["residual_preflight"].values, np.nan)
     digest.before.append(size_of(before))
@@ -205,10 +203,11 @@ def _means(
     span = ((stamps - stamps[0]) / (length * SECOND)).astype(np.int64)
     first = np.flatnonzero(np.append(True, np.diff(span) > 0))
     good = np.isfinite(after)
-    count = np.maximum(np.add.reduceat(good.astype(np.float64), first), 0.0)
 
     def mean(values: Floats) -> Floats:
-        total = np.add.reduceat(np.where(good & np.isfinite(values), values, 0.0), first)
+        used = good & np.isfinite(values)
+        count = np.add.reduceat(used.astype(np.float64), first)
+        total = np.add.reduceat(np.where(used, values, 0.0), first)
         return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
 
     field_ = product["field_sensor"].values
@@ -228,7 +227,8 @@ def _means(
         out["latitude"] = latitude[first]
         out["longitude"] = product["longitude"].values[first]
         out["orbit phase"] = orbit_phase(latitude, np.gradient(latitude))[first]
-    out["time of day"] = (stamps[first] - stamps[0]) / (3600.0 * SECOND)
+    midnight, _ = day_bounds(day_of(stamps[:1])[0])
+    out["time of day"] = (stamps[first] - midnight) / (3600.0 * SECOND)
     return out | {name: values[first] for name, values in channels.items()}
 
 

@@ -46,7 +46,6 @@ class CompareReport:
     left_out: int = 0
     outliers: int = 0
     acknowledgement: str = ""
-    exit_code: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""

@@ -8,7 +8,7 @@ makes new revisions of exactly its days, and an ingest that was killed goes on w
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,11 +28,8 @@ from inflight.tasks.delivery import (
     within,
 )
 from inflight.tasks.ingest_batch import BatchJob, days_of_batch, make_batch, source_file
-from inflight.tasks.report import RunReport
+from inflight.tasks.report import Progress, RunReport
 from inflight.time import day_range, parse_utc, to_tt2000
-
-#: Called with (stage, done, total).
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass

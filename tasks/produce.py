@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from threadpoolctl import threadpool_limits
 
 from inflight.calibration import reference_of
-from inflight.catalog import Catalog, DayData, write_segment
+from inflight.calibration.sensor import UNUSABLE
+from inflight.catalog import Catalog
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.product import day_parameters, level2
-from inflight.tasks.calibrate import Job, Outcome, failure_of
+from inflight.statistics import size_of
+from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.samples import load_samples
 from inflight.time import day_bounds
 
@@ -44,18 +45,7 @@ def produce_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Datase
     Outcome
         The segment, and why days are not in it.
     """
-    outcome, made = Outcome(), []
-    with threadpool_limits(1):
-        for day in job.days:
-            try:
-                dataset, report = produce_day(cat, mission, model, table, day, job)
-            except Exception as error:  # one bad day must not stop the others; its cause is recorded
-                outcome.failures[day] = failure_of(error)
-                continue
-            made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
-        if made:
-            outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
-    return outcome
+    return make_days(cat, job, lambda day: produce_day(cat, mission, model, table, day, job))
 
 
 def produce_day(
@@ -66,22 +56,20 @@ def produce_day(
     start, end = day_bounds(day)
     middle = (start + end) // 2
     parameters = day_parameters(table, middle, reference_of(model, middle))
-    product = level2(model.bind(table), samples, parameters, model)
+    product = _rounded(level2(model.bind(table), samples, parameters, model))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else end - start
+    # The numbers as stored, of the samples that `inflight.tasks.compare` takes: both tell one residual.
+    measured = (product["flag"].values & np.uint32(UNUSABLE)) == 0
+    after = size_of(product["residual"].values[measured])
     report = {
         "coverage": float(good.sum() * step / (end - start)),
-        "before_nT": rms(product["residual_preflight"].values),
-        "after_nT": rms(product["residual"].values),
+        "before_nT": size_of(product["residual_preflight"].values[measured]).rms,
+        "after_nT": after.rms,
+        "samples": after.count,
     }
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
-    return _rounded(product), report
-
-
-def rms(residual: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    """Return the root mean square of what is finite; NaN when nothing is."""
-    finite = residual[np.isfinite(residual)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+    return product, report
 
 
 def _rounded(product: xr.Dataset) -> xr.Dataset:

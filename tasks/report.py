@@ -7,11 +7,14 @@ what went wrong and what to do about it, where the outputs are. `exit_code` foll
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from inflight.errors import InflightError
+
+#: Told (stage, done, total) while a run goes on.
+Progress = Callable[[str, int, int], None]
 
 if TYPE_CHECKING:
     from rich.console import Console

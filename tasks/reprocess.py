@@ -22,7 +22,7 @@ from inflight.tasks.calibrate import Job, Outcome, calibrate_batch
 from inflight.tasks.delivery import each_result
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
-from inflight.tasks.report import RunReport
+from inflight.tasks.report import Progress, RunReport
 from inflight.tasks.tables import (
     MOST_BEND,
     TABLES_VERSION,
@@ -35,8 +35,6 @@ from inflight.tasks.tables import (
 )
 from inflight.time import DayLike, day_bounds
 
-#: Called with (stage, done, total).
-Progress = Callable[[str, int, int], None]
 #: Runs a function over the argument lists of independent batches and yields the outcomes in order:
 #: (stage, function, argument lists).
 Mapper = Callable[[str, Callable[..., Outcome], Sequence[tuple[Any, ...]]], Iterator[Outcome]]
@@ -153,19 +151,22 @@ def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day])
             [*content_keys(days), kind, str(settings.window_days), str(TABLES_VERSION), made.context]
         )
         key = hashlib.sha256(content.encode()).hexdigest()
-        known = [record for record in cat.tables(name) if record.key == key]
+        known = [record for record in cat.tables(name) if record.key == key and not record.damaged]
         if known:
             tables[kind], ids[kind] = cat.table_by_id(known[-1].id), known[-1].id
-            certified = bool(known[-1].certified)
+            certified = (None, *_bounds(tables[kind])) in known[-1].certified
         else:
             tables[kind], certified = make(), False
-            start, end = int(tables[kind]["start"].values[0]), int(tables[kind]["end"].values[-1])
+            start, end = _bounds(tables[kind])
             parents = list(days.values())
             ids[kind] = run.stage_table(name, tables[kind], start=start, end=end, parents=parents, key=key)
         if not certified:
-            start, end = int(tables[kind]["start"].values[0]), int(tables[kind]["end"].values[-1])
-            certify.append((ids[kind], start, end, None))
+            certify.append((ids[kind], *_bounds(tables[kind]), None))
     return SolvedTables(tables[settings.table], ids, certify)
+
+
+def _bounds(table: xr.Dataset) -> tuple[int, int]:
+    return int(table["start"].values[0]), int(table["end"].values[-1])
 
 
 def produce(
@@ -310,7 +311,7 @@ def _span_of(made: Plan) -> dict[str, str]:
 def _residual(cat: Catalog, made: Plan) -> dict[str, Any]:
     """Return the rms residual of the span before and after, from the days' own reports."""
     inside = [day for day in cat.days(made.product, states=("published",)) if day.day in made.keys]
-    reports = [(day.count, day.report) for day in inside if np.isfinite(day.report.get("after_nT", np.nan))]
+    reports = [(day.report["samples"], day.report) for day in inside if day.report.get("samples")]
     total = sum(count for count, _ in reports)
     if not total:
         return {}

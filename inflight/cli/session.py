@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.errors import InflightError, SettingsError, WorkspaceError
+from inflight.tasks.report import Progress
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from inflight.catalog import Catalog
     from inflight.catalog.workspace import Workspace
     from inflight.tasks.report import RunReport
-
-Progress = Callable[[str, int, int], None]
 
 WorkspaceOption = Annotated[
     Path | None,

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.session import Progress, Session, verb
+from inflight.cli.session import Session, verb
 from inflight.errors import SettingsError
+from inflight.tasks.report import Progress
 
 if TYPE_CHECKING:
     from rich.console import Console

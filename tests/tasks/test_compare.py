@@ -11,6 +11,7 @@ from tiny_mission import TINY_START, TINY_YAML, deliver_tiny_day
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.errors import CatalogError
+from inflight.flags import Flag
 from inflight.tasks import compare as module
 from inflight.tasks import compare_page
 from inflight.tasks.compare import compare
@@ -18,15 +19,26 @@ from inflight.tasks.ingest import ingest
 from inflight.tasks.report import to_json
 from inflight.tasks.reprocess import reprocess
 
+NO_MEASUREMENT = (
+    Flag.VECTOR_MISSING
+    | Flag.SCALAR_MISSING
+    | Flag.CHANNEL_MISSING
+    | Flag.OUT_OF_RANGE
+    | Flag.INSTRUMENT_FLAG
+)
 THANKS = "Thanks to <everyone> & all"
 DAYS = [str(day) for day in np.datetime64(TINY_START, "D") + np.arange(4)]
 
 
-def made(folder, days, rows=1440):
-    """Return catalog and mission of a workspace with so many calibrated days of so many rows."""
+def write_yaml(folder):
     yaml = folder / "tiny.yaml"
     yaml.write_text(TINY_YAML + f"acknowledgement: '{THANKS}'\n", encoding="utf-8")
-    place = Workspace.create(folder / "tiny", yaml)
+    return yaml
+
+
+def made(folder, days, rows=1440):
+    """Return catalog and mission of a workspace with so many calibrated days of so many rows."""
+    place = Workspace.create(folder / "tiny", write_yaml(folder))
     for day in days:
         deliver_tiny_day(place.data, day)
     for path in place.data.iterdir():
@@ -61,7 +73,7 @@ def pages(four_days, short_day, tmp_path_factory):
 def residuals(catalog, days):
     """Return the residuals before and after by a plain read of the products."""
     products = [catalog.read_day("l2/field", day) for day in days]
-    bad = [product["flag"].values & np.uint32(module._LEFT_OUT) != 0 for product in products]
+    bad = [product["flag"].values & np.uint32(NO_MEASUREMENT) != 0 for product in products]
     return [
         [np.where(out, np.nan, product[name].values) for product, out in zip(products, bad, strict=True)]
         for name in ("residual_preflight", "residual")
@@ -85,6 +97,30 @@ def test_the_numbers_are_those_of_a_direct_computation(four_days):
     # Both sensors have white noise of 0.05 nT on every axis, and nothing else is left.
     assert report.floor == pytest.approx(np.hypot(0.05, 0.05), rel=0.1)
     assert report.after.rms == pytest.approx(np.hypot(0.05, 0.05), rel=0.05)
+
+
+def test_a_failed_reading_counts_for_neither_report_and_the_clock_begins_at_midnight(tmp_path):
+    """A day that begins at six, with a scalar reading of zero: compare and reprocess tell one number."""
+    place = Workspace.create(tmp_path / "tiny", write_yaml(tmp_path))
+    for day in DAYS[:2]:
+        deliver_tiny_day(place.data, day)
+    for path in place.data.iterdir():
+        lines = path.read_text(encoding="utf-8").splitlines()
+        path.write_text("\n".join([lines[0], *lines[361:]]) + "\n", encoding="utf-8")
+    scalar = next(path for path in sorted(place.data.iterdir()) if path.name.startswith("absolute"))
+    lines = scalar.read_text(encoding="utf-8").splitlines()
+    lines[500] = lines[500].split(",")[0] + ",0.0"
+    scalar.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    catalog, mission = Catalog(place.root), place.mission()
+    ingest(catalog, mission, place.data)
+    told = reprocess(catalog, mission).extra["residual"]
+    report = compare(catalog, mission)
+    assert report.left_out == 1
+    assert told["after_nT"] == pytest.approx(report.after.rms, rel=1e-12)
+    assert told["before_nT"] == pytest.approx(report.before.rms, rel=1e-12)
+    days = catalog.days("l2/field", states=("published",))
+    digest = module._digest_of(catalog, mission, days, lambda stage, done, total: None)
+    assert [float(row["time of day"][0]) for row in digest.rows] == [6.0, 6.0]
 
 
 def test_the_json_has_the_promised_shape(four_days):

@@ -148,6 +148,21 @@ def test_another_model_is_a_new_context_and_redoes_everything(tiny):
     assert len(tiny.cat.models()) == 2
 
 
+def test_a_mission_file_changed_back_gives_its_tables_their_validity_back(tiny):
+    tiny.run(DAILY)
+    first = [tiny.cat.table("main-daily", day_at(index)).attrs["table_id"] for index in range(DAYS)]
+    yaml = Workspace.open(tiny.root).mission_file
+    before = yaml.read_text(encoding="utf-8")
+    yaml.write_text(before + "# a remark\n", encoding="utf-8")
+    tiny.take_in()
+    reprocess(tiny.cat, tiny.mission, day_at(1), day_at(2), DAILY)
+    assert tiny.cat.table("main-daily", day_at(1)).attrs["table_id"] not in first
+    yaml.write_text(before, encoding="utf-8")
+    tiny.take_in()
+    tiny.run(DAILY)
+    assert [tiny.cat.table("main-daily", day_at(index)).attrs["table_id"] for index in range(DAYS)] == first
+
+
 def test_a_span_is_half_open(tiny):
     report = reprocess(tiny.cat, tiny.mission, day_at(1), day_at(3), SPAN)
     assert report.days["done"] == 2
