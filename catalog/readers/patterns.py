@@ -1,9 +1,10 @@
 """Finding delivered files by the patterns of a mission YAML, and what their names say.
 
 A pattern is a path below the data folder with ``*`` and ``?`` (within one folder level) and date fields
-``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``; upper and lower case are the same. Of files that differ
-only in what the wildcards match, and whose names carry a date, the last in natural order (v9 before v10)
-is the newest version; the others are superseded.
+``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``; upper and lower case are the same. A wildcard behind
+``v``, ``r``, ``rev``, ``ver`` or ``version`` is a version: of files whose names carry a date and differ in
+it alone, the last in natural order (v9 before v10) is the newest, the others are superseded. Files that
+differ in another wildcard are parts of a delivery: all of them are used.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ _DIRECTIVE = {
     "B": r"[a-z]+",
 }
 _TOKEN = re.compile(r"\{(day|start|end):([^{}]*)\}|(\*\*/|\*|\?)")
+_VERSION_MARK = re.compile(r"(?:^|[_.\-/])(?:v|r|rev|ver|version)$", re.IGNORECASE)
 #: What the last directive of a date leaves open: a file "of 1 May" ends when the day does.
 _LENGTH = {"H": 3600 * SECOND, "M": 60 * SECOND, "S": SECOND}
 
@@ -68,7 +70,7 @@ class Delivered:
 class _Compiled:
     regex: re.Pattern[str]
     root: str
-    #: For each group: a field and a directive, or ("*", "").
+    #: For each group: a field and a directive, ("*", "") or, for a wildcard that is a version, ("v", "").
     groups: tuple[tuple[str, str], ...]
 
 
@@ -78,11 +80,13 @@ def _compile(pattern: str) -> _Compiled:
     text, at = "", 0
     for token in _TOKEN.finditer(pattern):
         text += re.escape(pattern[at : token.start()])
-        at = token.end()
+        before, at = at, token.end()
         field, layout, wildcard = token.groups()
         if wildcard:
             text += {"**/": "((?:.*/)?)", "*": "([^/]*)", "?": "([^/])"}[wildcard]
-            groups.append(("*", ""))
+            mark = pattern[before : token.start()]
+            is_version = bool(_VERSION_MARK.search(mark)) or (not mark and groups[-1:] == [("v", "")])
+            groups.append(("v" if is_version else "*", ""))
         else:
             text += _layout_regex(layout)
             groups += [(field, directive) for directive in re.findall(r"%(.)", layout)]
@@ -121,14 +125,19 @@ def describe(name: str, files: Files) -> Delivered | None:
             span = _span(found)
         except ValueError:
             continue
-        wild = [
-            text for (field, _), text in zip(compiled.groups, match.groups(), strict=True) if field == "*"
-        ]
+        wild = {
+            kind: [
+                text
+                for (field, _), text in zip(compiled.groups, match.groups(), strict=True)
+                if field == kind
+            ]
+            for kind in "*v"
+        }
         dated = [
             f"{field}{directive}{text.lower()}" for field, texts in found.items() for directive, text in texts
         ]
-        family = (str(number), *dated) if dated else ()
-        return Delivered(name, span, family, tuple(part for text in wild for part in natural(text)))
+        family = (str(number), *dated, *(text.lower() for text in wild["*"])) if dated else ()
+        return Delivered(name, span, family, tuple(part for text in wild["v"] for part in natural(text)))
     return None
 
 
@@ -194,7 +203,7 @@ def _walk(data: Path, files: Files) -> Iterator[str]:
 def _fields(compiled: _Compiled, match: re.Match[str]) -> dict[str, list[tuple[str, str]]]:
     found: dict[str, list[tuple[str, str]]] = {}
     for (field, directive), text in zip(compiled.groups, match.groups(), strict=True):
-        if field != "*":
+        if field not in ("*", "v"):
             texts = found.setdefault(field, [])
             if (directive, text) not in texts:
                 texts.append((directive, text))

@@ -92,3 +92,22 @@ def test_a_day_written_into_a_name_is_read_back(layout, day):
         return
     span = describe(f"x{day.strftime(layout)}.cdf", files(f"x{{day:{layout}}}.cdf")).span
     assert span == NameSpan(*day_bounds(day))
+
+
+def test_parts_of_one_day_are_all_used_and_only_versions_supersede(tmp_path):
+    for name in ("f_20240507_part1_v1.cdf", "f_20240507_part2_v1.cdf", "f_20240507_part2_v2.cdf"):
+        (tmp_path / name).touch()
+    found, superseded = find_files(tmp_path, files("f_{day:%Y%m%d}_*_v*.cdf"))
+    assert [one.name for one in found] == ["f_20240507_part1_v1.cdf", "f_20240507_part2_v2.cdf"]
+    assert superseded == {"f_20240507_part2_v1.cdf": "f_20240507_part2_v2.cdf"}
+
+
+@pytest.mark.parametrize(
+    "pattern", ["f_{day:%Y%m%d}*.cdf", "f_{day:%Y%m%d}T??.cdf", "f_{day:%Y%m%d}_hour*.cdf"]
+)
+def test_a_wildcard_that_is_no_version_never_hides_a_file(tmp_path, pattern):
+    for hour in ("T00", "T01", "_hour00", "_hour01"):
+        (tmp_path / f"f_20240507{hour}.cdf").touch()
+    found, superseded = find_files(tmp_path, files(pattern))
+    assert len(found) in (2, 4)
+    assert not superseded
