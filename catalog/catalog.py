@@ -14,14 +14,13 @@ from inflight.catalog import registry
 from inflight.catalog.database import Database
 from inflight.catalog.days import current_day, day_of_version, published_days, released_days, status_of_days
 from inflight.catalog.lineage import Edge, walk
-from inflight.catalog.opening import open_days, read_one_day
-from inflight.catalog.publishing import BASELINE_SETTING, baseline_of
+from inflight.catalog.opening import open_days, read_one_day, read_table
+from inflight.catalog.publishing import baseline_of, raise_baseline
 from inflight.catalog.records import ContextRecord, Day, FileRecord, ModelRecord, RunRecord, TableRecord
 from inflight.catalog.release import freeze_release
+from inflight.catalog.repair import Repair, repair
 from inflight.catalog.runs import Run, close_dead_runs, run_records
-from inflight.catalog.schema import SettingRow
 from inflight.catalog.spans import Instant, TimeSpan, as_date, instant, parse_span
-from inflight.catalog.stores import open_store
 from inflight.catalog.upkeep import collect_garbage, dataset_summary, find_faults
 from inflight.catalog.validity import certify_table, table_records, valid_table
 from inflight.errors import CatalogError, StorageError
@@ -229,14 +228,14 @@ class Catalog:
         """
         with self._database.read() as session:
             row, path = valid_table(session, name, instant(at), context)
-        return self._read_table(path, row.id)
+        return read_table(self.workspace, path, row.id)
 
     def table_by_id(self, table_id: int) -> xr.Dataset:
         """Return a calibration table by its id, certified or not."""
         known = {record.id: record.segment for record in self.tables()}
         if table_id not in known:
             raise CatalogError(f"table {table_id} is not in the catalog; it has {sorted(known)}")
-        return self._read_table(known[table_id], table_id)
+        return read_table(self.workspace, known[table_id], table_id)
 
     def tables(self, name: str | None = None) -> list[TableRecord]:
         """Return the records of all tables, or of one name, oldest first, with their validities."""
@@ -346,17 +345,20 @@ class Catalog:
             When it is lower than the present one.
         """
         with self._database.write() as session:
-            present = baseline_of(session)
-            if baseline < present:
-                raise CatalogError(
-                    f"baseline {baseline} is lower than the present {present}", remedy="raise it"
-                )
-            session.merge(SettingRow(name=BASELINE_SETTING, value=str(baseline)))
+            raise_baseline(session, baseline)
 
     def verify(self, name: str | None = None) -> list[dict[str, str]]:
         """Hash every store in use against its manifest; list ``{"item", "fault", "path"}``."""
         with self._database.read() as session:
             return find_faults(self.workspace, session, name)
+
+    def repair(self, dry_run: bool = False) -> list[Repair]:
+        """Take what lies in damaged stores out of use, so that the next ingest and reprocess make it again.
+
+        Its days are recorded as failed, its tables lose their validity, in one transaction; nothing is
+        deleted and no whole store touched. `dry_run` only lists.
+        """
+        return repair(self.workspace, self._database, dry_run=dry_run)
 
     def gc(self, dry_run: bool = True) -> list[str]:
         """List, and remove unless `dry_run`, the stores and staging folders nothing refers to."""
@@ -393,8 +395,3 @@ class Catalog:
         """
         target = Path(destination) if destination is not None else self.workspace / "releases"
         return freeze_release(self.workspace, self._database, version, context, datasets, notes, target)
-
-    def _read_table(self, path: str, table_id: int) -> xr.Dataset:
-        store = open_store(str(self.workspace / path))
-        dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
-        return dataset.assign_attrs(table_id=table_id)

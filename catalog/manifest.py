@@ -48,7 +48,7 @@ def manifest_sha256(folder: Path) -> str:
         return _hash(folder / MANIFEST)
     except OSError:
         raise IntegrityError(
-            "the store or its manifest is missing", file=str(folder), remedy="make its days again"
+            "the store or its manifest is missing", file=str(folder), remedy="run again"
         ) from None
 
 

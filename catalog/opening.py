@@ -116,6 +116,13 @@ def _row_times(piece: _Piece) -> npt.NDArray[np.int64]:
     return piece.store.rows(ROW_TIMES[piece.store.row_dim], piece.start, piece.stop)
 
 
+def read_table(workspace: Path, path: str, table_id: int) -> xr.Dataset:
+    """Read a calibration table; the errors are those of `Catalog.table`."""
+    store = open_store(str(workspace / path))
+    dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
+    return dataset.assign_attrs(table_id=table_id)
+
+
 def _wanted(stores: Sequence[Store], dataset: str, variables: Iterable[str] | None) -> list[str]:
     """Return the names to read, with the variable that dates the rows."""
     known = list(dict.fromkeys(name for store in stores for name in store.variables))

@@ -17,7 +17,7 @@ from inflight.catalog.manifest import manifest_sha256
 from inflight.catalog.records import Day, version_text
 from inflight.catalog.schema import CurrentRow, DatasetRow, DayRow, FileRow, SettingRow, StoreRow
 from inflight.catalog.validity import Certification, certify_table
-from inflight.errors import IntegrityError
+from inflight.errors import CatalogError, IntegrityError
 
 #: Setting that holds the release baseline, the XX of ``vXX.YY``.
 BASELINE_SETTING: Final = "baseline"
@@ -56,11 +56,19 @@ def baseline_of(session: Session) -> int:
     return int(setting.value) if setting else 1
 
 
+def raise_baseline(session: Session, baseline: int) -> None:
+    """Begin a new release baseline; see `Catalog.set_baseline`."""
+    present = baseline_of(session)
+    if baseline < present:
+        raise CatalogError(f"baseline {baseline} is lower than the present {present}", remedy="raise it")
+    session.merge(SettingRow(name=BASELINE_SETTING, value=str(baseline)))
+
+
 def _check_stores(workspace: Path, manifests: dict[str, str]) -> None:
     for path, sha256 in manifests.items():
         if manifest_sha256(workspace / path) != sha256:
             raise IntegrityError(
-                "the manifest is not the one that was verified", file=path, remedy="make its days again"
+                "the manifest is not the one that was verified", file=path, remedy="run again"
             )
 
 

@@ -23,6 +23,14 @@ DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "f
 #: Why a day is not there.
 CAUSES: Final = ("no_work", "repeatable", "partial", "bug", "transient")
 
+#: Begins the note of a store that was found damaged and is not to be used any more.
+DAMAGED: Final = "damaged: "
+
+
+def is_damaged(notes: Sequence[str]) -> bool:
+    """Tell whether a store's notes say that it was found damaged."""
+    return any(note.startswith(DAMAGED) for note in notes)
+
 
 @dataclass(frozen=True)
 class DayData:
@@ -115,7 +123,10 @@ class Day:
 
 @dataclass(frozen=True)
 class TableRecord:
-    """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000."""
+    """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
+
+    A `damaged` one is known by its record only: its store was found not to be as it was written.
+    """
 
     id: int
     name: str
@@ -126,6 +137,7 @@ class TableRecord:
     key: str
     segment: str
     certified: tuple[tuple[str | None, int, int], ...] = ()
+    damaged: bool = False
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numcodecs.blosc
 import numpy as np
@@ -28,6 +28,9 @@ from inflight.catalog.segments import LAYOUT_ATTRIBUTE, LAYOUT_VERSION
 from inflight.errors import CatalogError, IntegrityError
 
 Array = npt.NDArray[Any]
+
+#: The way back from a damaged store.
+REMEDY: Final = "run 'inflight catalog repair', then 'inflight ingest' and 'inflight reprocess' make it again"
 
 
 @dataclass(frozen=True)
@@ -134,7 +137,7 @@ class Store:
                 file=str(self.folder / name),
                 channel=variable.name,
                 day=self._day_of_chunk(variable.name, place),
-                remedy="make its days again",
+                remedy=REMEDY,
             ) from error
         if variable.delta:
             block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(variable.chunks)
@@ -190,8 +193,7 @@ def _read_metadata(folder: str, _stamp: int) -> Store:
 
 
 def _cannot_open(folder: str, error: Exception) -> IntegrityError:
-    remedy = "run 'inflight catalog verify', then make its days again"
-    return IntegrityError(f"store cannot be opened: {error}", file=folder, remedy=remedy)
+    return IntegrityError(f"store cannot be opened: {error}", file=folder, remedy=REMEDY)
 
 
 def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:

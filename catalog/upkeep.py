@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from inflight.catalog.database import Database
 from inflight.catalog.days import status_of_days
 from inflight.catalog.lineage import unknown_ids
 from inflight.catalog.manifest import manifest_faults
-from inflight.catalog.records import Day
+from inflight.catalog.records import Day, is_damaged
 from inflight.catalog.schema import (
     CurrentRow,
     DatasetRow,
@@ -36,11 +37,11 @@ def dataset_summary(session: Session, span: Span) -> list[dict[str, Any]]:
 
 def find_faults(workspace: Path, session: Session, name: str | None) -> list[dict[str, str]]:
     """Hash every store that is in use against its manifest; see `Catalog.verify`."""
-    faults = []
-    for store, item in _stores_in_use(session, name):
-        folder = workspace / store.path
-        found = manifest_faults(folder, store.sha256)
-        faults += [{"item": item, "fault": fault, "path": f"{store.path}/{file}"} for file, fault in found]
+    faults = [
+        {"item": item, "fault": fault, "path": f"{store.path}/{file}"}
+        for store, item, found in damaged_stores(workspace, session, name)
+        for file, fault in found
+    ]
     if name is None:
         unknown = unknown_ids(session, (end for edge in _edges_in_use(session) for end in edge))
         faults += [
@@ -48,6 +49,15 @@ def find_faults(workspace: Path, session: Session, name: str | None) -> list[dic
             for item in unknown
         ]
     return faults
+
+
+def damaged_stores(
+    workspace: Path, session: Session, name: str | None
+) -> Iterator[tuple[StoreRow, str, list[tuple[str, str]]]]:
+    """Yield the stores in use that are not as they were written: store, dataset or table, (file, fault)."""
+    for store, item in _stores_in_use(session, name):
+        if found := manifest_faults(workspace / store.path, store.sha256):
+            yield store, item, found
 
 
 def _edges_in_use(session: Session) -> list[tuple[str, str]]:
@@ -129,7 +139,11 @@ def _stores_in_use(session: Session, name: str | None) -> list[tuple[StoreRow, s
     of_tables = select(StoreRow, TableRow.name).join(TableRow, TableRow.store_id == StoreRow.id)
     found = {store.path: (store, dataset) for store, dataset in session.execute(of_days)}
     found |= {store.path: (store, f"tables/{table}") for store, table in session.execute(of_tables)}
-    return [(store, item) for store, item in found.values() if name in {None, item}]
+    return [
+        (store, item)
+        for store, item in found.values()
+        if name in {None, item} and not is_damaged(store.notes)
+    ]
 
 
 def _summary(name: str, days: list[Day]) -> dict[str, Any]:

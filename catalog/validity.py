@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from inflight.catalog.records import TableRecord
+from inflight.catalog.records import TableRecord, is_damaged
 from inflight.catalog.schema import CertificationRow, ContextRow, StoreRow, TableRow
 from inflight.errors import CatalogError, ValidityError
 from inflight.time import to_utc
@@ -75,9 +75,7 @@ def valid_table(session: Session, name: str, at: int, context: str | None) -> tu
 
 def table_records(session: Session, name: str | None) -> list[TableRecord]:
     """Return all tables, or those of one name, oldest first."""
-    query = (
-        select(TableRow, StoreRow.path).join(StoreRow, StoreRow.id == TableRow.store_id).order_by(TableRow.id)
-    )
+    query = select(TableRow, StoreRow).join(StoreRow, StoreRow.id == TableRow.store_id).order_by(TableRow.id)
     if name is not None:
         query = query.where(TableRow.name == name)
     validities: dict[int, list[tuple[str | None, int, int]]] = {}
@@ -92,10 +90,11 @@ def table_records(session: Session, name: str | None) -> list[TableRecord]:
             run=row.run_id,
             context=row.context,
             key=row.key,
-            segment=path,
+            segment=store.path,
             certified=tuple(validities.get(row.id, ())),
+            damaged=is_damaged(store.notes),
         )
-        for row, path in session.execute(query)
+        for row, store in session.execute(query)
     ]
 
 

@@ -1,4 +1,4 @@
-"""Verbs that look into the catalog: ``catalog list``, ``show``, ``verify`` and ``gaps``."""
+"""Verbs about the catalog: ``catalog list``, ``show``, ``verify``, ``repair`` and ``gaps``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from inflight.catalog import Catalog, Day
 
-catalog = typer.Typer(help="Look into the catalog.", no_args_is_help=True)
+catalog = typer.Typer(help="Look into the catalog, and repair it.", no_args_is_help=True)
 #: Days shown to a person; --json lists all.
 SHOWN_DAYS = 40
 
@@ -96,12 +96,39 @@ def verify(
     def show(console: Console) -> None:
         if faults:
             console.print(_table(("item", "fault", "path"), faults))
+            console.print("Next: inflight catalog repair")
         else:
             console.print("every published store is whole")
 
     session.emit({"command": "catalog verify", "items": [], "faults": faults}, show)
     if faults:
         raise typer.Exit(1)
+
+
+@verb(catalog, "repair")
+def repair(
+    session: Session,
+    *,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be let go.")] = False,
+) -> None:
+    """Take damaged stores out of use, so that ingest and reprocess make their days and tables again."""
+    items = [_plain_fields(told) for told in session.open_catalog().repair(dry_run=dry_run)]
+
+    def show(console: Console) -> None:
+        if not items:
+            console.print("every published store is whole: nothing to repair")
+            return
+        rows = [item | {"files": item["files"][0], "days": _span_text(item["days"])} for item in items]
+        console.print(_table(("item", "path", "files", "days"), rows))
+        console.print(
+            "Next: inflight ingest, then inflight reprocess" if not dry_run else "nothing was changed"
+        )
+
+    session.emit({"command": "catalog repair", "dry_run": dry_run, "items": items}, show)
+
+
+def _span_text(days: tuple[str, ...]) -> str:
+    return f"{days[0]} to {days[-1]} ({len(days)})" if days else ""
 
 
 @verb(catalog, "gaps")
