@@ -110,6 +110,11 @@ def ingest(
             f"{len(folders)} folders were named, one can be ingested at a time",
             remedy="run the command once for each folder",
         )
+    if folders and not folders[0].is_dir():
+        raise SettingsError(
+            f"there is no folder {folders[0]}",
+            remedy="name the folder of the delivered files, or none for the workspace's own",
+        )
     parameters = _given(data=folders[0] if folders else None, instruments=instrument, start=start, end=end)
     session.finish(run_flow(session, "ingest", parameters, workers=workers, prefect=not no_prefect))
 
