@@ -10,10 +10,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
+from inflight.arrays import Floats
 from inflight.calibration import Reference, fit_block, reference_of, split_chain, usable
 from inflight.catalog import Catalog, Day
 from inflight.catalog.workspace import Workspace
-from inflight.effects.base import Floats
 from inflight.tasks.models import current_model
 from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
 from inflight.time import day_bounds

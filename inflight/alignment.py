@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.time import Int64, in_leap_second, to_utc

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 from inflight.errors import SamplesError
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
 from inflight.calibration.sensor import Reference, split_chain, usable
-from inflight.effects.base import Floats, strength
+from inflight.effects.base import strength
 from inflight.errors import ModelError
 from inflight.flags import Flag, meanings
 from inflight.geometry import latitude_longitude, rotate, to_nec
@@ -68,7 +69,7 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
         "residual": (_SCALAR, residual, _told("|B_vector| - F after calibration")),
         "residual_preflight": (
             _SCALAR,
-            raw.residual(samples),
+            raw.residual(samples)[:, 0],
             _told("|B_vector| - F with the pre-flight model"),
         ),
         "uncertainty": (_VECTOR, _uncertainty(reading, parameters), _told("one sigma", "sensor")),

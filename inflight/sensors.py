@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal
 
+from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
-from inflight.effects.base import Floats
 
 #: The noise floor is the level of the spectrum above this part of the Nyquist frequency.
 _FLOOR_BAND = 0.1

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.calibration.sensor import UNUSABLE
 from inflight.catalog import Catalog, Day
-from inflight.effects.base import Floats
 from inflight.errors import CatalogError
 from inflight.flags import Flag
 from inflight.geometry import orbit_phase

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 from inflight.figures import (
     daily_figure,
     dependence_figure,

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.calibration import Interval, NormalEquations, calibration_table, reference_of
 from inflight.calibration.robust import WEIGHTED_RMS
 from inflight.calibration.sensor import bend
 from inflight.calibration.solution import Solution, residual_sum
 from inflight.catalog import Catalog, Day
-from inflight.effects.base import Floats
 from inflight.model import Model
 from inflight.time import as_day, day_bounds
 

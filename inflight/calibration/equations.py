@@ -15,10 +15,10 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.calibration.scalar import SUB_BLOCKS, BlockFit, shift_reference
 from inflight.calibration.sensor import SCALE, Reference
 from inflight.calibration.solution import Solution, solve
-from inflight.effects.base import Floats
 from inflight.errors import CalibrationError
 
 #: A function of time: from TT2000 nanoseconds (block,) to numbers (block,).

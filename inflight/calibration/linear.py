@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from inflight.arrays import Floats
 from inflight.calibration.solution import SINGULAR
-from inflight.effects.base import Floats
 from inflight.errors import CalibrationError
 
 

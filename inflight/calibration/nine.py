@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 from inflight.time import Int64
 
 #: Rows handled at once: the block of columns stays in the cache and BLAS forms its Gram matrix.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 
 #: Tukey's biweight ends here, in robust standard deviations: 98.8 % efficient on Gaussian noise.
 BIWEIGHT_WIDTH = 6.0

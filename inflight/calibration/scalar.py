@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from inflight.arrays import Floats
 from inflight.calibration.nine import WIDTH, compress, gram_elsewhere, grams, residuals
 from inflight.calibration.robust import BIWEIGHT_WIDTH, WEIGHTED_RMS, robust_sigma
 from inflight.calibration.sensor import SCALE, Reference, bend, kernel_parameters, kernel_scale
 from inflight.calibration.solution import MIN_INFORMATION, Solution, posterior, solve
-from inflight.effects.base import Floats
 from inflight.errors import CalibrationError
 
 #: Sub-blocks of a block, for the covariance: 20 minutes of a day.

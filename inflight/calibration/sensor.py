@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.effects.base import Floats, with_field
+from inflight.arrays import Floats
+from inflight.effects.base import with_field
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import ModelError
 from inflight.flags import Flag

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 
 #: Information of the data relative to the prior below which a direction stays at its prior.
 MIN_INFORMATION = 1.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.calibration.sensor import UNITS, Reference
 from inflight.calibration.solution import Solution
-from inflight.effects.base import Floats
 
 #: Where a value comes from: codes of the variable `source`.
 SOURCES = ("prior", "combination", "data")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.errors import ModelError, SamplesError
 from inflight.sensors import Sensor
 from inflight.units import factor_and_offset
@@ -17,7 +17,6 @@ from inflight.units import factor_and_offset
 if TYPE_CHECKING:
     from inflight.mission import Mission
 
-Floats = npt.NDArray[np.float64]
 #: Values of an effect's parameters: each an array over the parameter's axes, or (time, axes).
 Values = Mapping[str, Floats]
 AXES = ("x", "y", "z")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 from inflight.errors import ModelError
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import AXES, Effect, Floats, Parameter, Values, best_field, strength
+from inflight.arrays import Floats
+from inflight.effects.base import AXES, Effect, Parameter, Values, best_field, strength
 from inflight.sensors import Sensor
 from inflight.time import SECOND
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import AXES, Effect, Floats, Parameter, Values, multiply
+from inflight.arrays import Floats
+from inflight.effects.base import AXES, Effect, Parameter, Values, multiply
 from inflight.mission import Mission
 from inflight.sensors import Sensor
 

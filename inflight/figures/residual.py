@@ -7,7 +7,7 @@ import numpy.typing as npt
 from bokeh.models import ColumnDataSource, Range1d
 from bokeh.plotting import figure
 
-from inflight.effects.base import Floats
+from inflight.arrays import Floats
 from inflight.figures.style import AFTER, BEFORE, REFERENCE, error_bars, log_ticks, place_legend, plain_figure
 from inflight.statistics import Dependence
 

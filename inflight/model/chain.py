@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from inflight.effects.base import Floats, strength, with_field
+from inflight.arrays import Floats
+from inflight.effects.base import strength, with_field
 from inflight.errors import ModelError, SamplesError
 
 if TYPE_CHECKING:
@@ -88,11 +89,14 @@ def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
 
 
 def residual(effects: Effects, samples: xr.Dataset) -> Floats:
-    """Return |B_vector| - F of the corrected samples; (time,) nT, NaN where a reading is missing."""
+    """Return |B_vector| - F of the corrected samples; (time, row) nT, NaN where a reading is missing.
+
+    A scalar comparison has one row.
+    """
     if effects and effects[0].sensor.role in ("inboard", "outboard"):
         raise ModelError("only scalar comparisons have a residual here", remedy="choose a scalar comparison")
     corrected = correct(effects, samples)
-    return np.asarray(strength(corrected) - corrected["scalar"].values)
+    return np.asarray(strength(corrected) - corrected["scalar"].values)[:, None]
 
 
 def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]:

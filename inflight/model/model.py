@@ -13,8 +13,8 @@ import numpy.typing as npt
 import xarray as xr
 from ruamel.yaml import YAML
 
+from inflight.arrays import Floats
 from inflight.effects import Effect, effect_class
-from inflight.effects.base import Floats
 from inflight.errors import InflightError, ModelError
 from inflight.model import chain
 from inflight.model.timed import TimedValue, parse_timed
@@ -187,7 +187,7 @@ class Model:
         return chain.disturb(self.effects, samples)
 
     def residual(self, samples: xr.Dataset) -> Floats:
-        """Return the residual of the corrected samples; (time,) nT."""
+        """Return the residual of the corrected samples; (time, row) nT, one row for a scalar comparison."""
         return chain.residual(self.effects, samples)
 
     def correction_terms(self, samples: xr.Dataset) -> dict[str, Floats]:

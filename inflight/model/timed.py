@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.effects.base import Floats, Parameter
+from inflight.arrays import Floats
+from inflight.effects.base import Parameter
 from inflight.errors import ModelError
 from inflight.time import parse_duration, parse_utc, to_tt2000, to_utc
 

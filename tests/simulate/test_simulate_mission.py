@@ -107,7 +107,7 @@ def test_every_channel_of_the_mission_is_in_the_files_with_its_unit(mission, tmp
 def test_preflight_model_leaves_the_ageing_of_years(mission):
     text = (MISSIONS / mission.preflight).read_text()
     model = Model.parse(text, mission, mission.preflight)
-    residual = model.residual(samples_of(simulate_day(SimulationSettings(defects=()), "2005-01-01")))
+    residual = model.residual(samples_of(simulate_day(SimulationSettings(defects=()), "2005-01-01")))[:, 0]
     assert 20.0 < -np.nanmean(residual) < 60.0
     assert 5.0 < np.nanstd(residual) < 20.0
 
@@ -116,7 +116,7 @@ def test_model_with_the_truth_corrects_to_the_noise(mission, preflight, tmp_path
     wanted = SimulationSettings(defects=(), without=UNDESCRIBED)
     day = simulate_day(wanted, "2005-01-01")
     model = as_model(with_truth(preflight, day), mission, tmp_path)
-    residual = model.residual(samples_of(day))[2:-2]
+    residual = model.residual(samples_of(day))[2:-2, 0]
     assert residual.std() == pytest.approx(np.hypot(wanted.vector_noise, wanted.scalar_noise), rel=0.03)
     assert abs(residual.mean()) < 0.02
     field = model.correct(samples_of(day))["field"].values
