@@ -66,7 +66,7 @@ def memory_and_speed(source: Path, workers: int = 2) -> list[str]:
             told = measured_reprocess(folder, days, processes, 10)
             lines.append(
                 f"  {days:3d} days, {processes} process(es): {told['seconds']:6.1f} s, "
-                f"{told['seconds'] / days * 1e3:5.0f} ms/day, peak {told['MiB']:5.0f} MiB"
+                f"{told['seconds'] / days * 1e3:5.0f} ms/day, peak {told['MiB']:5.0f} MiB "
                 f"(largest worker {told['worker_MiB']:.0f} MiB), "
                 f"residual {told['before_nT']:.2f} -> {told['after_nT']:.3f} nT"
             )

@@ -96,6 +96,9 @@ def to_nec(field: Floats, attitude: Floats, position: Floats | None, frame: str)
 
 
 def orbit_phase(latitude: Floats, latitude_rate: Floats) -> Floats:
-    """Return the argument of latitude of a near-polar orbit in degrees: 0 at the ascending node."""
+    """Return the argument of latitude of a near-polar orbit, 0 at the ascending node; (time,) deg.
+
+    Latitude (time,) in deg; of its rate (time,) only the sign matters.
+    """
     rising = latitude_rate >= 0
     return np.where(rising, latitude, 180.0 - latitude) % 360.0

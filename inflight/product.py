@@ -76,7 +76,11 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
     }
     for name, term in model.correction_terms(corrected).items():
         dims = _VECTOR if term.ndim == 2 else _SCALAR
-        variables[f"correction_{name}"] = (dims, term, _told(f"taken out of the reading: {name}", "sensor"))
+        variables[f"correction_{name}"] = (
+            dims,
+            term,
+            _told(f"taken out of the reading: {name}", "sensor" if term.ndim == 2 else ""),
+        )
     flag = _geometry(variables, samples, body, flag)
     masks, names = meanings()
     out = xr.Dataset(variables, coords={"axis": ["x", "y", "z"]}, attrs={"comparison": model.comparison})

@@ -149,7 +149,13 @@ def calibrate_day(
     reference: Sequence[float] | None,
     min_coverage: float,
 ) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return one day's normal equations with its fit, and a report of what was used."""
+    """Return one day's normal equations with its fit, and a report of what was used.
+
+    Raises
+    ------
+    CalibrationError
+        When too few samples are usable, fewer than `min_coverage`, or the fit does not settle.
+    """
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index)
     start, end = day_bounds(day)
     prior = reference_of(model, (start + end) // 2)

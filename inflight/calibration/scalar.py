@@ -298,7 +298,15 @@ def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
 
 
 def shift_reference(gram: Floats, change: Floats) -> Floats:
-    """Express the residual column after a scaled change of the parameters: y becomes ``y + X change``."""
+    """Express the residual column after a scaled change of the parameters: y becomes ``y + X change``.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (parameter + 1, parameter + 1)
+        Gram matrix of [X | y], scaled columns, nT^2.
+    change : ndarray, shape (parameter,)
+        Scaled.
+    """
     turn = np.eye(gram.shape[0])
     turn[-1, :-1] = change
     return np.asarray(turn @ gram @ turn.T)

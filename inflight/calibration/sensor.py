@@ -128,12 +128,12 @@ def usable(samples: xr.Dataset, reading: Floats, additive: Floats, scalar: Float
 
 
 def kernel_parameters(value: Floats) -> Floats:
-    """Physical parameters to the kernel's (angles to entries of K)."""
+    """Return the kernel's parameters (9,) of physical ones (9,): angles in degrees become entries of K."""
     return np.concatenate([value[:3], np.cos(np.deg2rad(value[3:6])), value[6:]])
 
 
 def kernel_scale(value: Floats) -> Floats:
-    """Change of the kernel's parameters by one scaled unit."""
+    """Return the change of the kernel's parameters (9,) by one scaled unit, at physical ones (9,)."""
     scale = SCALE.copy()
     scale[3:6] *= -np.sin(np.deg2rad(value[3:6])) * np.pi / 180.0
     return scale

@@ -71,7 +71,7 @@ class Solution:
 
 
 def residual_sum(gram: Floats, change: Floats) -> float:
-    """Return the weighted sum of squared residuals after a scaled change of the parameters; nT^2."""
+    """Return the weighted sum of squared residuals, nT^2, after a scaled change (parameter,)."""
     matrix, cross, own = gram[:-1, :-1], gram[:-1, -1], gram[-1, -1]
     return float(max(own + 2.0 * cross @ change + change @ matrix @ change, 0.0))
 
@@ -226,7 +226,7 @@ def _variance(gram: Floats, change: Floats, count: float) -> float:
 
 
 def retained_fraction(matrix: Floats) -> Floats:
-    """Return, a column, the part of its square that the other columns cannot explain; in [0, 1]."""
+    """Return, a column, the part of its square that the others cannot explain; (column,) in [0, 1]."""
     diagonal = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
     safe = np.where(diagonal > 0, diagonal, 1.0)
     mu, vectors = np.linalg.eigh(matrix / safe[:, None] / safe[None, :])

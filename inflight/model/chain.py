@@ -92,6 +92,11 @@ def residual(effects: Effects, samples: xr.Dataset) -> Floats:
     """Return |B_vector| - F of the corrected samples; (time, row) nT, NaN where a reading is missing.
 
     A scalar comparison has one row.
+
+    Raises
+    ------
+    ModelError
+        When the comparison is none of a vector with a scalar sensor.
     """
     if effects and effects[0].sensor.role in ("inboard", "outboard"):
         raise ModelError("only scalar comparisons have a residual here", remedy="choose a scalar comparison")
