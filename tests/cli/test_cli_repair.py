@@ -22,7 +22,8 @@ def taken_in(root: Path) -> Path:
 def test_verify_names_repair_and_repair_names_what_comes_next(inflight, tmp_path):
     root = taken_in(tmp_path / "tiny")
     chunk = next(path for path in (root / "stores").rglob("c/*") if path.is_file())
-    chunk.write_bytes(chunk.read_bytes()[:-1] + b"?")
+    whole = chunk.read_bytes()
+    chunk.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
     assert "inflight catalog repair" in inflight("catalog", "verify", "-w", root).out
     listed = inflight("catalog", "repair", "--dry-run", "--json", "-w", root).json
     assert inflight("catalog", "verify", "-w", root).code == 1
