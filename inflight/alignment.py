@@ -27,7 +27,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.flags import Flag
-from inflight.time import Int64, in_leap_second, to_utc
+from inflight.time import GAP, Int64, in_leap_second, to_utc
 
 #: Roles that hold fields: they are carried band-limited, the rest linearly.
 FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")
@@ -38,8 +38,6 @@ _KAISER_BETA = 10.0
 _SAME_STAMP = 2e-5
 #: Cadences that differ by less than this part are the same cadence.
 _SAME_CADENCE = 1e-3
-#: Neighbours further apart than this many cadences have a gap between them.
-GAP = 1.5
 #: Stamps the usual distance is taken from.
 _TELLING = 2001
 _REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE

@@ -21,6 +21,8 @@ import numpy.typing as npt
 
 SECOND = 1_000_000_000
 DAY = 86_400 * SECOND
+#: Neighbouring samples further apart than this many cadences have a gap between them.
+GAP = 1.5
 #: "No time": CDF's fill value and pad value of CDF_TIME_TT2000.
 TT2000_FILL = np.int64(-(2**63))
 TT2000_PAD = np.int64(-(2**63) + 1)

@@ -58,6 +58,12 @@ def current_model(cat: Catalog, mission: Mission, comparison: str = "main") -> U
     The pre-flight file is the root of the model's history: a text the catalog does not know becomes
     its newest version.
     """
+    if mission.effects:
+        raise MissionError(
+            f"effects: files are not read yet, found {', '.join(mission.effects)}",
+            file="mission.yaml",
+            remedy="offer the effects as a package, through the entry point group inflight.effects",
+        )
     start = preflight_model(cat, mission, comparison)
     known = [record for record in cat.models() if record.name == start.name]
     version = cat.save_model(

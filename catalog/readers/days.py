@@ -26,10 +26,8 @@ from inflight.catalog.readers.source import Float
 from inflight.errors import ClashError, ContentError
 from inflight.flags import Flag
 from inflight.instruments import Channel, Instrument
-from inflight.time import Int64, day_bounds, day_of, in_leap_second, to_utc
+from inflight.time import GAP, Int64, day_bounds, day_of, in_leap_second, to_utc
 
-#: A gap is a spacing above this many cadences.
-GAP = 1.5
 #: Rows this near in cadences, out of two passes of one clock, cover one span twice: of two interleaved
 #: series some rows lie half a cadence apart or less, and stamps jitter.
 NEAR = 0.6

@@ -1,7 +1,7 @@
 """Which effects exist: the library's own, those of installed packages, and a user's own classes.
 
-A package offers effects through the entry point group ``inflight.effects``; a mission names Python
-files, whose classes the catalog loads and hands to `register`.
+A package offers effects through the entry point group ``inflight.effects``; in a notebook `register`
+makes a class known.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, best_field, strength
 from inflight.sensors import Sensor
-from inflight.time import SECOND
+from inflight.time import GAP, SECOND
 
 
 class TimeShift(Effect):
@@ -100,7 +100,7 @@ def rate(samples: xr.Dataset) -> Floats:
     step = np.diff(t) / SECOND
     slope = np.diff(f) / step
     usual = np.median(step)
-    slope = np.where(step > 1.5 * usual, np.nan, slope)
+    slope = np.where(step > GAP * usual, np.nan, slope)
     before, after = np.append(np.nan, slope), np.append(slope, np.nan)
     both = 0.5 * (before + after)
     return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))

@@ -41,6 +41,8 @@ class TimedValue:
         Bound calibration table of a block parameter.
     key : str
         ``effect.parameter``, the name in tables.
+    table_name : str
+        What the model YAML says of the table its values lie in; kept, for a reader.
     """
 
     parameter: Parameter
@@ -52,6 +54,7 @@ class TimedValue:
     per: int = 86_400_000_000_000
     table: xr.Dataset | None = None
     key: str = ""
+    table_name: str = ""
 
     def at(self, tt2000: npt.ArrayLike) -> Floats:
         """Return the value at a time, shape (component,), or at times, shape (time, component).
@@ -112,6 +115,8 @@ class TimedValue:
         found["value"] = _as_yaml(self.value, axes)
         if not np.array_equal(self.sigma, _default_sigma(self.parameter, self.sigma.shape[1])):
             found["sigma"] = _as_yaml(self.sigma, axes)
+        if self.table_name:
+            found["table"] = self.table_name
         found["free"] = self.free
         return found
 
@@ -161,6 +166,7 @@ def parse_timed(key: str, parameter: Parameter, given: Any) -> TimedValue:
         t0=int(to_tt2000(parse_utc(entry["t0"]))) if "t0" in entry else 0,
         per=parse_duration(_with_number(str(entry.get("per", "1 d")))),
         key=key,
+        table_name=str(entry.get("table", "")),
     )
 
 
