@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -39,6 +40,7 @@ class Database:
         # No pool: a connection costs 0.2 ms, and none may be inherited by a forked worker.
         self.engine = create_engine(url, poolclass=NullPool)
         if self.engine.dialect.name == "sqlite":
+            event.listen(self.engine, "do_connect", _open_sealed)
             event.listen(self.engine, "connect", _prepare_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
         self._writing = self.engine.execution_options(inflight_writes=True)
@@ -97,14 +99,37 @@ def _version(engine: Engine) -> str | None:
         return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
 
 
+def _open_sealed(
+    _dialect: Any, _record: Any, arguments: Sequence[Any], _options: Any
+) -> sqlite3.Connection | None:
+    """Open a database that this user cannot write, for reading; None leaves any other to SQLAlchemy.
+
+    A write-ahead log wants a file of its own beside the database even to read. Where none can be made and
+    nobody writes at this moment, the database is read as a file that does not change.
+    """
+    path = Path(str(arguments[0])) if arguments else Path()
+    if not _is_sealed(path):
+        return None
+    log, shared = (path.with_name(f"{path.name}-{end}") for end in ("wal", "shm"))
+    in_use = log.exists() and (shared.exists() or log.stat().st_size > 0)
+    fixed = "" if in_use else "&immutable=1"
+    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{fixed}", uri=True, check_same_thread=False)
+
+
 def _prepare_sqlite(connection: sqlite3.Connection, _record: Any) -> None:
     connection.isolation_level = None  # the driver's own BEGIN is the deferred one
     cursor = connection.cursor()
     cursor.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
-    _switch_to_wal(cursor)
+    if not _is_sealed(Path(cursor.execute("PRAGMA database_list").fetchone()[2])):
+        _switch_to_wal(cursor)
     cursor.execute("PRAGMA synchronous=FULL")  # a published day survives a power failure
     cursor.execute("PRAGMA foreign_keys=ON")
     cursor.close()
+
+
+def _is_sealed(path: Path) -> bool:
+    """Tell whether a database is there and this user can only read it."""
+    return path.is_file() and not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK))
 
 
 def _switch_to_wal(cursor: sqlite3.Cursor) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 
 from inflight.cli.pipeline import ComparisonOption, EndOption, NoPrefectOption, StartOption, run_flow
 from inflight.cli.session import Session, verb
+from inflight.errors import StorageError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,7 +40,7 @@ def compare(
     report = compare_span(session, workspace, start=start, end=end, comparison=comparison, output=output)
     fields = report.as_json()
     session.emit(fields, lambda console: print_comparison(console, fields))
-    if show:
+    if show and fields["path"]:
         import webbrowser
 
         webbrowser.open(Path(fields["path"]).resolve().as_uri())
@@ -53,17 +55,44 @@ def compare_span(
     comparison: str = "main",
     output: Path | None = None,
 ) -> CompareReport:
-    """Compare and write the page, into the workspace's reports unless `output` says otherwise."""
+    """Compare and write the page, into the workspace's reports unless `output` says otherwise.
+
+    A workspace that can only be read gets no page unless `output` names a place for it.
+
+    Raises
+    ------
+    StorageError
+        When the page cannot be written to `output`.
+    """
     from inflight.flows.span import Span
     from inflight.tasks.compare import compare as measure
 
     span = Span.model_validate({"start": start, "end": end}).as_text()
-    page = output or workspace.reports / "-".join(["compare", comparison, *filter(None, span)])
-    page = page.with_name(f"{page.name}.html") if page.suffix != ".html" else page
-    page.parent.mkdir(parents=True, exist_ok=True)
+    name = "-".join(["compare", comparison, *filter(None, span)])
+    page = _page(output) if output else _page_if_writable(workspace.reports / name)
     catalog, mission = session.open_catalog(), workspace.mission()
     with session.progress() as progress:
         return measure(catalog, mission, *span, comparison=comparison, output=page, progress=progress)
+
+
+def _page(path: Path) -> Path:
+    """Return the path of a page, whose folder is made when it is not there."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(path.parent, os.W_OK):
+            raise PermissionError(f"{path.parent} cannot be written")
+    except OSError as error:
+        raise StorageError(
+            f"there is no place for the page: {error}", file=str(path), remedy="name another with --output"
+        ) from error
+    return path if path.suffix == ".html" else path.with_name(f"{path.name}.html")
+
+
+def _page_if_writable(path: Path) -> Path | None:
+    try:
+        return _page(path)
+    except StorageError:
+        return None
 
 
 def print_comparison(console: Console, fields: dict[str, Any]) -> None:
@@ -80,7 +109,8 @@ def print_comparison(console: Console, fields: dict[str, Any]) -> None:
     console.print(f"  determined by these data: {determined}", soft_wrap=True, markup=False)
     for failing in fields["fails_where"]:
         console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
-    console.print(f"  page: {fields['path']}", soft_wrap=True)
+    page = fields["path"] or "none, because the workspace cannot be written; --output names another place"
+    console.print(f"  page: {page}", soft_wrap=True)
 
 
 def release(
