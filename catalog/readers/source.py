@@ -94,6 +94,13 @@ def reading(path: Path, channel: str = "") -> Iterator[None]:
         yield
     except InflightError:
         raise
+    except UnicodeDecodeError as error:
+        raise ReadError(
+            f"byte {error.start + 1} is no text in the encoding {error.encoding}",
+            remedy="state the file's 'encoding', such as latin-1, or correct 'reader'",
+            file=str(path),
+            channel=channel,
+        ) from error
     except _DAMAGE as error:
         raise ReadError(
             f"cannot be read: {type(error).__name__}: {error}",

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
@@ -20,13 +21,45 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open a text table; its variables are the columns. Time columns given as text stay text."""
     require_content(path)
     with reading(path), open_text(path, files.encoding) as stream:
-        table = pd.read_csv(stream, **_options(files))
+        table = _table(stream, files, path)
     table.columns = [str(name).strip() for name in table.columns]
 
     def read(name: str) -> Variable:
         return Variable(_values(table[name], name, path, files))
 
     yield Source(path, tuple(table.columns), read, tuple(files.drop))
+
+
+def _table(stream: TextIO, files: Files, path: Path) -> pd.DataFrame:
+    """Read the table; columns without a name are let go only when a closing delimiter makes them."""
+    options = _options(files)
+    with warnings.catch_warnings():
+        # pandas drops such columns and only warns, so that `1,5` could become 1.
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        try:
+            return pd.DataFrame(pd.read_csv(stream, **options))
+        except pd.errors.ParserError as error:
+            raise _uneven(f"rows differ in their number of columns ({error})", path) from None
+        except pd.errors.ParserWarning:
+            _require_closing_delimiters(stream, files, path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.ParserWarning)
+        stream.seek(0)
+        return pd.DataFrame(pd.read_csv(stream, **options))
+
+
+def _require_closing_delimiters(stream: TextIO, files: Files, path: Path) -> None:
+    stream.seek(0)
+    lines = [line.split(files.comment)[0] if files.comment else line for line in stream]
+    rows = [line.rstrip("\r\n") for line in lines[files.skip :] if line.strip()]
+    first = 0 if files.columns is not None else 1
+    if not all(row.endswith(files.delimiter or ",") for row in rows[first:]):
+        raise _uneven("rows have more columns than there are names", path)
+
+
+def _uneven(message: str, path: Path) -> ContentError:
+    remedy = "correct 'skip' (lines before the header), 'delimiter', 'decimal' or 'columns'"
+    return ContentError(message, remedy=remedy, file=str(path))
 
 
 def _options(files: Files) -> dict[str, Any]:
@@ -38,6 +71,8 @@ def _options(files: Files) -> dict[str, Any]:
         "comment": files.comment,
         "index_col": False,
         "skipinitialspace": True,
+        # One type a column, whatever the length of the file.
+        "low_memory": False,
     }
     if files.columns is not None:
         options |= {"header": None, "names": files.columns}

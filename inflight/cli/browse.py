@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -71,6 +72,12 @@ def _items_of(found: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], 
 
     if ":" in name:
         edges = [_plain_fields(edge) for edge in found.lineage(name)]
+        # A file, a model and a context are where lineage begins; days and tables are made from something.
+        if not edges and name.partition(":")[0] not in ("file", "model", "context"):
+            raise CatalogError(
+                f"the catalog does not know what {name!r} was made from",
+                remedy="'inflight catalog show DATASET --json' gives the 'id' of each day",
+            )
         return tuple(edges[0]) if edges else ("parent", "child"), edges
     table = name.removeprefix("tables/")
     tables = [_table_fields(record) for record in found.tables(table)]
@@ -82,7 +89,24 @@ def _items_of(found: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], 
             f"there is neither a dataset nor a table {name!r} with days in the span",
             remedy="'inflight catalog list' names them",
         )
-    return ("day", "state", "version", "coverage", "count", "cause", "message"), days
+    items = [item | {"message": item["message"] or _noted(item["report"])} for item in days]
+    return ("day", "state", "version", "coverage", "count", "cause", "message"), items
+
+
+def _noted(report: Mapping[str, Any]) -> str:
+    """Return what an archive's day tells of its samples: missing ones, gaps and rows that were dropped."""
+    told = []
+    for name, channel in report.get("channels", {}).items():
+        if channel.get("gaps"):
+            start, _, most = max(channel["gaps"], key=lambda gap: gap[2])
+            told.append(
+                f"{name}: {channel['gap_samples']} of {channel['expected']} samples missing in "
+                f"{channel['gap_count']} gaps, most {most} from {start[11:19]}"
+            )
+    told += [
+        f"{count} {why.replace('_', ' ')} dropped" for why, count in (report.get("dropped") or {}).items()
+    ]
+    return "; ".join(told)
 
 
 @verb(catalog, "verify")
@@ -91,7 +115,10 @@ def verify(
     name: Annotated[str | None, typer.Argument(help="Only this dataset.")] = None,
 ) -> None:
     """Hash every published store against its manifest; exit 1 when something is damaged."""
-    faults = session.open_catalog().verify(name)
+    found = session.open_catalog()
+    if name is not None:
+        _require_known(found, name)
+    faults = found.verify(name)
 
     def show(console: Console) -> None:
         if faults:
@@ -103,6 +130,18 @@ def verify(
     session.emit({"command": "catalog verify", "items": [], "faults": faults}, show)
     if faults:
         raise typer.Exit(1)
+
+
+def _require_known(found: Catalog, name: str) -> None:
+    """Refuse a name that nothing is known of: it would be reported as whole and without gaps."""
+    from inflight.errors import CatalogError
+
+    tables = sorted({f"tables/{record.name}" for record in found.tables()})
+    known = [*(item["dataset"] for item in found.inventory()), *tables]
+    if name not in known:
+        raise CatalogError(
+            f"there is no dataset {name!r}", remedy=f"the catalog has {', '.join(known) or 'nothing yet'}"
+        )
 
 
 @verb(catalog, "repair")
@@ -142,6 +181,8 @@ def gaps(
     """List the days that are missing or failed, with the cause the catalog knows."""
     found = session.open_catalog()
     span = slice(start, end)
+    if name is not None:
+        _require_known(found, name)
     names = [name] if name else [item["dataset"] for item in found.inventory()]
     items = [item for dataset in names for item in _gaps_of(found, dataset, span)]
 

@@ -6,9 +6,9 @@ Each runs its Prefect flow, on the embedded server or on the one ``PREFECT_API_U
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -33,8 +33,8 @@ NoPrefectOption = Annotated[
     bool, typer.Option("--no-prefect", help="Run the plain functions, without a flow.")
 ]
 TableOption = Annotated[
-    str | None,
-    typer.Option(help="Table the products take: daily, window or span (default: window)", show_default=False),
+    Literal["daily", "window", "span"] | None,
+    typer.Option(help="Table the products take (default: window)", show_default=False),
 ]
 WindowOption = Annotated[
     int | None, typer.Option(min=1, help="Days of a window (default: 15)", show_default=False)
@@ -116,7 +116,23 @@ def ingest(
             remedy="name the folder of the delivered files, or none for the workspace's own",
         )
     parameters = _given(data=folders[0] if folders else None, instruments=instrument, start=start, end=end)
-    session.finish(run_flow(session, "ingest", parameters, workers=workers, prefect=not no_prefect))
+    report = run_flow(session, "ingest", parameters, workers=workers, prefect=not no_prefect)
+    session.finish(report, _remarks(session, report, folders))
+
+
+def _remarks(session: Session, report: RunReport, folders: list[Path]) -> Iterator[str]:
+    """Yield what a person must know that no day tells: what matched nothing, what was dropped and noted."""
+    workspace = session.open_workspace()
+    mission, folder = workspace.mission(), folders[0] if folders else workspace.data
+    for name, told in report.extra.get("datasets", {}).items():
+        if not told["days"]:
+            patterns = " or ".join(map(repr, mission.files(name.removeprefix("l1/")).pattern or ()))
+            yield f"{name}: no file of the span below {folder} matches {patterns}"
+        if told["dropped"]:
+            rows = ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in told["dropped"].items())
+            yield f"{name}: rows dropped: {rows}"
+        for note in told["notes"]:
+            yield f"{name}: {note}"
 
 
 def reprocess(

@@ -11,7 +11,7 @@ import typer
 
 from inflight.cli.pipeline import ComparisonOption, EndOption, NoPrefectOption, StartOption, run_flow
 from inflight.cli.session import Session, verb
-from inflight.errors import StorageError
+from inflight.errors import SettingsError, StorageError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -67,10 +67,16 @@ def compare_span(
     from inflight.flows.span import Span
     from inflight.tasks.compare import compare as measure
 
+    mission = workspace.mission()
+    if comparison not in mission.comparisons:
+        raise SettingsError(
+            f"--comparison: mission {mission.mission!r} has no comparison {comparison!r}",
+            remedy=f"choose one of {', '.join(mission.comparisons)}",
+        )
     span = Span.model_validate({"start": start, "end": end}).as_text()
     name = "-".join(["compare", comparison, *filter(None, span)])
     page = _page(output) if output else _page_if_writable(workspace.reports / name)
-    catalog, mission = session.open_catalog(), workspace.mission()
+    catalog = session.open_catalog()
     with session.progress() as progress:
         return measure(catalog, mission, *span, comparison=comparison, output=page, progress=progress)
 
@@ -101,8 +107,13 @@ def print_comparison(console: Console, fields: dict[str, Any]) -> None:
     for name in ("before", "after"):
         rms, spread = residual[f"{name}_nT"], residual[f"{name}_less_mean_nT"]
         console.print(f"residual {name:<7} {rms:8.3f} nT rms, {spread:.3f} nT about its mean", style="bold")
+    if residual["outliers"]:
+        robust, outliers = residual["after"]["robust"], residual["outliers"]
+        console.print(f"  its robust sigma {robust:8.3f} nT; the rms counts {outliers} outliers")
     if math.isfinite(residual["noise_floor_nT"]):
         console.print(f"noise floor      {residual['noise_floor_nT']:8.3f} nT")
+    else:
+        console.print("noise floor      unknown: every stretch of the residual has missing samples")
     determined = (
         ", ".join(name.rpartition(".")[2] for name in fields["parameters"]["determined"]) or "nothing"
     )

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,8 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 DebugOption = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
+#: Columns of a table that no terminal shows.
+PIPED_WIDTH = 200
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,8 @@ class Session:
         """Where results for a person go."""
         from rich.console import Console
 
-        return Console(highlight=False)
+        # Into a file or a pipe, lines stay whole: a path folded over three lines is found by no search.
+        return Console(highlight=False, width=None if _has_width() else PIPED_WIDTH)
 
     @contextmanager
     def progress(self) -> Iterator[Progress]:
@@ -111,11 +115,16 @@ class Session:
         else:
             show(self.console)
 
-    def finish(self, report: RunReport) -> None:
-        """Print a run's report and end the command with its exit code."""
+    def finish(self, report: RunReport, remarks: Iterable[str] = ()) -> None:
+        """Print a run's report, and remarks on it for a person; end the command with its exit code."""
         from inflight.tasks.report import print_report
 
-        self.emit(report.as_json(), lambda console: print_report(report, console))
+        def show(console: Console) -> None:
+            print_report(report, console)
+            for remark in remarks:
+                console.print(f"  {remark}", soft_wrap=True, markup=False)
+
+        self.emit(report.as_json(), show)
         if report.exit_code:
             raise typer.Exit(report.exit_code)
 
@@ -139,6 +148,11 @@ class Session:
             )
 
 
+def _has_width() -> bool:
+    """Tell whether somebody states how wide a line may be: a terminal, or ``COLUMNS``."""
+    return sys.stdout.isatty() or "COLUMNS" in os.environ
+
+
 def _named(fields: Mapping[str, str]) -> str:
     day = f"day {fields['day']}" if fields.get("day") else ""
     channel = f"channel '{fields['channel']}'" if fields.get("channel") else ""
@@ -150,11 +164,15 @@ def _as_settings_error(error: Exception) -> Exception:
     complaints = getattr(error, "errors", None)
     if type(error).__name__ != "ValidationError" or not callable(complaints):
         return error
-    told = [
-        f"{'.'.join(map(str, item['loc'])) or 'settings'}: {item['msg'].removeprefix('Value error, ')}"
-        for item in complaints()
-    ]
-    return SettingsError("; ".join(told), remedy="correct the option and run the command again")
+    told = "; ".join(_complaint(item) for item in complaints())
+    return SettingsError(told, remedy="correct the option and run the command again")
+
+
+def _complaint(item: Mapping[str, Any]) -> str:
+    place = ".".join(map(str, item["loc"])) or "settings"
+    if item["type"].startswith("date_"):
+        return f"{place}: {str(item['input'])!r} is no date; write YYYY-MM-DD, as in 2024-03-01"
+    return f"{place}: {item['msg'].removeprefix('Value error, ')}"
 
 
 def exit_code_of(error: Exception) -> int:

@@ -101,6 +101,7 @@ def simulate(
     workspace = Workspace(session.workspace)
     if not workspace.mission_file.exists():
         workspace = Workspace.create(session.workspace, SIMULATED_MISSION)
+    _require_simulated(workspace)
     settings = {"start": start, "days": days, "seed": seed, "hide": hide or (), "without": without or ()}
     with session.progress() as progress:
         written = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
@@ -111,6 +112,16 @@ def simulate(
         extra={"files": len(written)},
     )
     session.finish(report)
+
+
+def _require_simulated(workspace: Workspace) -> None:
+    """Refuse to put simulated files among the measurements of another mission."""
+    named = workspace.mission().mission
+    if named != SIMULATED_MISSION:
+        raise SettingsError(
+            f"{workspace.root} holds mission {named!r}; only {SIMULATED_MISSION!r} is simulated",
+            remedy="name a new folder with --workspace",
+        )
 
 
 def write_deliveries(

@@ -15,6 +15,7 @@ from reader_cases import DOUBLE, EPOCH, EPOCH16, FLOAT, INT4, TT2000, day_times,
 from inflight.catalog.readers import NameSpan, read_file
 from inflight.catalog.readers.cdf import from_epoch, from_epoch16
 from inflight.catalog.readers.times import from_cf
+from inflight.errors import ContentError, ReadError
 from inflight.flags import Flag
 from inflight.instruments import Channel, Files, Instrument
 from inflight.time import TT2000_FILL, day_bounds, parse_utc, to_tt2000, to_utc
@@ -180,6 +181,36 @@ def test_a_german_table(tmp_path):
     table = read_file(path, *vector(**options), DAY)
     assert table.times.tolist() == TIMES.tolist()
     np.testing.assert_array_equal(table.channels["field"], FIELD[:, 0])
+
+
+TABLE = {"reader": "table", "time": "t", "channel": {"variable": "B", "unit": "nT"}}
+ROWS = "{t}00:00:00Z{d}1{d}2{e}\n{t}00:00:10Z{d}3{d}4{e}\n"
+
+
+def test_text_of_another_encoding_is_told_with_the_key_that_states_it(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_bytes("t,B,Güte\n".encode("latin-1") + ROWS.format(t="2024-03-01T", d=",", e="").encode())
+    with pytest.raises(ReadError, match="utf-8") as told:
+        read_file(path, *vector(**TABLE))
+    assert "encoding" in told.value.remedy
+    table = read_file(path, *vector(**TABLE, encoding="latin-1"))
+    np.testing.assert_array_equal(table.channels["field"], [1.0, 3.0])
+
+
+def test_a_delimiter_that_closes_every_row_is_no_column(tmp_path, recwarn):
+    path = tmp_path / "a.txt"
+    path.write_text("t,B,q\n" + ROWS.format(t="2024-03-01T", d=",", e=","))
+    np.testing.assert_array_equal(read_file(path, *vector(**TABLE)).channels["field"], [1.0, 3.0])
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("before", ["", "Station; run 3\n"])
+def test_rows_with_more_columns_than_names_are_refused_not_cut(tmp_path, before):
+    path = tmp_path / "a.txt"
+    path.write_text(before + "t,B\n" + ROWS.format(t="2024-03-01T", d=",", e=""))
+    with pytest.raises(ContentError) as told:
+        read_file(path, *vector(**TABLE))
+    assert "skip" in told.value.remedy
 
 
 def test_times_of_day_before_the_first_midnight_belong_to_the_day_before(tmp_path):

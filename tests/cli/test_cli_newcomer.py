@@ -1,0 +1,85 @@
+"""What somebody meets who tries the command line for the first time: slips of the hand, told in full."""
+
+import pytest
+from tiny_mission import make_tiny_workspace
+
+from inflight.cli.session import PIPED_WIDTH, Session
+
+PLAIN = ("--no-prefect", "--workers", 1)
+
+
+@pytest.fixture
+def root(tmp_path):
+    return make_tiny_workspace(tmp_path / "tiny")
+
+
+def test_a_pattern_that_matches_nothing_is_named_with_its_folder(inflight, root):
+    yaml = root / "mission.yaml"
+    yaml.write_text(yaml.read_text(encoding="utf-8").replace("absolute_{", "absolut_{"), encoding="utf-8")
+    told = inflight("ingest", *PLAIN, "-w", root)
+    assert told.code == 0
+    assert (
+        f"l1/absolute: no file of the span below {root / 'data'} matches 'absolut_{{day:%Y%m%d}}.csv'"
+        in told.out
+    )
+    assert "l1/turning: no file" not in told.out
+
+
+def test_rows_that_were_dropped_and_gaps_are_told(inflight, root):
+    file = root / "data" / "absolute_20240301.csv"
+    rows = file.read_text(encoding="utf-8").splitlines()
+    del rows[101:131]
+    file.write_text("\n".join([*rows, rows[-1], "2030-01-01T00:00:00,1"]) + "\n", encoding="utf-8")
+    told = inflight("ingest", *PLAIN, "-w", root)
+    assert "l1/absolute: rows dropped: 1 outside span of file name" in told.out
+    shown = inflight("catalog", "show", "l1/absolute", "-w", root).out
+    assert "30 of 1440 samples missing in 1 gaps, most 30 from 01:40:00" in shown
+    assert "1 repeated dropped" in shown
+
+
+def test_simulated_files_are_kept_out_of_another_missions_data(inflight, root):
+    before = sorted(root.rglob("*"))
+    told = inflight("simulate", "--days", 1, "--json", "-w", root)
+    assert told.code == 2
+    assert "'tiny'" in told.json["error"]["message"]
+    assert "--workspace" in told.json["error"]["remedy"]
+    assert sorted(root.rglob("*")) == before
+
+
+@pytest.mark.parametrize("typed", ["2024-13-03", "03.03.2024"])
+def test_a_day_that_is_no_date_is_told_as_typed_with_the_form_expected(inflight, root, typed):
+    message = inflight("reprocess", "--start", typed, *PLAIN, "--json", "-w", root).json["error"]["message"]
+    assert typed in message
+    assert "YYYY-MM-DD" in message
+
+
+def test_a_kind_of_table_that_is_none_is_refused_with_those_there_are(inflight, root):
+    told = inflight("reprocess", "--table", "weekly", "--json", "-w", root)
+    assert told.code == 2
+    assert all(kind in told.json["error"]["message"] for kind in ("weekly", "daily", "window", "span"))
+
+
+@pytest.mark.parametrize("verb", [("verify",), ("gaps",)])
+def test_a_dataset_that_is_not_there_is_not_called_whole(inflight, root, verb):
+    told = inflight("catalog", *verb, "l9/nothing", "--json", "-w", root)
+    assert told.code == 1
+    assert "l9/nothing" in told.json["error"]["message"]
+
+
+def test_a_lineage_of_nothing_is_an_error(inflight, root):
+    told = inflight("catalog", "show", "day:9999", "--json", "-w", root)
+    assert told.code == 1
+    assert "day:9999" in told.json["error"]["message"]
+
+
+def test_a_comparison_that_is_not_there_is_wrong_usage(inflight, root):
+    told = inflight("compare", "--comparison", "mian", "--json", "-w", root)
+    assert told.code == 2
+    assert "main" in told.json["error"]["remedy"]
+
+
+def test_tables_in_a_pipe_are_wide_enough_for_paths(monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert Session().console.width == PIPED_WIDTH
+    monkeypatch.setenv("COLUMNS", "70")
+    assert Session().console.width == 70
