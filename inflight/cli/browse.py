@@ -60,7 +60,7 @@ def show_dataset(
     columns, items = _items_of(found, name, slice(start, end))
 
     def show(console: Console) -> None:
-        console.print(_table(columns, items[:SHOWN_DAYS]))
+        console.print(_table(columns, [_with_notes(item) for item in items[:SHOWN_DAYS]]))
         if len(items) > SHOWN_DAYS:
             console.print(f"... and {len(items) - SHOWN_DAYS} more; --json lists all")
 
@@ -89,8 +89,12 @@ def _items_of(found: Catalog, name: str, span: slice) -> tuple[tuple[str, ...], 
             f"there is neither a dataset nor a table {name!r} with days in the span",
             remedy="'inflight catalog list' names them",
         )
-    items = [item | {"message": item["message"] or _noted(item["report"])} for item in days]
-    return ("day", "state", "version", "coverage", "count", "cause", "message"), items
+    return ("day", "state", "version", "coverage", "count", "cause", "message"), days
+
+
+def _with_notes(item: dict[str, Any]) -> dict[str, Any]:
+    """Return a day with what its report tells in the place of a message; anything else as it is."""
+    return item if item.get("message") or "report" not in item else item | {"message": _noted(item["report"])}
 
 
 def _noted(report: Mapping[str, Any]) -> str:
