@@ -55,8 +55,8 @@ def ideal_model(mission: Mission, comparison: str = "main") -> Model:
 def current_model(cat: Catalog, mission: Mission, comparison: str = "main") -> UsedModel:
     """Return the model to use: the newest version, after taking in a pre-flight file that changed.
 
-    The pre-flight file is the root of the model's history: a text the catalog does not know becomes
-    its newest version.
+    The pre-flight file is the root of the model's history, and each text of it a root of its own: an
+    old text put back is the old model again.
     """
     if mission.effects:
         raise MissionError(
@@ -65,10 +65,11 @@ def current_model(cat: Catalog, mission: Mission, comparison: str = "main") -> U
             remedy="offer the effects as a package, through the entry point group inflight.effects",
         )
     start = preflight_model(cat, mission, comparison)
-    known = [record for record in cat.models() if record.name == start.name]
-    version = cat.save_model(
-        start.name, start.text, parent=known[-1].version if known else None, message="pre-flight model"
-    )
-    newest = max([version, *(record.version for record in known)])
+    version = cat.save_model(start.name, start.text, message="pre-flight model")
+    newest = version
+    for record in cat.models():
+        # What was made from the file's text, step by step, goes before it; other texts of the file do not.
+        if record.name == start.name and record.parent == newest:
+            newest = record.version
     name, version, text = cat.model_text(start.name, newest)
     return UsedModel(Model.parse(text, mission, f"{name} version {version}"), version, text)
