@@ -30,6 +30,7 @@ from inflight.statistics import (
 )
 from inflight.tasks.compare_page import CompareReport, Drawn, write_page
 from inflight.tasks.models import current_model
+from inflight.tasks.planning import equations_of, product_of
 from inflight.tasks.report import Progress
 from inflight.tasks.samples import channel_homes
 from inflight.tasks.tables import load_equations, span_solution
@@ -117,7 +118,7 @@ def compare(
 
 
 def _products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
-    product = "l2/field" if comparison == "main" else f"l2/field-{comparison}"
+    product = product_of(comparison)
     days = cat.days(product, span, states=("published",))
     if not days:
         raise CatalogError(
@@ -139,7 +140,7 @@ def _digest_of(cat: Catalog, mission: Mission, days: Sequence[Day], tell: Progre
 
 def _determined(cat: Catalog, mission: Mission, comparison: str, span: slice) -> tuple[list[str], list[str]]:
     """Return the parameters, and the combinations of them, that the span's equations determine."""
-    equations = load_equations(cat, cat.days(f"equations/{comparison}/base", span, states=("published",)))
+    equations = load_equations(cat, cat.days(equations_of(comparison), span, states=("published",)))
     model = current_model(cat, mission, comparison).model
     solution = span_solution(equations, model)
     names = reference_of(model, int(equations.dataset["start"].values[0])).columns

@@ -83,12 +83,17 @@ class Plan:
     @property
     def equations(self) -> str:
         """Dataset of the normal equations."""
-        return f"equations/{self.settings.comparison}/base"
+        return equations_of(self.settings.comparison)
 
     @property
     def product(self) -> str:
         """Dataset of the products: the main comparison's are the mission's fields."""
-        return "l2/field" if self.settings.comparison == "main" else f"l2/field-{self.settings.comparison}"
+        return product_of(self.settings.comparison)
+
+    def in_batches(self, days: Sequence[np.datetime64]) -> list[list[np.datetime64]]:
+        """Return days in batches, one a worker's task and a segment."""
+        size = self.settings.batch_days
+        return [list(days[at : at + size]) for at in range(0, len(days), size)]
 
 
 def plan(
@@ -126,7 +131,7 @@ def plan(
     asked = day_range(start or there[0], end or there[-1] + ONE_DAY)
     context = cat.save_context(mission.text, used.model.name, used.version, {})
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
-    equations = f"equations/{settings.comparison}/base"
+    equations = equations_of(settings.comparison)
     keys = {
         day: _key(
             equations, day, context, [source.key for source in index.sources(needs, day, base)], settings
@@ -150,6 +155,16 @@ def plan(
         _reference(published, there, keys),
         base.name,
     )
+
+
+def equations_of(comparison: str) -> str:
+    """Return the dataset of a comparison's normal equations."""
+    return f"equations/{comparison}/base"
+
+
+def product_of(comparison: str) -> str:
+    """Return the dataset of a comparison's products: the main one's are the mission's fields."""
+    return "l2/field" if comparison == "main" else f"l2/field-{comparison}"
 
 
 def _check_comparison(mission: Mission, name: str) -> None:

@@ -188,12 +188,10 @@ def produce(
     adopted = _adopt(run, made.product, keys, [todo])
     book.done |= set(adopted)
     todo = [day for day in todo if day not in adopted]
-    size = made.settings.batch_days
-    batches = [todo[at : at + size] for at in range(0, len(todo), size)]
     parents = f"table:{tables.ids[made.settings.table]}"
     jobs = [
         replace(job, parents={day: (*ids, parents) for day, ids in job.parents.items()})
-        for job in _jobs(made, run, batches, made.product, keys)
+        for job in _jobs(made, run, made.in_batches(todo), made.product, keys)
     ]
     arguments = [(cat, mission, made.model, tables.used, job) for job in jobs]
     for outcome in mapper("produce", produce_batch, arguments):
@@ -259,12 +257,10 @@ def _equations(
     cat: Catalog, mission: Mission, made: Plan, run: Run, mapper: Mapper, book: _Book
 ) -> dict[np.datetime64, Day]:
     """Make equations until they are linearised near enough to their solution; return all days' equations."""
-    kept = {
-        day.day: day
-        for day in cat.days(made.equations, states=("published",))
-        if day.day in made.keys and day.key == made.keys[day.day]
-    }
-    beside = {day.day: day for day in _same_context(cat, made) if day.day not in made.keys}
+    published = cat.days(made.equations, states=("published",))
+    kept = {day.day: day for day in published if made.keys.get(day.day) == day.key}
+    # Days outside the span that were made with the same mission and model.
+    beside = {day.day: day for day in published if day.day not in made.keys and day.context == made.context}
     fresh = calibrate(cat, mission, made, run, made.batches, made.reference, mapper, book)
     last = made.reference
     for _ in range(_MOST_PASSES):
@@ -278,16 +274,9 @@ def _equations(
         if again is None or (last is not None and bend(again, np.asarray(last), strength) <= MOST_BEND):
             break
         last = again.tolist()
-        batch_of = [day for day in made.days if day not in book.failed]
-        size = made.settings.batch_days
-        batches = [batch_of[at : at + size] for at in range(0, len(batch_of), size)]
+        batches = made.in_batches([day for day in made.days if day not in book.failed])
         fresh = calibrate(cat, mission, made, run, batches, last, mapper, book)
     return beside | kept | fresh
-
-
-def _same_context(cat: Catalog, made: Plan) -> list[Day]:
-    """Return published equations outside the span that were made with the same mission and model."""
-    return [day for day in cat.days(made.equations, states=("published",)) if day.context == made.context]
 
 
 def _plain_mapper(client: Any, progress: Progress) -> Mapper:
