@@ -6,11 +6,26 @@ Frames: *sensor* (orthogonal axes of the vector sensor), *spacecraft*, *itrf* (E
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
+from inflight.sun import (
+    days_since_j2000,
+    from_date,
+    sun_direction,
+    sunlit_fraction,
+    to_date,
+    turn_with_earth,
+)
+from inflight.time import SECOND, Int64
+from inflight.units import factor_and_offset
 
 
 def rotate(field: Floats, quaternion: Floats) -> Floats:
@@ -102,3 +117,156 @@ def orbit_phase(latitude: Floats, latitude_rate: Floats) -> Floats:
     """
     rising = latitude_rate >= 0
     return np.where(rising, latitude, 180.0 - latitude) % 360.0
+
+
+#: What `add_geometry` can add: name -> unit.
+GEOMETRY = {
+    "latitude": "deg",
+    "longitude": "deg",
+    "orbit_phase": "deg",
+    "sun_phase": "deg",
+    "local_time": "h",
+    "sunlit": "1",
+    "sun_direction": "1",
+}
+#: Two positions this far apart in time tell the orbit's plane, seconds: further than their rounding matters.
+_PLANE_STEP = 60.0
+#: An orbit inclined by less has no node: its phase counts from the vernal equinox. Sine of the angle.
+_LEAST_INCLINATION = 0.01
+
+
+def add_geometry(samples: xr.Dataset) -> xr.Dataset:
+    """Add what position and attitude say of a sample; at any cadence, with gaps.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        `tt2000` (time); `position` (time, axis) with attributes `units` and `frame` (itrf or gcrf);
+        `attitude` (time, quaternion) from spacecraft axes to its attribute `frame` (itrf, gcrf or
+        nec); a vector reading with attribute `orientation`, the quaternion from sensor to
+        spacecraft axes (the same axes when absent).
+
+    Returns
+    -------
+    xarray.Dataset
+        With `latitude`, `longitude` (deg, geocentric), `orbit_phase` (deg, 0 at the ascending node),
+        `sun_phase` (deg along the orbit from the point nearest the Sun; NaN where there is none),
+        `local_time` (h, mean solar), `sunlit` (1 in light, 0 in shadow), `sun_direction` (time,
+        axis), unit vector in the vector sensor's axes. Nothing is added without a position in a
+        known frame, no Sun direction without an attitude, and nothing that is there is replaced.
+    """
+    position = samples.get("position")
+    if position is None or position.attrs.get("frame") not in ("itrf", "gcrf") or not samples.sizes["time"]:
+        return samples
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    place = _Place.of(np.asarray(position.values, dtype=np.float64), position.attrs, stamps)
+    latitude, longitude = latitude_longitude(place.fixed)
+    phase, sun_phase = _phases(place)
+    found = {
+        "latitude": latitude,
+        "longitude": longitude,
+        "orbit_phase": phase,
+        "sun_phase": sun_phase,
+        "local_time": (24.0 * ((place.days + 0.5) % 1.0) + longitude / 15.0) % 24.0,
+        "sunlit": sunlit_fraction(place.inertial, place.sun),
+    }
+    towards = _sun_in_sensor(samples, place)
+    if towards is not None:
+        found["sun_direction"] = towards
+    return samples.assign(
+        {
+            name: (("time", "axis")[: values.ndim], values, {"units": GEOMETRY[name]})
+            for name, values in found.items()
+            if name not in samples
+        }
+    )
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Positions (time, 3) in km, itrf and of date, and the unit vector to the Sun, of date."""
+
+    tt2000: Int64
+    days: Floats
+    fixed: Floats
+    inertial: Floats
+    sun: Floats
+
+    @classmethod
+    def of(cls, position: Floats, attrs: Mapping[Any, Any], stamps: Int64) -> _Place:
+        days = days_since_j2000(stamps)
+        factor, _ = factor_and_offset(str(attrs.get("units", "km")), "km")
+        given = position * factor
+        if attrs["frame"] == "gcrf":
+            inertial = to_date(given, days)
+            fixed = turn_with_earth(inertial, days, -1)
+        else:
+            fixed, inertial = given, turn_with_earth(given, days, 1)
+        return cls(stamps, days, fixed, inertial, sun_direction(days))
+
+
+def _phases(place: _Place) -> tuple[Floats, Floats]:
+    """Return the angles along the orbit from the ascending node, and from the point nearest the Sun; deg."""
+    normal = _orbit_normal(place)
+    node = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
+    node[np.hypot(node[:, 0], node[:, 1]) < _LEAST_INCLINATION] = (1.0, 0.0, 0.0)
+    ahead = np.cross(normal, node)
+
+    def angle(vectors: Floats) -> Floats:
+        sine, cosine = np.einsum("ta,ta->t", vectors, ahead), np.einsum("ta,ta->t", vectors, node)
+        with np.errstate(invalid="ignore"):
+            return np.where(np.hypot(sine, cosine) > 1e-9, np.arctan2(sine, cosine), np.nan)
+
+    phase = angle(place.inertial)
+    return np.rad2deg(phase) % 360.0, np.rad2deg(phase - angle(place.sun)) % 360.0
+
+
+def _orbit_normal(place: _Place) -> Floats:
+    """Return the unit vector along the orbital angular momentum; (time, 3), of date.
+
+    From two positions around each sample, a minute apart or one sample either way; where one is
+    missing, from the nearest places that have both.
+    """
+    count = len(place.inertial)
+    usual = float(np.median(np.diff(place.tt2000[:2000]))) / SECOND if count > 1 else 1.0
+    reach = max(1, round(0.5 * _PLANE_STEP / usual))
+    index = np.arange(count)
+    before, after = np.maximum(index - reach, 0), np.minimum(index + reach, count - 1)
+    normal = np.cross(place.inertial[before], place.inertial[after])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # Across a gap the two may be half an orbit apart and tell the opposite plane.
+    close = place.tt2000[after] - place.tt2000[before] <= 1.5 * 2 * reach * usual * SECOND
+    known = np.isfinite(normal).all(axis=1) & close
+    if not known.any():
+        return np.full_like(normal, np.nan)
+    stamps = place.tt2000 - place.tt2000[0]
+    parts = [np.interp(stamps, stamps[known], normal[known, axis]) for axis in range(3)]
+    whole = np.stack(parts, axis=1)
+    return np.asarray(whole / np.linalg.norm(whole, axis=1, keepdims=True))
+
+
+def _sun_in_sensor(samples: xr.Dataset, place: _Place) -> Floats | None:
+    """Return the unit vector to the Sun in the vector sensor's axes, or None without a usable attitude."""
+    if "attitude" not in samples:
+        return None
+    fixed = turn_with_earth(place.sun, place.days, -1)
+    frame = str(samples["attitude"].attrs.get("frame", ""))
+    if frame == "itrf":
+        seen = fixed
+    elif frame == "gcrf":
+        seen = from_date(place.sun, place.days)
+    elif frame == "nec":
+        seen = itrf_to_nec(fixed, place.fixed)
+    else:
+        return None
+    body = rotate(seen, _reversed(np.asarray(samples["attitude"].values, dtype=np.float64)))
+    for role in ("vector", "inboard"):
+        if role in samples and "orientation" in samples[role].attrs:
+            return rotate(body, _reversed(np.asarray(samples[role].attrs["orientation"], dtype=np.float64)))
+    return body
+
+
+def _reversed(quaternion: Floats) -> Floats:
+    """Return the opposite rotation of quaternions x, y, z, w; any shape (..., 4)."""
+    return np.asarray(quaternion * np.array([-1.0, -1.0, -1.0, 1.0]))

@@ -36,8 +36,27 @@ def test_a_name_says_what_it_is_made_from(name, parts):
 
 @pytest.mark.parametrize(
     "name",
-    "|@lag=3s|a@|a@lag|a@lag=|a@lag=5|a@lag=-5s|a@lag=0s|a@width=x|a@width=nan|a@width=-1|a@delay=5s"
-    "|a@lag=5s@lag=6s|a*|*a|a**b|a~0|a~x|a~1@lag=5s".split("|"),
+    [
+        "",
+        "@lag=3s",
+        "a@",
+        "a@lag",
+        "a@lag=",
+        "a@lag=5",
+        "a@lag=-5s",
+        "a@lag=0s",
+        "a@width=x",
+        "a@width=nan",
+        "a@width=-1",
+        "a@delay=5s",
+        "a@lag=5s@lag=6s",
+        "a*",
+        "*a",
+        "a**b",
+        "a~0",
+        "a~x",
+        "a~1@lag=5s",
+    ],
 )
 def test_what_is_no_name_is_refused_with_a_remedy(name):
     with pytest.raises(ModelError) as caught:
