@@ -38,6 +38,11 @@ class Flag(IntFlag):
     CLOCK_REPAIRED = 1 << 9
 
 
+#: Flags that take a sample out of every fit.
+UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
+UNUSABLE |= Flag.INSTRUMENT_FLAG
+
+
 def meanings() -> tuple[list[int], str]:
     """Return the masks and the space-separated meanings for product attributes."""
     bits = [bit for bit in Flag if bit]

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
@@ -111,6 +111,12 @@ class SpinComparison(Strict):
         return {"vector": self.vector}
 
 
+def _rising(band: tuple[float, float]) -> tuple[float, float]:
+    if not 0.0 < band[0] < band[1]:
+        raise ValueError(f"band {list(band)} is no pair of rising frequencies above 0 Hz")
+    return band
+
+
 class PlatformComparison(Strict):
     """In-band scalar field with the vector sensor as direction only (one row a sample, nT)."""
 
@@ -118,6 +124,9 @@ class PlatformComparison(Strict):
     scalar: str
     vector: str
     base: str | None = None
+    #: Hz, lowest and highest: slower is the field of the Earth, faster is noise. The usual band of
+    #: aeromagnetic compensation when absent.
+    band: Annotated[tuple[float, float], AfterValidator(_rising)] = (0.1, 0.9)
 
     def instruments(self) -> dict[str, str]:
         """Return role in the comparison -> instrument."""

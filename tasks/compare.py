@@ -12,10 +12,9 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
-from inflight.calibration.sensor import UNUSABLE
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
-from inflight.flags import Flag
+from inflight.flags import UNUSABLE, Flag
 from inflight.geometry import orbit_phase
 from inflight.mission import Mission
 from inflight.statistics import (

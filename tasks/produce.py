@@ -9,9 +9,8 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import reference_of
-from inflight.calibration.sensor import UNUSABLE
 from inflight.catalog import Catalog
-from inflight.flags import Flag
+from inflight.flags import UNUSABLE, Flag
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.product import day_parameters, level2

@@ -12,7 +12,7 @@ from inflight.arrays import Floats
 from inflight.effects.base import with_field
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import ModelError
-from inflight.flags import Flag
+from inflight.flags import UNUSABLE
 from inflight.model import Model, ModelEffect
 from inflight.model.chain import correct
 from inflight.model.timed import component_names
@@ -21,9 +21,6 @@ from inflight.model.timed import component_names
 SCALE = np.array([1e-5] * 3 + [1e-3] * 3 + [1.0] * 3)
 PARTS = ("scale_factor", "misalignment", "offset")
 UNITS = ("1",) * 3 + ("deg",) * 3 + ("nT",) * 3
-#: Flags that take a sample out of the fit.
-UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-UNUSABLE |= Flag.INSTRUMENT_FLAG
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """A model applied to samples: readings corrected in the model's order, disturbed in the opposite one.
 
 Vector sensors first: their corrected field gives the direction along which a scalar sensor sees the
-fields of the spacecraft.
+fields of the spacecraft. Of two vector sensors each is corrected in its own axes, and the outboard one,
+which is farther from the spacecraft, gives the field that is kept.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.base import strength, with_field
-from inflight.errors import ModelError, SamplesError
+from inflight.effects.base import with_field
+from inflight.errors import SamplesError
 
 if TYPE_CHECKING:
     from inflight.model.model import ModelEffect
 
 Effects = Sequence["ModelEffect"]
+#: Roles that read a vector, in the order of correction: the field of the last one present is kept.
+VECTOR_ROLES = ("vector", "inboard", "outboard")
 
 
 def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
@@ -30,13 +33,14 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     effects : sequence of ModelEffect
         In the order of correction.
     samples : xarray.Dataset
-        Aligned readings; dims time, axis; `vector` (time, axis) and `scalar` (time) in nT.
+        Aligned readings; dims time, axis; by role, in nT: `vector` (time, axis) and `scalar` (time),
+        or `inboard` and `outboard` (time, axis).
 
     Returns
     -------
     xarray.Dataset
         The samples with corrected readings and `field` (time, axis), nT, orthogonal axes of the
-        vector sensor.
+        vector sensor (of two, the outboard one).
 
     Raises
     ------
@@ -45,8 +49,10 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     """
     # A field of an earlier correction is none of this one's.
     stale = ["field", "field_direction"]
-    out = samples.drop_vars(stale, errors="ignore") if "vector" in samples else samples
-    for role in ("vector", "scalar"):
+    out = samples
+    if any(role in samples for role in VECTOR_ROLES):
+        out = samples.drop_vars(stale, errors="ignore")
+    for role in (*VECTOR_ROLES, "scalar"):
         entries = [entry for entry in effects if entry.sensor.role == role]
         if role not in samples:
             if entries:
@@ -54,11 +60,14 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
                     f"the samples have no '{role}' reading", remedy="align the comparison's sensors"
                 )
             continue
+        if role in VECTOR_ROLES:
+            # The other sensor's field is in the other sensor's axes.
+            out = out.drop_vars(stale, errors="ignore")
         reading = np.asarray(samples[role].values, dtype=np.float64)
         for entry in entries:
             reading = entry.effect.correct(reading, out, entry.values(_times(samples)), entry.sensor)
         out = out.assign({role: (samples[role].dims, reading, samples[role].attrs)})
-        if role == "vector":
+        if role in VECTOR_ROLES:
             out = with_field(out, reading)
     return out
 
@@ -71,37 +80,25 @@ def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     effects : sequence of ModelEffect
         In the order of correction; they are run backwards.
     samples : xarray.Dataset
-        True `vector` (time, axis) and `scalar` (time), nT.
+        True readings by role, nT: `vector` (time, axis) and `scalar` (time), or `inboard` and
+        `outboard` (time, axis).
 
     Returns
     -------
     xarray.Dataset
         The samples with raw readings; `field` keeps the true field.
     """
-    out = with_field(samples, np.asarray(samples["vector"].values, dtype=np.float64))
-    changed = {}
-    for role in ("vector", "scalar"):
+    out, changed = samples, {}
+    for role in (*VECTOR_ROLES, "scalar"):
+        if role not in samples:
+            continue
         reading = np.asarray(samples[role].values, dtype=np.float64)
+        if role in VECTOR_ROLES:
+            out = with_field(out, reading)
         for entry in reversed([entry for entry in effects if entry.sensor.role == role]):
             reading = entry.effect.disturb(reading, out, entry.values(_times(samples)), entry.sensor)
         changed[role] = (samples[role].dims, reading, samples[role].attrs)
     return out.assign(changed)
-
-
-def residual(effects: Effects, samples: xr.Dataset) -> Floats:
-    """Return |B_vector| - F of the corrected samples; (time, row) nT, NaN where a reading is missing.
-
-    A scalar comparison has one row.
-
-    Raises
-    ------
-    ModelError
-        When the comparison is none of a vector with a scalar sensor.
-    """
-    if effects and effects[0].sensor.role in ("inboard", "outboard"):
-        raise ModelError("only scalar comparisons have a residual here", remedy="choose a scalar comparison")
-    corrected = correct(effects, samples)
-    return np.asarray(strength(corrected) - corrected["scalar"].values)[:, None]
 
 
 def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]:
@@ -121,7 +118,8 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
     terms = {}
     for entry in effects:
         if entry.effect.is_additive:
-            still = np.zeros(samples["vector"].shape if not entry.sensor.is_scalar else samples.sizes["time"])
+            count = samples.sizes["time"]
+            still = np.zeros(count if entry.sensor.is_scalar else (count, 3))
             values = entry.values(_times(samples))
             terms[entry.name] = -entry.effect.correct(still, samples, values, entry.sensor)
     return terms

@@ -14,6 +14,7 @@ import xarray as xr
 from ruamel.yaml import YAML
 
 from inflight.arrays import Floats
+from inflight.comparison import Layout, rows_of
 from inflight.effects import Effect, effect_class
 from inflight.errors import InflightError, ModelError
 from inflight.model import chain
@@ -66,6 +67,8 @@ class Model:
         Number in the catalog, and the version it was made from.
     effects : tuple of ModelEffect
         In the order of correction; `disturb` runs it backwards.
+    layout : Layout, optional
+        Kind and sensors of the comparison; a model without one knows the sensors its effects act on.
     """
 
     name: str
@@ -74,6 +77,7 @@ class Model:
     effects: tuple[ModelEffect, ...]
     version: int = 0
     parent: int | None = None
+    layout: Layout | None = None
 
     @classmethod
     def parse(cls, text: str, mission: Mission, source: str = "model.yaml") -> Model:
@@ -115,6 +119,7 @@ class Model:
             effects,
             int(tree.get("version", 0)),
             tree.get("parent"),
+            Layout.of(mission, comparison),
         )
 
     @cached_property
@@ -187,8 +192,8 @@ class Model:
         return chain.disturb(self.effects, samples)
 
     def residual(self, samples: xr.Dataset) -> Floats:
-        """Return the residual of the corrected samples; (time, row) nT, one row for a scalar comparison."""
-        return chain.residual(self.effects, samples)
+        """Return the residual of the corrected samples, (time, row) nT: see `inflight.comparison.rows_of`."""
+        return rows_of(self, samples).residual
 
     def correction_terms(self, samples: xr.Dataset) -> dict[str, Floats]:
         """Return what each additive effect takes out: see `inflight.model.chain.correction_terms`."""

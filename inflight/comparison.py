@@ -1,0 +1,277 @@
+"""What is held against what: from corrected sensors to the rows of a residual.
+
+A comparison of kind
+
+scalar
+    one row a sample, ``|B_vector| - F``;
+dual
+    three rows, ``R_in B_in - R_out B_out``, spacecraft axes;
+platform
+    one row, F in a band of frequencies; the vector sensor gives the direction only.
+
+All rows are nT. A new kind is one more function from corrected samples to rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy import signal
+
+from inflight.arrays import Floats
+from inflight.effects.base import direction
+from inflight.errors import ModelError, SamplesError
+from inflight.flags import UNUSABLE
+from inflight.sensors import Sensor, sensors_of
+
+if TYPE_CHECKING:
+    from inflight.mission import Mission
+    from inflight.model import Model
+
+#: Order of the band's Butterworth filter; it runs forwards and backwards, which doubles it.
+_ORDER = 4
+#: A run of samples is filtered when it is longer than this many periods of the band's lower edge.
+_SHORTEST_PERIODS = 1.0
+
+
+class Band(NamedTuple):
+    """A band of frequencies, Hz."""
+
+    low_hz: float
+    high_hz: float
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A comparison as the physics sees it.
+
+    Attributes
+    ----------
+    kind : str
+        ``scalar``, ``dual``, ``platform`` or ``spin``.
+    sensors : mapping of str to Sensor
+        By role in the comparison.
+    band : Band, optional
+        Of a platform comparison.
+    """
+
+    kind: str
+    sensors: Mapping[str, Sensor]
+    band: Band | None = None
+
+    @classmethod
+    def of(cls, mission: Mission, comparison: str = "main") -> Layout:
+        """Return the layout of a mission's comparison.
+
+        Raises
+        ------
+        KeyError
+            When the mission has no such comparison.
+        """
+        entry = mission.comparisons[comparison]
+        sensors = {sensor.role: sensor for sensor in sensors_of(mission, comparison).values()}
+        band = Band(*entry.band) if entry.kind == "platform" else None
+        return cls(entry.kind, sensors, band)
+
+    @classmethod
+    def of_model(cls, model: Model) -> Layout:
+        """Return a model's layout; without one, what the sensors of its effects tell."""
+        if model.layout is not None:
+            return model.layout
+        sensors = {entry.sensor.role: entry.sensor for entry in model.effects}
+        dual = bool({"inboard", "outboard"} & set(sensors))
+        roles = ("inboard", "outboard") if dual else ("vector", "scalar")
+        known = {role: sensors.get(role, Sensor(role, role)) for role in roles}
+        return cls("dual" if dual else "scalar", known)
+
+    def sensor(self, role: str) -> Sensor:
+        """Return the sensor of a role."""
+        return self.sensors[role]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Residual of a comparison and how a field at each of its sensors changes it.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (time, row)
+        nT; NaN where a reading is missing.
+    directions : mapping of str to ndarray, shape (time, row, axis)
+        By sensor name: a field f (time, axis), nT, orthogonal axes of the vector sensor (of two, of that
+        sensor itself), changes row r by ``directions[name][:, r] @ f``, before the band's filter.
+    fields : mapping of str to ndarray, shape (time, axis)
+        By sensor name: the best present field there, nT, in the axes of the directions.
+    field : ndarray, shape (time, axis)
+        The best one of all: that of the vector sensor, of two that of the outboard one.
+    good : ndarray of bool, shape (time,)
+        Whether a sample may enter a fit.
+    step_s : float
+        Usual spacing of the samples, seconds.
+    band : Band, optional
+        The residual went through `filter_rows` with it: columns made from the directions must, too.
+    """
+
+    residual: Floats
+    directions: Mapping[str, Floats]
+    fields: Mapping[str, Floats]
+    field: Floats
+    good: npt.NDArray[np.bool_]
+    step_s: float
+    band: Band | None = None
+
+
+def rows_of(model: Model, samples: xr.Dataset) -> Rows:
+    """Return the rows of a model's comparison.
+
+    Parameters
+    ----------
+    model : Model
+        Its effects are taken out of the readings first; its layout says what is compared.
+    samples : xarray.Dataset
+        Aligned raw samples with the comparison's roles, `flag` and `tt2000`.
+
+    Raises
+    ------
+    ModelError
+        When the comparison's kind has no rows here.
+    SamplesError
+        When a reading is missing.
+    """
+    layout = Layout.of_model(model)
+    if layout.kind not in _KINDS:
+        raise ModelError(
+            f"comparison '{model.comparison}' is of kind '{layout.kind}', which has no rows a sample",
+            remedy=f"choose a comparison of kind {', '.join(_KINDS)}",
+        )
+    if missing := [role for role in layout.sensors if role not in samples]:
+        raise SamplesError(
+            f"the samples have no {' and no '.join(repr(role) for role in missing)} reading",
+            remedy="align the comparison's sensors",
+        )
+    return _KINDS[layout.kind](layout, model.correct(samples))
+
+
+def filter_rows(
+    values: Floats, step_s: float, band: Band | None, good: npt.NDArray[np.bool_] | None = None
+) -> Floats:
+    """Keep a band of frequencies: a linear filter without delay, the same for residuals and columns.
+
+    Butterworth of order 4 forwards and backwards, each run of samples on its own. Runs break where a
+    value of any column is missing or a sample is not good, so give the residual and its columns together,
+    or with the same `good`; runs shorter than a period of the band's lower edge become NaN.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time,) or (time, column)
+        Evenly spaced, in any unit.
+    step_s : float
+        Spacing, seconds. A band that reaches the Nyquist frequency is open above.
+    band : Band or None
+        None returns the values as they are.
+    good : ndarray of bool, shape (time,), optional
+        Samples to be used.
+
+    Returns
+    -------
+    ndarray
+        Of the same shape.
+    """
+    if band is None:
+        return values
+    wide = values.reshape(len(values), -1)
+    finite = np.asarray(np.isfinite(wide).all(axis=1))
+    usable = finite if good is None else finite & good
+    if band.high_hz >= 0.5 / step_s:
+        sections = signal.butter(_ORDER, band.low_hz, "highpass", fs=1.0 / step_s, output="sos")
+    else:
+        sections = signal.butter(_ORDER, tuple(band), "bandpass", fs=1.0 / step_s, output="sos")
+    shortest = int(_SHORTEST_PERIODS / (band.low_hz * step_s))
+    out = np.full(wide.shape, np.nan)
+    for first, last in _runs(usable):
+        if last - first > shortest:
+            # Odd reflection about the ends is linear in the values, too.
+            out[first:last] = signal.sosfiltfilt(sections, wide[first:last], axis=0, padlen=shortest)
+    return out.reshape(values.shape)
+
+
+def _runs(usable: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first and last+1 of every run of usable samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(np.int8), [0]])))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
+def _scalar(layout: Layout, corrected: xr.Dataset) -> Rows:
+    field, total = _values(corrected, "field"), _values(corrected, "scalar")
+    along = direction(corrected)[:, None, :]
+    vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
+    residual = (np.linalg.norm(field, axis=1) - total)[:, None]
+    return Rows(
+        residual,
+        {vector: along, scalar: -along},
+        {vector: field, scalar: field},
+        field,
+        _good(corrected, residual) & (total > 0),
+        _step(corrected),
+    )
+
+
+def _dual(layout: Layout, corrected: xr.Dataset) -> Rows:
+    inboard, outboard = layout.sensor("inboard"), layout.sensor("outboard")
+    fields = {one.name: _values(corrected, one.role) for one in (inboard, outboard)}
+    residual = inboard.rotation.apply(fields[inboard.name]) - outboard.rotation.apply(fields[outboard.name])
+    shape = (len(residual), 3, 3)
+    directions = {
+        inboard.name: np.broadcast_to(inboard.rotation.as_matrix(), shape),
+        outboard.name: np.broadcast_to(-outboard.rotation.as_matrix(), shape),
+    }
+    return Rows(
+        residual,
+        directions,
+        fields,
+        fields[outboard.name],
+        _good(corrected, residual),
+        _step(corrected),
+    )
+
+
+def _platform(layout: Layout, corrected: xr.Dataset) -> Rows:
+    """Return F in the layout's band; a field at the vector sensor only turns a direction a little."""
+    field, total = _values(corrected, "field"), _values(corrected, "scalar")
+    along = direction(corrected)[:, None, :]
+    vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
+    step = _step(corrected)
+    good = _good(corrected, np.column_stack([total, field])) & (total > 0)
+    return Rows(
+        filter_rows(total[:, None], step, layout.band, good),
+        {vector: np.zeros_like(along), scalar: along},
+        {vector: field, scalar: field},
+        field,
+        good,
+        step,
+        layout.band,
+    )
+
+
+_KINDS = {"scalar": _scalar, "dual": _dual, "platform": _platform}
+
+
+def _values(samples: xr.Dataset, name: str) -> Floats:
+    return np.asarray(samples[name].values, dtype=np.float64)
+
+
+def _good(samples: xr.Dataset, residual: Floats) -> npt.NDArray[np.bool_]:
+    finite = np.isfinite(residual).all(axis=1)
+    if "flag" not in samples:
+        return np.asarray(finite)
+    return np.asarray(finite & ((samples["flag"].values & np.uint32(UNUSABLE)) == 0))
+
+
+def _step(samples: xr.Dataset) -> float:
+    stamps = samples["tt2000"].values
+    return float(np.median(np.diff(stamps))) * 1e-9 if stamps.size > 1 else 1.0
