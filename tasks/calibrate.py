@@ -156,7 +156,7 @@ def calibrate_day(
     CalibrationError
         When too few samples are usable, fewer than `min_coverage`, or the fit does not settle.
     """
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index)
+    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     prior = reference_of(model, (start + end) // 2)
     at = (

@@ -121,7 +121,7 @@ def plan(
     _check_comparison(mission, settings.comparison)
     used = current_model(cat, mission, settings.comparison)
     needs = tuple(needs_of(mission, used.model, geometry_channels(mission)))
-    index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end))
+    index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
     there = [day for day in index.with_all(needs) if _within(day, start, end)]
     if not there:
         raise CatalogError(
@@ -176,9 +176,10 @@ def _check_comparison(mission: Mission, name: str) -> None:
         )
 
 
-def _with_neighbours(start: DayLike | None, end: DayLike | None) -> slice:
+def _with_neighbours(start: DayLike | None, end: DayLike | None, needs: Sequence[Need]) -> slice:
+    before = max(need.days_before for need in needs) * ONE_DAY
     return slice(
-        str(as_day(start) - ONE_DAY) if start is not None else None,
+        str(as_day(start) - before) if start is not None else None,
         str(as_day(end) + ONE_DAY) if end is not None else None,
     )
 

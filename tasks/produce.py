@@ -51,7 +51,7 @@ def produce_day(
     cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's product and a report: coverage, residual before and after."""
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index)
+    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     middle = (start + end) // 2
     parameters = day_parameters(table, middle, reference_of(model, middle))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,99 +10,52 @@ import numpy as np
 import xarray as xr
 
 from inflight.alignment import FIELD_ROLES, align
+from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
+from inflight.derived import Part, parse, product
 from inflight.errors import SamplesError
+from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.time import day_bounds
+from inflight.tasks.needs import (
+    MARGIN_CADENCES,
+    Need,
+    base_role,
+    channel_homes,
+    geometry_channels,
+    needs_of,
+    position_channel,
+)
+from inflight.time import SECOND, day_bounds
+from inflight.units import parse_unit
+
+__all__ = [
+    "ArchiveIndex",
+    "Need",
+    "base_role",
+    "channel_homes",
+    "geometry_channels",
+    "load_samples",
+    "needs_of",
+]
 
 _DAY = np.timedelta64(1, "D")
-#: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
-_MARGIN_CADENCES = 40
-
-
-@dataclass(frozen=True)
-class Need:
-    """One series the samples hold: its name there, and the instrument and channel it comes from."""
-
-    name: str
-    instrument: str
-    channel: str
-    cadence_ns: int
-    lag_ns: int = 0
-
-    @property
-    def dataset(self) -> str:
-        """Name of the instrument's archive dataset."""
-        return f"l1/{self.instrument}"
-
-
-def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
-    """Return name in the samples -> (instrument, channel).
-
-    A name that several instruments use is written ``instrument.channel``; the plain name then
-    means none of them.
-    """
-    plain = [name for _, name, _ in mission.channel_instruments()]
-    return {
-        (name if plain.count(name) == 1 else f"{instrument}.{name}"): (instrument, name)
-        for instrument, name, _ in mission.channel_instruments()
-    }
-
-
-def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[Need]:
-    """Return what the samples of a model's comparison are made from.
-
-    Parameters
-    ----------
-    extra : iterable of str
-        More channels by name; those the mission has not are left out.
-
-    Raises
-    ------
-    SamplesError
-        When the model uses a channel the mission has not.
-    """
-    roles = mission.comparisons[model.comparison].instruments()
-    needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
-    homes = channel_homes(mission)
-    used = {channel for entry in model.effects for channel in entry.effect.channels}
-    if unknown := used - set(homes):
-        raise SamplesError(
-            f"the model uses channels the mission has not: {', '.join(sorted(unknown))}",
-            remedy=f"the mission has {', '.join(sorted(homes))}",
-        )
-    wanted = used | (set(extra) & set(homes))
-    for name in sorted(wanted):
-        instrument, channel = homes[name]
-        home = mission.instruments[instrument]
-        needs.append(Need(name, instrument, channel, home.cadence, home.channels[channel].lag))
-    return needs
-
-
-def geometry_channels(mission: Mission) -> list[str]:
-    """Return the names of attitude and position channels, which products use when they exist."""
-    return [
-        name
-        for name, (instrument, channel) in channel_homes(mission).items()
-        if mission.instruments[instrument].channels[channel].kind in ("attitude", "position")
-    ]
-
-
-def base_role(mission: Mission, comparison: str) -> str:
-    """Return the role whose stamps carry the samples: the stated one, else the slowest instrument."""
-    entry = mission.comparisons[comparison]
-    roles = entry.instruments()
-    if entry.base:
-        return next(role for role, name in roles.items() if name == entry.base)
-    return max(roles, key=lambda role: mission.instruments[roles[role]].cadence)
 
 
 @dataclass(frozen=True)
 class ArchiveIndex:
-    """The published days of the archive that some needs are made from; no database behind it."""
+    """The published days of the archive that some needs are made from; no database behind it.
+
+    Attributes
+    ----------
+    days : mapping of (dataset, day) to Day
+        What is there.
+    before : int
+        Days before its own that a day's samples are made from.
+    """
 
     days: Mapping[tuple[str, np.datetime64], Day]
+    before: int = 1
 
     @classmethod
     def of(cls, cat: Catalog, needs: Sequence[Need], time: slice | None = None) -> ArchiveIndex:
@@ -112,7 +65,8 @@ class ArchiveIndex:
                 (name, day.day): day
                 for name in sorted({need.dataset for need in needs})
                 for day in cat.days(name, time, states=("published",))
-            }
+            },
+            max((need.days_before for need in needs), default=1),
         )
 
     def get(self, need: Need, day: np.datetime64) -> Day | None:
@@ -121,8 +75,8 @@ class ArchiveIndex:
 
     def around(self, days: Sequence[np.datetime64]) -> ArchiveIndex:
         """Return the part some days need, their neighbours included: what a worker is sent."""
-        wanted = {day + step for day in days for step in (-_DAY, 0 * _DAY, _DAY)}
-        return ArchiveIndex({key: day for key, day in self.days.items() if key[1] in wanted})
+        wanted = {day + step * _DAY for day in days for step in range(-self.before, 2)}
+        return ArchiveIndex({key: day for key, day in self.days.items() if key[1] in wanted}, self.before)
 
     def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
         """Return the days on which every field is there."""
@@ -137,8 +91,8 @@ class ArchiveIndex:
         """Return the archive days one day's samples are made from, in a fixed order."""
         found = []
         for need in needs:
-            steps = (0 * _DAY,) if self.stands_alone(need, base, day) else (-_DAY, 0 * _DAY, _DAY)
-            found += [self.get(need, day + step) for step in steps]
+            steps = range(1) if self.stands_alone(need, base, day) else range(-need.days_before, 2)
+            found += [self.get(need, day + step * _DAY) for step in steps]
         unique = {source.id: source for source in found if source is not None}
         return [unique[key] for key in sorted(unique)]
 
@@ -147,13 +101,19 @@ class ArchiveIndex:
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if need.lag_ns or need.cadence_ns != base.cadence_ns:
+        if need.lag_ns or need.part or need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
 
 
 def load_samples(
-    cat: Catalog, mission: Mission, model: Model, day: np.datetime64, needs: list[Need], index: ArchiveIndex
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    needs: list[Need],
+    index: ArchiveIndex,
+    geometry: bool = True,
 ) -> xr.Dataset:
     """Read one day from the archive and align it.
 
@@ -163,11 +123,14 @@ def load_samples(
         As `needs_of` returns them.
     index : ArchiveIndex
         The days around.
+    geometry : bool
+        False leaves out what `add_geometry` makes unless a need or the model asks for it.
 
     Returns
     -------
     xarray.Dataset
-        Samples of `inflight.align`, cut to the UTC day; attitude and position under these names.
+        Samples of `inflight.align`, cut to the UTC day; attitude and position under these names,
+        derived channels under theirs, and what `inflight.geometry.add_geometry` makes of them.
 
     Raises
     ------
@@ -191,10 +154,41 @@ def load_samples(
     for need in needs:
         if need.name not in samples:
             samples[need.name] = _absent(mission, need, samples.sizes["time"])
-    return _name_geometry(mission, samples)
+    samples = _oriented(mission, model, _name_geometry(mission, samples))
+    if geometry or _asks_geometry(model, needs):
+        samples = add_geometry(samples)
+    return _with_products(samples, needs)
 
 
-class _Part(NamedTuple):
+def _asks_geometry(model: Model, needs: Sequence[Need]) -> bool:
+    """Return True when a model or a product has a factor that only geometry makes."""
+    names = {channel for entry in model.effects for channel in entry.effect.channels}
+    names |= {name for need in needs for name in need.products}
+    return any(set(name.split("*")) & set(GEOMETRY) for name in names)
+
+
+def _oriented(mission: Mission, model: Model, samples: xr.Dataset) -> xr.Dataset:
+    """Tell each vector reading how its sensor is mounted."""
+    for role, name in mission.comparisons[model.comparison].instruments().items():
+        if role in samples and samples[role].ndim == 2:
+            samples[role].attrs["orientation"] = tuple(mission.instruments[name].orientation)
+    return samples
+
+
+def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:
+    """Add the products of channels; a factor that is missing makes a product of nothing but gaps."""
+    for name in sorted({name for need in needs for name in need.products}):
+        factors = [samples[part.name] for part in parse(name).parts]
+        values = product([np.asarray(factor.values, dtype=np.float64) for factor in factors])
+        dims = next((factor.dims for factor in factors if factor.ndim == values.ndim), ("time",))
+        unit = parse_unit("1")
+        for factor in factors:
+            unit = unit * parse_unit(str(factor.attrs.get("units", "1")))
+        samples[name] = xr.Variable(dims, values, {"units": str(unit), "kind": "other"})
+    return samples
+
+
+class _Rows(NamedTuple):
     """Rows of one day of a channel, as plain arrays: xarray is slow for many small pieces."""
 
     values: np.ndarray[Any, Any]
@@ -202,12 +196,12 @@ class _Part(NamedTuple):
     flag: np.ndarray[Any, np.dtype[np.uint32]] | None
     attrs: dict[str, Any]
 
-    def between(self, low: int, high: int) -> _Part:
+    def between(self, low: int, high: int) -> _Rows:
         """Return the rows of a half-open TT2000 span."""
         first, last = np.searchsorted(self.stamps, (low, high))
         rows = slice(int(first), int(last))
         flag = self.flag[rows] if self.flag is not None else None
-        return _Part(self.values[rows], self.stamps[rows], flag, self.attrs)
+        return _Rows(self.values[rows], self.stamps[rows], flag, self.attrs)
 
 
 def _series(
@@ -217,49 +211,91 @@ def _series(
     today = index.get(need, day)
     if today is None:
         return None
-    parts = [_read(cat, today, need)]
+    rows = _read(cat, today, need)
+    parts = [rows]
     if not alone:
-        reach = _MARGIN_CADENCES * need.cadence_ns + abs(need.lag_ns)
+        reach = MARGIN_CADENCES * need.cadence_ns + abs(need.lag_ns)
         start, end = day_bounds(day)
-        before, after = index.get(need, day - _DAY), index.get(need, day + _DAY)
-        if before is not None:
-            parts.insert(0, _read(cat, before, need).between(start - reach, start))
+        for step in range(1, need.days_before + 1):
+            before = index.get(need, day - step * _DAY)
+            if before is not None:
+                parts.insert(0, _read(cat, before, need).between(start - reach - need.history_ns, start))
+        after = index.get(need, day + _DAY)
         if after is not None:
             parts.append(_read(cat, after, need).between(end, end + reach))
     # The mission's lag and cadence hold, not those of the day the files were taken in.
-    attrs = {**parts[0].attrs, "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
+    attrs = {**rows.attrs, "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
     values = np.concatenate([part.values for part in parts])
     coords: dict[str, Any] = {"tt2000": ("time", np.concatenate([part.stamps for part in parts]))}
     flags = [part.flag for part in parts if part.flag is not None]
     if len(flags) == len(parts):
         coords["flag"] = ("time", np.concatenate(flags))
-    return xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
+    series = xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
+    return _made(series, need.part) if need.part else series
 
 
-def _read(cat: Catalog, day: Day, need: Need) -> _Part:
+def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
+    """Return a slow response or a play of a channel, or of what its positions tell, at its own stamps."""
+    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+    attrs = dict(series.attrs)
+    values = np.asarray(series.values, dtype=np.float64)
+    if part.channel in GEOMETRY and series.attrs.get("kind") == "position":
+        values = _told_by_position(series, part)
+        attrs = {
+            "cadence_ns": attrs["cadence_ns"],
+            "lag_ns": attrs["lag_ns"],
+            "units": GEOMETRY[part.channel],
+        }
+    made = part.of(values, np.diff(stamps) / SECOND)
+    return xr.DataArray(made, dims=("time", "component")[: made.ndim], coords=series.coords, attrs=attrs)
+
+
+def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
+    """Return sunlight or latitude at the positions' own stamps; (time,)."""
+    if part.channel not in ("sunlit", "latitude"):
+        raise SamplesError(
+            f"'{part.channel}' has no slow response here",
+            channel=part.name,
+            remedy="of what the orbit tells, only 'sunlit' and 'latitude' may carry a lag or a width",
+        )
+    position = (("time", "axis"), series.values, series.attrs)
+    told = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", series["tt2000"].values)}))
+    return np.asarray(told[part.channel].values, dtype=np.float64)
+
+
+def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
     flagged = need.name in FIELD_ROLES
     data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel])
     series = data[need.channel]
     flag = data["flag"].values if flagged else None
-    return _Part(series.values, data["tt2000"].values, flag, dict(series.attrs))
+    return _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
 
 
 def _absent(mission: Mission, need: Need, count: int) -> xr.DataArray:
     """Return a channel of nothing but gaps, so that the samples say what is missing."""
     channel = mission.instruments[need.instrument].channels[need.channel]
-    width = len(channel.axis_names)
+    from_geometry = need.part is not None and need.part.channel in GEOMETRY
+    width = 0 if from_geometry else len(channel.axis_names)
     shape = (count, width) if width else (count,)
     dims = ("time", "axis" if width == 3 else f"{need.name}_component")[: len(shape)]
-    return xr.DataArray(
-        np.full(shape, np.nan), dims=dims, attrs={"units": channel.unit, "kind": channel.kind}
+    attrs = {"units": channel.unit, "kind": channel.kind} | (
+        {"frame": channel.frame} if channel.frame else {}
     )
+    return xr.DataArray(np.full(shape, np.nan), dims=dims, attrs=attrs)
 
 
 def _name_geometry(mission: Mission, samples: xr.Dataset) -> xr.Dataset:
     """Call the attitude and the position by their kinds, whatever the mission names them."""
-    found = {}
-    for name, (instrument, channel) in channel_homes(mission).items():
+    first = {"position": position_channel(mission)}
+    for name in geometry_channels(mission):
+        instrument, channel = channel_homes(mission)[name]
         kind = mission.instruments[instrument].channels[channel].kind
-        if name in samples and kind in ("attitude", "position") and name != kind:
-            found[name] = kind
-    return samples.rename(found)
+        if name in samples:
+            first[kind] = first.get(kind) or name
+    return samples.rename(
+        {
+            name: kind
+            for kind, name in first.items()
+            if name in samples and name != kind and kind not in samples
+        }
+    )

@@ -1,0 +1,165 @@
+"""What a model's samples are made from: which channels of which instruments, and how far back in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from inflight.derived import Part, base_channels, parse
+from inflight.errors import SamplesError
+from inflight.geometry import GEOMETRY
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.time import DAY, SECOND
+
+#: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
+MARGIN_CADENCES = 40
+
+
+@dataclass(frozen=True)
+class Need:
+    """One series the samples hold: its name there, and the instrument and channel it comes from.
+
+    Attributes
+    ----------
+    part : Part, optional
+        What is made of the channel: a slow response or a play, which need earlier data.
+    products : tuple of str
+        Products of channels that the series is a factor of.
+    """
+
+    name: str
+    instrument: str
+    channel: str
+    cadence_ns: int
+    lag_ns: int = 0
+    part: Part | None = None
+    products: tuple[str, ...] = ()
+
+    @property
+    def dataset(self) -> str:
+        """Name of the instrument's archive dataset."""
+        return f"l1/{self.instrument}"
+
+    @property
+    def history_ns(self) -> int:
+        """How much earlier data the series is made from, beside its margin."""
+        return round(self.part.history_s * SECOND) if self.part else 0
+
+    @property
+    def days_before(self) -> int:
+        """Days before its own that a day of the series is made from."""
+        reach = self.history_ns + MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns)
+        return max(1, -(-reach // DAY))
+
+
+def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
+    """Return name in the samples -> (instrument, channel).
+
+    A name that several instruments use is written ``instrument.channel``; the plain name then
+    means none of them.
+    """
+    plain = [name for _, name, _ in mission.channel_instruments()]
+    return {
+        (name if plain.count(name) == 1 else f"{instrument}.{name}"): (instrument, name)
+        for instrument, name, _ in mission.channel_instruments()
+    }
+
+
+def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[Need]:
+    """Return what the samples of a model's comparison are made from.
+
+    Parameters
+    ----------
+    extra : iterable of str
+        More channels by name, derived ones too; those the mission has not are left out.
+
+    Raises
+    ------
+    SamplesError
+        When the model uses a channel the mission has not, or a placebo.
+    """
+    roles = mission.comparisons[model.comparison].instruments()
+    needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
+    known = _Known(mission)
+    used = {channel for entry in model.effects for channel in entry.effect.channels}
+    if unknown := {base for name in used for base in known.bases(name)} - known.names:
+        raise SamplesError(
+            f"the model uses channels the mission has not: {', '.join(sorted(unknown))}",
+            remedy=f"the mission has {', '.join(sorted(known.names))}",
+        )
+    wanted = used | {name for name in extra if set(known.bases(name)) <= known.names}
+    return needs + known.needs(wanted)
+
+
+def geometry_channels(mission: Mission) -> list[str]:
+    """Return the names of attitude and position channels, which products use when they exist."""
+    return [
+        name
+        for name, (instrument, channel) in channel_homes(mission).items()
+        if mission.instruments[instrument].channels[channel].kind in ("attitude", "position")
+    ]
+
+
+class _Known:
+    """The names a model may use of a mission: its channels, what geometry adds, what is made of both."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.homes = channel_homes(mission)
+        self.geometry = geometry_channels(mission)
+        self.position = position_channel(mission)
+        self.names = set(self.homes) | (set(GEOMETRY) if self.position else set())
+
+    def bases(self, name: str) -> tuple[str, ...]:
+        """Return the channels a name is made from; a channel of the mission may be called anything."""
+        return (name,) if name in self.homes else base_channels(name)
+
+    def needs(self, names: Iterable[str]) -> list[Need]:
+        """Return the series that names are made from, each once, in the order of their names."""
+        found: dict[str, Need] = {}
+        for name in sorted(names):
+            parts = (Part(name),) if name in self.homes else parse(name).parts
+            for part in parts:
+                for need in self._of_part(part, (name,) if len(parts) > 1 else ()):
+                    before = found.get(need.name)
+                    products = (*before.products, *need.products) if before else need.products
+                    found[need.name] = replace(need, products=products)
+        return [found[name] for name in sorted(found)]
+
+    def _of_part(self, part: Part, products: tuple[str, ...]) -> list[Need]:
+        """Return the series a part is made from; what geometry adds comes from position and attitude."""
+        if part.placebo:
+            raise SamplesError(
+                f"'{part.name}' is a placebo, which only a search makes", remedy="drop it from the model"
+            )
+        if part.channel in self.homes:
+            return [self._need(part.channel, None if part.is_plain else part, products)]
+        needs = [self._need(name, None, products) for name in self.geometry]
+        if not part.is_plain:
+            needs.append(replace(self._need(self.position, part, products), name=part.name))
+        return needs
+
+    def _need(self, name: str, part: Part | None, products: tuple[str, ...]) -> Need:
+        instrument, channel = self.homes[name]
+        home = self.mission.instruments[instrument]
+        called = part.name if part else name
+        return Need(called, instrument, channel, home.cadence, home.channels[channel].lag, part, products)
+
+
+def position_channel(mission: Mission) -> str:
+    """Return the channel that tells where the spacecraft is over the Earth; empty when there is none."""
+    for name, (instrument, channel) in channel_homes(mission).items():
+        told = mission.instruments[instrument].channels[channel]
+        if told.kind == "position" and told.frame in ("itrf", "gcrf"):
+            return name
+    return ""
+
+
+def base_role(mission: Mission, comparison: str) -> str:
+    """Return the role whose stamps carry the samples: the stated one, else the slowest instrument."""
+    entry = mission.comparisons[comparison]
+    roles = entry.instruments()
+    if entry.base:
+        return next(role for role, name in roles.items() if name == entry.base)
+    return max(roles, key=lambda role: mission.instruments[roles[role]].cadence)
