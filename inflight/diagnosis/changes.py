@@ -1,0 +1,149 @@
+"""Effects bound to a time: steps and episodes of an offset, a bias or a clock, and slow drifts.
+
+They need no columns of their own in the pass: a parameter that changes from block to block is its
+column times a function of the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.diagnosis.evidence import Evidence
+from inflight.time import to_utc
+
+#: Block edges at which steps are tried, at most.
+MOST_EDGES = 48
+#: Episodes that are scored in full, of those a scan over all pairs of edges finds best.
+_EPISODES = 3
+_DAY_NS = 86_400_000_000_000
+
+
+@dataclass(frozen=True)
+class Change:
+    """A candidate bound to a time.
+
+    Attributes
+    ----------
+    name, mechanism, family : str
+        As in `Candidate`.
+    functions : dict of str to (str, ndarray)
+        New column -> (column of the library, factor of each block).
+    at : tuple of int
+        When it begins, and ends when it does, TT2000; empty for drifts.
+    unit : str
+        What the coefficient is multiplied by, such as ``/d``.
+    """
+
+    name: str
+    mechanism: str
+    family: str
+    functions: Mapping[str, tuple[str, Floats]]
+    at: tuple[int, ...] = ()
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Carriers:
+    """Columns of the library that may change in time; empty where there are none."""
+
+    offset: tuple[str, ...] = ()
+    scale: tuple[str, ...] = ()
+    clock: tuple[str, ...] = ()
+    bias: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """All of them."""
+        return [*self.offset, *self.scale, *self.clock, *self.bias]
+
+
+def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
+    """Return drifts of scale factors and offsets, straight in time; factors in days from the middle."""
+    middle = evidence.start / 2 + evidence.end / 2
+    days = (middle - middle.mean()) / _DAY_NS
+    found = []
+    for name, columns in (("scale_drift", carriers.scale), ("offset_drift", carriers.offset)):
+        if columns and np.ptp(days) > 0:
+            functions = {f"{name}.{column}": (column, days) for column in columns}
+            found.append(Change(name, name, "ageing", functions, unit="/d"))
+    return found
+
+
+def steps(evidence: Evidence, carriers: Carriers) -> list[Change]:
+    """Return steps of every kind at the edges between blocks."""
+    found = []
+    for edge in _edges(len(evidence)):
+        after = (np.arange(len(evidence)) >= edge).astype(np.float64)
+        when = int(evidence.start[edge])
+        for name, family, columns in _kinds(carriers):
+            label = f"{name}_step@{to_utc(when)}"
+            functions = {f"{label}.{column}": (column, after) for column in columns}
+            found.append(Change(label, f"{name}_step", family, functions, (when,)))
+    return found
+
+
+def _kinds(carriers: Carriers) -> list[tuple[str, str, tuple[str, ...]]]:
+    kinds = [
+        ("offset", "offset_step", carriers.offset),
+        ("bias", "bias", carriers.bias),
+        ("clock", "clock", carriers.clock),
+    ]
+    return [kind for kind in kinds if kind[2]]
+
+
+def _edges(blocks: int) -> Sequence[int]:
+    if blocks < 4:
+        return []
+    return np.unique(np.linspace(1, blocks - 1, min(MOST_EDGES, blocks - 1)).round().astype(int)).tolist()
+
+
+def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int) -> list[Change]:
+    """Return the best episodes of clock and bias, found by a scan over all pairs of edges.
+
+    Parameters
+    ----------
+    evidence, absorbed : Evidence
+        Before and after the calibration was absorbed; the scan takes blocks as independent.
+    """
+    found = []
+    for name, family, columns in _kinds(carriers):
+        if len(columns) != 1 or len(evidence) < 6:
+            continue
+        column = int(absorbed.index(columns)[0])
+        for first, last in _best_spans(absorbed.gram[:, column, y], absorbed.gram[:, column, column]):
+            inside = np.zeros(len(evidence))
+            inside[first:last] = 1.0
+            when = (int(evidence.start[first]), int(evidence.end[last - 1]))
+            label = f"{name}_episode@{to_utc(when[0])}/{to_utc(when[1])}"
+            functions = {f"{label}.{columns[0]}": (columns[0], inside)}
+            found.append(Change(label, f"{name}_episode", family, functions, when))
+    return found
+
+
+def _best_spans(score: Floats, information: Floats) -> list[tuple[int, int]]:
+    """Return the spans of blocks that explain most by one value of their own, best first."""
+    s, m = (np.concatenate([[0.0], np.cumsum(part)]) for part in (score, information))
+    first, last = np.triu_indices(len(s), 1)
+    # Against the value of all blocks together: a constant is no episode.
+    own_s, own_m = s[last] - s[first], m[last] - m[first]
+    rest_s, rest_m = s[-1] - own_s, m[-1] - own_m
+    usable = (own_m > 0) & (rest_m > 0) & (last - first <= (len(s) - 1) // 2)
+    gain = np.zeros(first.size)
+    gain[usable] = (
+        own_s[usable] ** 2 / own_m[usable]
+        + rest_s[usable] ** 2 / rest_m[usable]
+        - s[-1] ** 2 / max(m[-1], 1e-300)
+    )
+    order = np.argsort(-gain)
+    chosen: list[tuple[int, int]] = []
+    for place in order:
+        span = (int(first[place]), int(last[place]))
+        if all(span[1] <= other[0] or span[0] >= other[1] for other in chosen):
+            chosen.append(span)
+        if len(chosen) == _EPISODES:
+            break
+    return chosen

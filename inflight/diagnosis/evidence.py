@@ -1,0 +1,220 @@
+"""Normal equations of the whole library: Gram matrices of [columns | residuals], one a block.
+
+`Evidence` is to the search what `NormalEquations` is to the calibration: blocks add, columns are
+chosen and multiplied by functions of time, and nothing reads the archive again. It holds several
+residuals at once (one a noise seed costs nothing) and no scatter, because blocks are many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.diagnosis.gram import pack, unpack
+from inflight.errors import CalibrationError
+
+#: Part of a column that must be left after absorbing the calibration, or rounding is all there is.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Sufficient statistics of one form.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Columns, then residuals (``residual``, ``residual~1``, ...).
+    gram : ndarray, shape (block, column, column)
+        nT^2 in scaled columns.
+    start, end : ndarray of int64, shape (block,)
+        TT2000.
+    count : ndarray, shape (block,)
+        Sum of weights: good rows.
+    scale : ndarray, shape (column,)
+        Physical size of one unit of each column; 1 for residuals.
+    """
+
+    names: tuple[str, ...]
+    gram: Floats
+    start: npt.NDArray[np.int64]
+    end: npt.NDArray[np.int64]
+    count: Floats
+    scale: Floats
+
+    def __len__(self) -> int:
+        return len(self.gram)
+
+    @property
+    def residuals(self) -> list[int]:
+        """Indices of the residual columns."""
+        return [index for index, name in enumerate(self.names) if name.split("~")[0] == "residual"]
+
+    def index(self, names: Sequence[str]) -> npt.NDArray[np.int64]:
+        """Return the indices of columns by name.
+
+        Raises
+        ------
+        CalibrationError
+            When one is not there.
+        """
+        places = {name: index for index, name in enumerate(self.names)}
+        missing = [name for name in names if name not in places]
+        if missing:
+            raise CalibrationError(
+                f"the library's equations have no column {', '.join(missing[:3])}",
+                remedy="run 'inflight diagnose' again: it makes the columns that are missing",
+            )
+        return np.array([places[name] for name in names], dtype=np.int64)
+
+    def select(self, names: Sequence[str]) -> Evidence:
+        """Return some columns, with all residuals behind them."""
+        kept = np.concatenate([self.index(names), np.array(self.residuals, dtype=np.int64)])
+        return replace(
+            self,
+            names=tuple(self.names[index] for index in kept),
+            gram=self.gram[:, kept[:, None], kept[None, :]],
+            scale=self.scale[kept],
+        )
+
+    def expand(self, functions: Mapping[str, tuple[str, Floats]]) -> Evidence:
+        """Return the evidence with columns added that are others times a function of the block.
+
+        Parameters
+        ----------
+        functions : mapping of str to (str, ndarray)
+            New name -> (column, factor of each block).
+        """
+        places = self.index([column for column, _ in functions.values()])
+        factors = np.stack([factor for _, factor in functions.values()], axis=1)
+        own = len(self.names) - len(self.residuals)
+        order = [*range(own), *(own + np.arange(len(functions))), *range(own, len(self.names))]
+        origin = np.insert(np.arange(len(self.names)), own, places)
+        turn = np.ones((len(self), len(order)))
+        turn[:, own : own + len(functions)] = factors
+        gram = self.gram[:, origin[:, None], origin[None, :]] * turn[:, :, None] * turn[:, None, :]
+        names = list(self.names)
+        return replace(
+            self,
+            names=(*names[:own], *functions, *names[own:]),
+            gram=gram,
+            scale=self.scale[origin],
+        )
+
+    def merged(self, groups: Sequence[Sequence[int]]) -> Evidence:
+        """Return wider blocks: each the sum of some consecutive ones."""
+        pieces = [np.asarray(group) for group in groups if len(group)]
+        return replace(
+            self,
+            gram=np.stack([self.gram[group].sum(axis=0) for group in pieces]),
+            start=np.array([self.start[group[0]] for group in pieces]),
+            end=np.array([self.end[group[-1]] for group in pieces]),
+            count=np.array([self.count[group].sum() for group in pieces]),
+        )
+
+    def joined(self, others: Sequence[Evidence]) -> Evidence:
+        """Return the blocks of several, in order of time.
+
+        Raises
+        ------
+        CalibrationError
+            When columns or scales differ, or blocks overlap.
+        """
+        every = [self, *others]
+        if any(one.names != self.names or not np.array_equal(one.scale, self.scale) for one in every):
+            raise CalibrationError(
+                "the blocks were made from different libraries", remedy="run 'inflight diagnose' again"
+            )
+        start = np.concatenate([one.start for one in every])
+        order = np.argsort(start, kind="stable")
+        end = np.concatenate([one.end for one in every])[order]
+        if np.any(start[order][1:] < end[:-1]):
+            raise CalibrationError("blocks overlap", remedy="add each block once")
+        return replace(
+            self,
+            gram=np.concatenate([one.gram for one in every])[order],
+            start=start[order],
+            end=end,
+            count=np.concatenate([one.count for one in every])[order],
+        )
+
+    def absorbed(self, names: Sequence[str], groups: Sequence[Sequence[int]], precision: Floats) -> Evidence:
+        """Return what is left of every column after some are fitted anew in each interval.
+
+        Frisch, Waugh and Lovell: the columns that stay, and the residuals, are replaced by their
+        parts no combination of the absorbed ones explains within the interval.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Columns to absorb.
+        groups : sequence of sequence of int
+            Blocks of each interval.
+        precision : ndarray, shape (absorbed column,)
+            What is known of them beforehand, 1 / sigma^2 in scaled units times the residual's variance.
+        """
+        gone = self.index(names)
+        kept = np.setdiff1d(np.arange(len(self.names)), gone)
+        out = np.empty((len(self), kept.size, kept.size))
+        before = np.diagonal(self.gram.sum(axis=0))[kept]
+        for group in groups:
+            blocks = self.gram[np.asarray(group)]
+            total = blocks[:, gone].sum(axis=0)
+            turn = solve_scaled(total[:, gone] + np.diag(precision), total[:, kept])
+            for place, gram in zip(group, blocks, strict=True):
+                cross = turn.T @ (gram[np.ix_(gone, kept)] - 0.5 * gram[np.ix_(gone, gone)] @ turn)
+                out[place] = gram[np.ix_(kept, kept)] - cross - cross.T
+        names_left = tuple(self.names[index] for index in kept)
+        dead = np.diagonal(out.sum(axis=0)) <= _ROUNDING * before
+        residual = np.array([name.split("~")[0] == "residual" for name in names_left])
+        dead &= ~residual
+        out[:, dead, :] = 0.0
+        out[:, :, dead] = 0.0
+        return replace(self, names=names_left, gram=out, scale=self.scale[kept])
+
+    def as_dataset(self, day: bool = True) -> xr.Dataset:
+        """Return the blocks as a Dataset for a store: packed upper triangles."""
+        return xr.Dataset(
+            {
+                "gram": (("block", "entry"), pack(self.gram), {"units": "nT2"}),
+                "start": ("block", self.start, {"units": "ns", "scale": "TT2000"}),
+                "end": ("block", self.end, {"units": "ns", "scale": "TT2000"}),
+                "count": ("block", self.count),
+            }
+        )
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset, names: Sequence[str], scale: Floats, variable: str = "gram") -> Evidence:
+        """Return the evidence a Dataset of `as_dataset` holds."""
+        return cls(
+            tuple(names),
+            unpack(dataset[variable].values),
+            dataset["start"].values,
+            dataset["end"].values,
+            dataset["count"].values,
+            scale,
+        )
+
+
+def solve_scaled(matrix: Floats, right: Floats, least: float = 1e-12) -> Floats:
+    """Solve a symmetric system in units of its own diagonal; what it does not determine stays 0.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+    right : ndarray, shape (n,) or (n, m)
+    least : float
+        Eigenvalues of the unit-diagonal matrix below it are no information.
+    """
+    size = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
+    unit = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
+    own, vectors = np.linalg.eigh(matrix * unit[:, None] * unit[None, :])
+    inverse = np.where(own > least, 1.0 / np.where(own > least, own, 1.0), 0.0)
+    scaled = right * (unit[:, None] if right.ndim == 2 else unit)
+    found = vectors @ ((vectors.T @ scaled) * (inverse[:, None] if right.ndim == 2 else inverse))
+    return np.asarray(found * (unit[:, None] if right.ndim == 2 else unit))

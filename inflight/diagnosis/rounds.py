@@ -1,0 +1,217 @@
+"""Forward and backward rounds, and the rivals of what they took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.diagnosis.scoring import hac_t
+from inflight.diagnosis.search import FORMS, Option, Round, Search, Table
+
+#: A rival must itself be worth this t, and this part of the winner's gain.
+_RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02
+#: Exchanges of an effect for a better one at most: a search must end.
+_EXCHANGES = 3
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How an effect of the model stands against everything that could take its place.
+
+    Attributes
+    ----------
+    option : Option
+    gain, t, p : float
+        Held-out, against the model without it; p family-wise.
+    placebo_t : float
+        By which t it leaves less than the best placebo.
+    form : str
+        The form these were found in.
+    rivals : tuple of (Option, float)
+        Options of other mechanisms that do as well, with the t by which they lose.
+    """
+
+    option: Option
+    gain: float
+    t: float
+    p: float
+    placebo_t: float
+    form: str
+    rivals: tuple[tuple[Option, float], ...]
+
+
+def run(search: Search, most: int | None = None) -> Table:
+    """Add and drop until nothing more is justified; return the last table of scores.
+
+    Parameters
+    ----------
+    most : int, optional
+        Additions at most; the rules' own number when absent.
+    """
+    most = search.rules.rounds if most is None else most
+    for _ in range(most):
+        table = search.table()
+        found = winner(table, search)
+        if found is None:
+            return table
+        option, form = found
+        place = table.options.index(option)
+        search.add(option)
+        _note(search, "add", option, table, place, form)
+        _drop_idle(search)
+    return search.table()
+
+
+def winner(table: Table, search: Search) -> tuple[Option, str] | None:
+    """Return what to add next and the form that shows it, or None when nothing is beyond doubt.
+
+    Of those that do equally well, one that names a cause goes before one that describes a shape, and
+    of the same channels the one with fewer coefficients.
+    """
+    passing = table.passing(search.rules)
+    for form in FORMS:
+        places = np.flatnonzero(passing[form])
+        if not places.size:
+            continue
+        loss = table.scores[form].loss
+        best = places[int(np.argmin(loss[:, places].sum(axis=0)))]
+        equal = [
+            int(place) for place in places if _behind(loss, int(place), int(best)) < search.rules.rival_t
+        ]
+        named = [place for place in equal if not table.options[place].agnostic] or equal
+        first = min(named, key=lambda place: float(loss[:, place].sum()))
+        same = [
+            place
+            for place in named
+            if table.options[place].channels == table.options[first].channels
+            and len(table.options[place].columns) < len(table.options[first].columns)
+            and _behind(loss, place, first) < search.rules.rival_t
+        ]
+        chosen = min(same, key=lambda place: float(loss[:, place].sum())) if same else first
+        return table.options[chosen], form
+    return None
+
+
+def _behind(loss: Floats, one: int, other: int) -> float:
+    """Return the t by which one option leaves more than another."""
+    return float(hac_t((loss[:, one] - loss[:, other])[:, None])[0]) if one != other else 0.0
+
+
+def _drop_idle(search: Search) -> None:
+    """Drop effects that the others have made superfluous, the idlest first."""
+    while len(search.accepted) > 1:
+        worths = [search.worth(option) for option in search.accepted]
+        place = int(np.argmin([t for _, t in worths]))
+        gain, t = worths[place]
+        if t >= search.rules.keep_t and gain >= search.rules.keep_gain:
+            return
+        option = search.accepted[place]
+        search.drop(option)
+        search.rounds.append(
+            Round(len(search.rounds) + 1, "drop", option.name, option.family, gain, t, 1.0, "raw")
+        )
+
+
+def _note(search: Search, action: str, option: Option, table: Table, place: int, form: str) -> None:
+    scores = table.scores[form]
+    search.rounds.append(
+        Round(
+            len(search.rounds) + 1,
+            action,
+            option.name,
+            option.family,
+            float(scores.gain[place]),
+            float(scores.t[place]),
+            float(table.p[form][place]),
+            form,
+        )
+    )
+
+
+def settle(search: Search) -> list[Standing]:
+    """Compare every effect of the model with all that could take its place; exchange what does better.
+
+    An effect taken early was compared with rivals while the others were still missing; now they are there.
+    """
+    for _ in range(_EXCHANGES):
+        for option in list(search.accepted):
+            better = _better(search, option)
+            if better is not None:
+                search.drop(option)
+                search.add(better)
+                search.rounds.append(
+                    Round(
+                        len(search.rounds) + 1, "exchange", better.name, better.family, 0.0, 0.0, 0.0, "raw"
+                    )
+                )
+                break
+        else:
+            break
+    _drop_idle(search)
+    return [standing(search, option) for option in search.accepted]
+
+
+def _better(search: Search, option: Option) -> Option | None:
+    """Return an option that leaves significantly less than an accepted one in its place."""
+    table = search.table(without=option)
+    place = _place_of(table, option)
+    if place is None:
+        return None
+    form = _form_of(table, place)
+    loss = table.scores[form].loss
+    passing = table.passing(search.rules)[form]
+    others = [
+        other
+        for other in np.flatnonzero(passing)
+        if not (table.options[other].agnostic and not option.agnostic)
+        and _behind(loss, place, int(other)) > search.rules.rival_t
+    ]
+    if not others:
+        return None
+    best = min(others, key=lambda other: float(loss[:, other].sum()))
+    return table.options[best] if table.options[best].mechanism != option.mechanism else None
+
+
+def _place_of(table: Table, option: Option) -> int | None:
+    for place, other in enumerate(table.options):
+        if other.name == option.name:
+            return place
+    return None
+
+
+def _form_of(table: Table, place: int) -> str:
+    """Return the first form that shows an option clearly, else the one where its t is largest."""
+    return max(
+        FORMS, key=lambda form: float(table.scores[form].t[place]) if form in table.scores else -np.inf
+    )
+
+
+def standing(search: Search, option: Option) -> Standing:
+    """Return how an effect of the model stands against everything that could take its place."""
+    table = search.table(without=option)
+    place = _place_of(table, option)
+    if place is None:
+        gain, t = search.worth(option)
+        return Standing(option, gain, t, 1.0, 0.0, "raw", ())
+    form = "raw" if table.scores["raw"].t[place] > search.rules.t else _form_of(table, place)
+    scores = table.scores[form]
+    rivals: dict[str, tuple[Option, float]] = {}
+    for other, rival in enumerate(table.options):
+        if rival.mechanism == option.mechanism or rival.placebo or (rival.agnostic and not option.agnostic):
+            continue
+        if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
+            continue
+        behind = _behind(scores.loss, other, place)
+        if behind < search.rules.rival_t and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
+            rivals[rival.mechanism] = (rival, behind)
+    return Standing(
+        option,
+        float(scores.gain[place]),
+        float(scores.t[place]),
+        float(min(table.p[one][place] for one in table.p)),
+        float(table.beats_placebo[form][place]),
+        form,
+        tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
+    )

@@ -1,0 +1,356 @@
+"""Rounds of the search: score everything, add the best that is beyond doubt, drop what it made superfluous.
+
+All of it is algebra on the evidence. The calibration's own parameters are absorbed, interval by
+interval, in three forms: ``raw``; ``within``, where every day is calibrated anew, so that nothing
+slow can pass for an effect; ``white``, where each row has lost what the one before foretells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.diagnosis.changes import Carriers, Change, drifts, episodes, steps
+from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
+from inflight.diagnosis.library import Library
+from inflight.diagnosis.scoring import Index, Present, Scores, folds_of, hac_t, score
+
+FORMS = ("raw", "within", "white")
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When a candidate is taken, and what counts as a rival.
+
+    Attributes
+    ----------
+    t, gain, p : float
+        Held-out t and gain at least, family-wise p at most, of an addition.
+    keep_t, keep_gain : float
+        Of an effect that stays when the others are there.
+    rival_t : float
+        Rivals lose to the winner by less than this t.
+    draws, seed : int
+        Flips of signs.
+    rounds : int
+        Additions at most.
+    blocks : int
+        Fewest independent blocks a verdict is given from.
+    """
+
+    t: float = 3.0
+    gain: float = 0.01
+    p: float = 0.05
+    keep_t: float = 3.0
+    keep_gain: float = 0.005
+    rival_t: float = 2.0
+    draws: int = 2000
+    seed: int = 0
+    rounds: int = 8
+    blocks: int = 20
+
+
+@dataclass(frozen=True)
+class Option:
+    """Something that can be added to the model: a candidate of the library, or a change in time."""
+
+    name: str
+    mechanism: str
+    family: str
+    columns: tuple[str, ...]
+    channels: tuple[str, ...] = ()
+    terms: tuple[str, ...] = ()
+    lag_s: float = 0.0
+    agnostic: bool = False
+    placebo: bool = False
+    change: Change | None = None
+
+    @property
+    def interleaved(self) -> bool:
+        """True when blocks around those held out must be among the fitted: an episode lies in few blocks."""
+        return self.change is not None and len(self.change.at) == 2
+
+
+@dataclass
+class Table:
+    """Scores of all options in one round; arrays over options, by form."""
+
+    options: list[Option]
+    scores: dict[str, Scores]
+    p: dict[str, Floats]
+    beats_placebo: dict[str, Floats]
+
+    def passing(self, rules: Rules) -> dict[str, np.ndarray]:
+        """Return, a form, which options may be added."""
+        real = np.array([not option.placebo for option in self.options])
+        return {
+            form: real
+            & (self.scores[form].t > rules.t)
+            & (self.scores[form].gain > rules.gain)
+            & (self.p[form] < rules.p)
+            & (self.beats_placebo[form] > rules.t)
+            for form in self.scores
+        }
+
+
+@dataclass(frozen=True)
+class Round:
+    """One addition or removal, for the ledger."""
+
+    number: int
+    action: str
+    name: str
+    family: str
+    gain: float
+    t: float
+    p: float
+    form: str
+
+    def as_json(self) -> dict[str, object]:
+        """Return the fields by name."""
+        return dict(vars(self))
+
+
+@dataclass
+class Search:
+    """State of a search: the evidence, what the model holds, what was added.
+
+    Parameters
+    ----------
+    raw, white : Evidence
+        Columns as the library has them, the calibration's own among them.
+    library : Library
+        What the columns are.
+    intervals, days : sequence of sequence of int
+        Blocks of each calibration interval, and of each day.
+    rules : Rules
+    within : Evidence, optional
+        The within-day form of blocks longer than a day, absorbed when they were made.
+    """
+
+    raw: Evidence
+    white: Evidence
+    library: Library
+    intervals: Sequence[Sequence[int]]
+    days: Sequence[Sequence[int]]
+    rules: Rules = field(default_factory=Rules)
+    within: Evidence | None = None
+    residual: int = 0
+    accepted: list[Option] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+    forms: dict[str, Evidence] = field(default_factory=dict)
+    carriers: Carriers = field(default_factory=Carriers)
+
+    def __post_init__(self) -> None:
+        self.options = [
+            Option(
+                one.name,
+                one.mechanism,
+                one.family,
+                tuple(self.library.columns_of(one)),
+                one.channels,
+                one.terms,
+                one.lag_s,
+                one.agnostic,
+                one.placebo,
+            )
+            for one in self.library.candidates
+        ]
+        self.variance = self._variance()
+        self._absorb()
+        live = set(np.array(self.forms["raw"].names)[np.diagonal(self.forms["raw"].gram.sum(axis=0)) > 0])
+        dead = [option for option in self.options if not set(option.columns) & live]
+        self.unscorable = [
+            {"name": one.name, "family": one.family, "reason": "nothing of it is left beside the calibration"}
+            for one in dead
+            if not one.placebo
+        ]
+        gone = {one.name for one in dead}
+        self.options = [one for one in self.options if one.name not in gone]
+
+    # The calibration and the model's own parameters.
+
+    def _base(self) -> tuple[list[str], Floats]:
+        names = [name for term in self.library.base for name in term.columns]
+        sigma = [s for term in self.library.base for s in term.sigma]
+        return names, np.asarray(sigma)
+
+    def precision(self, evidence: Evidence, names: Sequence[str], sigma: Floats) -> Floats:
+        """Return variance over squared prior sigma in scaled units; 0 without a prior."""
+        scale = evidence.scale[evidence.index(names)]
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
+
+    def _variance(self) -> float:
+        """Return the variance of a row that the calibration alone leaves, the quietest half of the blocks."""
+        names, _ = self._base()
+        free = self.white.absorbed(names, [range(len(self.white))], np.zeros(len(names)))
+        y = free.residuals[self.residual]
+        each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
+        return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
+
+    def _absorb(self) -> None:
+        names, sigma = self._base()
+        precision = self.precision(self.raw, names, sigma)
+        self.forms = {
+            "raw": self.raw.absorbed(names, self.intervals, precision),
+            "within": self.within or self.raw.absorbed(names, self.days, precision),
+            "white": self.white.absorbed(names, self.intervals, precision),
+        }
+
+    def y(self, form: str = "raw") -> int:
+        """Index of the residual that is searched."""
+        return self.forms[form].residuals[self.residual]
+
+    def present(self, form: str = "raw", without: Option | None = None) -> Present:
+        """Return the columns of the model beside the calibration, with their priors."""
+        return self._present_in(self.forms[form], without)
+
+    def _present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+        names = [name for term in self.library.refined for name in term.columns]
+        sigma = [s for term in self.library.refined for s in term.sigma]
+        for option in self.accepted:
+            if option is not without:
+                names += option.columns
+                sigma += [np.inf] * len(option.columns)
+        return Present(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
+
+    # Scores.
+
+    def table(self, without: Option | None = None, changes: bool = True) -> Table:
+        """Score everything that is not in the model (an effect of it left out, when one is named)."""
+        taken = {name for option in self.accepted if option is not without for name in option.columns}
+        main = [option for option in self.options if not set(option.columns) & taken]
+        signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
+        scores: dict[str, Scores] = {}
+        ratios: dict[str, tuple[Floats, Floats]] = {}
+        timed = self._changes(without) if changes else None
+        for form, evidence in self.forms.items():
+            present, y = self.present(form, without), self.y(form)
+            columns = [evidence.index(option.columns) for option in main]
+            scores[form] = score(evidence, present, columns, y, folds_of(len(evidence)))
+            ratios[form] = flip_ratios(evidence, present, columns, y, signs, units)
+        options = main
+        if timed is not None:
+            more, own, own_present = timed
+            y = own.residuals[self.residual]
+            for interleaved in (False, True):
+                group = [option for option in more if option.interleaved is interleaved]
+                if not group:
+                    continue
+                columns = [own.index(option.columns) for option in group]
+                found = score(own, own_present, columns, y, folds_of(len(own), interleaved))
+                flipped = flip_ratios(own, own_present, columns, y, signs, units)
+                scores, ratios = _with_changes(scores, ratios, found, flipped)
+                options = options + group
+        largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
+        real = np.tile(np.array([not option.placebo for option in options]), len(ratios))
+        p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
+        return Table(options, scores, p, {form: _beats_placebo(one, options) for form, one in scores.items()})
+
+    def _changes(self, without: Option | None) -> tuple[list[Option], Evidence, Present] | None:
+        """Return the options bound to a time, with the evidence of their columns alone."""
+        base, sigma = self._base()
+        kept = [name for name in self.carriers.names if name not in base]
+        own = [name for term in self.library.refined for name in term.columns]
+        own += [name for option in self.accepted if option is not without for name in option.columns]
+        small = self.raw.select(list(dict.fromkeys([*base, *own, *kept])))
+        precision = self.precision(small, base, sigma)
+        absorbed = self.forms["raw"]
+        found = drifts(small, self.carriers) + steps(small, self.carriers)
+        found += episodes(small, absorbed, self._outside(base), self.y())
+        taken = {option.name for option in self.accepted}
+        found = [change for change in found if change.name not in taken]
+        if not found:
+            return None
+        functions = {name: told for change in found for name, told in change.functions.items()}
+        wide = small.expand(functions).absorbed(base, self.intervals, precision)
+        present = self._present_in(wide, without)
+        options = [
+            Option(one.name, one.mechanism, one.family, tuple(one.functions), change=one) for one in found
+        ]
+        live = np.diagonal(wide.gram.sum(axis=0)) > 0
+        options = [one for one in options if live[wide.index(one.columns)].any()]
+        return options, wide, present
+
+    def _outside(self, base: Sequence[str]) -> Carriers:
+        """Carriers that the calibration does not absorb: their episodes can be scanned."""
+        kept = {name for name in self.carriers.names if name not in base}
+        clock = tuple(name for name in self.carriers.clock if name in kept)
+        bias = tuple(name for name in self.carriers.bias if name in kept)
+        return Carriers(clock=clock, bias=bias)
+
+    # Additions and removals.
+
+    def add(self, option: Option) -> None:
+        """Put an option into the model; a change's columns join the evidence."""
+        if option.change is not None and not set(option.columns) <= set(self.raw.names):
+            self.raw = self.raw.expand(option.change.functions)
+            self.white = self.white.expand(option.change.functions)
+            self._absorb()
+        self.accepted.append(option)
+
+    def drop(self, option: Option) -> None:
+        """Take an option out of the model."""
+        self.accepted = [one for one in self.accepted if one is not option]
+
+    def worth(self, option: Option) -> tuple[float, float]:
+        """Return held-out gain and t of an effect of the model against the model without it, the best form."""
+        best = (-np.inf, -np.inf)
+        for form, evidence in self.forms.items():
+            if option.change is not None and form == "within":
+                continue
+            folds = folds_of(len(evidence), option.interleaved)
+            found = score(
+                evidence, self.present(form, option), [evidence.index(option.columns)], self.y(form), folds
+            )
+            best = max(best, (float(found.t[0]), float(found.gain[0])))
+        return best[1], best[0]
+
+
+def _with_changes(
+    scores: Mapping[str, Scores],
+    ratios: Mapping[str, tuple[Floats, Floats]],
+    found: Scores,
+    own: tuple[Floats, Floats],
+) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
+    """Return the scores with those of changes behind; only the raw form can see most of them."""
+    more = len(found.gain)
+    out, out_ratios = {}, {}
+    for form, one in scores.items():
+        seen = form == "raw"
+        # Their folds are others: what they gain is set against the same loss as everybody's.
+        gained = (found.loss0[:, None] - found.loss) if seen else np.zeros((len(one.loss0), more))
+        out[form] = Scores(
+            one.loss0,
+            np.concatenate([one.loss, one.loss0[:, None] - gained], axis=1),
+            np.concatenate([one.gain, found.gain if seen else np.zeros(more)]),
+            np.concatenate([one.t, found.t if seen else np.zeros(more)]),
+            [*one.gamma, *found.gamma],
+            np.concatenate([one.explained, found.explained if seen else np.zeros(more)]),
+        )
+        observed, flipped = ratios[form]
+        out_ratios[form] = (
+            np.concatenate([observed, own[0] if seen else np.zeros(more)]),
+            np.concatenate([flipped, own[1] if seen else np.zeros_like(own[1])], axis=1),
+        )
+    return out, out_ratios
+
+
+def _beats_placebo(scores: Scores, options: Sequence[Option]) -> Floats:
+    """Return by which t each option leaves less than the best placebo; inf when there is none."""
+    placebos = [place for place, option in enumerate(options) if option.placebo]
+    if not placebos:
+        return np.full(len(options), np.inf)
+    best = placebos[int(np.argmin(scores.loss[:, placebos].sum(axis=0)))]
+    floor = np.minimum(scores.loss[:, best], scores.loss0) if scores.gain[best] <= 0 else scores.loss[:, best]
+    return hac_t(floor[:, None] - scores.loss)
+
+
+def columns_of(evidence: Evidence, option: Option) -> Index:
+    """Return the indices of an option's columns."""
+    return evidence.index(option.columns)
