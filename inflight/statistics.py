@@ -11,11 +11,26 @@ from scipy import signal
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
+from inflight.noise import NO_FLOOR, NoiseFloor, joined_floor, noise_floor
 
-#: The noise floor is the level of the spectrum above this part of the Nyquist frequency.
-_FLOOR_BAND = 0.1
+__all__ = [
+    "BINS",
+    "MIN_BLOCKS",
+    "NO_FLOOR",
+    "Dependence",
+    "NoiseFloor",
+    "Size",
+    "dependence",
+    "joined",
+    "joined_floor",
+    "noise_floor",
+    "size_of",
+    "spectrum",
+    "strongest",
+]
+
 #: Samples of a spectrum's segment at most and at least, and the segments a shorter record is cut into: of
-#: fewer the median power, which the floor is, lies below the mean one, and one bad sample would cost all.
+#: fewer, one bad sample would cost all.
 _SEGMENT, _SHORTEST_SEGMENT, _SEGMENTS = 4096, 64, 8
 #: Bins of a dependence, and the fewest blocks its uncertainty is taken from.
 BINS = 24
@@ -102,18 +117,6 @@ def spectrum(residual: Floats, cadence: float) -> tuple[Floats, Floats]:
     levelled = signal.detrend(np.array(whole), axis=1)
     frequency, power = signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
     return np.asarray(frequency[1:]), np.asarray(power.mean(axis=0)[1:])
-
-
-def noise_floor(frequency: Floats, power: Floats) -> float:
-    """Return the white level of a residual as an rms over its whole band, nT.
-
-    The median density between a tenth of the Nyquist frequency and the Nyquist frequency is taken
-    as white noise; lines and slow structure do not raise it. NaN without a spectrum.
-    """
-    if frequency.size == 0:
-        return float("nan")
-    band = frequency >= _FLOOR_BAND * frequency[-1]
-    return float(np.sqrt(np.median(power[band]) * frequency[-1]))
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,11 @@ from inflight.geometry import orbit_phase
 from inflight.mission import Mission
 from inflight.statistics import (
     Dependence,
+    NoiseFloor,
     Size,
     dependence,
     joined,
+    joined_floor,
     noise_floor,
     size_of,
     spectrum,
@@ -60,6 +62,7 @@ class _Digest:
     rows: list[dict[str, Floats]] = field(default_factory=list)
     before: list[Size] = field(default_factory=list)
     after: list[Size] = field(default_factory=list)
+    floors: list[NoiseFloor] = field(default_factory=list)
     power: dict[tuple[int, float], _Power] = field(default_factory=dict)
     counts: dict[str, Floats] = field(default_factory=dict)
     left_out: int = 0
@@ -101,7 +104,7 @@ def compare(
         days[-1].context or "",
         joined(digest.before),
         joined(digest.after),
-        noise_floor(density[0], density[2]),
+        joined_floor(digest.floors),
         [_told_of_day(*told) for told in zip(days, digest.before, digest.after, strict=True)],
         strongest(found),
         directions,
@@ -176,6 +179,7 @@ def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: flo
     after, before = np.where(clear, after, np.nan), np.where(clear, before, np.nan)
     stamps = product["tt2000"].values
     cadence = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    digest.floors.append(noise_floor(after, cadence))
     _add_power(digest, spectrum(after, cadence), spectrum(before, cadence)[1])
     digest.rows.append(_means(product, before, after, stamps, length, _channels(cat, mission, day, stamps)))
 

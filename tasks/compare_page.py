@@ -22,7 +22,7 @@ from inflight.figures import (
 )
 from inflight.figures.page import html_table
 from inflight.mission import Mission
-from inflight.statistics import Dependence, Size
+from inflight.statistics import Dependence, NoiseFloor, Size
 from inflight.time import SECOND, to_utc
 
 #: Points of the figure of the residual in time.
@@ -37,7 +37,7 @@ class CompareReport:
     context: str
     before: Size
     after: Size
-    floor: float
+    floor: NoiseFloor
     by_day: list[dict[str, Any]]
     fails_where: list[Dependence]
     directions: list[str]
@@ -59,7 +59,8 @@ class CompareReport:
                 "after_nT": self.after.rms,
                 "before_less_mean_nT": self.before.std,
                 "after_less_mean_nT": self.after.std,
-                "noise_floor_nT": self.floor,
+                "noise_floor_nT": self.floor.level_nT,
+                "noise_floor_interval_nT": [self.floor.low_nT, self.floor.high_nT],
                 "before": self.before.as_json(),
                 "after": self.after.as_json(),
                 "samples_left_out": self.left_out,
@@ -99,7 +100,7 @@ def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Dra
     after = np.array([entry["after_nT"] for entry in report.by_day])
     lines = {name: period / SECOND for name, period in mission.periods.items()}
     overview = [
-        daily_figure(day, before, after, report.floor),
+        daily_figure(day, before, after, report.floor.level_nT),
         histogram_figure(counts["edges"], counts["before"], counts["after"]),
     ]
     if drawn.density[0].size:
@@ -149,8 +150,10 @@ def _told(report: CompareReport) -> list[str]:
         for name, s in rows
     ]
     note = (
-        f"Noise floor {report.floor:.4f} nT (white level of the calibrated residual between a tenth of the "
-        f"Nyquist frequency and the Nyquist frequency). {report.left_out} samples without a measurement are "
+        f"Noise floor {report.floor.level_nT:.4f} nT, 95 % interval {report.floor.low_nT:.4f} to "
+        f"{report.floor.high_nT:.4f} (white level of the calibrated residual between a tenth of the Nyquist "
+        f"frequency and the Nyquist frequency, what falls with the frequency taken off). "
+        f"{report.left_out} samples without a measurement are "
         f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
     )
     return [html_table(head, cells), escape(note)]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from inflight.statistics import dependence, joined, noise_floor, size_of, spectrum, strongest
+from inflight.statistics import dependence, joined, size_of, spectrum, strongest
 
 finite = st.floats(-1e4, 1e4, allow_nan=False)
 values = arrays(np.float64, st.integers(1, 60), elements=finite | st.just(float("nan")))
@@ -35,26 +35,6 @@ def test_the_robust_sigma_is_that_of_normal_noise_and_outliers_do_not_move_it():
     assert size_of(noise).std > 500
 
 
-@pytest.mark.parametrize("cadence", [0.02, 1.0, 60.0])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_noise_floor_is_that_of_the_white_noise_below_lines_and_drift(cadence, seed):
-    count = 86_400
-    time = cadence * np.arange(count)
-    residual = np.random.default_rng(seed).normal(0.0, 0.1, count)
-    residual += 3.0 * np.sin(2 * np.pi * time / (20.3 * cadence)) + 20.0 * (time / time[-1]) ** 2
-    residual += 1.5 * np.sin(2 * np.pi * time / (6000 * cadence))
-    assert noise_floor(*spectrum(residual, cadence)) == pytest.approx(0.1, rel=0.05)
-
-
-def test_the_noise_floor_of_a_short_record_with_bad_samples_is_the_same():
-    floors = []
-    for seed in range(20):
-        residual = np.random.default_rng(seed).normal(0.0, 0.1, 1440)
-        residual[[200, 1000]] = np.nan
-        floors.append(noise_floor(*spectrum(residual, 60.0)))
-    assert np.mean(floors) == pytest.approx(0.1, rel=0.05)
-
-
 def test_segments_with_a_gap_are_left_out_of_the_spectrum():
     residual = np.random.default_rng(1).normal(0.0, 1.0, 40_000)
     residual[10_000:10_050] = np.nan
@@ -65,10 +45,9 @@ def test_segments_with_a_gap_are_left_out_of_the_spectrum():
 
 
 @pytest.mark.parametrize("residual", [np.empty(0), np.zeros(10), np.full(5000, np.nan)])
-def test_too_little_has_no_spectrum_and_no_floor(residual):
+def test_too_little_has_no_spectrum(residual):
     frequency, power = spectrum(residual, 1.0)
     assert frequency.size == power.size == 0
-    assert np.isnan(noise_floor(frequency, power))
 
 
 COUNT, BLOCKS = 14_400, 80

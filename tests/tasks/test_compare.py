@@ -95,7 +95,8 @@ def test_the_numbers_are_those_of_a_direct_computation(four_days):
         [np.sqrt(np.nanmean(part**2)) for part in after], rel=1e-12
     )
     # Both sensors have white noise of 0.05 nT on every axis, and nothing else is left.
-    assert report.floor == pytest.approx(np.hypot(0.05, 0.05), rel=0.1)
+    assert report.floor.level_nT == pytest.approx(np.hypot(0.05, 0.05), rel=0.1)
+    assert report.floor.low_nT < np.hypot(0.05, 0.05) < report.floor.high_nT
     assert report.after.rms == pytest.approx(np.hypot(0.05, 0.05), rel=0.05)
 
 
