@@ -5,6 +5,8 @@ never to an effect.
 """
 
 from inflight.effects.base import AXES, Effect, Parameter
+from inflight.effects.families import family_of
 from inflight.effects.registry import effect_class, known_effects
+from inflight.effects.sources import EffectSource
 
-__all__ = ["AXES", "Effect", "Parameter", "effect_class", "known_effects"]
+__all__ = ["AXES", "Effect", "EffectSource", "Parameter", "effect_class", "family_of", "known_effects"]

@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.effects.coefficients import product_factor
+from inflight.effects.naming import did_you_mean, slowed, snake_case
 from inflight.errors import ModelError, SamplesError
 from inflight.sensors import Sensor
+from inflight.time import parse_duration, parse_utc, to_tt2000, to_utc
 from inflight.units import factor_and_offset
 
 if TYPE_CHECKING:
+    from inflight.effects.sources import EffectSource
     from inflight.mission import Mission
 
 #: Values of an effect's parameters: each an array over the parameter's axes, or (time, axes).
 Values = Mapping[str, Floats]
 AXES = ("x", "y", "z")
+#: Options of every effect with a channel: which one, and its slow response or play.
+CHANNEL_OPTIONS = ("channel", "lag", "width")
+#: An effect that follows the field is solved for at a vector sensor until nothing larger than this moves.
+_SETTLED_NT = 1e-9
+_MOST_STEPS = 80
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,9 @@ class Parameter:
         False when the residual bends within a typical step.
     bank : tuple of float, optional
         Grid of a parameter that is searched, not solved for (a lag, a width).
+    per_channel : int
+        Power of the first channel that the value is per: 1 for nT per unit of the channel. A model
+        may then state the whole unit (``nT/A``), whatever unit the channel comes in.
     """
 
     unit: str
@@ -54,6 +67,7 @@ class Parameter:
     step: float = 1.0
     linear: bool = True
     bank: tuple[float, ...] | None = None
+    per_channel: int = 0
 
     @property
     def size(self) -> int:
@@ -64,6 +78,20 @@ class Parameter:
     def default_values(self) -> Floats:
         """Default as an array over the axes."""
         return np.broadcast_to(np.asarray(self.default, dtype=np.float64), (self.size,)).copy()
+
+
+class _ParametersOf:
+    """``parameters()`` of a class, and of an effect whose options decide how many numbers it has."""
+
+    def __get__(self, effect: Effect | None, kind: type[Effect]) -> Callable[[], dict[str, Parameter]]:
+        return partial(_collected, effect, kind)
+
+
+def _collected(effect: Effect | None, kind: type[Effect]) -> dict[str, Parameter]:
+    found: dict[str, Parameter] = {}
+    for base in reversed(kind.__mro__):
+        found |= {key: value for key, value in vars(base).items() if isinstance(value, Parameter)}
+    return found | (effect.sized if effect is not None else {})
 
 
 class Effect:
@@ -81,41 +109,128 @@ class Effect:
         The effect's own options, as written in the model YAML (such as ``channel``).
     """
 
-    family: ClassVar[str] = "unknown"
+    family: str = "unknown"
+    #: True when the kind of the first channel decides the family: see `inflight.effects.families`.
+    family_by_channel: ClassVar[bool] = False
+    #: Roles of the sensors it may act on, the usual one first.
+    acts_on: ClassVar[tuple[str, ...]] = ("vector", "inboard", "outboard", "scalar")
     #: Names in the samples; an option ``channel`` replaces the first one.
     channels: tuple[str, ...] = ()
     #: Options the YAML may give beside parameters.
-    options: ClassVar[tuple[str, ...]] = ("channel",)
+    options: ClassVar[tuple[str, ...]] = CHANNEL_OPTIONS
+    #: True when the field it adds is made from the field at the sensor.
+    follows_field: ClassVar[bool] = False
+    #: The user's file the class comes from; None for the library and for packages.
+    source: ClassVar[EffectSource | None] = None
+    #: Parameters of the class, by name; of an effect, those its options make of them.
+    parameters = _ParametersOf()
 
     def __init__(self, name: str = "", **options: Any) -> None:
-        unknown = set(options) - set(self.options)
-        if unknown:
-            raise ModelError(
-                f"effect '{self.label()}' has no option {', '.join(sorted(unknown))}",
-                remedy=f"it has options {', '.join(self.options)}, parameters {', '.join(self.parameters())}",
-            )
+        #: Parameters whose number the options decide; they replace those of the class.
+        self.sized: dict[str, Parameter] = {}
+        #: Stated units of parameters that are per unit of a channel.
+        self.units: dict[str, str] = {}
+        known = self.option_names()
+        for key in options:
+            if key not in known:
+                raise ModelError(
+                    f"effect '{self.label()}' has no option and no parameter '{key}'"
+                    f"{did_you_mean(key, [*known, *self.parameters()])}",
+                    remedy=f"it has options {', '.join(known) or 'none'}, "
+                    f"parameters {', '.join(self.parameters()) or 'none'}",
+                )
         self.name = name or self.label()
         self.given = dict(options)
-        if "channel" in options:
-            self.channels = (str(options["channel"]), *self.channels[1:])
+        if set(CHANNEL_OPTIONS) & set(options):
+            first = str(options.get("channel", self.channels[0] if self.channels else ""))
+            first = slowed(first, options.get("lag"), options.get("width"))
+            self.channels = (first, *self.channels[1:])
+        if self.channels and not self.channels[0]:
+            self.required("channel")
+        self.prepare()
+
+    def prepare(self) -> None:
+        """Read the options; called once, for subclasses to override."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle so that a worker makes the class anew where it is a user's own."""
+        kind = type(self) if self.source is None else (self.source, self.label())
+        return _rebuild, (kind, self.__dict__)
 
     @classmethod
     def label(cls) -> str:
         """Registered name: the class name in snake case."""
-        return "".join(f"_{c.lower()}" if c.isupper() else c for c in cls.__name__).lstrip("_")
+        return snake_case(cls.__name__)
 
     @classmethod
-    def parameters(cls) -> dict[str, Parameter]:
-        """Return the parameters by name, in the order of their definition."""
-        found: dict[str, Parameter] = {}
-        for base in reversed(cls.__mro__):
-            found |= {key: value for key, value in vars(base).items() if isinstance(value, Parameter)}
-        return found
+    def option_names(cls) -> tuple[str, ...]:
+        """Options the YAML may give: those of the class, and of its channel when it has one."""
+        own = [key for key in cls.options if key not in CHANNEL_OPTIONS]
+        return (*(CHANNEL_OPTIONS if cls.channels else ()), *own)
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return the options of one candidate for every channel of the kind the effect is made from."""
         return []
+
+    @classmethod
+    def is_plain_field(cls) -> bool:
+        """Return True when it only adds a field that nothing but channels and time decide."""
+        return cls.correct is Effect.correct and not cls.follows_field
+
+    def duration(self, key: str) -> int:
+        """Return an option that is a duration, nanoseconds.
+
+        Raises
+        ------
+        ModelError
+            When the option is missing or no duration above 0.
+        """
+        try:
+            found = parse_duration(str(self.required(key)))
+        except ValueError as error:
+            raise ModelError(f"'{self.name}': {key}: {error}", remedy="write such as 20 s") from None
+        if found <= 0:
+            raise ModelError(f"'{self.name}': {key} is {self.given[key]}", remedy="state one above 0")
+        return found
+
+    def instant(self, key: str) -> int:
+        """Return an option that is a UTC date or time, as TT2000 nanoseconds.
+
+        Raises
+        ------
+        ModelError
+            When the option is missing or no time.
+        """
+        try:
+            found = int(to_tt2000(parse_utc(self.required(key))))
+        except ValueError as error:
+            raise ModelError(f"'{self.name}': {key}: {error}", remedy="write such as 2008-08-27") from None
+        self.given[key] = f"{to_utc(found)}Z"
+        return found
+
+    def required(self, key: str) -> Any:
+        """Return an option that must be stated; an error names it otherwise."""
+        if self.given.get(key) is None:
+            raise ModelError(
+                f"effect '{self.name}' needs the option '{key}'", remedy="state it beside 'effect'"
+            )
+        return self.given[key]
+
+    def whole(self, key: str, default: int, most: int) -> int:
+        """Return an option that is a whole number from 1 to `most`.
+
+        Raises
+        ------
+        ModelError
+            When it is none.
+        """
+        found = self.given.get(key, default)
+        if not isinstance(found, int) or not 1 <= found <= most:
+            raise ModelError(
+                f"'{self.name}': {key} is {found!r}", remedy=f"state a whole number from 1 to {most}"
+            )
+        return found
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return what the cause adds at `sensor`; (time, axis) nT in the vector sensor's orthogonal axes."""
@@ -123,11 +238,35 @@ class Effect:
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading with the effect in it; (time, axis) or, for a scalar sensor, (time,) nT."""
+        if self.follows_field and not sensor.is_scalar:
+            return self._solved(reading, samples, values, sensor)
         return reading + self._at(samples, values, sensor)
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading with the effect taken out; the exact inverse of `disturb`."""
+        """Return the reading with the effect taken out; the exact inverse of `disturb`.
+
+        At a vector sensor an effect that follows the field is made from the reading itself.
+        """
+        if self.follows_field and not sensor.is_scalar:
+            return reading - self.field(with_field(samples, reading), values, sensor)
         return reading - self._at(samples, values, sensor)
+
+    def _solved(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading from which `correct` takes exactly what leaves the truth; (time, axis) nT."""
+        reading, last = truth, np.inf
+        for _ in range(_MOST_STEPS):
+            following = truth + self.field(with_field(samples, reading), values, sensor)
+            moved = float(np.nanmax(np.abs(following - reading), initial=0.0))
+            reading = following
+            if moved < _SETTLED_NT and moved >= last:
+                return reading
+            if moved == 0.0:
+                return reading
+            last = moved
+        raise ModelError(
+            f"effect '{self.name}' is too strong to be told from the field it follows",
+            remedy="check the unit and the size of its parameters",
+        )
 
     def _at(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the field as the sensor sees it: a vector, or its projection on the field direction."""
@@ -139,7 +278,51 @@ class Effect:
     @property
     def is_additive(self) -> bool:
         """True when the effect only adds a field that does not depend on the reading."""
-        return type(self).correct is Effect.correct
+        return type(self).is_plain_field()
+
+    def drive(self, samples: xr.Dataset, key: str, index: int = 0, about: Floats | float = 0.0) -> Floats:
+        """Return the channel that multiplies a parameter; (time,) or (time, axis).
+
+        The parameter's value times this is in the parameter's own unit, nT for a field: the unit a
+        model states (``nT/A``) and the channel's (``mA``) are made to agree.
+
+        Parameters
+        ----------
+        key : str
+            The parameter.
+        index : int
+            Which of the effect's channels.
+        about : float or ndarray
+            What is taken off first, in the channel's unit.
+
+        Raises
+        ------
+        SamplesError
+            When the channel is missing, or the units do not agree.
+        """
+        parameter = self.parameters()[key]
+        power = max(parameter.per_channel, 1)
+        series = self.series(samples, index) - about
+        series = series if power == 1 else series**power
+        stated = self.units.get(key, parameter.unit)
+        if stated == parameter.unit:
+            return series
+        unit = str(samples[self.channels[index]].attrs.get("units", "1"))
+        try:
+            return series * product_factor(stated, unit, power, parameter.unit)
+        except ValueError as error:
+            raise SamplesError(
+                f"'{self.name}.{key}': {error}",
+                channel=self.channels[index],
+                remedy=f"state a unit that times the channel's is {parameter.unit}",
+            ) from None
+
+    def series(self, samples: xr.Dataset, index: int = 0) -> Floats:
+        """Return a channel of this effect as it is, in its own unit; (time,) or (time, axis)."""
+        name = self.channels[index]
+        return self.channel(
+            samples, str(samples[name].attrs.get("units", "1")) if name in samples else "1", index
+        )
 
     def channel(self, samples: xr.Dataset, unit: str, index: int = 0) -> Floats:
         """Return a channel of this effect in `unit`; (time,) or (time, axis).
@@ -164,6 +347,15 @@ class Effect:
         return np.asarray(series.values, dtype=np.float64) * factor + offset
 
 
+def _rebuild(kind: type[Effect] | tuple[EffectSource, str], state: dict[str, Any]) -> Effect:
+    if isinstance(kind, tuple):
+        source, label = kind
+        kind = source.classes()[label]
+    effect = kind.__new__(kind)
+    effect.__dict__.update(state)
+    return effect
+
+
 def best_field(samples: xr.Dataset) -> Floats:
     """Return the best present field estimate; (time, axis) nT, vector sensor axes.
 
@@ -176,8 +368,7 @@ def best_field(samples: xr.Dataset) -> Floats:
         raise SamplesError(
             "the field is not known before the vector sensor's readings are corrected",
             channel="field",
-            remedy="an effect that follows the field acts on the scalar sensor, or overrides "
-            "'correct' and 'disturb' to work on the reading itself",
+            remedy="set follows_field = True in the effect's class: the reading then stands for the field",
         )
     return np.asarray(samples["field"].values, dtype=np.float64)
 

@@ -1,17 +1,20 @@
 """Which effects exist: the library's own, those of installed packages, and a user's own classes.
 
-A package offers effects through the entry point group ``inflight.effects``; in a notebook `register`
-makes a class known.
+A package offers effects through the entry point group ``inflight.effects``; a mission names files with
+its own; in a notebook `register` makes a class known.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import entry_points
 
+from inflight.effects import channels, events, magnetic, periodic, sensor_channels, spacecraft, sunlight
 from inflight.effects.base import Effect
-from inflight.effects.scalar_sensor import Heading, Induced, Oscillator, ScalarBias, TimeShift
-from inflight.effects.spacecraft import ChannelField, Remanent, Torquer
+from inflight.effects.naming import did_you_mean
+from inflight.effects.scalar_sensor import Heading, Oscillator, ScalarBias, TimeShift
+from inflight.effects.sources import EffectSource, own_effects
 from inflight.effects.vector_sensor import Affine, Nonlinearity, Temperature, VectorSensor
 from inflight.errors import ModelError
 
@@ -20,14 +23,41 @@ _LIBRARY: tuple[type[Effect], ...] = (
     Affine,
     Nonlinearity,
     Temperature,
+    sensor_channels.ChannelScale,
+    sensor_channels.ChannelAngle,
+    sensor_channels.AdcTemperature,
+    magnetic.CrossTalk,
     TimeShift,
     Oscillator,
     ScalarBias,
     Heading,
-    Induced,
-    Torquer,
-    Remanent,
-    ChannelField,
+    magnetic.Induced,
+    magnetic.SoftIron,
+    magnetic.Eddy,
+    magnetic.TollesLawson,
+    spacecraft.Torquer,
+    spacecraft.Remanent,
+    spacecraft.SolarArray,
+    channels.ChannelField,
+    channels.ChannelPower,
+    channels.ChannelMatrix,
+    channels.ChannelRate,
+    channels.Hysteresis,
+    channels.FunctionOfChannel,
+    channels.FunctionOfTwo,
+    sunlight.DayNight,
+    sunlight.SunDirectionField,
+    periodic.OrbitPeriodic,
+    periodic.SunPeriodic,
+    periodic.DayNightSeries,
+    periodic.LocalTimePeriodic,
+    periodic.Tone,
+    events.OffsetStep,
+    events.OffsetEpisode,
+    events.ScaleStep,
+    events.BiasStep,
+    events.ClockStep,
+    events.ClockEpisode,
 )
 _registered: dict[str, type[Effect]] = {}
 
@@ -43,12 +73,24 @@ def _offered() -> dict[str, type[Effect]]:
     return {point.name: point.load() for point in entry_points(group="inflight.effects")}
 
 
-def known_effects() -> dict[str, type[Effect]]:
-    """Return every effect by name; a user's own wins over the library's."""
-    return {effect.label(): effect for effect in _LIBRARY} | _offered() | _registered
+def known_effects(own: Iterable[EffectSource] = ()) -> dict[str, type[Effect]]:
+    """Return every effect by name; a mission's own win over registered ones, those over the library's.
+
+    Parameters
+    ----------
+    own : iterable of EffectSource
+        Files the mission names: their effects are known to this call alone.
+
+    Raises
+    ------
+    ModelError
+        When one of the files is wrong.
+    """
+    library = {effect.label(): effect for effect in _LIBRARY}
+    return library | _offered() | _registered | own_effects(own)
 
 
-def effect_class(name: str) -> type[Effect]:
+def effect_class(name: str, own: Iterable[EffectSource] = ()) -> type[Effect]:
     """Return the class of an effect.
 
     Raises
@@ -56,7 +98,10 @@ def effect_class(name: str) -> type[Effect]:
     ModelError
         When no effect has this name.
     """
-    known = known_effects()
+    known = known_effects(own)
     if name not in known:
-        raise ModelError(f"there is no effect {name!r}", remedy=f"known are {', '.join(sorted(known))}")
+        raise ModelError(
+            f"there is no effect {name!r}{did_you_mean(name, known)}",
+            remedy=f"known are {', '.join(sorted(known))}",
+        )
     return known[name]

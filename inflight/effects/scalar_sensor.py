@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.base import AXES, Effect, Parameter, Values, best_field, strength
+from inflight.effects.base import AXES, Effect, Parameter, Values, strength
+from inflight.effects.families import channels_of_kind, options_of_channels
+from inflight.effects.rates import slope
+from inflight.mission import Mission
 from inflight.sensors import Sensor
-from inflight.time import GAP, SECOND
 
 
 class TimeShift(Effect):
@@ -20,6 +24,7 @@ class TimeShift(Effect):
     """
 
     family = "clock"
+    acts_on = ("scalar",)
     seconds = Parameter("s", step=1e-2, sigma=0.1)
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
@@ -30,11 +35,17 @@ class TimeShift(Effect):
         """Return the reading at the vector sensor's time; (time,) nT."""
         return np.asarray(reading + _shifted(values, samples))
 
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
+
 
 class Oscillator(Effect):
     """Frequency of the instrument's oscillator against its nominal one; corrected ``F f / f_ref``."""
 
     family = "clock"
+    acts_on = ("scalar",)
     channels = ("frequency_ratio",)
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
@@ -45,11 +56,17 @@ class Oscillator(Effect):
         """Return the reading at the nominal frequency; (time,) nT (Yin 2010, section 2.5)."""
         return np.asarray(reading * self.channel(samples, "1"))
 
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every measured frequency ratio."""
+        return options_of_channels(channels_of_kind(mission, "frequency"))
+
 
 class ScalarBias(Effect):
     """A constant the scalar instrument adds to every reading: corrected ``F - bias``."""
 
     family = "bias"
+    acts_on = ("scalar",)
     bias = Parameter("nT", sigma=1.0)
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
@@ -60,27 +77,27 @@ class ScalarBias(Effect):
         """Return the reading without bias; (time,) nT."""
         return np.asarray(reading - values["bias"][..., 0])
 
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
+
 
 class Heading(Effect):
     """Heading error of the scalar sensor: a constant vector, seen along the field (Yin 2010, section 2.5)."""
 
     family = "sensor"
+    acts_on = ("scalar",)
     vector = Parameter("nT", AXES, sigma=0.5)
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the constant vector; (time, axis) nT."""
         return np.asarray(np.broadcast_to(values["vector"], (samples.sizes["time"], 3)))
 
-
-class Induced(Effect):
-    """Field proportional to the ambient one an axis: soft magnetic material, cross-talk of a sensor."""
-
-    family = "induced"
-    diagonal = Parameter("1", AXES, step=1e-6, sigma=5e-5)
-
-    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return ``diagonal * B``; (time, axis) nT (Yin 2010, section 2.5, the q terms)."""
-        return np.asarray(best_field(samples) * values["diagonal"])
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
 
 
 def _shifted(values: Values, samples: xr.Dataset) -> Floats:
@@ -94,13 +111,4 @@ def rate(samples: xr.Dataset) -> Floats:
 
     Central within gap-free runs, one-sided at their ends.
     """
-    f, t = strength(samples), samples["tt2000"].values
-    if f.size < 2:
-        return np.full_like(f, np.nan)
-    step = np.diff(t) / SECOND
-    slope = np.diff(f) / step
-    usual = np.median(step)
-    slope = np.where(step > GAP * usual, np.nan, slope)
-    before, after = np.append(np.nan, slope), np.append(slope, np.nan)
-    both = 0.5 * (before + after)
-    return np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
+    return slope(strength(samples), samples["tt2000"].values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +10,29 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, multiply
+from inflight.effects.channels import MATRIX, weigh
+from inflight.effects.families import channels_of_kind, options_of_channels
+from inflight.errors import ModelError
 from inflight.mission import Mission
 from inflight.sensors import Sensor
+
+
+def _of_panels(count: int) -> tuple[str, ...]:
+    return tuple(f"{axis}{panel}" for panel in range(count) for axis in AXES)
+
+
+def _unit_rows(given: Any, name: str) -> Floats:
+    """Return normals as unit vectors, shape (panel, 3)."""
+    try:
+        rows = np.asarray(given, dtype=np.float64).reshape(-1, 3)
+        size = np.linalg.norm(rows, axis=1, keepdims=True)
+    except (TypeError, ValueError):
+        rows, size = np.empty((0, 3)), np.zeros((0, 1))
+    if len(rows) < 2 or np.any(size == 0.0):
+        raise ModelError(
+            f"'{name}': normals are {given!r}", remedy="list two or more vectors of three numbers"
+        )
+    return np.asarray(rows / size)
 
 
 class Torquer(Effect):
@@ -21,12 +43,17 @@ class Torquer(Effect):
 
     family = "torquer"
     channels = ("torquer_current",)
-    matrix = Parameter("nT/A", tuple(f"{row}{coil}" for row in AXES for coil in AXES), sigma=5.0)
+    matrix = Parameter("nT/A", MATRIX, sigma=5.0)
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the stray field; (time, axis) nT."""
         current = self.channel(samples, "A")
         return multiply(values["matrix"], current)
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every three currents of torquers."""
+        return options_of_channels(channels_of_kind(mission, "torquer_current", width=3))
 
 
 class Remanent(Effect):
@@ -39,27 +66,53 @@ class Remanent(Effect):
         """Return the constant vector; (time, axis) nT."""
         return np.asarray(np.broadcast_to(values["vector"], (samples.sizes["time"], 3)))
 
-
-class ChannelField(Effect):
-    """A field proportional to any channel, one coefficient an axis, in nT per unit of the channel.
-
-    The plainest generic effect: the stray field of a current, the thermo-electric field of a
-    temperature difference, the field of a switch.
-    """
-
-    family = "current"
-    channels = ("",)
-    coefficient = Parameter("nT", AXES, sigma=10.0)
-
-    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return ``coefficient * channel``; (time, axis) nT."""
-        name = self.channels[0]
-        unit = str(samples[name].attrs.get("units", "1")) if name in samples else "1"
-        return np.asarray(self.channel(samples, unit)[:, None] * values["coefficient"])
-
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
-        """Return one candidate for every channel of one number a time."""
-        return [
-            {"channel": name} for _, name, channel in mission.channel_instruments() if not channel.axis_names
-        ]
+        """Return the one candidate there is."""
+        return [{}]
+
+
+class SolarArray(Effect):
+    """Stray field of the solar current, whose loops change with the panel that is lit.
+
+    The coefficient of each time is the mean of the panels', weighted by the light on each: option
+    ``normals`` lists the panels' outward normals in vector sensor axes, and the weight is the cosine
+    of the Sun's direction from each. Without them the weights follow the local time of the orbit (Yin
+    2010, section 3.4.1): from ``since``, when the ascending node was at 9 h and falling, the second
+    panel for a quarter of ``cycle``, then ``sin th, cos th`` of first and second with th rising to 90
+    degrees, then the first, then th falling. Components are named by axis and panel: x0, y0, z0, x1, ...
+    """
+
+    family = "solar"
+    channels: tuple[str, ...] = ("solar_current",)
+    options = ("channel", "lag", "normals", "since", "cycle")
+    panels = Parameter("nT/A", _of_panels(2), sigma=1.0, step=1e-2)
+
+    def prepare(self) -> None:
+        """Read the panels' normals, or when the schedule began."""
+        self._normals: Floats | None = None
+        self._since, self._cycle = 0, 1
+        if "normals" in self.given:
+            self._normals = _unit_rows(self.given["normals"], self.name)
+            self.channels = (self.channels[0], "sun_direction")
+            self.sized = {"panels": replace(type(self).panels, axes=_of_panels(len(self._normals)))}
+        else:
+            self._since = self.instant("since")
+            self.given.setdefault("cycle", "260.5 d")
+            self._cycle = self.duration("cycle")
+
+    def _light(self, samples: xr.Dataset) -> Floats:
+        """Return the weight of each panel; (time, panel), of sum 1, 0 where no panel is lit."""
+        if self._normals is not None:
+            light = np.clip(self.series(samples, 1) @ self._normals.T, 0.0, None)
+        else:
+            turn = ((samples["tt2000"].values - self._since) / self._cycle) % 1.0
+            th = 0.5 * np.pi * (np.clip(4 * turn - 1, 0.0, 1.0) - np.clip(4 * turn - 3, 0.0, 1.0))
+            light = np.stack([np.sin(th), np.cos(th)], axis=1)
+        total = light.sum(axis=1, keepdims=True)
+        return np.where(total == 0.0, 0.0, light / np.where(total == 0.0, 1.0, total))
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``current * sum of light * panel``; (time, axis) nT."""
+        current = self.channel(samples, "A")
+        return current[:, None] * weigh(self._light(samples), values["panels"])

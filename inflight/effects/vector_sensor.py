@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, multiply
+from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
+from inflight.mission import Mission
 from inflight.sensors import Sensor
 
 ANGLES = ("xy", "xz", "yz")
+#: Roles of sensors that read a vector.
+VECTOR_ROLES = ("vector", "inboard", "outboard")
 
 
 class VectorSensor(Effect):
@@ -24,6 +28,7 @@ class VectorSensor(Effect):
     """
 
     family = "sensor"
+    acts_on = VECTOR_ROLES
     scale_factor = Parameter("1", AXES, default=1.0, sigma=0.01, step=1e-5)
     misalignment = Parameter("deg", ANGLES, default=90.0, sigma=1.0, step=1e-3)
     offset = Parameter("nT", AXES, default=0.0, sigma=200.0)
@@ -58,6 +63,7 @@ class Nonlinearity(Effect):
     """
 
     family = "nonlinearity"
+    acts_on = VECTOR_ROLES
     quadratic = Parameter("1/nT", AXES, step=1e-10, sigma=1e-8)
     cubic = Parameter("1/nT^2", AXES, step=1e-15, sigma=1e-12)
     about = Parameter("nT", AXES)
@@ -87,6 +93,11 @@ class Nonlinearity(Effect):
             e = e - (e + e * e * (q + c * e) - target) / slope
         return np.asarray(e + values["about"])
 
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
+
 
 class Temperature(Effect):
     """Scale factors that follow a temperature: ``1 - linear dT - quadratic dT^2`` an axis.
@@ -96,6 +107,7 @@ class Temperature(Effect):
     """
 
     family = "temperature"
+    acts_on = VECTOR_ROLES
     channels = ("coil_temperature",)
     linear = Parameter("1/K", AXES, step=1e-6, sigma=1e-4)
     quadratic = Parameter("1/K^2", AXES, step=1e-8, sigma=1e-6)
@@ -116,6 +128,11 @@ class Temperature(Effect):
         about = values["about"]
         return np.asarray(about + (reading - about) / self._factor(samples, values))
 
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every temperature."""
+        return options_of_channels(channels_of_kind(mission, "temperature"))
+
 
 class Affine(Effect):
     """A full affine calibration ``B = matrix E + shift``, as observatories publish it.
@@ -125,6 +142,7 @@ class Affine(Effect):
     """
 
     family = "sensor"
+    acts_on = VECTOR_ROLES
     matrix = Parameter(
         "1",
         tuple(f"{row}{column}" for row in AXES for column in AXES),

@@ -18,7 +18,7 @@ from inflight.effects.base import with_field
 from inflight.errors import SamplesError
 
 if TYPE_CHECKING:
-    from inflight.model.model import ModelEffect
+    from inflight.model.entries import ModelEffect
 
 Effects = Sequence["ModelEffect"]
 #: Roles that read a vector, in the order of correction: the field of the last one present is kept.
@@ -117,7 +117,7 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
     """
     terms = {}
     for entry in effects:
-        if entry.effect.is_additive:
+        if entry.is_additive:
             count = samples.sizes["time"]
             still = np.zeros(count if entry.sensor.is_scalar else (count, 3))
             values = entry.values(_times(samples))

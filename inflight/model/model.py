@@ -4,55 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy.typing as npt
 import xarray as xr
 from ruamel.yaml import YAML
 
 from inflight.arrays import Floats
 from inflight.comparison import Layout, rows_of
-from inflight.effects import Effect, effect_class
+from inflight.effects import EffectSource
+from inflight.effects.naming import did_you_mean
+from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import InflightError, ModelError
 from inflight.model import chain
-from inflight.model.timed import TimedValue, parse_timed
+from inflight.model.changes import changes, tree_of
+from inflight.model.entries import ModelEffect, make_effect
 from inflight.sensors import Sensor, sensors_of
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
-
-
-@dataclass(frozen=True)
-class ModelEffect:
-    """One effect of a model: the cause, the sensor it acts on, and its values."""
-
-    effect: Effect
-    sensor: Sensor
-    parameters: Mapping[str, TimedValue]
-
-    @property
-    def name(self) -> str:
-        """Name in the model."""
-        return self.effect.name
-
-    def values(self, tt2000: npt.ArrayLike) -> dict[str, Floats]:
-        """Return every parameter's value at a time, or at times."""
-        return {name: timed.at(tt2000) for name, timed in self.parameters.items()}
-
-    def as_yaml(self) -> dict[str, Any]:
-        """Return the entry of the model YAML."""
-        entry: dict[str, Any] = {"effect": type(self.effect).label()}
-        if self.effect.name != type(self.effect).label():
-            entry["name"] = self.effect.name
-        return (
-            entry
-            | self.effect.given
-            | {"sensor": self.sensor.name}
-            | {name: timed.as_yaml() for name, timed in self.parameters.items()}
-        )
 
 
 @dataclass(frozen=True)
@@ -69,6 +41,8 @@ class Model:
         In the order of correction; `disturb` runs it backwards.
     layout : Layout, optional
         Kind and sensors of the comparison; a model without one knows the sensors its effects act on.
+    own : tuple of EffectSource
+        Files with effects of the mission's own that `parse` was given.
     """
 
     name: str
@@ -78,40 +52,36 @@ class Model:
     version: int = 0
     parent: int | None = None
     layout: Layout | None = None
+    own: tuple[EffectSource, ...] = ()
 
     @classmethod
-    def parse(cls, text: str, mission: Mission, source: str = "model.yaml") -> Model:
-        """Read a model from YAML text; sensors and positions come from the mission.
+    def parse(
+        cls, text: str, mission: Mission, source: str = "model.yaml", own: Iterable[EffectSource] = ()
+    ) -> Model:
+        """Read a model from YAML text; sensors, positions and units of channels come from the mission.
+
+        Parameters
+        ----------
+        source : str
+            Name of the file, for errors.
+        own : iterable of EffectSource
+            Files with effects that the mission names.
 
         Raises
         ------
         ModelError
             Naming `source` and the effect that is wrong.
         """
-        tree = YAML(typ="safe").load(text)
-        if not isinstance(tree, dict) or "effects" not in tree:
-            raise ModelError(
-                "the file holds no list 'effects'",
-                file=source,
-                remedy="missions/models/champ-preflight.yaml shows one",
-            )
+        tree, own = tree_of(text, source), tuple(own)
         comparison = str(tree.get("comparison", "main"))
         if comparison not in mission.comparisons:
             raise ModelError(
-                f"mission '{mission.mission}' has no comparison {comparison!r}",
+                f"mission '{mission.mission}' has no comparison {comparison!r}"
+                f"{did_you_mean(comparison, mission.comparisons)}",
                 file=source,
                 remedy=f"one of {', '.join(mission.comparisons)}",
             )
-        sensors = sensors_of(mission, comparison)
-        effects = tuple(
-            _parse_effect(entry, sensors, f"{source}: effect {index + 1}")
-            for index, entry in enumerate(tree["effects"])
-        )
-        names = [entry.name for entry in effects]
-        if len(set(names)) != len(names):
-            raise ModelError(
-                f"effects have the same name: {', '.join(names)}", file=source, remedy="give 'name' to one"
-            )
+        effects = _parse_effects(tree["effects"], sensors_of(mission, comparison), source, own, mission)
         return cls(
             str(tree.get("model", mission.mission)),
             mission.mission,
@@ -120,6 +90,7 @@ class Model:
             int(tree.get("version", 0)),
             tree.get("parent"),
             Layout.of(mission, comparison),
+            own,
         )
 
     @cached_property
@@ -159,13 +130,22 @@ class Model:
         )
 
     def add(self, effect: ModelEffect, before: str | None = None) -> Model:
-        """Return a model with one more effect, at the end or before a named one."""
+        """Return a model with one more effect, before a named one or in its usual place.
+
+        That is the end; an effect that does more than add a field stands before its sensor's nine
+        parameters, which are fitted of readings it has been taken out of.
+
+        Raises
+        ------
+        ModelError
+            When there is an effect of that name.
+        """
         names = [entry.name for entry in self.effects]
         if effect.name in names:
             raise ModelError(
                 f"there is an effect {effect.name!r} already", remedy="give the new one a 'name'"
             )
-        index = names.index(self.effect(before).name) if before else len(names)
+        index = names.index(self.effect(before).name) if before else _place(effect, self.effects)
         return replace(self, effects=(*self.effects[:index], effect, *self.effects[index:]))
 
     def drop(self, name: str) -> Model:
@@ -173,12 +153,59 @@ class Model:
         gone = self.effect(name)
         return replace(self, effects=tuple(entry for entry in self.effects if entry is not gone))
 
+    def replace(self, effect: ModelEffect) -> Model:
+        """Return a model with another effect in the place of the one of its name.
+
+        Raises
+        ------
+        ModelError
+            When there is none of that name.
+        """
+        old = self.effect(effect.name)
+        return replace(self, effects=tuple(effect if entry is old else entry for entry in self.effects))
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of all values the model itself holds; those with time ``block`` are a table's.
+
+        ``effect.parameter[axis]``; with several coefficients as `TimedValue.columns` says.
+        """
+        return [
+            name
+            for entry in self.effects
+            for timed in entry.parameters.values()
+            if timed.time != "block"
+            for name in timed.columns
+        ]
+
+    def with_values(self, value: Mapping[str, float], sigma: Mapping[str, float] | None = None) -> Model:
+        """Return a model with new values, and standard deviations, of the named columns.
+
+        Parameters
+        ----------
+        value, sigma : mapping of str to float
+            By names of `columns`, in the units the model states.
+
+        Raises
+        ------
+        ModelError
+            When the model holds no such value.
+        """
+        sigma, known = sigma or {}, self.columns
+        for name in [*value, *sigma]:
+            if name not in known:
+                raise ModelError(
+                    f"model '{self.name}' holds no value {name!r}{did_you_mean(name, known)}",
+                    remedy="name one of model.columns; values with time 'block' lie in a table",
+                )
+        return replace(self, effects=tuple(entry.with_columns(value, sigma) for entry in self.effects))
+
     def bind(self, table: xr.Dataset) -> Model:
         """Return a model whose block parameters take their values from a calibration table."""
         return replace(
             self,
             effects=tuple(
-                replace(entry, parameters={k: v.bind(table) for k, v in entry.parameters.items()})
+                entry.with_parameters({k: v.bind(table) for k, v in entry.parameters.items()})
                 for entry in self.effects
             ),
         )
@@ -199,52 +226,41 @@ class Model:
         """Return what each additive effect takes out: see `inflight.model.chain.correction_terms`."""
         return chain.correction_terms(self.effects, samples)
 
+    def changes(self, other: Model) -> list[dict[str, Any]]:
+        """Return what `other` changes of this model: see `inflight.model.changes.changes`."""
+        return changes(*([entry.as_yaml() for entry in model.effects] for model in (self, other)))
+
     def diff(self, other: Model) -> list[str]:
         """Return, as sentences, what `other` has that this model has not, and the other way round."""
-        mine = {entry.name: entry.as_yaml() for entry in self.effects}
-        theirs = {entry.name: entry.as_yaml() for entry in other.effects}
-        return (
-            [f"added {name}" for name in theirs if name not in mine]
-            + [f"dropped {name}" for name in mine if name not in theirs]
-            + [
-                f"changed {name}.{key}: {mine[name].get(key)} -> {theirs[name].get(key)}"
-                for name in mine
-                if name in theirs
-                for key in sorted(set(mine[name]) | set(theirs[name]))
-                if mine[name].get(key) != theirs[name].get(key)
-            ]
-        )
+        return [str(change["sentence"]) for change in self.changes(other)]
 
 
-def make_effect(entry: Mapping[str, Any], sensors: Mapping[str, Sensor]) -> ModelEffect:
-    """Make an effect from one entry of the model YAML.
+def _place(effect: ModelEffect, effects: tuple[ModelEffect, ...]) -> int:
+    """Return where a new effect goes: last, or before the nine parameters of its own vector sensor."""
+    if not effect.is_additive:
+        for index, entry in enumerate(effects):
+            if isinstance(entry.effect, VectorSensor) and entry.sensor.name == effect.sensor.name:
+                return index
+    return len(effects)
 
-    Raises
-    ------
-    ModelError
-        When effect, sensor, option or parameter is unknown.
-    """
-    given = dict(entry)
-    kind = effect_class(str(given.pop("effect", "")))
-    name = str(given.pop("name", ""))
-    sensor_name = str(given.pop("sensor", next(iter(sensors))))
-    if sensor_name not in sensors:
+
+def _parse_effects(
+    entries: Sequence[Any],
+    sensors: Mapping[str, Sensor],
+    source: str,
+    own: tuple[EffectSource, ...],
+    mission: Mission,
+) -> tuple[ModelEffect, ...]:
+    effects = []
+    for index, entry in enumerate(entries):
+        try:
+            effects.append(make_effect(entry, sensors, own, mission))
+        except InflightError as error:
+            place = f"{source}: effect {index + 1}" if error.file == "" else f"{source}: {error.file}"
+            raise ModelError(error.message, file=place, channel=error.channel, remedy=error.remedy) from None
+    names = [entry.name for entry in effects]
+    if len(set(names)) != len(names):
         raise ModelError(
-            f"effect '{kind.label()}' acts on {sensor_name!r}, which the comparison has not",
-            remedy=f"its sensors are {', '.join(sensors)}",
+            f"effects have the same name: {', '.join(names)}", file=source, remedy="give 'name' to one"
         )
-    parameters = kind.parameters()
-    options = {key: given.pop(key) for key in list(given) if key not in parameters}
-    effect = kind(name, **options)
-    timed = {
-        key: parse_timed(f"{effect.name}.{key}", parameter, given.get(key))
-        for key, parameter in parameters.items()
-    }
-    return ModelEffect(effect, sensors[sensor_name], timed)
-
-
-def _parse_effect(entry: Any, sensors: Mapping[str, Sensor], place: str) -> ModelEffect:
-    try:
-        return make_effect(entry, sensors)
-    except InflightError as error:
-        raise ModelError(error.message, file=place, remedy=error.remedy) from None
+    return tuple(effects)

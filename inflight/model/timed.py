@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +12,13 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import Parameter
+from inflight.effects.naming import did_you_mean
 from inflight.errors import ModelError
-from inflight.time import parse_duration, parse_utc, to_tt2000, to_utc
+from inflight.model.dependence import KEYS, Dependence, parse_dependence
+from inflight.time import to_utc
 
-#: Coefficients of each time dependence, a component.
-COEFFICIENTS = {"constant": 1, "linear": 2, "log": 2, "block": 1}
+if TYPE_CHECKING:
+    from inflight.mission import Event
 
 
 @dataclass(frozen=True)
@@ -25,18 +28,13 @@ class TimedValue:
     Attributes
     ----------
     parameter : Parameter
-        What the effect says of it.
-    time : str
-        constant; linear ``a + b (t - t0)/per``; log ``a + b ln((t - t0)/per)`` (Yin 2010, section
-        3.2); block: one value a calibration interval, held in a table.
+        What the effect says of it, in the unit the model states.
+    dependence : Dependence
+        Which functions of time the coefficients multiply.
     value, sigma : ndarray, shape (component, coefficient)
         Value and standard deviation; for block, those known beforehand.
     free : bool
-        Whether a fit may move it.
-    t0 : int
-        Origin, TT2000 nanoseconds.
-    per : int
-        Unit of time, nanoseconds.
+        Whether a fit may move it. Left out of the YAML, it is free with time ``block`` or a stated sigma.
     table : xarray.Dataset, optional
         Bound calibration table of a block parameter.
     key : str
@@ -46,15 +44,38 @@ class TimedValue:
     """
 
     parameter: Parameter
-    time: str
+    dependence: Dependence
     value: Floats
     sigma: Floats
     free: bool = True
-    t0: int = 0
-    per: int = 86_400_000_000_000
-    table: xr.Dataset | None = None
+    table: xr.Dataset | None = field(default=None, compare=False)
     key: str = ""
     table_name: str = ""
+
+    @property
+    def time(self) -> str:
+        """constant, linear, log, block, event or spline."""
+        return self.dependence.time
+
+    @property
+    def t0(self) -> int:
+        """Origin of a trend, TT2000 nanoseconds."""
+        return self.dependence.t0
+
+    @property
+    def per(self) -> int:
+        """Unit of a trend's time, nanoseconds."""
+        return self.dependence.per
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the coefficients, component by component; as `value` flattened.
+
+        ``effect.parameter[axis]``; a trend's growth adds ``*b``, the values of intervals between events
+        ``*e0, *e1, ...``, those of a spline's knots ``*k0, *k1, ...``.
+        """
+        names = component_names(self.key, self.parameter)
+        return [f"{name}{suffix}" for name in names for suffix in self.dependence.suffixes]
 
     def at(self, tt2000: npt.ArrayLike) -> Floats:
         """Return the value at a time, shape (component,), or at times, shape (time, component).
@@ -69,19 +90,7 @@ class TimedValue:
         t = np.asarray(tt2000, dtype=np.int64)
         if self.time == "block":
             return self._from_table(t)
-        return np.asarray(self._basis(t) @ self.value.T)
-
-    def _basis(self, t: npt.NDArray[np.int64]) -> Floats:
-        """Return (1, f(t)); shape (..., coefficient)."""
-        elapsed = (t - self.t0) / self.per
-        if self.time == "log":
-            if np.any(elapsed <= 0):
-                raise ModelError(
-                    f"'{self.key}' follows a logarithm that begins at {to_utc(self.t0)}, asked for before it",
-                    remedy="use time: constant there, or an earlier t0",
-                )
-            elapsed = np.log(elapsed)
-        return np.stack([np.ones_like(elapsed), elapsed], axis=-1)
+        return np.asarray(self.dependence.basis(t, self.key) @ self.value.T)
 
     def _from_table(self, t: npt.NDArray[np.int64]) -> Floats:
         table = self.table
@@ -106,14 +115,19 @@ class TimedValue:
             return self
         return replace(self, table=table)
 
+    def with_columns(self, value: Mapping[str, float], sigma: Mapping[str, float]) -> TimedValue:
+        """Return a copy with new values and standard deviations of the named coefficients."""
+        names, shape = self.columns, self.value.shape
+        values = [value.get(name, old) for name, old in zip(names, self.value.ravel(), strict=True)]
+        sigmas = [sigma.get(name, old) for name, old in zip(names, self.sigma.ravel(), strict=True)]
+        return replace(self, value=np.reshape(values, shape), sigma=np.reshape(sigmas, shape))
+
     def as_yaml(self) -> dict[str, Any]:
         """Return the mapping the model YAML holds for it."""
         axes = self.parameter.axes
-        found: dict[str, Any] = {"time": self.time, "unit": self.parameter.unit}
-        if self.time in ("log", "linear"):
-            found |= {"t0": f"{to_utc(self.t0)}Z", "per": f"{self.per} ns"}
+        found: dict[str, Any] = {**self.dependence.as_yaml(), "unit": self.parameter.unit}
         found["value"] = _as_yaml(self.value, axes)
-        if not np.array_equal(self.sigma, _default_sigma(self.parameter, self.sigma.shape[1])):
+        if not np.array_equal(self.sigma, _filled(self.parameter, self.dependence, self.parameter.sigma)):
             found["sigma"] = _as_yaml(self.sigma, axes)
         if self.table_name:
             found["table"] = self.table_name
@@ -126,8 +140,13 @@ def component_names(key: str, parameter: Parameter) -> list[str]:
     return [f"{key}[{axis}]" for axis in parameter.axes] if parameter.axes else [key]
 
 
-def parse_timed(key: str, parameter: Parameter, given: Any) -> TimedValue:
+def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Event] = ()) -> TimedValue:
     """Read a parameter's entry of the model YAML; a bare number or list is a constant.
+
+    Parameters
+    ----------
+    events : sequence of Event
+        The mission's, for ``time: event, events: KIND``.
 
     Raises
     ------
@@ -135,58 +154,43 @@ def parse_timed(key: str, parameter: Parameter, given: Any) -> TimedValue:
         Naming the parameter and what is wrong.
     """
     entry = dict(given) if isinstance(given, dict) else {"value": given}
-    known = {"time", "unit", "value", "sigma", "free", "t0", "per", "table"}
-    if unknown := set(entry) - known:
+    known = ["time", "unit", "value", "sigma", "free", "table", *KEYS]
+    if unknown := [name for name in entry if name not in known]:
         raise ModelError(
-            f"'{key}' has unknown keys {sorted(unknown)}", remedy=f"known are {', '.join(sorted(known))}"
+            f"'{key}' has unknown keys {unknown}{did_you_mean(str(unknown[0]), known)}",
+            remedy=f"known are {', '.join(sorted(known))}",
         )
-    time = str(entry.get("time", "constant"))
-    if time not in COEFFICIENTS:
-        raise ModelError(f"'{key}': time {time!r} is unknown", remedy=f"one of {', '.join(COEFFICIENTS)}")
+    dependence = parse_dependence(key, entry, events)
     unit = str(entry.get("unit", parameter.unit))
     if unit != parameter.unit:
         raise ModelError(
             f"'{key}' is given in {unit}, it is in {parameter.unit}", remedy="convert the values"
         )
-    count = COEFFICIENTS[time]
-    value = _coefficients(key, parameter, entry.get("value"), count, parameter.default_values)
-    sigma = _coefficients(key, parameter, entry.get("sigma"), count, _default_sigma(parameter, 1)[:, 0])
-    if count > 1 and "t0" not in entry:
-        raise ModelError(f"'{key}' changes with time but has no 't0'", remedy="say from when: t0: 2000-05-30")
+    value = _coefficients(key, parameter, dependence, entry.get("value"), parameter.default_values)
+    sigma = _coefficients(key, parameter, dependence, entry.get("sigma"), parameter.sigma)
     if np.isnan(sigma).any() or np.any(sigma < 0) or np.isnan(value).any():
         raise ModelError(
             f"'{key}' has a value or sigma that is no number, or a sigma below 0", remedy="correct it"
         )
-    return TimedValue(
-        parameter,
-        time,
-        value,
-        sigma,
-        free=bool(entry.get("free", time == "block")),
-        t0=int(to_tt2000(parse_utc(entry["t0"]))) if "t0" in entry else 0,
-        per=parse_duration(_with_number(str(entry.get("per", "1 d")))),
-        key=key,
-        table_name=str(entry.get("table", "")),
-    )
+    stated = entry.get("sigma") is not None
+    free = bool(entry.get("free", dependence.time == "block" or stated))
+    table_name = str(entry.get("table", ""))
+    return TimedValue(parameter, dependence, value, sigma, free, key=key, table_name=table_name)
 
 
-def _default_sigma(parameter: Parameter, count: int) -> Floats:
-    """Return what the effect says is known beforehand; (component, coefficient)."""
-    sigma = np.zeros((parameter.size, count))
-    sigma[:, 0] = parameter.sigma
-    return sigma
+def _filled(parameter: Parameter, dependence: Dependence, default: Floats | float) -> Floats:
+    """Return a default for every coefficient, (component, coefficient); a trend does not grow."""
+    filled = np.zeros((parameter.size, dependence.count))
+    filled[:, : 1 if dependence.is_trend else None] = np.reshape(default, (-1, 1))
+    return filled
 
 
-def _with_number(text: str) -> str:
-    return text if text.strip()[:1].isdigit() else f"1 {text}"
-
-
-def _coefficients(key: str, parameter: Parameter, given: Any, count: int, default: Floats) -> Floats:
+def _coefficients(
+    key: str, parameter: Parameter, dependence: Dependence, given: Any, default: Floats | float
+) -> Floats:
     """Return an array (component, coefficient) from a number, a list, or a mapping by axis."""
     if given is None:
-        filled = np.zeros((parameter.size, count))
-        filled[:, 0] = default
-        return filled
+        return _filled(parameter, dependence, default)
     if isinstance(given, dict):
         if set(given) != set(parameter.axes or ()):
             axes = ", ".join(parameter.axes or ("no axes",))
@@ -194,16 +198,18 @@ def _coefficients(key: str, parameter: Parameter, given: Any, count: int, defaul
                 f"'{key}' has components {', '.join(given)}, expected {axes}", remedy="name each"
             )
         given = [given[axis] for axis in parameter.axes or ()]
+    shape = (parameter.size, dependence.count)
     try:
         array = np.asarray(given, dtype=np.float64)
-        if count > 1 and array.shape == (count,) and parameter.size > 1:
+        if array.ndim < 2 and not dependence.is_trend and array.size in (1, parameter.size):
+            # One value a component holds for every interval and knot.
+            return np.array(np.broadcast_to(array.reshape(-1, 1), shape))
+        if array.ndim == 1 and parameter.size > 1:
             raise ValueError
-        if array.ndim < 2 and count == 1:
-            return np.array(np.broadcast_to(array.reshape(-1, 1), (parameter.size, 1)))
-        return array.reshape(parameter.size, count)
+        return array.reshape(shape)
     except ValueError:
         raise ModelError(
-            f"'{key}': {given!r} does not give {parameter.size} components of {count} coefficients",
+            f"'{key}': {given!r} does not give {shape[0]} components of {shape[1]} coefficients",
             remedy="write a list, or a mapping by axis",
         ) from None
 

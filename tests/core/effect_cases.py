@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from inflight.derived import play
 from inflight.effects import known_effects
 from inflight.mission import Mission
 from inflight.model import Model, make_effect
@@ -32,6 +33,41 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "scalar_bias": ("ovm", {}),
     "heading": ("ovm", {}),
     "induced": ("ovm", {}),
+    "soft_iron": ("ovm", {}),
+    "eddy": ("fgm", {}),
+    "tolles_lawson": ("ovm", {}),
+    "cross_talk": ("fgm", {}),
+    "channel_scale": ("fgm", {"channel": "coil_temperature"}),
+    "channel_angle": ("fgm", {"channel": "coil_temperature"}),
+    "adc_temperature": ("fgm", {"channel": "electronics_temperature"}),
+    "solar_array": ("fgm", {"channel": "solar_current", "normals": [[1, 0, 1], [-1, 0, 1], [0, 1, 0]]}),
+    "channel_power": ("fgm", {"channel": "coil_temperature"}),
+    "channel_matrix": ("ovm", {"channel": "torquer_current"}),
+    "channel_rate": ("fgm", {"channel": "coil_temperature"}),
+    "hysteresis": ("fgm", {"channel": "coil_temperature", "width": 2}),
+    "function_of_channel": ("fgm", {"channel": "coil_temperature", "knots": [0.0, 10.0, 15.0, 30.0]}),
+    "function_of_two": (
+        "fgm",
+        {
+            "channel": "coil_temperature",
+            "knots": [0.0, 30.0],
+            "second": "solar_current",
+            "second_knots": [0.0, 3e3, 1e4],
+        },
+    ),
+    "day_night": ("fgm", {}),
+    "sun_direction_field": ("fgm", {"degree": 2}),
+    "orbit_periodic": ("fgm", {"order": 3}),
+    "sun_periodic": ("fgm", {}),
+    "day_night_series": ("fgm", {}),
+    "local_time_periodic": ("ovm", {"order": 1}),
+    "tone": ("fgm", {"period": "37.3 s"}),
+    "offset_step": ("fgm", {"at": "2004-05-01T00:03:20Z"}),
+    "offset_episode": ("ovm", {"from": "2004-05-01T00:01:00Z", "to": "2004-05-01T00:05:00Z"}),
+    "scale_step": ("fgm", {"at": "2004-05-01T00:03:20Z"}),
+    "bias_step": ("ovm", {"at": "2004-05-01T00:03:20Z"}),
+    "clock_step": ("ovm", {"at": "2004-05-01T00:03:20Z"}),
+    "clock_episode": ("ovm", {"from": "2004-05-01T00:01:00Z", "to": "2004-05-01T00:05:00Z"}),
 }
 #: Sizes a parameter may honestly have, where neither its sigma nor its step says so.
 _SIZES = {"about": 30.0, "reference": 10.0, "shift": 300.0, "matrix": 0.01, "coefficient": 3.0, "bias": 1.0}
@@ -49,11 +85,19 @@ def true_samples(seed: int = 0, count: int = 400) -> xr.Dataset:
         "coil_temperature": (g.normal(15, 8, count), "degC"),
         "solar_current": (g.uniform(0, 10_000, count), "mA"),
         "frequency_ratio": (1 + g.normal(0, 1e-6, count), "1"),
+        "electronics_temperature": (20 + 5 * np.sin(turn), "degC"),
+        "sunlit": ((turn < 4).astype(float), "1"),
+        "orbit_phase": (np.rad2deg(turn), "deg"),
+        "sun_phase": (np.rad2deg(turn + 0.3) % 360, "deg"),
+        "local_time": (np.where(turn < 3, 9.0, 21.0), "h"),
     }
+    rows["coil_temperature@width=2"] = (play(rows["coil_temperature"][0], 2.0), "degC")
+    sun = np.stack([np.cos(turn), np.sin(turn), np.full(count, 0.5)], axis=1)
     out = xr.Dataset(
         {
             "vector": (("time", "axis"), field, {"units": "nT"}),
             "scalar": ("time", np.linalg.norm(field, axis=1), {"units": "nT"}),
+            "sun_direction": (("time", "axis"), sun / np.linalg.norm(sun, axis=1)[:, None], {"units": "1"}),
             "torquer_current": (("time", "axis"), g.uniform(-150, 150, (count, 3)), {"units": "mA"}),
             "flag": ("time", np.zeros(count, dtype=np.uint32)),
             "tt2000": ("time", stamps),
@@ -67,12 +111,16 @@ def entry_of(name: str, generator: np.random.Generator, time: str = "constant") 
     """One entry of a model YAML with values of either sign, as large as a real one may be."""
     sensor, options = PLACES[name]
     entry: dict[str, Any] = {"effect": name, "sensor": sensor, **options}
-    for key, parameter in known_effects()[name].parameters().items():
+    for key, parameter in known_effects()[name](name, **options).parameters().items():
         known = parameter.sigma if np.isfinite(parameter.sigma) else _SIZES.get(key, 1.0)
         size = min(known, _SIZES.get(key, np.inf))
         value = parameter.default_values + size * generator.uniform(-1, 1, parameter.size)
         rows = value[:, None]
         told: dict[str, Any] = {"time": time, "unit": parameter.unit}
+        if time in ("event", "spline"):
+            rows = value[:, None] + size * generator.uniform(-1, 1, (parameter.size, 3))
+            at = ["2004-05-01T00:02:00Z", "2004-05-01T00:04:00Z", "2004-05-01T00:06:00Z"]
+            told["at"] = at[:2] if time == "event" else at
         if time in ("linear", "log"):
             rows = np.stack([value, 0.2 * size * generator.uniform(-1, 1, parameter.size)], axis=1)
             told |= {"t0": "2000-05-30", "per": "1000 d"}

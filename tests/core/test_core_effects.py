@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from inflight.effects import Effect, Parameter, known_effects
+from inflight.effects.base import best_field, with_field
 from inflight.effects.conversions import from_sensor_angles, to_sensor_angles
 from inflight.effects.scalar_sensor import rate
 from inflight.errors import ModelError, SamplesError
-from inflight.model import Model, make_effect
+from inflight.model import Model, ModelEffect, make_effect
 from inflight.time import SECOND
 
 #: Rounding of fields of 50 000 nT through a chain of a dozen effects: 8 units in the last place, nT.
@@ -27,10 +28,10 @@ def test_the_cases_cover_the_whole_library():
     assert library == set(PLACES)
 
 
-@pytest.mark.parametrize("time", ["constant", "linear", "log"])
+@pytest.mark.parametrize("time", ["constant", "linear", "log", "event", "spline"])
 @pytest.mark.parametrize("name", sorted(PLACES))
 @given(seed=seeds)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_correct_undoes_disturb_for_each_effect(name, time, seed):
     truth = true_samples(seed % 7)
     model = model_of(entry_of(name, np.random.default_rng(seed), time))
@@ -47,7 +48,7 @@ def test_correct_undoes_disturb_for_each_effect(name, time, seed):
 def test_correct_undoes_disturb_for_all_effects_together_in_any_order(seed):
     generator = np.random.default_rng(seed)
     names = generator.permutation(sorted(PLACES)).tolist()
-    times = generator.choice(["constant", "linear", "log"], len(names))
+    times = generator.choice(["constant", "linear", "log", "event", "spline"], len(names))
     model = model_of(*(entry_of(name, generator, str(time)) for name, time in zip(names, times, strict=True)))
     truth = true_samples(seed % 7)
     back = model.correct(model.disturb(truth))
@@ -203,10 +204,57 @@ def test_a_channel_of_another_dimension_is_refused():
         one("temperature").correct(truth)
 
 
-def test_an_effect_that_follows_the_field_is_refused_where_the_field_is_not_known_yet():
-    model = model_of({"effect": "induced", "sensor": "fgm", "diagonal": [1e-5, 1e-5, 1e-5]})
-    with pytest.raises(SamplesError, match="field is not known"):
-        model.correct(true_samples(0))
+class Follower(Effect):
+    """Follows the field without saying so."""
+
+    def field(self, samples, values, sensor):
+        return 1e-5 * best_field(samples)
+
+
+def test_an_effect_that_follows_the_field_without_saying_so_is_refused_at_a_vector_sensor():
+    entry = ModelEffect(Follower(), SENSORS["fgm"], {})
+    with pytest.raises(SamplesError, match=r"field is not known.*follows_field"):
+        Model("m", "champ", "main", (entry,)).correct(true_samples(0))
+
+
+@pytest.mark.parametrize(("name", "key"), [("induced", "diagonal"), ("eddy", "diagonal")])
+def test_an_effect_that_follows_the_field_is_solved_for_at_a_vector_sensor(name, key):
+    truth = true_samples(0)
+    model = model_of({"effect": name, "sensor": "fgm", key: [0.01, -0.02, 0.03]})
+    raw = model.disturb(truth)
+    effect, samples = model.effects[0], with_field(truth, raw["vector"].values)
+    added = effect.effect.field(samples, effect.values(0), effect.sensor)
+    assert_allclose(raw["vector"].values - truth["vector"].values, added, rtol=0, atol=1e-9)
+    assert not effect.is_additive
+
+
+def test_an_effect_too_strong_to_be_told_from_the_field_is_refused():
+    model = model_of({"effect": "eddy", "sensor": "fgm", "diagonal": [3.0, 3.0, 3.0]})
+    with pytest.raises(ModelError, match="too strong"):
+        model.disturb(true_samples(0))
+
+
+@pytest.mark.parametrize("name", sorted(PLACES))
+def test_parameters_said_to_be_linear_are(name):
+    """Within a typical step the correction bends by less than a thousandth of what it moves."""
+    entry = model_of(entry_of(name, np.random.default_rng(5))).effects[0]
+    truth = with_field(true_samples(4), true_samples(4)["vector"].values)
+    reading = truth[entry.sensor.role].values
+    values = {key: np.array(value) for key, value in entry.values(0).items()}
+    for key, parameter in entry.effect.parameters().items():
+        if not parameter.linear or not np.isfinite(parameter.sigma):
+            continue
+        for index in range(parameter.size):
+            corrected = []
+            for sign in (-1, 0, 1):
+                moved = values | {
+                    key: values[key] + sign * parameter.step * (np.arange(parameter.size) == index)
+                }
+                corrected.append(entry.effect.correct(reading, truth, moved, entry.sensor))
+            low, middle, high = corrected
+            slope, bend = np.nanmax(np.abs(high - low)), np.nanmax(np.abs(high + low - 2 * middle))
+            assert slope > 0, (key, index)
+            assert bend < 1e-3 * slope + ROUNDING, (key, index)
 
 
 def test_a_correction_forgets_the_field_of_an_earlier_one():

@@ -30,8 +30,8 @@ def values_at(model: Model, when: str = "2004-05-01") -> np.ndarray:
     return np.concatenate([value for entry in model.effects for value in entry.values(stamp).values()])
 
 
-@given(seed=seeds, time=st.sampled_from(["constant", "linear", "log"]))
-@settings(max_examples=25, deadline=None)
+@given(seed=seeds, time=st.sampled_from(["constant", "linear", "log", "event", "spline"]))
+@settings(max_examples=15, deadline=None)
 def test_parsing_a_models_own_text_gives_the_same_model(seed, time):
     generator = np.random.default_rng(seed)
     model = model_of(*(entry_of(name, generator, time) for name in generator.permutation(sorted(PLACES))))

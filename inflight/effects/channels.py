@@ -1,0 +1,249 @@
+"""Fields that follow housekeeping channels: the generic effects, for what nobody named.
+
+A coefficient is per unit of the channel. A model may state the whole unit (``unit: nT/A``): it is
+converted when the channel comes in another; with plain ``unit: nT`` it is per unit of the channel as
+the mission YAML states it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import xarray as xr
+from scipy.interpolate import CubicSpline
+
+from inflight.arrays import Floats
+from inflight.effects.base import AXES, CHANNEL_OPTIONS, Effect, Parameter, Values, multiply
+from inflight.effects.families import channels_of, channels_of_kind, options_of_channels
+from inflight.effects.naming import slowed
+from inflight.effects.rates import slope
+from inflight.errors import ModelError
+from inflight.mission import Mission
+from inflight.sensors import Sensor
+
+MATRIX = tuple(f"{row}{column}" for row in AXES for column in AXES)
+
+
+class ChannelField(Effect):
+    """A field proportional to any channel, one coefficient an axis: ``coefficient * channel``.
+
+    The plainest generic effect: the stray field of a current, the thermo-electric field of a
+    temperature difference, the field of a switch. Option ``lag`` makes it follow the channel's slow
+    response (a heater's field behind its current), ``width`` its play.
+    """
+
+    family = "current"
+    family_by_channel = True
+    channels = ("",)
+    coefficient = Parameter("nT", AXES, sigma=10.0, per_channel=1)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``coefficient * channel``; (time, axis) nT."""
+        return np.asarray(self.drive(samples, "coefficient")[:, None] * values["coefficient"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every channel of one number a time."""
+        return options_of_channels(channels_of_kind(mission))
+
+
+class ChannelPower(Effect):
+    """A field proportional to the square of a channel: the heat of a current, ``coefficient * c^2``."""
+
+    family = "current"
+    family_by_channel = True
+    channels = ("",)
+    coefficient = Parameter("nT", AXES, sigma=10.0, per_channel=2)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``coefficient * channel ** 2``; (time, axis) nT."""
+        return np.asarray(self.drive(samples, "coefficient")[:, None] * values["coefficient"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every current: of other channels the field itself is nearly straight."""
+        kinds = ("solar_current", "battery_current", "camera_current", "current", "heater", "other")
+        return options_of_channels(channels_of_kind(mission, *kinds))
+
+
+class ChannelMatrix(Effect):
+    """A field made from a channel of three components: ``matrix @ channel``.
+
+    Rows of the matrix are field axes, columns the components.
+    """
+
+    family = "current"
+    family_by_channel = True
+    channels = ("",)
+    matrix = Parameter("nT", MATRIX, sigma=10.0, per_channel=1)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``matrix @ channel``; (time, axis) nT."""
+        return multiply(values["matrix"], self.drive(samples, "matrix"))
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every channel of three components that is no torquer's current."""
+        names = channels_of_kind(mission, width=3)
+        known = channels_of(mission)
+        return options_of_channels([name for name in names if known[name].kind != "torquer_current"])
+
+
+class ChannelRate(Effect):
+    """A field proportional to the rate of change of a channel: ``coefficient * dc/dt``.
+
+    With `channel_field` of the same channel it is the first-order form of a lag, and of a hysteresis
+    that depends on how fast the channel moves.
+    """
+
+    family = "current"
+    family_by_channel = True
+    channels = ("",)
+    coefficient = Parameter("nT*s", AXES, sigma=1e4, per_channel=1)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return ``coefficient * dc/dt``; (time, axis) nT."""
+        rate = slope(self.drive(samples, "coefficient"), samples["tt2000"].values)
+        return np.asarray(rate[:, None] * values["coefficient"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every temperature: currents change in steps."""
+        return options_of_channels(channels_of_kind(mission, "temperature"))
+
+
+class Hysteresis(Effect):
+    """A field that follows a channel and its play: ``direct * c + play * play(c, width)``.
+
+    The play (backlash) operator of option ``width``, in the channel's unit, is the simplest
+    hysteresis: the field differs on rising and falling branches and the loop closes where the channel
+    turns.
+    """
+
+    family = "hysteresis"
+    options: ClassVar[tuple[str, ...]] = ("channel", "width")
+    channels = ("", "")
+    direct = Parameter("nT", AXES, sigma=10.0, per_channel=1)
+    play = Parameter("nT", AXES, sigma=10.0, per_channel=1)
+
+    def prepare(self) -> None:
+        """Name the channel and its play."""
+        plain = slowed(str(self.given.get("channel", "")), self.given.get("lag"))
+        self.channels = (plain, slowed(plain, width=self.required("width")))
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the sum of both; (time, axis) nT."""
+        direct, play = self.drive(samples, "direct"), self.drive(samples, "play", 1)
+        return np.asarray(direct[:, None] * values["direct"] + play[:, None] * values["play"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every channel of one number a time; widths are tried by the search."""
+        return options_of_channels(channels_of_kind(mission))
+
+
+class FunctionOfChannel(Effect):
+    """Any smooth function of a channel: a natural cubic spline through values at knots.
+
+    Option ``knots`` lists them, rising, in the channel's unit. Beyond the outer ones the value stays.
+    Components of `value` are named by axis and knot: x0, y0, z0, x1, ...
+    """
+
+    family = "current"
+    family_by_channel = True
+    options: ClassVar[tuple[str, ...]] = ("channel", "lag", "width", "knots")
+    channels = ("",)
+    value = Parameter("nT", AXES, sigma=10.0)
+
+    def prepare(self) -> None:
+        """Give every knot three components."""
+        self._knots = knots_of(self, "knots")
+        self.sized = {"value": _at_knots(self._knots.size)}
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the spline's value; (time, axis) nT."""
+        return weigh(spline_basis(self.series(samples), self._knots), values["value"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate, with five knots, for every channel whose range the mission states."""
+        known = channels_of(mission)
+        ranged = [name for name in channels_of_kind(mission) if known[name].range is not None]
+        return [
+            {"channel": name, "knots": np.linspace(*(known[name].range or (0.0, 1.0)), 5).tolist()}
+            for name in ranged
+        ]
+
+
+class FunctionOfTwo(Effect):
+    """Any smooth function of two channels: products of the splines of each.
+
+    Options ``channel`` with ``knots`` and ``second`` with ``second_knots``, in the channels' units.
+    Components of `value` are named by axis and knots: x0_0, y0_0, z0_0, x0_1, ...
+    """
+
+    family = "current"
+    family_by_channel = True
+    options: ClassVar[tuple[str, ...]] = (*CHANNEL_OPTIONS, "knots", "second", "second_knots")
+    channels = ("", "")
+    value = Parameter("nT", AXES, sigma=10.0)
+
+    def prepare(self) -> None:
+        """Give every pair of knots three components."""
+        self.channels = (self.channels[0], str(self.required("second")))
+        self._knots = knots_of(self, "knots"), knots_of(self, "second_knots")
+        first, second = (knots.size for knots in self._knots)
+        pairs = [f"{axis}{i}_{k}" for i in range(first) for k in range(second) for axis in AXES]
+        self.sized = {"value": Parameter("nT", tuple(pairs), sigma=10.0)}
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the surface's value; (time, axis) nT."""
+        first, second = (spline_basis(self.series(samples, i), knots) for i, knots in enumerate(self._knots))
+        basis = np.einsum("ti,tk->tik", first, second).reshape(len(first), -1)
+        return weigh(basis, values["value"])
+
+
+def knots_of(effect: Effect, key: str) -> Floats:
+    """Return an option that lists at least two rising numbers.
+
+    Raises
+    ------
+    ModelError
+        When it does not.
+    """
+    given = effect.required(key)
+    try:
+        knots = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        knots = np.empty(0)
+    if knots.ndim != 1 or knots.size < 2 or not np.all(np.diff(knots) > 0):
+        raise ModelError(
+            f"'{effect.name}': {key} is {given!r}", remedy="list two or more rising numbers, channel units"
+        )
+    effect.given[key] = knots.tolist()
+    return knots
+
+
+def _at_knots(count: int) -> Parameter:
+    return Parameter("nT", tuple(f"{axis}{knot}" for knot in range(count) for axis in AXES), sigma=10.0)
+
+
+def spline_basis(values: Floats, knots: Floats) -> Floats:
+    """Return natural cubic splines that are 1 at one knot and 0 at the others; (time, knot)."""
+    held = np.clip(values, knots[0], knots[-1])
+    return np.asarray(CubicSpline(knots, np.eye(knots.size), bc_type="natural")(held))
+
+
+def weigh(basis: Floats, vectors: Floats) -> Floats:
+    """Return a sum of vectors, each weighted by a function of time; (time, 3).
+
+    Parameters
+    ----------
+    basis : ndarray, shape (time, function)
+    vectors : ndarray, shape (3 * function,) or (time, 3 * function)
+        x, y, z of the first function, then of the second, ...
+    """
+    if vectors.ndim == 1:
+        return basis @ vectors.reshape(-1, 3)
+    return np.asarray(np.einsum("tk,tka->ta", basis, vectors.reshape(len(basis), -1, 3)))

@@ -1,0 +1,125 @@
+"""What happened once: steps and episodes of an offset, a bias, a scale, or a clock.
+
+A step holds from option ``at`` on, an episode from ``from`` until ``to``; UTC, half-open. Any parameter
+of any effect may also change at events, by ``time: event`` in the model; these are for the search, and
+for what changes once and stands alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.effects.base import AXES, Effect, Parameter, Values
+from inflight.effects.scalar_sensor import ScalarBias, TimeShift
+from inflight.effects.vector_sensor import VECTOR_ROLES
+from inflight.errors import ModelError
+from inflight.mission import Mission
+from inflight.sensors import Sensor
+from inflight.time import to_utc
+
+
+class _Dated(Effect):
+    """An effect that holds within a span of time."""
+
+    def prepare(self) -> None:
+        """Read the options: a step has ``at``, an episode ``from`` and ``to``."""
+        if "at" in self.options:
+            self._start, self._end = self.instant("at"), np.iinfo(np.int64).max
+            return
+        self._start, self._end = self.instant("from"), self.instant("to")
+        if self._start >= self._end:
+            raise ModelError(
+                f"'{self.name}' ends before it begins", remedy="state 'from' before 'to', both in UTC"
+            )
+
+    def inside(self, samples: xr.Dataset) -> npt.NDArray[np.bool_]:
+        """Return where the effect holds; (time,)."""
+        t = samples["tt2000"].values
+        return np.asarray((t >= self._start) & (t < self._end))
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return, for a step, one candidate for every event the mission names."""
+        if "at" not in cls.options:
+            return []
+        return [{"at": f"{to_utc(event.at)}Z"} for event in mission.events]
+
+
+class OffsetEpisode(_Dated):
+    """A constant field for a while."""
+
+    family = "offset_step"
+    options: ClassVar[tuple[str, ...]] = ("from", "to")
+    vector = Parameter("nT", AXES, sigma=10.0)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the field within the span, 0 elsewhere; (time, axis) nT."""
+        return np.where(self.inside(samples)[:, None], values["vector"], 0.0)
+
+
+class OffsetStep(OffsetEpisode):
+    """A constant field from one moment on: a reset, a switch, a part that was magnetised."""
+
+    options = ("at",)
+
+
+class ClockEpisode(_Dated, TimeShift):
+    """A scalar instrument's time shift for a while: `time_shift` within the span only."""
+
+    options: ClassVar[tuple[str, ...]] = ("from", "to")
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the early reading; (time,) nT."""
+        return np.where(self.inside(samples), super().disturb(reading, samples, values, sensor), reading)
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading at the vector sensor's time; (time,) nT."""
+        return np.where(self.inside(samples), super().correct(reading, samples, values, sensor), reading)
+
+
+class ClockStep(ClockEpisode):
+    """A scalar instrument's time shift from one moment on."""
+
+    options = ("at",)
+
+
+class BiasStep(_Dated, ScalarBias):
+    """A scalar instrument's bias from one moment on: `scalar_bias` from then."""
+
+    options: ClassVar[tuple[str, ...]] = ("at",)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the biased reading; (time,) nT."""
+        return np.where(self.inside(samples), super().disturb(reading, samples, values, sensor), reading)
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading without bias; (time,) nT."""
+        return np.where(self.inside(samples), super().correct(reading, samples, values, sensor), reading)
+
+
+class ScaleStep(_Dated):
+    """Scale factors that change at one moment: the corrected reading is ``1 + change`` of it from then."""
+
+    family = "sensor"
+    acts_on = VECTOR_ROLES
+    options: ClassVar[tuple[str, ...]] = ("at",)
+    change = Parameter("1", AXES, step=1e-6, sigma=1e-3)
+    about = Parameter("nT", AXES)
+
+    def _factor(self, samples: xr.Dataset, values: Values) -> Floats:
+        return np.where(self.inside(samples)[:, None], 1.0 + values["change"], 1.0)
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading with the scale of before; (time, axis) nT."""
+        about = values["about"]
+        return np.asarray(about + (reading - about) * self._factor(samples, values))
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading as the sensor gives it; (time, axis) nT."""
+        about = values["about"]
+        return np.asarray(about + (reading - about) / self._factor(samples, values))

@@ -1,0 +1,126 @@
+"""Families: by what cause a missing effect is reported, and which channels of a mission may make it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from inflight.derived import parse
+from inflight.errors import ModelError
+
+if TYPE_CHECKING:
+    from inflight.effects.base import Effect
+    from inflight.instruments import Channel
+    from inflight.mission import Mission
+
+#: Every family there is.
+FAMILIES = (
+    "sensor",
+    "temperature",
+    "ageing",
+    "torquer",
+    "solar",
+    "battery",
+    "camera",
+    "current",
+    "day_night",
+    "sun_angle",
+    "remanent",
+    "induced",
+    "eddy",
+    "nonlinearity",
+    "clock",
+    "bias",
+    "offset_step",
+    "tone",
+    "hysteresis",
+    "unknown",
+)
+#: Which family a channel's kind speaks for; all others are currents of some kind.
+FAMILY_OF_KIND = {
+    "temperature": "temperature",
+    "solar_current": "solar",
+    "battery_current": "battery",
+    "camera_current": "camera",
+    "torquer_current": "torquer",
+    "sunlight": "day_night",
+    "sun_direction": "sun_angle",
+    "frequency": "clock",
+    "attitude": "unknown",
+    "position": "unknown",
+}
+#: Names that `inflight.geometry.add_geometry` gives to what it works out, with their families.
+GEOMETRY = {
+    "sunlit": "day_night",
+    "sun_direction": "sun_angle",
+    "sun_phase": "day_night",
+    "local_time": "sun_angle",
+    "orbit_phase": "unknown",
+    "latitude": "unknown",
+    "longitude": "unknown",
+}
+
+
+def channels_of(mission: Mission) -> dict[str, Channel]:
+    """Return a mission's channels but the fields, by their names in samples.
+
+    A name that several instruments use is written ``instrument.channel``.
+    """
+    found = list(mission.channel_instruments())
+    plain = [name for _, name, _ in found]
+    return {
+        (name if plain.count(name) == 1 else f"{instrument}.{name}"): channel
+        for instrument, name, channel in found
+    }
+
+
+def channels_of_kind(mission: Mission, *kinds: str, width: int = 1) -> list[str]:
+    """Return the names of channels of some kinds, or of all that are no geometry when none is given.
+
+    Parameters
+    ----------
+    width : int
+        Number of components; 1 for one number a time.
+    """
+    return [
+        name
+        for name, channel in channels_of(mission).items()
+        if (channel.kind in kinds if kinds else channel.kind not in ("attitude", "position"))
+        and max(len(channel.axis_names), 1) == width
+    ]
+
+
+def options_of_channels(names: list[str]) -> list[dict[str, Any]]:
+    """Return one set of options a channel."""
+    return [{"channel": name} for name in names]
+
+
+def knows_orbit(mission: Mission) -> bool:
+    """Return True when the mission delivers positions, from which phases and local time are made."""
+    return any(channel.kind == "position" for channel in channels_of(mission).values())
+
+
+def knows_sun(mission: Mission) -> bool:
+    """Return True when the Sun's direction in the sensor's axes can be made, or is delivered."""
+    kinds = {channel.kind for channel in channels_of(mission).values()}
+    return {"position", "attitude"} <= kinds or "sun_direction" in kinds
+
+
+def family_of(effect: Effect, mission: Mission) -> str:
+    """Return the family an effect is reported by.
+
+    An effect made from any channel belongs to the family of its first channel's kind; a play makes
+    it a hysteresis. A channel without a kind is a current: nothing is guessed from its name.
+    """
+    if not effect.family_by_channel or not effect.channels:
+        return type(effect).family
+    try:
+        parts = parse(effect.channels[0]).parts
+    except ModelError:
+        return type(effect).family
+    if any(part.width for part in parts):
+        return "hysteresis"
+    known = channels_of(mission)
+    name = parts[0].channel
+    if name not in known:
+        return GEOMETRY.get(name, "current")
+    return FAMILY_OF_KIND.get(known[name].kind, "current")
