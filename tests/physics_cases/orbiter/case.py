@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from inflight.time import day_bounds, day_range
 
 from .archive import Table, instrument_entry, make_workspace, sampled, write_archive, write_files
-from .causes import CAUSES, FAMILY, Cause, World
+from .causes import CAUSES, Cause, World
 from .decoys import make_decoys, near_copy
 from .field import draw_field, main_field
 from .house import Channel, keep_house
@@ -330,9 +330,6 @@ def _told(
         "equivalents": [],
     }
     if told["identifiable"]:
-        told["equivalents"] = [
-            one
-            for one in equivalents(world, cause, shown, sigma)
-            if one["channel"] not in told["channels"] or one["family"] not in FAMILY.values()
-        ]
+        found = equivalents(world, cause, shown, sigma)
+        told["equivalents"] = [one for one in found if one["channel"] not in told["channels"]]
     return told | {key: value for key, value in cause.told.items() if key != "unidentifiable"}

@@ -1,0 +1,33 @@
+"""One seed of every case: nothing wrong is claimed, and the truth is named or honestly confused."""
+
+import importlib.util
+
+import pytest
+
+from .run import run_case
+from .scenarios import scenarios
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        importlib.util.find_spec("inflight.tasks.diagnose") is None,
+        reason="there is no inflight.tasks.diagnose",
+    ),
+]
+SEED = 1
+#: Cases that fail, with what was measured; each is to be taken out when it passes.
+FAILING: dict[str, str] = {}
+
+
+def marked(name):
+    reason = FAILING.get(name)
+    return pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=reason)) if reason else name
+
+
+@pytest.mark.parametrize("name", [marked(name) for name in scenarios()])
+def test_the_hidden_effect_is_named_or_honestly_confused(tmp_path, name):
+    outcome = run_case(name, SEED, tmp_path)
+    assert not outcome.error
+    told = outcome.score
+    assert not told.confident_wrong, f"FOUND {told.false_additions}, hidden {outcome.truth['effects']}"
+    assert told.family is not False, f"{told.verdict} does not name {outcome.truth['effects']}"
