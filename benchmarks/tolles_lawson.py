@@ -2,9 +2,9 @@
 
 ``python -m benchmarks.tolles_lawson`` prints it. The record is the aircraft's of
 ``missions/magnav-tl.yaml``. Each half is filtered on its own, everything is chosen inside the half that is
-fitted, and the other half is looked at once. The published coefficients were
-fitted on both halves (ridge of strength 0.001 on the published arrays gives them to 1e-12): what they leave is
-in-sample, and a mark to come near, not a held-out rival.
+fitted, and the other half is looked at once. The published coefficients were fitted on both halves (ridge of
+strength 0.001 on the published arrays gives them to 1e-12): what they leave is in-sample, a mark to come near
+and no held-out rival.
 """
 
 from __future__ import annotations
