@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,6 +12,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.coefficients import product_factor
 from inflight.effects.naming import did_you_mean, slowed, snake_case
+from inflight.effects.parameter import Parameter
 from inflight.errors import ModelError, SamplesError
 from inflight.sensors import Sensor
 from inflight.time import parse_duration, parse_utc, to_tt2000, to_utc
@@ -22,6 +22,18 @@ if TYPE_CHECKING:
     from inflight.effects.sources import EffectSource
     from inflight.mission import Mission
 
+__all__ = [
+    "AXES",
+    "CHANNEL_OPTIONS",
+    "Effect",
+    "Parameter",
+    "Values",
+    "best_field",
+    "direction",
+    "multiply",
+    "strength",
+    "with_field",
+]
 #: Values of an effect's parameters: each an array over the parameter's axes, or (time, axes).
 Values = Mapping[str, Floats]
 AXES = ("x", "y", "z")
@@ -30,54 +42,6 @@ CHANNEL_OPTIONS = ("channel", "lag", "width")
 #: An effect that follows the field is solved for at a vector sensor until nothing larger than this moves.
 _SETTLED_NT = 1e-9
 _MOST_STEPS = 80
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A number of an effect.
-
-    Attributes
-    ----------
-    unit : str
-        Unit of the value.
-    axes : tuple of str, optional
-        Names of the components; None for a single number.
-    default : float or tuple of float
-        Value that does nothing, or the nominal one.
-    sigma : float
-        What is known beforehand: standard deviation of the prior around `default`.
-    bounds : tuple of float, optional
-        Physical limits.
-    step : float
-        Typical size, the unit of finite differences and of scaled columns.
-    linear : bool
-        False when the residual bends within a typical step.
-    bank : tuple of float, optional
-        Grid of a parameter that is searched, not solved for (a lag, a width).
-    per_channel : int
-        Power of the first channel that the value is per: 1 for nT per unit of the channel. A model
-        may then state the whole unit (``nT/A``), whatever unit the channel comes in.
-    """
-
-    unit: str
-    axes: tuple[str, ...] | None = None
-    default: float | tuple[float, ...] = 0.0
-    sigma: float = float("inf")
-    bounds: tuple[float, float] | None = None
-    step: float = 1.0
-    linear: bool = True
-    bank: tuple[float, ...] | None = None
-    per_channel: int = 0
-
-    @property
-    def size(self) -> int:
-        """Number of components."""
-        return len(self.axes) if self.axes else 1
-
-    @property
-    def default_values(self) -> Floats:
-        """Default as an array over the axes."""
-        return np.broadcast_to(np.asarray(self.default, dtype=np.float64), (self.size,)).copy()
 
 
 class _ParametersOf:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from inflight.effects.base import Parameter
 from inflight.effects.naming import did_you_mean
 from inflight.errors import ModelError
 from inflight.model.dependence import KEYS, Dependence, parse_dependence
-from inflight.time import to_utc
+from inflight.time import DAY, to_utc
 
 if TYPE_CHECKING:
     from inflight.mission import Event
@@ -29,43 +29,43 @@ class TimedValue:
     ----------
     parameter : Parameter
         What the effect says of it, in the unit the model states.
-    dependence : Dependence
-        Which functions of time the coefficients multiply.
+    time : str
+        constant, linear, log, block, event or spline: see `inflight.model.dependence`.
     value, sigma : ndarray, shape (component, coefficient)
         Value and standard deviation; for block, those known beforehand.
     free : bool
         Whether a fit may move it. Left out of the YAML, it is free with time ``block`` or a stated sigma.
+    t0, per : int
+        Origin (TT2000) and unit of a trend's time, nanoseconds.
     table : xarray.Dataset, optional
         Bound calibration table of a block parameter.
     key : str
         ``effect.parameter``, the name in tables.
     table_name : str
         What the model YAML says of the table its values lie in; kept, for a reader.
+    moments : tuple of int
+        TT2000 of the events between intervals, or of a spline's knots.
+    interpolation : str
+        Between knots: ``cubic`` or ``linear``.
     """
 
     parameter: Parameter
-    dependence: Dependence
+    time: str
     value: Floats
     sigma: Floats
     free: bool = True
-    table: xr.Dataset | None = field(default=None, compare=False)
+    t0: int = 0
+    per: int = DAY
+    table: xr.Dataset | None = None
     key: str = ""
     table_name: str = ""
+    moments: tuple[int, ...] = ()
+    interpolation: str = "cubic"
 
     @property
-    def time(self) -> str:
-        """constant, linear, log, block, event or spline."""
-        return self.dependence.time
-
-    @property
-    def t0(self) -> int:
-        """Origin of a trend, TT2000 nanoseconds."""
-        return self.dependence.t0
-
-    @property
-    def per(self) -> int:
-        """Unit of a trend's time, nanoseconds."""
-        return self.dependence.per
+    def dependence(self) -> Dependence:
+        """Which functions of time the coefficients multiply."""
+        return Dependence(self.time, self.t0, self.per, self.moments, self.interpolation)
 
     @property
     def columns(self) -> list[str]:
@@ -174,8 +174,19 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
         )
     stated = entry.get("sigma") is not None
     free = bool(entry.get("free", dependence.time == "block" or stated))
-    table_name = str(entry.get("table", ""))
-    return TimedValue(parameter, dependence, value, sigma, free, key=key, table_name=table_name)
+    return TimedValue(
+        parameter,
+        dependence.time,
+        value,
+        sigma,
+        free,
+        dependence.t0,
+        dependence.per,
+        key=key,
+        table_name=str(entry.get("table", "")),
+        moments=dependence.at,
+        interpolation=dependence.interpolation,
+    )
 
 
 def _filled(parameter: Parameter, dependence: Dependence, default: Floats | float) -> Floats:
