@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.comparison import Band, Layout, filter_rows, rows_of
-from inflight.errors import ModelError, SamplesError
+from inflight.errors import MissionError, ModelError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model, make_effect
@@ -135,8 +135,8 @@ def test_what_has_no_rows_says_so():
 def test_the_band_of_a_platform_comes_from_the_mission():
     text = (ROOT / "missions" / "magnav-tl.yaml").read_text(encoding="utf-8")
     assert Layout.of(Mission.parse(text)).band == Band(0.1, 0.9)
-    with pytest.raises(Exception, match="rising"):
-        Mission.parse(text.replace("kind: platform,", "kind: platform, band: [0.9, 0.1],"))
+    with pytest.raises(MissionError, match="rising"):
+        Mission.parse(text.replace("[0.1, 0.9]", "[0.9, 0.1]"))
 
 
 @settings(max_examples=25, deadline=None)
