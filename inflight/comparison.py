@@ -247,12 +247,13 @@ def _platform(layout: Layout, corrected: xr.Dataset) -> Rows:
     vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
     step = _step(corrected)
     good = _good(corrected, np.column_stack([total, field])) & (total > 0)
+    residual = filter_rows(total[:, None], step, layout.band, good)
     return Rows(
-        filter_rows(total[:, None], step, layout.band, good),
+        residual,
         {vector: np.zeros_like(along), scalar: along},
         {vector: field, scalar: field},
         field,
-        good,
+        good & np.isfinite(residual[:, 0]),
         step,
         layout.band,
     )

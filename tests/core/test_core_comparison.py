@@ -70,6 +70,15 @@ def test_a_field_at_the_scalar_sensor_is_seen_along_the_field(name, sensor):
     np.testing.assert_allclose((after.residual - before.residual)[:, 0], column, atol=1e-7)
 
 
+def test_a_run_too_short_for_the_band_is_not_good():
+    model = model_of(mission_of("magnav-tl"))
+    samples = samples_of(model.layout, 100_000_000)
+    samples["scalar"][[120, 180]] = np.nan
+    rows = rows_of(model, samples)
+    assert np.flatnonzero(~rows.good).tolist() == list(range(120, 181))
+    assert np.isfinite(rows.residual[rows.good]).all()
+
+
 def test_two_vector_sensors_in_one_field_leave_nothing_in_spacecraft_axes():
     model = model_of(mission_of("goes16"))
     rows = rows_of(model, samples_of(model.layout))
