@@ -193,6 +193,7 @@ def make_library(
     shifts: Mapping[str, float],
     base: Sequence[Term],
     shortest: float,
+    fixed: Sequence[Term] = (),
 ) -> Library:
     """Return everything that may be tried on a comparison.
 
@@ -210,6 +211,8 @@ def make_library(
         The calibration's own terms.
     shortest : float
         Shortest period the library's cadence shows, s.
+    fixed : sequence of Term
+        Parameters of the vector sensor that the model holds fixed.
     """
     library = Library(base=list(base), refined=_refined(model, base), placebos=dict(shifts))
     there = set(channels) | set(geometry)
@@ -223,6 +226,10 @@ def make_library(
             continue
         for given in options:
             _offer(library, mission, model, label, given, there, channels, shortest)
+    for term in fixed:
+        key = f"{term.key}.{term.parameters[0]}"
+        own = replace(term, key=key)
+        library.add(Candidate(key, key, "sensor", (), (key,)), [own])
     _offer_placebos(library, mission, model, shifts)
     return library
 

@@ -1,0 +1,159 @@
+"""From native samples to the library's cadence: bins of good samples, spikes left out.
+
+Means of bins keep every linear statement: the mean residual is the same function of the mean columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.ndimage import median_filter
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import TO_SIGMA
+from inflight.comparison import Rows as NativeRows
+from inflight.diagnosis.columns import Rows
+from inflight.time import GAP, SECOND, Int64
+
+#: A sample is a spike when it is this many sigma from the median of its neighbours.
+_SPIKE, _NEIGHBOURS = 6.0, 9
+#: A bin needs this part of the usual number of good samples.
+_LEAST = 0.3
+#: Gaps of a channel up to so many bins are bridged by a straight line.
+_BRIDGE = 10
+
+
+def grid(first: int, last: int, cadence_ns: int) -> Int64:
+    """Return the edges of the bins that cover the half-open span from `first` to `last`; TT2000."""
+    count = max(1, -(-(last - first) // cadence_ns))
+    return first + cadence_ns * np.arange(count + 1, dtype=np.int64)
+
+
+def bin_means(
+    values: Floats, stamps: Int64, edges: Int64, good: npt.NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Return means (bin, ...) and counts (bin,) of the good samples in each bin; NaN where there is none."""
+    place = np.searchsorted(edges, stamps, side="right") - 1
+    used = good & (place >= 0) & (place < edges.size - 1)
+    count = np.bincount(place[used], minlength=edges.size - 1).astype(np.float64)
+    flat = values[used].reshape(int(used.sum()), -1)
+    total = np.stack(
+        [np.bincount(place[used], weights=column, minlength=edges.size - 1) for column in flat.T], axis=-1
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = total / count[:, None]
+    return mean.reshape(edges.size - 1, *values.shape[1:]), count
+
+
+def spikes(residual: Floats) -> npt.NDArray[np.bool_]:
+    """Return which samples stand out from their neighbours; (time,) of a residual (time, row).
+
+    The measure is local, so that no effect, however large, is taken for an outlier.
+    """
+    if len(residual) < _NEIGHBOURS:
+        return np.zeros(len(residual), dtype=bool)
+    filled = np.where(np.isfinite(residual), residual, 0.0)
+    off = filled - median_filter(filled, size=(_NEIGHBOURS, 1), mode="nearest")
+    known = np.isfinite(residual).all(axis=1)
+    sigma = TO_SIGMA * np.median(np.abs(off[known]), axis=0) if known.any() else np.ones(residual.shape[1])
+    return np.asarray((np.abs(off) > _SPIKE * np.maximum(sigma, 1e-6)).any(axis=1))
+
+
+def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
+    """Put a channel on the bins: means where it is faster, straight lines where it is slower; (bin, ...)."""
+    width = int(edges[1] - edges[0])
+    flat = np.asarray(values, dtype=np.float64)
+    good = np.isfinite(flat.reshape(len(flat), -1)).all(axis=1)
+    if not good.any():
+        return np.full((edges.size - 1, *flat.shape[1:]), np.nan)
+    if cadence_ns <= width:
+        return bridged(bin_means(flat, stamps, edges, good)[0])
+    centre = edges[:-1] + width // 2
+    own, told = stamps[good], flat[good].reshape(int(good.sum()), -1)
+    after = np.clip(np.searchsorted(own, centre), 1, max(own.size - 1, 1))
+    near = np.minimum(np.abs(centre - own[after - 1]), np.abs(own[np.minimum(after, own.size - 1)] - centre))
+    out = np.stack([np.interp(centre, own, column) for column in told.T], axis=-1)
+    out[near > GAP * cadence_ns] = np.nan
+    return out.reshape(edges.size - 1, *flat.shape[1:])
+
+
+def bridged(values: Floats) -> Floats:
+    """Return the series with its short gaps bridged by straight lines; (bin, ...)."""
+    flat = values.reshape(len(values), -1).copy()
+    known = np.isfinite(flat).all(axis=1)
+    if known.all() or not known.any():
+        return values
+    place, own = np.arange(len(flat)), np.flatnonzero(known)
+    after = np.clip(np.searchsorted(own, place), 0, own.size - 1)
+    before = np.clip(after - 1, 0, None)
+    short = ~known & (own[after] > place) & (own[before] < place) & (own[after] - own[before] <= _BRIDGE + 1)
+    for column in flat.T:
+        column[short] = np.interp(place[short], own, column[own])
+    return flat.reshape(values.shape)
+
+
+def coarsen(
+    samples: xr.Dataset,
+    rows: NativeRows,
+    edges: Int64,
+    channels: Mapping[str, xr.Variable],
+    turn: Mapping[str, Floats],
+) -> tuple[Rows, dict[str, float]]:
+    """Put a day's rows on the library's bins.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Native samples the rows were made from.
+    rows : inflight.comparison.Rows
+    edges : ndarray of int64
+        Of the bins.
+    channels : mapping of str to Variable
+        Channels and geometry that stand on the bins already.
+    turn : mapping
+        See `inflight.diagnosis.columns.Rows`.
+
+    Returns
+    -------
+    Rows, dict
+        The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
+        the scatter within bins, nT^2, ``spikes``.
+    """
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    usable = rows.good & np.isfinite(rows.residual).all(axis=1)
+    out = spikes(np.where(usable[:, None], rows.residual, np.nan))
+    good = usable & ~out
+    residual, count = bin_means(rows.residual, stamps, edges, good)
+    usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
+    weight = np.where(count >= _LEAST * usual, np.minimum(count / usual, 1.0), 0.0)
+    data: dict[str, xr.Variable] = dict(channels)
+    data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
+    for role in ("vector", "scalar", "inboard", "outboard"):
+        if role in samples:
+            data[role] = xr.Variable(
+                samples[role].dims, bin_means(samples[role].values, stamps, edges, good)[0]
+            )
+    field, _ = bin_means(rows.field, stamps, edges, good)
+    data["field"] = xr.Variable(("time", "axis"), field, {"units": "nT"})
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = field / np.linalg.norm(field, axis=1, keepdims=True)
+    data["field_direction"] = xr.Variable(("time", "axis"), unit, {"units": "1"})
+    seen = weight > 0
+    directions = {
+        name: bin_means(np.asarray(one), stamps, edges, good)[0] for name, one in rows.directions.items()
+    }
+    residual = np.where(seen[:, None], residual, 0.0)
+    square = float(np.sum(rows.residual[good] ** 2))
+    inside = square - float(
+        np.sum(count[:, None] * np.where(count[:, None] > 0, np.nan_to_num(residual), 0.0) ** 2)
+    )
+    sums = {
+        "count": float(good.sum()),
+        "square": square,
+        "inside": max(inside, 0.0),
+        "spikes": float((usable & out).sum()),
+    }
+    return Rows(xr.Dataset(data), residual, directions, turn, weight), sums

@@ -1,0 +1,147 @@
+"""What is left: the residual as a series with everything the model explains taken off, its sizes, its structure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.derived import Part, parse, product
+from inflight.diagnosis.columns import design
+from inflight.diagnosis.evidence import Evidence, solve_scaled
+from inflight.diagnosis.library import Term
+from inflight.diagnosis.search import Search
+from inflight.diagnosis.series import Series
+
+#: Lags of the residual's covariance that tell structure from noise, in rows of the series.
+_LAGS = 6
+#: Structure counts when it is this many sigma from nothing and this part of the noise floor.
+_CLEAR_T, _CLEAR_PART = 3.0, 0.2
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Slow structure of a residual.
+
+    Attributes
+    ----------
+    rms_nT : float
+        Root of the mean covariance of neighbouring rows: white noise has none.
+    t : float
+        Its mean over the error between blocks.
+    """
+
+    rms_nT: float  # noqa: N815 (a unit)
+    t: float
+
+    def is_clear(self, floor: float) -> bool:
+        """Return True when it is beyond doubt and large enough to matter."""
+        return self.t > _CLEAR_T and self.rms_nT > _CLEAR_PART * floor
+
+
+def structure_of(series: Series, residual: Floats) -> Structure:
+    """Return the structure of a residual (sample, row) by blocks: covariance at lags of one to six rows."""
+    good = series["weight"] > 0
+    blocks = int(series.block.max()) + 1 if series.block.size else 0
+    total, count = np.zeros(blocks), np.zeros(blocks)
+    for lag in range(1, _LAGS + 1):
+        both = good[lag:] & good[:-lag] & (series.block[lag:] == series.block[:-lag])
+        value = np.einsum("tr,tr->t", residual[lag:], residual[:-lag]) / residual.shape[1]
+        total += np.bincount(series.block[lag:][both], weights=value[both], minlength=blocks)
+        count += np.bincount(series.block[lag:][both], minlength=blocks)
+    used = count > 0
+    if used.sum() < 3:
+        return Structure(0.0, 0.0)
+    each, share = total[used] / count[used], count[used] / count[used].sum()
+    mean = float(each @ share)
+    error = float(np.sqrt(np.sum(share**2 * (each - mean) ** 2) * used.sum() / (used.sum() - 1)))
+    return Structure(float(np.sqrt(max(mean, 0.0))), mean / error if error > 0 else 0.0)
+
+
+def residual_left(
+    search: Search, series: Series, terms: Mapping[str, Term], turn: dict[str, Floats], accepted: bool = True
+) -> Floats:
+    """Return the series' residual after calibration, model and (when asked) what the search took; (sample, row)."""
+    options = search.accepted if accepted else []
+    wanted = [*search.library.base, *search.library.refined]
+    used = {key for option in options for key in option.terms}
+    wanted += [terms[key] for key in sorted(used)]
+    channels = {name for term in wanted for name in term.entry.effect.channels if name}
+    rows = series.rows(turn, _made_channels(series, channels))
+    names = [name for term in wanted for name in term.columns]
+    columns = design(wanted, rows)
+    for option in options:
+        if option.change is not None:
+            for name, (column, factor) in option.change.functions.items():
+                own = columns[:, :, names.index(column)] * np.asarray(factor)[series.block][:, None]
+                columns = np.concatenate([columns, own[:, :, None]], axis=2)
+                names.append(name)
+    present = [name for option in options for name in option.columns]
+    values = joint_values(search, present)
+    out = rows.residual.copy()
+    base = [name for term in search.library.base for name in term.columns]
+    for group, found in zip(search.intervals, values, strict=True):
+        inside = np.isin(series.block, np.asarray(group))
+        order = [names.index(name) for name in [*base, *found[1]]]
+        out[inside] += columns[inside][:, :, order] @ found[0]
+    return out
+
+
+def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[str]]]:
+    """Return, an interval, the values of calibration, refined and taken columns (scaled), and the latter's names."""
+    evidence = search.forms["raw"]
+    refined = [name for term in search.library.refined for name in term.columns]
+    sigma = [s for term in search.library.refined for s in term.sigma]
+    names = [*refined, *present]
+    precision = search.precision(evidence, names, np.asarray([*sigma, *[np.inf] * len(present)]))
+    total = evidence.gram.sum(axis=0)
+    place, y = evidence.index(names), search.y("raw")
+    common = (
+        -solve_scaled(total[np.ix_(place, place)] + np.diag(precision), total[place, y])
+        if names
+        else np.zeros(0)
+    )
+    base = [name for term in search.library.base for name in term.columns]
+    own_sigma = np.asarray([s for term in search.library.base for s in term.sigma])
+    return [
+        (np.concatenate([_base_values(search, group, base, own_sigma, names, common), common]), names)
+        for group in search.intervals
+    ]
+
+
+def _base_values(
+    search: Search, group: object, base: list[str], sigma: Floats, names: list[str], common: Floats
+) -> Floats:
+    if not base:
+        return np.zeros(0)
+    raw: Evidence = search.raw
+    total = raw.gram[np.asarray(group)].sum(axis=0)
+    inner, others, y = raw.index(base), raw.index(names), raw.residuals[search.residual]
+    right = total[inner, y] + (total[np.ix_(inner, others)] @ common if names else 0.0)
+    precision = search.precision(raw, base, sigma)
+    return -solve_scaled(total[np.ix_(inner, inner)] + np.diag(precision), right)
+
+
+def _made_channels(series: Series, names: set[str]) -> dict[str, xr.Variable]:
+    """Return derived channels on the series' own rows."""
+    out: dict[str, xr.Variable] = {}
+    known = set(series.channels)
+    for name in names:
+        if name in known:
+            continue
+        factors = []
+        for part in parse(name).parts:
+            values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
+            factors.append(_part(series, part, values))
+        made = product(factors)
+        out[name] = xr.Variable(("time", "axis")[: made.ndim], made)
+    return out
+
+
+def _part(series: Series, part: Part, values: Floats) -> Floats:
+    if part.is_plain or part.placebo:
+        return values
+    return part.of(values, np.diff(series.tt2000) / 1e9)

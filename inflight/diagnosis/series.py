@@ -1,0 +1,168 @@
+"""The coarse series beside the evidence: what pictures, signatures and sentences are made from.
+
+One array (block, sample, feature) of float32; its first feature is the time within the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.diagnosis.columns import Rows
+from inflight.time import SECOND, Int64
+
+_ROLES = ("vector", "scalar", "inboard", "outboard")
+
+
+@dataclass(frozen=True)
+class Features:
+    """Names and widths of what the series holds; `sensors` are those the directions belong to."""
+
+    names: tuple[str, ...]
+    widths: tuple[int, ...]
+    sensors: tuple[str, ...]
+    rows: int
+
+    def place(self, name: str) -> slice:
+        """Return the columns of a feature."""
+        at = self.names.index(name)
+        first = sum(self.widths[:at])
+        return slice(first, first + self.widths[at])
+
+    def as_json(self) -> dict[str, object]:
+        """Return what `of_json` reads."""
+        return {
+            "names": list(self.names),
+            "widths": list(self.widths),
+            "sensors": list(self.sensors),
+            "rows": self.rows,
+        }
+
+    @classmethod
+    def of_json(cls, told: dict[str, list[str]]) -> Features:
+        """Return the features a store's attributes tell of."""
+        return cls(
+            tuple(told["names"]), tuple(map(int, told["widths"])), tuple(told["sensors"]), int(told["rows"])
+        )  # type: ignore[call-overload]
+
+
+def features_of(rows: Rows, channels: Sequence[str]) -> Features:
+    """Return what the series of some rows holds: residual, directions, readings, field, weight, channels."""
+    count = rows.residual.shape[1]
+    names = ["seconds", "residual", "weight", "field"]
+    widths = [1, count, 1, 3]
+    for sensor in rows.directions:
+        names.append(f"direction:{sensor}")
+        widths.append(3 * count)
+    for name in (*[role for role in _ROLES if role in rows.samples], *channels):
+        if name in rows.samples and name not in names:
+            names.append(name)
+            widths.append(int(np.prod(rows.samples[name].shape[1:], dtype=int)))
+    return Features(tuple(names), tuple(widths), tuple(rows.directions), count)
+
+
+def thin(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
+    """Return stamps (sample,) and features (sample, feature): weighted means of every `step` bins."""
+    count = len(rows.weight) // step * step
+    weight = rows.weight[:count].reshape(-1, step)
+    total = weight.sum(axis=1)
+    factor = np.where(total[:, None] > 0, weight / np.maximum(total[:, None], 1e-12), 1.0 / step)
+    parts = {
+        "residual": rows.residual,
+        "weight": rows.weight,
+        "field": rows.samples["field"].values,
+        "seconds": np.zeros(len(rows.weight)),
+    } | {f"direction:{name}": one for name, one in rows.directions.items()}
+    columns = []
+    for name, width in zip(features.names, features.widths, strict=True):
+        values = parts[name] if name in parts else np.asarray(rows.samples[name].values, dtype=np.float64)
+        flat = np.asarray(values[:count], dtype=np.float64).reshape(-1, step, width)
+        good = np.isfinite(flat)
+        part = (np.where(good, flat, 0.0) * factor[:, :, None]).sum(axis=1)
+        part[(~good & (weight[:, :, None] > 0)).any(axis=1)] = np.nan
+        columns.append(part)
+    stamps = rows.samples["tt2000"].values[:count].reshape(-1, step)
+    at = columns[features.names.index("weight")]
+    at[:, 0] = total / step
+    return stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2, np.concatenate(columns, axis=1)
+
+
+def pack_blocks(stamps: Int64, values: Floats, edges: Sequence[int], samples: int) -> np.ndarray:
+    """Return (block, sample, feature) float32; places beyond the end are NaN."""
+    out = np.full((len(edges) - 1, samples, values.shape[1]), np.nan, dtype=np.float32)
+    places = np.searchsorted(stamps, edges)
+    for block in range(len(edges) - 1):
+        part = slice(int(places[block]), min(int(places[block + 1]), int(places[block]) + samples))
+        count = part.stop - part.start
+        out[block, :count] = values[part]
+        out[block, :count, 0] = (stamps[part] - edges[block]) / SECOND
+    return out
+
+
+@dataclass(frozen=True)
+class Series:
+    """The whole span, in order of time.
+
+    Attributes
+    ----------
+    tt2000 : ndarray of int64, shape (sample,)
+    values : ndarray, shape (sample, feature)
+    block : ndarray, shape (sample,)
+        Index of the block each sample belongs to.
+    """
+
+    tt2000: Int64
+    values: Floats
+    block: np.ndarray
+    features: Features
+
+    @classmethod
+    def of(cls, packed: np.ndarray, starts: Int64, features: Features) -> Series:
+        """Return the series of packed blocks, in order of their starts."""
+        known = np.isfinite(packed[:, :, 0])
+        block = np.broadcast_to(np.arange(len(packed))[:, None], known.shape)[known]
+        values = packed[known].astype(np.float64)
+        return cls(starts[block] + (values[:, 0] * SECOND).astype(np.int64), values, block, features)
+
+    def __getitem__(self, name: str) -> Floats:
+        """Return a feature; (sample,) or (sample, component)."""
+        place = self.features.place(name)
+        part = self.values[:, place]
+        return part[:, 0] if place.stop - place.start == 1 else part
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of channels and geometry."""
+        fixed = {"seconds", "residual", "weight", "field", *_ROLES}
+        return [
+            name for name in self.features.names if name not in fixed and not name.startswith("direction:")
+        ]
+
+    @property
+    def step_s(self) -> float:
+        """Usual spacing, seconds."""
+        return float(np.median(np.diff(self.tt2000))) / SECOND if self.tt2000.size > 1 else 1.0
+
+    def direction(self, sensor: str | None = None) -> Floats:
+        """Return the direction of each row at a sensor; (sample, row, axis)."""
+        name = sensor or self.features.sensors[0]
+        return self[f"direction:{name}"].reshape(len(self.values), self.features.rows, 3)
+
+    def rows(self, turn: dict[str, Floats], more: dict[str, xr.Variable]) -> Rows:
+        """Return the series as rows, so that columns can be made from it."""
+        data = dict(more) | {"tt2000": xr.Variable("time", self.tt2000)}
+        for name in (*self.channels, *_ROLES, "field"):
+            if name in self.features.names:
+                part = self[name]
+                data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part))
+        field = self["field"]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            unit = field / np.linalg.norm(field, axis=1, keepdims=True)
+        data["field_direction"] = xr.Variable(("time", "axis"), unit)
+        residual = self["residual"].reshape(len(self.values), -1)
+        directions = {name: self.direction(name) for name in self.features.sensors}
+        return Rows(xr.Dataset(data), residual, directions, turn, self["weight"])

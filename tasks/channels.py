@@ -1,0 +1,192 @@
+"""Every channel of a mission on the library's cadence, day by day, with history and placebos."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog
+from inflight.derived import Part, parse, product
+from inflight.diagnosis.coarse import channel_on, grid
+from inflight.diagnosis.library import Told
+from inflight.mission import Mission
+from inflight.tasks.needs import channel_homes
+from inflight.tasks.samples import ArchiveIndex, Need
+from inflight.time import SECOND, Int64, day_bounds
+
+_DAY = np.timedelta64(1, "D")
+#: Days kept in memory: a day, its history, and those of placebos.
+_KEPT = 12
+
+
+@dataclass
+class ChannelReader:
+    """Reads channels of single days, onto bins; keeps the last days it read.
+
+    Attributes
+    ----------
+    index : ArchiveIndex
+        The days there are; one list of needs, one need a channel.
+    cadence_ns : int
+        Of the bins.
+    span : tuple of int
+        First and last TT2000 of the whole record: bins do not reach beyond it.
+    """
+
+    cat: Catalog
+    mission: Mission
+    needs: Sequence[Need]
+    index: ArchiveIndex
+    cadence_ns: int
+    span: tuple[int, int]
+    _read: dict[np.datetime64, dict[str, Floats]] = field(default_factory=dict)
+
+    @property
+    def scalars(self) -> list[str]:
+        """Names of the channels of one number a time, attitudes and positions not among them."""
+        homes = channel_homes(self.mission)
+        found = []
+        for need in self.needs:
+            instrument, name = homes[need.name]
+            channel = self.mission.instruments[instrument].channels[name]
+            if not channel.axis_names and channel.kind not in ("attitude", "position"):
+                found.append(need.name)
+        return found
+
+    def edges(self, day: np.datetime64) -> Int64:
+        """Return the edges of a day's bins."""
+        start, end = day_bounds(day)
+        return grid(max(start, self.span[0]), min(end, self.span[1]), self.cadence_ns)
+
+    def day(self, day: np.datetime64) -> dict[str, Floats]:
+        """Return every channel of a day on its bins; NaN where there is nothing."""
+        if day not in self._read:
+            while len(self._read) >= _KEPT:
+                self._read.pop(next(iter(self._read)))
+            self._read[day] = self._load(day)
+        return self._read[day]
+
+    def _load(self, day: np.datetime64) -> dict[str, Floats]:
+        edges = self.edges(day)
+        homes = channel_homes(self.mission)
+        by_dataset: dict[str, list[Need]] = {}
+        for need in self.needs:
+            by_dataset.setdefault(need.dataset, []).append(need)
+        out: dict[str, Floats] = {}
+        for dataset, needs in by_dataset.items():
+            there = self.index.get(needs[0], day)
+            data = self.cat.read(there, [need.channel for need in needs]) if there is not None else None
+            for need in needs:
+                instrument, name = homes[need.name]
+                width = len(self.mission.instruments[instrument].channels[name].axis_names)
+                if data is None:
+                    out[need.name] = np.full((edges.size - 1, width) if width else edges.size - 1, np.nan)
+                    continue
+                cadence = need.cadence_ns
+                # A mean of quaternions or of positions is none: the nearest ones on a straight line.
+                if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
+                    cadence = max(cadence, self.cadence_ns + 1)
+                out[need.name] = channel_on(data[need.channel].values, data["tt2000"].values, edges, cadence)
+            del dataset
+        return out
+
+
+@dataclass
+class DerivedChannels:
+    """Makes the channels the library's terms ask for, one day after the other.
+
+    Attributes
+    ----------
+    reader : ChannelReader
+    days : sequence of datetime64[D]
+        All days of the span: placebos come from other days of it.
+    told : mapping of str to Told
+        Means, which stand in for what is missing.
+    shifts : mapping of str to float
+        Placebo, such as ``heater~1`` -> seconds.
+    """
+
+    reader: ChannelReader
+    days: Sequence[np.datetime64]
+    told: Mapping[str, Told]
+    shifts: Mapping[str, float]
+
+    def on(
+        self, day: np.datetime64, names: Sequence[str], geometry: Mapping[str, Floats]
+    ) -> dict[str, Floats]:
+        """Return channels of a day by their derived names; (bin,) or (bin, axis)."""
+        out = {}
+        for name in names:
+            if name in geometry or not name:
+                continue
+            known = set(self.reader.day(day)) | set(geometry)
+            parts = (Part(name),) if name in known else parse(name).parts
+            out[name] = product([self._part(day, part, geometry) for part in parts])
+        return out
+
+    def _part(self, day: np.datetime64, part: Part, geometry: Mapping[str, Floats]) -> Floats:
+        if part.channel in geometry and part.is_plain:
+            return geometry[part.channel]
+        place = list(self.days).index(day)
+        bins = self.reader.edges(day).size - 1
+        step = self.reader.cadence_ns / SECOND
+        if not part.placebo:
+            history = self._before(place) if not part.is_plain else []
+            whole = np.concatenate([self._filled(one, part.channel) for one in [*history, day]])
+            return part.of(whole, step)[-bins:] if not part.is_plain else whole
+        shift = int(round(self.shifts[f"{part.channel}~{part.placebo}"] / step))
+        need = bins + int(np.ceil(part.history_s / step))
+        return part.of(self._wrapped(place, part.channel, bins, shift, need), step)[-bins:]
+
+    def _before(self, place: int) -> list[np.datetime64]:
+        adjacent = place > 0 and self.days[place] - self.days[place - 1] == _DAY
+        return [self.days[place - 1]] if adjacent else []
+
+    def _wrapped(self, place: int, channel: str, bins: int, shift: int, need: int) -> Floats:
+        """Return `need` bins of a channel that end `shift` bins before the day does, around the span's end."""
+        pieces: list[Floats] = []
+        at, left = place, shift + need
+        while left > 0:
+            piece = self._filled(self.days[at], channel)
+            pieces.insert(0, piece)
+            left -= len(piece)
+            at = (at - 1) % len(self.days)
+        whole = np.concatenate(pieces)
+        end = len(whole) - shift
+        del bins
+        return whole[end - need : end]
+
+    def _filled(self, day: np.datetime64, channel: str) -> Floats:
+        values = self.reader.day(day)[channel]
+        if channel not in self.told or values.ndim > 1:
+            return np.where(np.isfinite(values), values, 0.0)
+        return np.where(np.isfinite(values), values, self.told[channel].mean)
+
+
+def as_variables(
+    mission: Mission, values: Mapping[str, Floats], geometry: xr.Dataset | None
+) -> dict[str, xr.Variable]:
+    """Return channels as variables of samples, with their units."""
+    homes = channel_homes(mission)
+    out: dict[str, xr.Variable] = {}
+    for name, array in values.items():
+        unit = "1"
+        parts = [name] if name in homes else [part.channel for part in parse(name).parts]
+        if len(parts) == 1 and parts[0] in homes:
+            instrument, channel = homes[parts[0]]
+            unit = mission.instruments[instrument].channels[channel].unit
+        elif len(parts) > 1:
+            units = [
+                mission.instruments[homes[p][0]].channels[homes[p][1]].unit if p in homes else "1"
+                for p in parts
+            ]
+            unit = "*".join(f"({one})" for one in units)
+        dims = ("time", "axis" if array.ndim == 2 and array.shape[1] == 3 else f"{name}_component")
+        out[name] = xr.Variable(dims[: array.ndim], array, {"units": unit})
+    if geometry is not None:
+        out |= {str(name): geometry[name].variable for name in geometry.data_vars if name != "tt2000"}
+    return out

@@ -1,0 +1,385 @@
+"""Which physical effect is missing: survey, pass, search, verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.diagnosis.changes import Carriers
+from inflight.diagnosis.diagnosis import Diagnosis
+from inflight.diagnosis.library import Library, Term, make_library
+from inflight.diagnosis.search import Rules, Search
+from inflight.diagnosis.verdict import Material, conclude
+from inflight.effects.scalar_sensor import ScalarBias, TimeShift
+from inflight.errors import CatalogError, WorkerError
+from inflight.geometry import GEOMETRY
+from inflight.mission import Mission
+from inflight.tasks.calibrate import Job
+from inflight.tasks.channels import ChannelReader
+from inflight.tasks.delivery import each_result
+from inflight.tasks.evidence import Loaded, PassPlan, evidence_batch, load_evidence
+from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.needs import Need, base_role, channel_homes, needs_of, position_channel
+from inflight.tasks.report import Progress
+from inflight.tasks.samples import ArchiveIndex
+from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, survey
+from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
+
+#: Channels that get a placebo.
+_PLACEBOS = 16
+
+
+class DiagnoseSettings(BaseModel):
+    """What a user may choose of a diagnosis.
+
+    Attributes
+    ----------
+    comparison : str
+        Entry of the mission's `comparisons`.
+    cadence_s : float, optional
+        Of the search; chosen from the span's length when absent.
+    interval_days : int
+        Days of a calibration interval: what the nine parameters are fitted to anew.
+    rounds : int
+        Additions at most; 0 only ranks.
+    draws, seed : int
+        Sign flips.
+    batch_blocks : int
+        Blocks a worker makes at once; it bounds the memory.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    comparison: str = "main"
+    cadence_s: float | None = Field(None, gt=0)
+    interval_days: int = Field(15, ge=1)
+    rounds: int = Field(8, ge=0, le=40)
+    draws: int = Field(2000, ge=100, le=100_000)
+    seed: int = Field(0, ge=0)
+    batch_blocks: int = Field(10, ge=1)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A pass that has been made: what the search reads."""
+
+    plan: PassPlan
+    used: UsedModel
+    survey: Survey
+    loaded: Loaded
+    context: str
+    run: str
+    days_failed: int
+
+
+def diagnose(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: DiagnoseSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find out which physical effect is missing from a mission's present model.
+
+    Parameters
+    ----------
+    start, end : UTC date, optional
+        Half-open span of days; the whole archive when absent.
+    client : distributed.Client, optional
+        The pass runs on it.
+    progress : callable, optional
+        Called with (stage, done, total).
+
+    Raises
+    ------
+    MissionError, ModelError, CatalogError, CalibrationError
+        When there is nothing to work on, or the model does not fit the mission.
+    """
+    settings = settings or DiagnoseSettings()
+    made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
+    return conclude(search_of(made, settings), material_of(made, mission))
+
+
+def prepare(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None,
+    end: DayLike | None,
+    settings: DiagnoseSettings,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Prepared:
+    """Make or find the evidence of a span."""
+    tell = progress or (lambda stage, done, total: None)
+    used = current_model(cat, mission, settings.comparison)
+    needs = tuple(needs_of(mission, used.model))
+    channels = _channel_needs(mission)
+    index = ArchiveIndex.of(cat, [*needs, *channels])
+    days = [day for day in index.with_all(needs) if _within(day, start, end)]
+    if not days:
+        raise CatalogError(
+            "the archive has no day of the span on which every instrument measured",
+            remedy="ingest the files first; 'inflight catalog list' shows what is there",
+        )
+    base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
+    span = _span(index, base, days)
+    platform = mission.comparisons[settings.comparison].kind == "platform"
+    native = max(need.cadence_ns for need in needs if need.channel == "field")
+    cadence = native if platform else cadence_for(span[1] - span[0], native)
+    if settings.cadence_s is not None and not platform:
+        cadence = native * max(1, round(settings.cadence_s * SECOND / native))
+    reader = ChannelReader(cat, mission, channels, index, cadence, span)
+    tell("survey", 0, 1)
+    found = survey(cat, mission, used.model, needs, index, days, reader)
+    tell("survey", 1, 1)
+    plan = _plan(mission, found, needs, channels, days, span, cadence)
+    context = cat.save_context(mission.text, used.model.name, used.version, {})
+    run, blocks = _pass(cat, mission, plan, index, base, settings, context, client, tell)
+    loaded = load_evidence(cat, plan, blocks)
+    return Prepared(plan, used, found, loaded, context, run, len(plan.blocks) - len(blocks))
+
+
+def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:
+    return bool((start is None or day >= as_day(start)) and (end is None or day < as_day(end)))
+
+
+def _channel_needs(mission: Mission) -> tuple[Need, ...]:
+    """Return one need for every channel of the mission."""
+    return tuple(
+        Need(name, instrument, channel, mission.instruments[instrument].cadence)
+        for name, (instrument, channel) in channel_homes(mission).items()
+    )
+
+
+def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64]) -> tuple[int, int]:
+    """Return the first and the last TT2000 the record covers; whole days unless it is short."""
+    first, last = index.get(base, days[0]), index.get(base, days[-1])
+    assert first is not None
+    assert last is not None
+    if len(days) > 3:
+        return day_bounds(days[0])[0], day_bounds(days[-1])[1]
+    return first.first_tt2000, last.last_tt2000 + base.cadence_ns
+
+
+def _plan(
+    mission: Mission,
+    found: Survey,
+    needs: Sequence[Need],
+    channels: Sequence[Need],
+    days: Sequence[np.datetime64],
+    span: tuple[int, int],
+    cadence: int,
+) -> PassPlan:
+    orbit = mission.periods.get("orbit")
+    length = span[1] - span[0]
+    parts, width = block_parts(len(days), length, orbit)
+    geometry = list(GEOMETRY) if position_channel(mission) else []
+    shifts = _shifts(found, orbit, length)
+    library = make_library(
+        mission, found.model, found.channels, geometry, shifts, found.base, cadence / SECOND, found.fixed
+    )
+    for name in found.still:
+        library.unscorable.append(
+            {"name": name, "family": "unknown", "reason": "the channel does not change"}
+        )
+    blocks = tuple(tuple(days[at : at + width]) for at in range(0, len(days), width))
+    memory = min(MEMORY_S, length / SECOND / 50.0)
+    return PassPlan(
+        found.model,
+        library,
+        tuple(needs),
+        tuple(channels),
+        tuple(days),
+        blocks,
+        parts,
+        cadence,
+        span,
+        memory,
+        found.channels,
+    )
+
+
+def _shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
+    """Return by how much each placebo is shifted, s: a day or more and part of an orbit, or part of the record."""
+    generator = np.random.default_rng(20_000)
+    names = sorted(found.channels)
+    chosen = (
+        [names[place] for place in np.unique(np.linspace(0, len(names) - 1, _PLACEBOS).round().astype(int))]
+        if names
+        else []
+    )
+    period = orbit or DAY
+    out = {}
+    for name in chosen:
+        part = generator.uniform(0.15, 0.85)
+        if length >= 4 * DAY and length >= 4 * period:
+            shift = (generator.integers(1, 3) * DAY + part * period) / SECOND
+        else:
+            shift = generator.uniform(0.25, 0.75) * length / SECOND
+        out[f"{name}~1"] = float(shift)
+    return out
+
+
+def _pass(
+    cat: Catalog,
+    mission: Mission,
+    plan: PassPlan,
+    index: ArchiveIndex,
+    base: Need,
+    settings: DiagnoseSettings,
+    context: str,
+    client: Any,
+    tell: Progress,
+) -> tuple[str, list[Day]]:
+    """Make the blocks that are missing or out of date; return the run and all blocks' days."""
+    dataset = f"equations/{settings.comparison}/library"
+    keys, parents = {}, {}
+    for block in plan.blocks:
+        sources = [
+            source for day in block for source in index.sources([*plan.needs, *plan.channel_needs], day, base)
+        ]
+        unique = sorted({source.key for source in sources})
+        keys[block[0]] = idempotency_key(dataset, block[0], 0, context, [plan.key, *unique])
+        parents[block[0]] = tuple(sorted({source.id for source in sources}))
+    there = {day.day: day for day in cat.days(dataset, states=("published",))}
+    kept = {day: there[day] for day in keys if day in there and there[day].key == keys[day]}
+    todo = [block[0] for block in plan.blocks if block[0] not in kept]
+    if not todo:
+        return "", [kept[day] for day in sorted(kept)]
+    with cat.run("diagnose", settings.model_dump(), context=context) as run:
+        offered = run.adoptable(dataset)
+        for day in list(todo):
+            adopted = run.adopt(dataset, day, keys[day]) if (day, keys[day]) in offered else None
+            if adopted is not None:
+                kept[day] = adopted
+                todo.remove(day)
+        size = settings.batch_blocks
+        jobs = [
+            Job(
+                tuple(batch),
+                {day: keys[day] for day in batch},
+                {day: parents[day] for day in batch},
+                index,
+                plan.needs,
+                run.id,
+                dataset,
+            )
+            for batch in (todo[at : at + size] for at in range(0, len(todo), size))
+        ]
+        tell("pass", 0, len(todo))
+        done = 0
+        failures: dict[str, str] = {}
+        for job, outcome in zip(
+            jobs,
+            each_result(client, evidence_batch, [(cat, mission, plan, index, job) for job in jobs]),
+            strict=True,
+        ):
+            if outcome.segment is not None:
+                kept |= {day.day: day for day in run.attach(outcome.segment)}
+            for day, failure in outcome.failures.items():
+                run.record(dataset, day, "failed", failure.cause, failure.message)
+                failures[str(day)] = failure.message
+            done += len(job.days)
+            tell("pass", done, len(todo))
+        if not kept:
+            raise WorkerError(
+                f"no block of the span could be made; the first: {next(iter(failures.values()))}",
+                remedy="see the message; 'inflight compare' shows single days",
+            )
+        run.publish(supersede=True)
+        return run.id, [kept[day] for day in sorted(kept)]
+
+
+def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
+    """Return a search over the evidence, nothing taken yet."""
+    raw = made.loaded.raw
+    days = _groups(raw.start, raw.end, DAY)
+    rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)
+    return Search(
+        raw,
+        made.loaded.white,
+        made.plan.library,
+        _intervals(made, settings),
+        _within_groups(days, len(raw)),
+        rules,
+        made.loaded.within,
+        carriers=carriers_of(made.plan.library),
+    )
+
+
+def _groups(start: Any, end: Any, width: int) -> list[list[int]]:
+    """Return blocks by consecutive spans of a length, from the first block's start."""
+    place = (start - start[0]) // width
+    del end
+    return [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
+
+
+def _within_groups(days: list[list[int]], blocks: int) -> list[list[int]]:
+    """Return the days; of a record of one or two days, its quarters."""
+    if len(days) > 2 or blocks < 8:
+        return days
+    return [part.tolist() for part in np.array_split(np.arange(blocks), 4)]
+
+
+def _intervals(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
+    """Return the blocks of each calibration interval: one when nothing the calibration fits is a block's own."""
+    raw = made.loaded.raw
+    own = [
+        timed
+        for term in made.plan.library.base
+        for entry in made.used.model.effects
+        if entry.name == term.entry.name
+        for name, timed in entry.parameters.items()
+        if name in term.parameters
+    ]
+    if own and not any(timed.time == "block" for timed in own):
+        return [list(range(len(raw)))]
+    groups = _groups(raw.start, raw.end, settings.interval_days * DAY)
+    # A short rest joins the interval before it.
+    if len(groups) > 1 and len(groups[-1]) < 0.5 * len(groups[0]):
+        groups[-2] += groups.pop()
+    return groups
+
+
+def carriers_of(library: Library) -> Carriers:
+    """Return the library's columns that may change in time."""
+
+    def columns(kind: type, parameter: str) -> tuple[str, ...]:
+        for term in library.all_terms:
+            if isinstance(term.entry.effect, kind) and parameter in term.parameters:
+                return tuple(name for name in term.columns if f".{parameter}" in name)
+        return ()
+
+    from inflight.effects.vector_sensor import Affine, VectorSensor
+
+    return Carriers(
+        offset=columns(VectorSensor, "offset") or columns(Affine, "shift"),
+        scale=columns(VectorSensor, "scale_factor"),
+        clock=columns(TimeShift, "seconds"),
+        bias=columns(ScalarBias, "bias"),
+    )
+
+
+def material_of(made: Prepared, mission: Mission) -> Material:
+    """Return what a verdict needs beside the search."""
+    effects: Mapping[str, Term] = {term.key: term for term in made.plan.library.all_terms}
+    return Material(
+        mission,
+        made.used.model,
+        made.plan.model,
+        effects,
+        made.loaded.series,
+        dict(made.loaded.sums),
+        made.plan.cadence_ns / SECOND,
+        made.context,
+        made.run,
+    )

@@ -1,0 +1,317 @@
+"""The pass: one look at every day of the archive makes the evidence that all later questions are put to.
+
+A worker turns some days into Gram matrices of [calibration | model | candidates | residual] and a
+coarse series for pictures and signatures. Days whose inputs did not change are not looked at again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day
+from inflight.comparison import filter_rows, rows_of
+from inflight.diagnosis.coarse import coarsen
+from inflight.diagnosis.columns import Rows, design, turns_of
+from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.gram import gram_of, parts_of, prewhiten
+from inflight.diagnosis.library import Library, Told
+from inflight.diagnosis.series import Features, Series, features_of, pack_blocks, thin
+from inflight.geometry import GEOMETRY, add_geometry
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.noise import noise_floor
+from inflight.tasks.calibrate import Job, Outcome, make_days
+from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables
+from inflight.tasks.samples import ArchiveIndex, Need, load_samples
+from inflight.time import DAY, SECOND, day_bounds
+
+#: Bumped by hand when the numbers of the evidence change.
+EVIDENCE_VERSION = 1
+#: Rows of the series are at least so far apart in long records, seconds.
+_SERIES_S, _LONG_DAYS = 60.0, 100
+
+
+#: Sums over the native samples that the reports of blocks hold.
+SUMS = ("count", "square", "inside", "spikes", "floor_samples", "floor", "floor_low", "floor_high")
+
+
+@dataclass(frozen=True)
+class PassPlan:
+    """All a worker needs to make evidence; no database behind it.
+
+    Attributes
+    ----------
+    model : Model
+        At the values the residual is linearised at.
+    library : Library
+    needs, channel_needs : tuple of Need
+        Series of the model's samples, and every channel of the mission.
+    days : tuple of datetime64[D]
+        The whole span.
+    blocks : tuple of tuple of datetime64[D]
+        Days of each block, or single days that hold several.
+    parts : int
+        Blocks of a day.
+    cadence_ns : int
+    span : tuple of int
+        TT2000 of the record.
+    memory_s : float
+        Correlation time of the prewhitened form.
+    told : mapping of str to Told
+    """
+
+    model: Model
+    library: Library
+    needs: tuple[Need, ...]
+    channel_needs: tuple[Need, ...]
+    days: tuple[np.datetime64, ...]
+    blocks: tuple[tuple[np.datetime64, ...], ...]
+    parts: int
+    cadence_ns: int
+    span: tuple[int, int]
+    memory_s: float
+    told: Mapping[str, Told]
+
+    @property
+    def scale(self) -> list[float]:
+        """Physical size of one unit of each column."""
+        return [one for term in self.library.all_terms for one in term.scale]
+
+    @property
+    def series_step(self) -> int:
+        """Bins that become one row of the series."""
+        wanted = _SERIES_S if len(self.days) > _LONG_DAYS else 0.0
+        return max(1, round(wanted * SECOND / self.cadence_ns))
+
+    @property
+    def within_blocks(self) -> bool:
+        """True when blocks hold several days, so that days are calibrated while they are made."""
+        return any(len(block) > 1 for block in self.blocks)
+
+    @property
+    def key(self) -> str:
+        """sha256 of everything but the archive that the evidence is made from."""
+        told = {
+            "version": EVIDENCE_VERSION,
+            "model": self.model.text,
+            "columns": self.library.columns,
+            "shifts": dict(self.library.placebos),
+            "parts": self.parts,
+            "cadence": self.cadence_ns,
+            "memory": self.memory_s,
+            "span": self.span,
+            "means": {name: one.mean for name, one in self.told.items()},
+        }
+        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
+    """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
+    reader = ChannelReader(cat, mission, made.channel_needs, index, made.cadence_ns, made.span)
+    derived = DerivedChannels(reader, made.days, made.told, made.library.placebos)
+    days_of = {block[0]: block for block in made.blocks}
+    return make_days(
+        cat,
+        job,
+        lambda day: block_evidence(cat, mission, made, index, derived, days_of[day]),
+    )
+
+
+def block_evidence(
+    cat: Catalog,
+    mission: Mission,
+    made: PassPlan,
+    index: ArchiveIndex,
+    derived: DerivedChannels,
+    days: Sequence[np.datetime64],
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return the evidence of a block of days (or of the blocks of a day), and sums over its samples."""
+    found = [_day_evidence(cat, mission, made, index, derived, day) for day in days]
+    raw, white, _, sums = found[0]
+    total = dict(sums)
+    for more_raw, more_white, _, more in found[1:]:
+        raw, white = _summed(raw, more_raw), _summed(white, more_white)
+        total = {name: total[name] + more[name] for name in total}
+    series, features = _series(made, raw, [one[2] for one in found])
+    dataset = raw.as_dataset().assign(gram_white=white.as_dataset()["gram"])
+    dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
+    if made.within_blocks:
+        names = [name for term in made.library.base for name in term.columns]
+        inside = [one[0].absorbed(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
+        within = inside[0]
+        for more_raw in inside[1:]:
+            within = _summed(within, more_raw)
+        packed = within.as_dataset()["gram"].rename(entry="entry_within")
+        dataset = dataset.assign(gram_within=packed)
+    return dataset.assign_attrs(cadence_ns=made.cadence_ns), total
+
+
+def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
+    """Return the coarse series of a block (or of the blocks of a day), and what it holds."""
+    plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
+    channels = list(dict.fromkeys([*made.told, *plain, *GEOMETRY]))
+    features = features_of(rows[0], channels)
+    thinned = [thin(one, features, made.series_step) for one in rows]
+    stamps = np.concatenate([one[0] for one in thinned])
+    values = np.concatenate([one[1] for one in thinned])
+    days = max(len(block) for block in made.blocks)
+    samples = -(-DAY // (made.cadence_ns * made.series_step)) * days // made.parts + 2
+    record = made.span[1] - made.span[0]
+    samples = min(samples, record // (made.cadence_ns * made.series_step) + 2)
+    return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples)), features
+
+
+def _summed(one: Evidence, other: Evidence) -> Evidence:
+    return one.joined([other]).merged([range(len(one) + len(other))])
+
+
+def _day_evidence(
+    cat: Catalog,
+    mission: Mission,
+    made: PassPlan,
+    index: ArchiveIndex,
+    derived: DerivedChannels,
+    day: np.datetime64,
+) -> tuple[Evidence, Evidence, Rows, dict[str, float]]:
+    rows, sums, band_good = day_rows(cat, mission, made, index, derived, day)
+    columns = design(made.library.all_terms, rows)
+    if band_good is not None:
+        flat = columns.reshape(len(columns), -1)
+        kept = filter_rows(flat, made.cadence_ns / SECOND, band_good[0], band_good[1])
+        columns = np.nan_to_num(kept).reshape(columns.shape)
+    stamps = rows.samples["tt2000"].values
+    edges = derived.reader.edges(day)
+    cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
+    parts = parts_of(stamps, cuts)
+    residual = rows.residual[:, :, None]
+    white = [prewhiten(values, rows.weight, stamps, made.memory_s) for values in (columns, residual)]
+    count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
+    names = (*made.library.columns, "residual")
+    common = (
+        np.array(cuts[:-1], dtype=np.int64),
+        np.array(cuts[1:], dtype=np.int64),
+        count,
+        np.array([*made.scale, 1.0]),
+    )
+    return (
+        Evidence(names, gram_of(columns, residual, rows.weight, parts), *common),
+        Evidence(names, gram_of(white[0], white[1], rows.weight, parts), *common),
+        rows,
+        sums,
+    )
+
+
+def day_rows(
+    cat: Catalog,
+    mission: Mission,
+    made: PassPlan,
+    index: ArchiveIndex,
+    derived: DerivedChannels,
+    day: np.datetime64,
+) -> tuple[Rows, dict[str, float], tuple[Any, Any] | None]:
+    """Return a day's rows on the library's cadence, sums over its native samples, and its band if it has one."""
+    samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
+    native = rows_of(made.model, samples)
+    start, end = day_bounds(day)
+    geometry = _geometry(mission, derived.reader, day, samples)
+    there = {name: np.asarray(geometry[name].values) for name in GEOMETRY if name in geometry}
+    values = derived.on(day, made.library.channels, there)
+    variables = as_variables(mission, values, geometry if there else None)
+    edges = derived.reader.edges(day)
+    turn = turns_of(made.model, (start + end) // 2)
+    rows, sums = coarsen(samples, native, edges, variables, turn)
+    sums |= _floor(native.residual, native.good, samples["tt2000"].values)
+    band = (native.band, rows.weight > 0) if native.band is not None else None
+    return rows, sums, band
+
+
+def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
+    """Return sums that make the white level of the whole span: squares of the day's, times its samples."""
+    step = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    place = np.rint((stamps - stamps[0]) / (step * SECOND)).astype(np.int64)
+    out = {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
+    for row in residual.T:
+        even = np.full(int(place[-1]) + 1, np.nan)
+        even[place[good]] = row[good]
+        found = noise_floor(even, step)
+        if np.isfinite(found.level_nT):
+            count = float(found.samples)
+            out["floor_samples"] += count
+            out["floor"] += count * found.level_nT**2
+            out["floor_low"] += count * max(found.level_nT - found.low_nT, 0.0) ** 2
+            out["floor_high"] += count * max(found.high_nT - found.level_nT, 0.0) ** 2
+    return out
+
+
+def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
+    """Return what position and attitude say of a day's bins."""
+    read = reader.day(day)
+    edges = reader.edges(day)
+    data: dict[str, xr.Variable] = {"tt2000": xr.Variable("time", edges[:-1] + np.diff(edges) // 2)}
+    for kind in ("position", "attitude"):
+        for instrument, name, channel in mission.channel_instruments():
+            home = name if name in read else f"{instrument}.{name}"
+            if channel.kind == kind and kind not in data and home in read:
+                width = "axis" if kind == "position" else "quaternion"
+                attrs = {"units": channel.unit, "frame": channel.frame or "", "kind": kind}
+                data[kind] = xr.Variable(("time", width), read[home], attrs)
+    for role in ("vector", "outboard"):
+        if role in samples:
+            attrs = {"orientation": samples[role].attrs.get("orientation", (0.0, 0.0, 0.0, 1.0))}
+            blank = np.zeros((edges.size - 1, 3))
+            data[role] = xr.Variable(("time", "axis"), blank, attrs)
+            break
+    found = add_geometry(xr.Dataset(data))
+    return found.drop_vars([name for name in ("position", "attitude", "vector", "outboard") if name in found])
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The evidence of a span: raw, prewhitened, within-day when it was made apart, and the series."""
+
+    raw: Evidence
+    white: Evidence
+    within: Evidence | None
+    series: Series
+    sums: Mapping[str, float]
+    days: int = 0
+
+
+def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
+    """Read the evidence of blocks, in order of time."""
+    names = (*made.library.columns, "residual")
+    scale = np.array([*made.scale, 1.0])
+    ordered = sorted(days, key=lambda day: day.day)
+    parts = [cat.read(day) for day in ordered]
+    raw = [Evidence.of(part, names, scale) for part in parts]
+    white = [Evidence.of(part, names, scale, "gram_white") for part in parts]
+    within = None
+    if made.within_blocks:
+        base = {name for term in made.library.base for name in term.columns}
+        kept = [place for place, name in enumerate(names) if name not in base]
+        left = tuple(names[place] for place in kept)
+        apart = [Evidence.of(part, left, scale[kept], "gram_within") for part in parts]
+        within = apart[0].joined(apart[1:])
+    packed = np.concatenate([part["series"].values for part in parts])
+    starts = np.concatenate([part["start"].values for part in parts])
+    features = Features.of_json(parts[0]["series"].attrs["features"])
+    sums = {
+        name: sum(float(day.report[name]) for day in ordered)
+        for name in ("count", "square", "inside", "spikes")
+    }
+    return Loaded(
+        raw[0].joined(raw[1:]),
+        white[0].joined(white[1:]),
+        within,
+        Series.of(packed, starts, features),
+        sums,
+        len(made.days),
+    )
