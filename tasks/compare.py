@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,56 +14,49 @@ from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
+from inflight.failures import Coordinate, find_failures, measure
 from inflight.flags import UNUSABLE, Flag
-from inflight.geometry import orbit_phase
-from inflight.mission import Mission
-from inflight.statistics import (
-    Dependence,
-    NoiseFloor,
-    Size,
-    dependence,
-    joined,
-    joined_floor,
-    noise_floor,
-    size_of,
-    spectrum,
-    strongest,
+from inflight.lines import (
+    Line,
+    Power,
+    add_power,
+    find_lines,
+    finest,
+    known_periods,
+    slow_power,
+    stretch_power,
 )
-from inflight.tasks.compare_page import CompareReport, Drawn, write_page
+from inflight.mission import Mission
+from inflight.statistics import NoiseFloor, Size, joined, joined_floor, noise_floor, size_of
+from inflight.tasks.compare_page import CompareReport, Drawn, Spectra, write_page
+from inflight.tasks.compare_rows import Sources, Spans, rows_of_day, scalar_channels
 from inflight.tasks.models import current_model
 from inflight.tasks.planning import equations_of, product_of
 from inflight.tasks.report import Progress
-from inflight.tasks.samples import channel_homes
 from inflight.tasks.tables import load_equations, span_solution
-from inflight.time import SECOND, DayLike, day_bounds, day_of
+from inflight.time import DAY, SECOND, DayLike, day_bounds
+from inflight.wander import daily_wander
 
 #: Means the figures are drawn from: at most so many rows in all, each of at least so many seconds.
 _ROWS, _SHORTEST = 400_000, 60.0
-#: Blocks of the dependences' uncertainty, seconds.
-_BLOCK = 3 * 3600.0
+#: Blocks of the uncertainties: a day when the span has at least so many days, else three hours.
+_DAY_BLOCKS, _BLOCK = 10, 3 * 3600.0
+#: The spectrum of whole days tells shorter periods than this, that of weeks tells longer ones; s.
+_SEAM = 3 * 3600.0
 _BINS = 160
-
-
-@dataclass
-class _Power:
-    """Sums of the days' spectra on one frequency grid; a mission's spectra are never held one by one."""
-
-    frequency: Floats
-    before: Floats
-    after: Floats
-    days_before: int = 0
-    days: int = 0
 
 
 @dataclass
 class _Digest:
     """Aggregates of a span: what figures and dependences are made from."""
 
+    length: float
     rows: list[dict[str, Floats]] = field(default_factory=list)
     before: list[Size] = field(default_factory=list)
     after: list[Size] = field(default_factory=list)
     floors: list[NoiseFloor] = field(default_factory=list)
-    power: dict[tuple[int, float], _Power] = field(default_factory=dict)
+    power_before: dict[tuple[int, float], Power] = field(default_factory=dict)
+    power: dict[tuple[int, float], Power] = field(default_factory=dict)
     counts: dict[str, Floats] = field(default_factory=dict)
     left_out: int = 0
     outliers: int = 0
@@ -94,11 +87,15 @@ def compare(
     """
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = _products(cat, comparison, span)
-    digest = _digest_of(cat, mission, days, progress or (lambda stage, done, total: None))
+    digest = _digest_of(cat, mission, comparison, days, progress or (lambda stage, done, total: None))
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
-    density = _mean_power(digest.power.values())
-    found = list(_dependences(rows, mission))
+    coordinates = {one.name: one for one in _coordinates(rows, mission)}
+    block, block_name = _blocks(rows["tt2000"], len(days))
+    found = measure(coordinates.values(), rows["after"], block)
+    direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
+    spectra = _spectra(digest, rows, direction, mission)
     determined, directions = _determined(cat, mission, comparison, span)
+    tables = _tables(cat, comparison, days)
     report = CompareReport(
         comparison,
         days[-1].context or "",
@@ -106,16 +103,18 @@ def compare(
         joined(digest.after),
         joined_floor(digest.floors),
         [_told_of_day(*told) for told in zip(days, digest.before, digest.after, strict=True)],
-        strongest(found),
+        find_failures(coordinates, found, rows["after"], direction, block),
         directions,
         determined,
+        block_name,
+        spectra.lines,
+        daily_wander(tables[0], day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         left_out=digest.left_out,
         outliers=digest.outliers,
         acknowledgement=mission.acknowledgement,
     )
     if output is not None:
-        daily, window = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
-        write_page(report, output, mission, Drawn(digest.counts, rows, density, found, (daily, window)))
+        write_page(report, output, mission, Drawn(digest.counts, rows, spectra, found, tables))
     return report
 
 
@@ -129,13 +128,21 @@ def _products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
     return days
 
 
-def _digest_of(cat: Catalog, mission: Mission, days: Sequence[Day], tell: Progress) -> _Digest:
+def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return the table of daily fits, and the one products use."""
+    daily, used = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
+    return daily, used
+
+
+def _digest_of(
+    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], tell: Progress
+) -> _Digest:
     """Read the days one after the other; what stays of each is small, however long the mission."""
-    digest = _Digest()
-    length = max(_SHORTEST, 86_400.0 * len(days) / _ROWS)
+    digest = _Digest(max(_SHORTEST, 86_400.0 * len(days) / _ROWS))
+    sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + np.timedelta64(1, "D"))))
     for done, day in enumerate(days):
         tell("compare", done, len(days))
-        _take(digest, cat, mission, day, length)
+        _take(digest, cat, mission, comparison, sources, day)
     tell("compare", len(days), len(days))
     return digest
 
@@ -162,7 +169,9 @@ def _told_of_day(day: Day, before: Size, after: Size) -> dict[str, Any]:
     }
 
 
-def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: float) -> None:
+def _take(
+    digest: _Digest, cat: Catalog, mission: Mission, comparison: str, sources: Sources, day: Day
+) -> None:
     """Add one day to the digest."""
     product = cat.read(day)
     flag = product["flag"].values
@@ -177,11 +186,9 @@ def _take(digest: _Digest, cat: Catalog, mission: Mission, day: Day, length: flo
     digest.left_out += int((~good).sum())
     digest.outliers += int((good & ~clear).sum())
     after, before = np.where(clear, after, np.nan), np.where(clear, before, np.nan)
-    stamps = product["tt2000"].values
-    cadence = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
-    digest.floors.append(noise_floor(after, cadence))
-    _add_power(digest, spectrum(after, cadence), spectrum(before, cadence)[1])
-    digest.rows.append(_means(product, before, after, stamps, length, _channels(cat, mission, day, stamps)))
+    _add_spectra(digest, product, before, after)
+    spans = Spans.of(np.asarray(product["tt2000"].values, dtype=np.int64), digest.length)
+    digest.rows.append(rows_of_day(cat, mission, comparison, sources, product, before, after, spans))
 
 
 def _count(digest: _Digest, before: Floats, after: Floats) -> None:
@@ -195,110 +202,101 @@ def _count(digest: _Digest, before: Floats, after: Floats) -> None:
         digest.counts[name] += np.histogram(shifted, digest.counts["edges"])[0]
 
 
-def _means(
-    product: xr.Dataset,
-    before: Floats,
-    after: Floats,
-    stamps: Any,
-    length: float,
-    channels: dict[str, Floats],
-) -> dict[str, Floats]:
-    """Return means over spans of `length` seconds of the residuals and of everything they may follow."""
-    span = ((stamps - stamps[0]) / (length * SECOND)).astype(np.int64)
-    first = np.flatnonzero(np.append(True, np.diff(span) > 0))
-    good = np.isfinite(after)
-
-    def mean(values: Floats) -> Floats:
-        used = good & np.isfinite(values)
-        count = np.add.reduceat(used.astype(np.float64), first)
-        total = np.add.reduceat(np.where(used, values, 0.0), first)
-        return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
-
+def _add_spectra(digest: _Digest, product: xr.Dataset, before: Floats, after: Floats) -> None:
+    """Add a day's noise floor and spectra; missing rows are gaps there too."""
+    stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
+    step = int(np.median(np.diff(stamps))) if stamps.size > 1 else SECOND
+    slot = np.round((stamps - stamps[0]) / step).astype(np.int64)
+    grid = np.full((int(slot[-1]) + 1, 5), np.nan)
     field_ = product["field_sensor"].values
-    size = np.linalg.norm(field_, axis=1)
-    filled = np.where(good, after, np.inf), np.where(good, after, -np.inf)
-    out = {
-        "tt2000": stamps[first].astype(np.float64),
-        "before": mean(before),
-        "after": mean(after),
-        "low": np.minimum.reduceat(filled[0], first),
-        "high": np.maximum.reduceat(filled[1], first),
-    }
-    out |= {f"field direction {axis}": mean(field_[:, i] / size) for i, axis in enumerate("xyz")}
-    out["field strength"] = mean(size)
-    if "latitude" in product:
-        latitude = product["latitude"].values
-        out["latitude"] = latitude[first]
-        out["longitude"] = product["longitude"].values[first]
-        out["orbit phase"] = orbit_phase(latitude, np.gradient(latitude))[first]
-    midnight, _ = day_bounds(day_of(stamps[:1])[0])
-    out["time of day"] = (stamps[first] - midnight) / (3600.0 * SECOND)
-    return out | {name: values[first] for name, values in channels.items()}
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direction = field_ / np.linalg.norm(field_, axis=1, keepdims=True)
+    grid[slot] = np.column_stack([before, after, direction])
+    cadence = step / SECOND
+    digest.floors.append(noise_floor(grid[:, 1], cadence))
+    # Whole days alone share their frequencies: a day of a leap second, or one begun late, is brought to them.
+    whole = np.full((max(DAY // step, 1), 5), np.nan)
+    count = min(len(whole), len(grid))
+    whole[:count] = grid[:count]
+    add_power(digest.power_before, stretch_power(whole[:, 0], whole[:, 2:], cadence))
+    add_power(digest.power, stretch_power(whole[:, 1], whole[:, 2:], cadence))
 
 
-def _channels(cat: Catalog, mission: Mission, day: Day, stamps: Any) -> dict[str, Floats]:
-    """Return every channel of one number a time, at the nearest earlier sample; NaN where there is none."""
-    found = {}
-    for name, (instrument, channel) in channel_homes(mission).items():
-        told = mission.instruments[instrument].channels[channel]
-        if told.axis_names or told.kind in ("flag", "attitude", "position"):
-            continue
-        source = cat.current(f"l1/{instrument}", day.day)
-        if source is None:
-            found[name] = np.full(stamps.size, np.nan)
-            continue
-        data = cat.read(source, [channel])
-        own = data["tt2000"].values
-        index = np.clip(np.searchsorted(own, stamps, side="right") - 1, 0, None)
-        stale = np.abs(stamps - own[index]) > 2 * mission.instruments[instrument].cadence
-        found[name] = np.where(stale, np.nan, data[channel].values[index].astype(np.float64))
-    return found
+def _blocks(tt2000: Floats, days: int) -> tuple[np.ndarray[Any, np.dtype[np.int64]], str]:
+    """Return the block of each row, and what a block is."""
+    if days >= _DAY_BLOCKS:
+        first = day_bounds(np.datetime64("2000-01-01", "D"))[0]
+        return np.floor((tt2000 - first) / DAY).astype(np.int64), "day"
+    return (tt2000 / (_BLOCK * SECOND)).astype(np.int64), "3 h"
 
 
-def _add_power(digest: _Digest, after: tuple[Floats, Floats], before: Floats) -> None:
-    frequency, power = after
-    if not frequency.size:
-        return
-    grid = (frequency.size, round(float(frequency[-1]), 9))
-    if grid not in digest.power:
-        digest.power[grid] = _Power(frequency, np.zeros_like(power), np.zeros_like(power))
-    sums = digest.power[grid]
-    sums.after += power
-    sums.days += 1
-    if before.size == power.size:
-        sums.before += before
-        sums.days_before += 1
+def _spectra(digest: _Digest, rows: dict[str, Floats], direction: Floats, mission: Mission) -> Spectra:
+    """Return the spectra of days and of weeks, and the lines in them."""
+    stated = {name: period / SECOND for name, period in mission.periods.items()}
+    known = known_periods(stated, _orbit_period(rows))
+    fast, before = finest(digest.power), finest(digest.power_before)
+    slow = slow_power(rows["tt2000"] / SECOND, rows["after"], direction, digest.length)
+    lines: list[Line] = find_lines(fast, known, longest=_SEAM if slow else np.inf) if fast else []
+    if slow is not None:
+        lines += find_lines(slow, known, shortest=_SEAM)
+    lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.ratio))
+    return Spectra(fast, before, slow, lines, known)
 
 
-def _mean_power(sums: Collection[_Power]) -> tuple[Floats, Floats, Floats]:
-    """Return frequency, mean power before and after, of the finest grid of frequencies."""
-    if not sums:
-        return np.empty(0), np.empty(0), np.empty(0)
-    finest = max(sums, key=lambda one: (one.frequency.size, one.days))
-    before = finest.before / finest.days_before if finest.days_before else np.full_like(finest.before, np.nan)
-    return finest.frequency, before, finest.after / finest.days
+def _orbit_period(rows: dict[str, Floats]) -> float | None:
+    """Return the nodal period that the orbit phase tells, s; None without one."""
+    phase = rows.get("orbit phase", np.empty(0))
+    known = np.flatnonzero(np.isfinite(phase))
+    if known.size < 100:
+        return None
+    turn = np.diff(phase[known]) % 360.0
+    step = np.diff(rows["tt2000"][known]) / SECOND
+    usual = step < 1.5 * np.median(step)
+    rate = float(np.median(turn[usual] / step[usual]))
+    return 360.0 / rate if rate > 0 else None
 
 
 _NO_COORDINATE = {"tt2000", "before", "after", "low", "high"}
 _UNITS = {
+    "time": "d",
     "latitude": "deg",
     "longitude": "deg",
     "orbit phase": "deg",
+    "sun phase": "deg",
+    "local time": "h",
     "time of day": "h",
     "field strength": "nT",
-}
+    "Sun azimuth": "deg",
+    "Sun elevation": "deg",
+} | {f"field component {axis}": "nT" for axis in "xyz"}
 
 
-def _dependences(rows: dict[str, Floats], mission: Mission) -> Iterator[Dependence]:
-    block = (rows["tt2000"] / (_BLOCK * SECOND)).astype(np.int64)
-    homes = channel_homes(mission)
+def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordinate]:
+    """Yield everything the residual may follow: time, geometry, field, every channel with its branches."""
+    channels = scalar_channels(mission)
+    days = (rows["tt2000"] - rows["tt2000"][0]) / DAY
+    yield Coordinate("time", "d", "time", days)
     for name, values in rows.items():
         if name in _NO_COORDINATE:
             continue
-        unit = _UNITS.get(name, "")
-        if name in homes:
-            instrument, channel = homes[name]
-            unit = mission.instruments[instrument].channels[channel].unit
-        found = dependence(name, unit, values, rows["after"], block)
-        if found is not None:
-            yield found
+        if name in channels:
+            told = channels[name][2]
+            yield Coordinate(name, told.unit, told.kind, values, _rising(values))
+        else:
+            yield Coordinate(name, _UNITS.get(name, ""), _kind(name), values)
+
+
+def _kind(name: str) -> str:
+    """Return what sort of coordinate a name is, as `inflight.failures` knows them."""
+    if name.startswith("Sun "):
+        return "sun_angle"
+    return "_".join(name.removesuffix(" x").removesuffix(" y").removesuffix(" z").split())
+
+
+def _rising(values: Floats) -> Floats:
+    """Return +1 where a channel rises over five rows, -1 where it falls, 0 where it hardly moves."""
+    change = np.zeros_like(values)
+    change[2:-2] = values[4:] - values[:-4]
+    change = np.nan_to_num(change)
+    spread = float(np.nanstd(values)) if np.isfinite(values).any() else 0.0
+    return np.where(np.abs(change) > 0.02 * spread, np.sign(change), 0.0)

@@ -11,7 +11,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.dependence import Dependence
+from inflight.failures import Failure
 from inflight.figures import (
+    axis_figure,
     daily_figure,
     dependence_figure,
     histogram_figure,
@@ -19,11 +22,15 @@ from inflight.figures import (
     parameter_figures,
     series_figure,
     spectrum_figure,
+    wander_figure,
 )
 from inflight.figures.page import html_table
+from inflight.figures.style import told_period
+from inflight.lines import SERIES, Line, Power, drawn_periods
 from inflight.mission import Mission
-from inflight.statistics import Dependence, NoiseFloor, Size
-from inflight.time import SECOND, to_utc
+from inflight.statistics import NoiseFloor, Size
+from inflight.time import to_utc
+from inflight.wander import Wander
 
 #: Points of the figure of the residual in time.
 _POINTS = 20_000
@@ -39,9 +46,12 @@ class CompareReport:
     after: Size
     floor: NoiseFloor
     by_day: list[dict[str, Any]]
-    fails_where: list[Dependence]
+    fails_where: list[Failure]
     directions: list[str]
     determined: list[str]
+    block: str
+    lines: list[Line]
+    wander: list[Wander]
     path: Path | None = None
     left_out: int = 0
     outliers: int = 0
@@ -71,14 +81,31 @@ class CompareReport:
                 {
                     "coordinate": one.coordinate,
                     "amplitude_nT": one.amplitude,
-                    "sigma_nT": one.sigma_amplitude,
+                    "sigma_nT": one.sigma,
                     "sentence": one.sentence,
                 }
                 for one in self.fails_where
             ],
-            "parameters": {"determined": self.determined, "combinations": self.directions},
+            "block": self.block,
+            "parameters": {
+                "determined": self.determined,
+                "combinations": self.directions,
+                "wander": [one.as_json() for one in self.wander],
+            },
+            "spectrum_lines": [line.as_json() for line in self.lines],
             "path": str(self.path) if self.path else "",
         }
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Spectra of days (after, before) and of weeks, the lines in them, and the periods that are known."""
+
+    fast: Power | None
+    before: Power | None
+    slow: Power | None
+    lines: list[Line]
+    known: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -87,7 +114,7 @@ class Drawn:
 
     counts: dict[str, Floats]
     rows: dict[str, Floats]
-    density: tuple[Floats, Floats, Floats]
+    spectra: Spectra
     found: list[Dependence]
     tables: tuple[xr.Dataset, xr.Dataset]
 
@@ -98,22 +125,26 @@ def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Dra
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before = np.array([entry["before_nT"] for entry in report.by_day])
     after = np.array([entry["after_nT"] for entry in report.by_day])
-    lines = {name: period / SECOND for name, period in mission.periods.items()}
     overview = [
         daily_figure(day, before, after, report.floor.level_nT),
         histogram_figure(counts["edges"], counts["before"], counts["after"]),
     ]
-    if drawn.density[0].size:
-        overview.append(spectrum_figure(*drawn.density, lines))
     series = series_figure(*_thinned(rows))
     first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
-    order = sorted(drawn.found, key=lambda one: -one.amplitude)
+    order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
+    axes = [axis_figure(one.response) for one in report.fails_where if one.response is not None]
     page = html_page(
         f"{mission.mission}: model against measurement, {first} to {last}",
         [
             ("Residual", _told(report), [*overview, series]),
-            ("Parameters", _known(report), parameter_figures(*drawn.tables)),
-            ("Where it fails", _fails(report), [dependence_figure(one) for one in order]),
+            ("Where it fails", _fails(report), axes),
+            ("What the residual follows", [_legend(report)], [dependence_figure(one) for one in order]),
+            ("Spectrum", _lines(report), _spectrum_figures(drawn.spectra)),
+            (
+                "Parameters",
+                [*_known(report), _wandering(report)],
+                [*parameter_figures(*drawn.tables), wander_figure(report.wander)],
+            ),
         ],
         mission.acknowledgement,
     )
@@ -173,5 +204,85 @@ def _known(report: CompareReport) -> list[str]:
 
 def _fails(report: CompareReport) -> list[str]:
     if not report.fails_where:
-        return ["No dependence stands out by five sigma between blocks of three hours."]
-    return ["<ul>" + "".join(f"<li>{escape(one.sentence)}</li>" for one in report.fails_where) + "</ul>"]
+        return [f"No structure stands out by five sigma between blocks of one {report.block}."]
+    listed = "".join(f"<li>{escape(one.sentence)}</li>" for one in report.fails_where)
+    return [f"<ol>{listed}</ol>", "Each structure is measured after the stronger ones were taken off."]
+
+
+def _legend(report: CompareReport) -> str:
+    return (
+        f"Mean residual in bins of each coordinate, clear ones first; bands and bars are one sigma between "
+        f"blocks of one {report.block}. Where a channel's rising and falling branches differ by five sigma, "
+        "both are drawn."
+    )
+
+
+def _spectrum_figures(spectra: Spectra) -> list[Any]:
+    """Return the spectra of days along each series, then those of weeks."""
+    drawn, plots = drawn_periods(spectra.known), []
+    if spectra.fast is not None:
+        earlier = spectra.before
+        same = earlier is not None and earlier.frequency.size == spectra.fast.frequency.size
+        for index, series in enumerate(SERIES):
+            before = earlier.density[index] if earlier is not None and same else None
+            after = spectra.fast.density[index]
+            plots.append(spectrum_figure(spectra.fast.frequency, before, after, drawn, spectra.lines, series))
+    if spectra.slow is not None:
+        slow = spectra.slow
+        plots.append(spectrum_figure(slow.frequency, None, slow.density[0], drawn, spectra.lines))
+    return plots
+
+
+def _lines(report: CompareReport) -> list[str]:
+    """Return the lines of the spectrum as a table: unknown periods first."""
+    if not report.lines:
+        return ["No line stands above the spectrum around it."]
+    head = (
+        "period",
+        "what it is",
+        "times background",
+        "residual, nT",
+        "along x, nT",
+        "along y, nT",
+        "along z, nT",
+    )
+    rows = [
+        (
+            told_period(line.period_s),
+            line.label or line.follows or "unknown",
+            f"{line.ratio:.0f}",
+            *(
+                f"{a:.3f} +- {s:.3f}" if np.isfinite(a) else ""
+                for a, s in zip(line.amplitude, line.sigma, strict=True)
+            ),
+        )
+        for line in report.lines
+    ]
+    note = (
+        "A field along one axis shows at its own period in the residual times that axis's direction; in the "
+        "residual itself it shows at sidebands. Amplitudes along an axis are those of a field that acts "
+        "there alone."
+    )
+    return [html_table(head, rows), escape(note)]
+
+
+def _wandering(report: CompareReport) -> str:
+    """Return the parameters' daily scatter as a table."""
+    rows = [
+        (
+            one.name.split(".", 1)[-1],
+            one.unit,
+            f"{one.std:.3g}",
+            f"{one.sigma:.3g}",
+            f"{one.ratio:.2f}",
+            f"{one.days}",
+        )
+        for one in report.wander
+        if np.isfinite(one.ratio)
+    ]
+    if not rows:
+        return "Fewer than three days determine any parameter by themselves: no scatter from day to day."
+    head = ("parameter", "unit", "daily scatter", "stated sigma", "ratio", "days")
+    return html_table(head, rows) + (
+        "A ratio well above 1 says that something missing from the model drives the parameter."
+    )

@@ -3,17 +3,19 @@
 They draw aggregates, never raw samples.
 """
 
+from inflight.figures.dependence import axis_figure, dependence_figure
 from inflight.figures.page import html_page
 from inflight.figures.parameters import parameter_figures
 from inflight.figures.residual import (
     daily_figure,
-    dependence_figure,
     histogram_figure,
     series_figure,
-    spectrum_figure,
 )
+from inflight.figures.spectra import spectrum_figure
+from inflight.figures.wander import wander_figure
 
 __all__ = [
+    "axis_figure",
     "daily_figure",
     "dependence_figure",
     "histogram_figure",
@@ -21,4 +23,5 @@ __all__ = [
     "parameter_figures",
     "series_figure",
     "spectrum_figure",
+    "wander_figure",
 ]

@@ -8,8 +8,7 @@ from bokeh.models import ColumnDataSource, Range1d
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import AFTER, BEFORE, REFERENCE, error_bars, log_ticks, place_legend, plain_figure
-from inflight.statistics import Dependence
+from inflight.figures.style import AFTER, BEFORE, REFERENCE, log_ticks, place_legend, plain_figure
 
 Days = npt.NDArray[np.datetime64]
 _HALF_DAY = np.timedelta64(12, "h")
@@ -57,35 +56,4 @@ def histogram_figure(edges: Floats, before: Floats, after: Floats) -> figure:
     most = max(float(before.max(initial=1.0)), float(after.max(initial=1.0)))
     plot.y_range = Range1d(0.5, 2.0 * most)
     place_legend(plot)
-    return plot
-
-
-def spectrum_figure(frequency: Floats, before: Floats, after: Floats, lines: dict[str, float]) -> figure:
-    """Draw amplitude densities before and after, with the mission's known periods (seconds) marked."""
-    plot = plain_figure(
-        "Spectrum of the residual", "period (s)", "nT / sqrt(Hz)", x_axis_type="log", y_axis_type="log"
-    )
-    period = 1.0 / frequency
-    for power, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
-        plot.line(period, np.sqrt(power), color=colour, legend_label=label)
-    if (ticks := log_ticks(period)) is not None:
-        plot.xaxis.ticker = ticks
-    for name, seconds in lines.items():
-        if period.min() <= seconds <= period.max():
-            plot.vspan(x=[seconds], line_color=REFERENCE, line_dash="dotted", legend_label=name)
-    place_legend(plot, "top_left")
-    return plot
-
-
-def dependence_figure(found: Dependence) -> figure:
-    """Draw the mean residual in bins of a coordinate, with error bars of one sigma between blocks."""
-    unit = f" ({found.unit})" if found.unit not in ("", "1") else ""
-    plot = plain_figure(
-        f"{found.coordinate}: rms {found.amplitude:.3f} +- {found.sigma_amplitude:.3f} nT",
-        f"{found.coordinate}{unit}",
-        "nT",
-    )
-    error_bars(plot, found.centre, found.mean, found.sigma, AFTER)
-    plot.line(found.centre, found.mean, color=AFTER)
-    plot.scatter(found.centre, found.mean, color=AFTER, size=5)
     return plot

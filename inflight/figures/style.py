@@ -12,6 +12,8 @@ from inflight.arrays import Floats
 
 #: Before calibration, after it, and a reference line.
 BEFORE, AFTER, REFERENCE = "#b0532c", "#1f5c99", "#7a7a7a"
+#: What nothing explains yet.
+NEW = "#c21f3a"
 #: Sensor axes and angle pairs.
 COMPONENTS = ("#1f5c99", "#2a8a57", "#b0532c")
 _WIDTH, _HEIGHT = 376, 260
@@ -64,6 +66,20 @@ def log_ticks(values: Floats) -> FixedTicker | None:
     low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
     decades = 10.0 ** np.arange(low, high + 1)
     return FixedTicker(ticks=sorted([*decades, *(3 * decades)]))
+
+
+def told_period(seconds: float) -> str:
+    """Return a period as a person says it: seconds, minutes, hours or days, three figures."""
+    for name, size in (("d", 86_400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds:.3g} s"
+
+
+def band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:
+    """Draw a band of one sigma around a curve."""
+    source = ColumnDataSource({"x": x, "low": value - sigma, "high": value + sigma})
+    plot.varea(x="x", y1="low", y2="high", source=source, color=colour, alpha=0.18)
 
 
 def error_bars(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str, alpha: float = 1.0) -> None:

@@ -1,0 +1,308 @@
+"""How a residual depends on a coordinate: means in bins, their branches, the sensor axis behind them.
+
+Uncertainties are jackknives over blocks of time: samples of a block are not independent, blocks are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+
+#: Bins of a dependence, and the fewest blocks its uncertainty is taken from.
+BINS = 24
+MIN_BLOCKS = 6
+#: A bin that fewer blocks meet has no uncertainty between blocks.
+LONELY = 3
+#: What stands out: so many standard deviations.
+CLEAR = 5.0
+
+
+@dataclass(frozen=True)
+class Branch:
+    """Mean residual in bins of a coordinate, and its standard deviation between blocks; (bin,) nT."""
+
+    mean: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Mean residual while a coordinate rises and while it falls, and how far the two stand apart.
+
+    `opening` is the rms of their difference, nT, less what noise makes of it; `sigma_opening` its
+    standard deviation between blocks.
+    """
+
+    rising: Branch
+    falling: Branch
+    opening: float
+    sigma_opening: float
+
+    @property
+    def is_open(self) -> bool:
+        """True when the branches differ by five sigma."""
+        return self.opening > CLEAR * self.sigma_opening
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Mean residual in bins of a coordinate, with its uncertainty between blocks.
+
+    Attributes
+    ----------
+    centre, mean, sigma : ndarray, shape (bin,)
+        Mean coordinate of each bin; mean residual less the overall mean, and its standard deviation
+        from a jackknife over blocks (nT). NaN where fewer than `LONELY` blocks meet.
+    amplitude : float
+        Rms of the means, weighted by their counts, less what noise makes of it, nT.
+    sigma_amplitude : float
+        Its standard deviation from the same jackknife, nT.
+    loop : Loop, optional
+        The branches, where it was said when the coordinate rises.
+    """
+
+    coordinate: str
+    unit: str
+    centre: Floats
+    mean: Floats
+    sigma: Floats
+    amplitude: float
+    sigma_amplitude: float
+    loop: Loop | None = None
+
+    @property
+    def is_clear(self) -> bool:
+        """True when the amplitude stands out by five sigma."""
+        return self.amplitude > CLEAR * self.sigma_amplitude
+
+
+@dataclass(frozen=True)
+class _Binned:
+    """Sums of a residual in cells of (block, bin)."""
+
+    count: Floats
+    total: Floats
+
+    @classmethod
+    def of(cls, y: Floats, which: npt.NDArray[np.int64], index: npt.NDArray[np.int64], shape: Any) -> _Binned:
+        cell = which * shape[1] + index
+        size = shape[0] * shape[1]
+        count = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
+        return cls(count, np.bincount(cell, weights=y, minlength=size).reshape(shape))
+
+    @property
+    def met(self) -> npt.NDArray[np.bool_]:
+        """Bins that enough blocks meet; (bin,)."""
+        return np.asarray((self.count > 0).sum(axis=0) >= LONELY)
+
+    @property
+    def mean(self) -> Floats:
+        """Means of the bins; (bin,), NaN where too few blocks meet."""
+        each = self.count.sum(axis=0)
+        return np.where(self.met, self.total.sum(axis=0) / np.maximum(each, 1.0), np.nan)
+
+    @property
+    def without(self) -> Floats:
+        """The means without one of the blocks; (block, bin)."""
+        count = self.count.sum(axis=0) - self.count
+        total = self.total.sum(axis=0) - self.total
+        return np.where(self.met & (count > 0), total / np.maximum(count, 1.0), np.nan)
+
+
+def jackknife(without: Floats) -> Floats:
+    """Return the standard deviation of a statistic from its values without one block; (block, ...)."""
+    blocks = without.shape[0]
+    spread = without - without.mean(axis=0)
+    return np.asarray(np.sqrt((blocks - 1) / blocks * np.sum(spread**2, axis=0)))
+
+
+def _rms(mean: Floats, without: Floats, share: Floats) -> tuple[float, float]:
+    """Return the weighted rms of bins less what their noise makes of it, and its standard deviation."""
+    noise = jackknife(without)
+    amplitude = np.sqrt(max(float(share @ (mean**2 - noise**2)), 0.0))
+    each = np.sqrt(np.maximum((without**2) @ share, 0.0))
+    return float(amplitude), max(float(jackknife(each)), 1e-9)
+
+
+def dependence(
+    name: str,
+    unit: str,
+    coordinate: Floats,
+    residual: Floats,
+    block: npt.NDArray[np.int64],
+    rising: Floats | None = None,
+    bins: int = BINS,
+) -> Dependence | None:
+    """Measure how a residual depends on a coordinate.
+
+    Parameters
+    ----------
+    name, unit : str
+        Of the coordinate.
+    coordinate, residual : ndarray, shape (sample,)
+        NaN are left out; residual in nT.
+    block : ndarray of int, shape (sample,)
+        Block of each sample; blocks are taken as independent, samples are not.
+    rising : ndarray, shape (sample,), optional
+        Positive where the coordinate rises, negative where it falls: gives the two branches.
+    bins : int
+        Bins of about equal counts.
+
+    Returns
+    -------
+    Dependence or None
+        None when the coordinate does not vary, or there are fewer than `MIN_BLOCKS` blocks.
+    """
+    good = np.isfinite(coordinate) & np.isfinite(residual)
+    x, y = coordinate[good], residual[good]
+    blocks, which = np.unique(block[good], return_inverse=True)
+    edges = bin_edges(x, bins)
+    if blocks.size < MIN_BLOCKS or edges is None:
+        return None
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
+    shape = (blocks.size, edges.size - 1)
+    y = y - y.mean()
+    cells = _Binned.of(y, which, index, shape)
+    met = cells.met
+    if met.sum() < 2:
+        return None
+    share = np.where(met, cells.count.sum(axis=0), 0.0)
+    share /= share.sum()
+    amplitude, sigma_amplitude = _rms(np.nan_to_num(cells.mean), np.nan_to_num(cells.without), share)
+    sigma = np.where(met, jackknife(np.nan_to_num(cells.without)), np.nan)
+    centre = np.bincount(index, weights=x, minlength=shape[1]) / np.bincount(index, minlength=shape[1])
+    loop = _loop(y, which, index, shape, rising[good]) if rising is not None else None
+    return Dependence(name, unit, centre, cells.mean, sigma, amplitude, sigma_amplitude, loop)
+
+
+def bin_edges(values: Floats, bins: int) -> Floats | None:
+    """Return edges of bins of about equal counts; None when the values do not vary."""
+    if values.size == 0:
+        return None
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
+    if edges.size == 2 and np.unique(values).size == 2:
+        # Two states, such as on and off: one bin each.
+        edges = np.array([edges[0], 0.5 * (edges[0] + edges[1]), edges[1]])
+    return edges if edges.size >= 3 else None
+
+
+def _loop(y: Floats, which: Any, index: Any, shape: tuple[int, int], rising: Floats) -> Loop | None:
+    """Return the branches of a coordinate that rises and falls within blocks."""
+    parts = []
+    for sign in (1.0, -1.0):
+        rows = rising * sign > 0
+        parts.append(_Binned.of(y[rows], which[rows], index[rows], shape))
+    both = parts[0].met & parts[1].met
+    if both.sum() < 2:
+        return None
+    branches = [
+        Branch(part.mean, np.where(part.met, jackknife(np.nan_to_num(part.without)), np.nan))
+        for part in parts
+    ]
+    share = np.where(both, np.minimum(parts[0].count.sum(axis=0), parts[1].count.sum(axis=0)), 0.0)
+    share /= share.sum()
+    apart = np.nan_to_num(parts[0].mean - parts[1].mean)
+    without = np.nan_to_num(parts[0].without - parts[1].without)
+    opening, sigma = _rms(apart, without, share)
+    return Loop(branches[0], branches[1], opening, sigma)
+
+
+@dataclass(frozen=True)
+class AxisResponse:
+    """What a field along each sensor axis would have to be to make a residual follow a coordinate.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (bin,)
+        Mean coordinate of each bin.
+    field, sigma : ndarray, shape (bin, axis)
+        Field less its mean over the bins, nT, and its standard deviation between blocks.
+    amplitude, sigma_amplitude : ndarray, shape (axis,)
+        Rms over the bins less what noise makes of it, and its standard deviation, nT.
+    """
+
+    coordinate: str
+    unit: str
+    centre: Floats
+    field: Floats
+    sigma: Floats
+    amplitude: Floats
+    sigma_amplitude: Floats
+
+    @property
+    def axis(self) -> str:
+        """The axis that stands out: x, y or z; empty when none does by three sigma."""
+        pulls = self.amplitude / self.sigma_amplitude
+        best = int(np.argmax(np.where(pulls > 3.0, self.amplitude, 0.0)))
+        return "xyz"[best] if pulls[best] > 3.0 else ""
+
+
+def axis_response(
+    name: str,
+    unit: str,
+    coordinate: Floats,
+    residual: Floats,
+    direction: Floats,
+    block: npt.NDArray[np.int64],
+    bins: int = 8,
+) -> AxisResponse | None:
+    """Fit in each bin of a coordinate the field (three components) that the residual is the projection of.
+
+    Parameters
+    ----------
+    name, unit : str
+        Of the coordinate.
+    coordinate, residual : ndarray, shape (sample,)
+        Residual |B| - F in nT: a field f at the vector sensor makes ``direction @ f`` of it.
+    direction : ndarray, shape (sample, 3)
+        Unit vector of the field in the axes wanted.
+    block : ndarray of int, shape (sample,)
+        Blocks of the jackknife.
+
+    Returns
+    -------
+    AxisResponse or None
+        None where `dependence` has none, or a bin does not tell three components.
+    """
+    good = np.isfinite(coordinate) & np.isfinite(residual) & np.isfinite(direction).all(axis=1)
+    x, y, u = coordinate[good], residual[good], direction[good]
+    blocks, which = np.unique(block[good], return_inverse=True)
+    edges = bin_edges(x, bins)
+    if blocks.size < MIN_BLOCKS or edges is None:
+        return None
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
+    shape = (blocks.size, edges.size - 1)
+    cells = _Binned.of(np.ones_like(y), which, index, shape)
+    gram, right = np.empty((*shape, 3, 3)), np.empty((*shape, 3))
+    for i in range(3):
+        right[..., i] = _Binned.of(u[:, i] * (y - y.mean()), which, index, shape).total
+        for j in range(i, 3):
+            gram[..., i, j] = gram[..., j, i] = _Binned.of(u[:, i] * u[:, j], which, index, shape).total
+    whole = gram.sum(axis=0)
+    if not cells.met.all() or np.linalg.cond(whole).max() > 1e4:
+        return None
+    share = cells.count.sum(axis=0) / cells.count.sum()
+    field_ = _centred(np.linalg.solve(whole, right.sum(axis=0)[..., None])[..., 0], share)
+    ridge = 1e-9 * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    left = whole - gram + ridge
+    without = _centred(np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0], share)
+    found = [_rms(field_[:, axis], without[..., axis], share) for axis in range(3)]
+    centre = np.bincount(index, weights=x, minlength=shape[1]) / np.bincount(index, minlength=shape[1])
+    amplitude, sigma = np.array(found).T
+    return AxisResponse(name, unit, centre, field_, jackknife(without), amplitude, sigma)
+
+
+def _centred(field: Floats, share: Floats) -> Floats:
+    """Return a field (..., bin, axis) less its weighted mean over the bins."""
+    return np.asarray(field - np.einsum("b,...ba->...a", share, field)[..., None, :])
+
+
+def strongest(found: Sequence[Dependence], count: int = 3) -> list[Dependence]:
+    """Return the dependences that stand out by five sigma, largest first."""
+    return sorted((one for one in found if one.is_clear), key=lambda one: -one.amplitude)[:count]

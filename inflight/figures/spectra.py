@@ -1,0 +1,116 @@
+"""Figures of spectra: the residual and the residual along each axis, with known and unknown lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from bokeh.models import Label, Span
+from bokeh.plotting import figure
+
+from inflight.arrays import Floats
+from inflight.figures.style import (
+    AFTER,
+    BEFORE,
+    NEW,
+    REFERENCE,
+    log_ticks,
+    place_legend,
+    plain_figure,
+    told_period,
+)
+from inflight.lines import SERIES, Line, thinned
+
+#: What each series is called above its figure.
+_TITLES = {
+    "residual": "Spectrum of the residual dB",
+    "x": "Spectrum of dB u_x",
+    "y": "Spectrum of dB u_y",
+    "z": "Spectrum of dB u_z",
+}
+#: Unknown lines that get a mark, largest first.
+_MARKS = 5
+
+
+def spectrum_figure(
+    frequency: Floats,
+    before: Floats | None,
+    after: Floats,
+    known: Mapping[str, float],
+    lines: Sequence[Line] = (),
+    series: str = "residual",
+) -> figure:
+    """Draw amplitude densities against period, known periods dotted and named, unknown lines marked in red.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (frequency,)
+        Hz.
+    before, after : ndarray, shape (frequency,)
+        Power densities, nT^2/Hz; without the one before when there is none.
+    known : mapping of str to float
+        Periods to mark, s.
+    lines : sequence of Line
+        As `inflight.lines.find_lines` returns them.
+    series : str
+        One of `inflight.lines.SERIES`.
+    """
+    plot = plain_figure(
+        _TITLES[series], "period (s)", "nT / sqrt(Hz)", x_axis_type="log", y_axis_type="log", width=560
+    )
+    for power, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
+        if power is not None:
+            shown, thin = thinned(frequency, power)
+            plot.line(1.0 / shown, np.sqrt(thin), color=colour, legend_label=label)
+    period = 1.0 / frequency
+    if (ticks := log_ticks(period)) is not None:
+        plot.xaxis.ticker = ticks
+    inside = {name: s for name, s in known.items() if period.min() <= s <= period.max()}
+    _mark_known(plot, inside)
+    _mark_new(plot, frequency, after, [line for line in lines if line.is_new], series)
+    place_legend(plot, "bottom_right")
+    return plot
+
+
+def _mark_known(plot: figure, known: Mapping[str, float]) -> None:
+    """Draw dotted lines with their names, one height below the other so that neighbours stay readable."""
+    for place, (name, seconds) in enumerate(sorted(known.items(), key=lambda item: -item[1])):
+        plot.add_layout(
+            Span(location=seconds, dimension="height", line_color=REFERENCE, line_dash="dotted", line_width=1)
+        )
+        plot.add_layout(
+            Label(
+                x=seconds,
+                y=186 - 12 * (place % 5),
+                y_units="screen",
+                x_offset=2,
+                text=name,
+                text_font_size="9px",
+                text_color=REFERENCE,
+            )
+        )
+
+
+def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Line], series: str) -> None:
+    """Mark the unknown lines that this series shows with a red point and their period."""
+    index = SERIES.index(series)
+    seen = [line for line in lines if np.isfinite(line.amplitude[index])][:_MARKS]
+    inside = [line for line in seen if frequency[0] <= 1.0 / line.period_s <= frequency[-1]]
+    if not inside:
+        return
+    at = [int(np.argmin(np.abs(frequency - 1.0 / line.period_s))) for line in inside]
+    height = [float(np.sqrt(power[max(i - 1, 0) : i + 2].max())) for i in at]
+    periods = [line.period_s for line in inside]
+    plot.scatter(periods, height, color=NEW, size=7, legend_label="unknown period")
+    for seconds, top in zip(periods, height, strict=True):
+        plot.add_layout(
+            Label(
+                x=seconds,
+                y=top,
+                x_offset=5,
+                y_offset=3,
+                text=told_period(seconds),
+                text_font_size="10px",
+                text_color=NEW,
+            )
+        )
