@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from inflight.derived import parse
 from inflight.effects.families import channels_of
 from inflight.errors import ModelError
+from inflight.geometry import GEOMETRY
 from inflight.units import REGISTRY, factor_and_offset, parse_unit
 
 if TYPE_CHECKING:
@@ -52,11 +53,13 @@ def _size(unit: str) -> float:
 
 def channel_unit(mission: Mission, name: str) -> str | None:
     """Return the unit of a channel, derived or not; None when the mission does not know it."""
-    known = channels_of(mission)
+    known = GEOMETRY | {name: channel.unit for name, channel in channels_of(mission).items()}
     try:
-        parts = [known[part.channel].unit for part in parse(name).parts]
+        parts = [known[part.channel] for part in parse(name).parts]
     except (KeyError, ModelError):
         return None
+    # A factor that is a plain number, such as sunlit, leaves the other's unit.
+    parts = [unit for unit in parts if parse_unit(unit) != parse_unit("1")] or ["1"]
     return parts[0] if len(parts) == 1 else "*".join(f"({unit})" for unit in parts)
 
 

@@ -48,8 +48,8 @@ FAMILY_OF_KIND = {
     "attitude": "unknown",
     "position": "unknown",
 }
-#: Names that `inflight.geometry.add_geometry` gives to what it works out, with their families.
-GEOMETRY = {
+#: The same of what `inflight.geometry.add_geometry` works out.
+FAMILY_OF_GEOMETRY = {
     "sunlit": "day_night",
     "sun_direction": "sun_angle",
     "sun_phase": "day_night",
@@ -122,5 +122,5 @@ def family_of(effect: Effect, mission: Mission) -> str:
     known = channels_of(mission)
     name = parts[0].channel
     if name not in known:
-        return GEOMETRY.get(name, "current")
+        return FAMILY_OF_GEOMETRY.get(name, "current")
     return FAMILY_OF_KIND.get(known[name].kind, "current")

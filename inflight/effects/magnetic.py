@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
@@ -10,6 +12,7 @@ from inflight.effects.base import AXES, Effect, Parameter, Values, best_field, m
 from inflight.effects.channels import MATRIX
 from inflight.effects.rates import slope
 from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES
+from inflight.mission import Mission
 from inflight.sensors import Sensor
 
 #: Components of a symmetric matrix: its diagonal, then above it.
@@ -27,6 +30,11 @@ class Induced(Effect):
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``diagonal * B``; (time, axis) nT (Yin 2010, section 2.5, the q terms)."""
         return np.asarray(best_field(samples) * values["diagonal"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
 
 
 class SoftIron(Induced):
@@ -58,6 +66,11 @@ class Eddy(Effect):
         diagonal = values["diagonal"]
         return np.where(diagonal == 0.0, 0.0, _field_rate(samples) * diagonal)
 
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is."""
+        return [{}]
+
 
 class TollesLawson(Effect):
     """Permanent, induced and eddy-current field of a platform (Tolles and Lawson; Leliak 1961).
@@ -79,6 +92,11 @@ class TollesLawson(Effect):
         induced = _symmetric(values["induced"], best_field(samples))
         return np.asarray(values["permanent"] + induced + multiply(values["eddy"], _field_rate(samples)))
 
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is, for a platform that turns in the field."""
+        return [{}] if _compares(mission, "platform") else []
+
 
 class CrossTalk(Effect):
     """Each axis reads some of the others: ``reading = (1 + C) E`` with six numbers beside the diagonal.
@@ -97,6 +115,15 @@ class CrossTalk(Effect):
         ex, ey, ez = best_field(samples).T
         c = np.moveaxis(values["coupling"], -1, 0)
         return np.stack([c[0] * ey + c[1] * ez, c[2] * ex + c[3] * ez, c[4] * ex + c[5] * ey], axis=1)
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return the one candidate there is: a field strength alone tells it not from the nine."""
+        return [{}] if _compares(mission, "dual") else []
+
+
+def _compares(mission: Mission, kind: str) -> bool:
+    return any(comparison.kind == kind for comparison in mission.comparisons.values())
 
 
 def _symmetric(parts: Floats, field: Floats) -> Floats:
