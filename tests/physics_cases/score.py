@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -40,7 +41,7 @@ PULL, PULL_OF_MANY = 3.0, 3.5
 #: Parts a lag and a period may be off, and the held-out error above the floor.
 LAG, PERIOD, FLOOR = 0.20, 0.01, 0.05
 #: Channels of the geometry: an effect that follows them may name no channel at all.
-GEOMETRY = frozenset({"sunlit", "sun_direction", "sunlight"})
+GEOMETRY = frozenset({"sunlit", "sun_direction", "sunlight", "sun_phase", "orbit_phase", "local_time"})
 
 
 @dataclass(frozen=True)
@@ -233,7 +234,7 @@ def _pull(true: Json, effect: Json) -> float | None:
     """Return by how many sigmas the diagnosis is off in one true coefficient; None when it has none such."""
     fitting = [
         (one, factor)
-        for one in effect.get("coefficients") or []
+        for one in with_amplitudes(effect.get("coefficients") or [])
         if _axis(one["name"]) == true["axis"]
         and (factor := unit_factor(str(one["unit"]), true["unit"])) is not None
     ]
@@ -242,6 +243,20 @@ def _pull(true: Json, effect: Json) -> float | None:
         _deviation(one["value"] * factor, one.get("sigma"), factor, true["value"]) for one, factor in named
     ]
     return min(pulls) if pulls else None
+
+
+def with_amplitudes(coefficients: Sequence[Json]) -> list[Json]:
+    """Return coefficients, and of each cosine ``[cx1]`` and sine ``[sx1]`` their amplitude ``[x]``."""
+    cosines = {m[1]: one for one in coefficients if (m := re.search(r"\[c([xyz])1\]", one["name"]))}
+    sines = {m[1]: one for one in coefficients if (m := re.search(r"\[s([xyz])1\]", one["name"]))}
+    made = []
+    for axis in sorted(set(cosines) & set(sines)):
+        c, s = cosines[axis], sines[axis]
+        size = math.hypot(c["value"], s["value"])
+        spread = math.hypot(c["value"] * (c.get("sigma") or 0.0), s["value"] * (s.get("sigma") or 0.0))
+        told = {"name": f"amplitude[{axis}]", "value": size, "sigma": spread / max(size, 1e-300)}
+        made.append({**told, "unit": c["unit"], "at": c.get("at")})
+    return [*coefficients, *made]
 
 
 def _deviation(value: float, sigma: float | None, factor: float, true: float) -> float:

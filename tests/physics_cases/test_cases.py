@@ -1,19 +1,11 @@
 """One seed of every case: nothing wrong is claimed, and the truth is named or honestly confused."""
 
-import importlib.util
-
 import pytest
 
 from .run import run_case
 from .scenarios import scenarios
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        importlib.util.find_spec("inflight.tasks.diagnose") is None,
-        reason="there is no inflight.tasks.diagnose",
-    ),
-]
+pytestmark = pytest.mark.slow
 SEED = 1
 #: Cases that fail, with what was measured; each is to be taken out when it passes.
 FAILING: dict[str, str] = {}

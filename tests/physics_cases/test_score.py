@@ -1,5 +1,7 @@
 """The scorer itself, on truths and diagnoses written by hand."""
 
+import math
+
 import pytest
 
 from .score import base_channels, in_set, score, unit_factor
@@ -211,3 +213,25 @@ def test_units_convert_or_do_not():
 def test_an_entry_of_another_channel_is_not_the_truth():
     assert not in_set(BATTERY, [{"family": "battery", "channels": ["second_battery"]}])
     assert not in_set(BATTERY, ["second_battery_current"])
+
+
+def test_cosine_and_sine_are_compared_by_their_amplitude():
+    tone = BATTERY | {"name": "tone", "families": ["tone"], "channels": []}
+    tone["coefficients"] = [
+        {"quantity": "amplitude", "axis": "x", "value": 0.5, "unit": "nT", "at": "difference"}
+    ]
+    parts = [
+        {"name": f"tone.amplitude[{part}x1]", "value": value, "sigma": 0.01, "unit": "nT"}
+        for part, value in (("c", 0.3), ("s", -0.41))
+    ]
+    told = effect("tone", ()) | {"coefficients": parts}
+    made = score(truth(tone), diagnosis("FOUND", told))
+    assert made.pull == pytest.approx((math.hypot(0.3, 0.41) - 0.5) / 0.01, rel=1e-6)
+    assert made.coefficients
+
+
+def test_the_field_of_the_sun_may_be_told_by_any_of_its_coordinates():
+    lit = BATTERY | {"families": ["day_night"], "channels": ["sunlit"], "coefficients": []}
+    for channels in (("sunlit",), ("sun_phase",), ()):
+        assert score(truth(lit), diagnosis("FOUND", effect("day_night", channels))).passed
+    assert score(truth(lit), diagnosis("FOUND", effect("day_night", ("solar_current",)))).confident_wrong

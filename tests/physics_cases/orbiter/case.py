@@ -113,7 +113,7 @@ def make_case(scenario: Scenario, seed: int) -> Case:
     mission = _mission(scenario, sensors, orientation, orbit, hidden, delivered, geometry, seed)
     model = model_tree(mission["mission"], sensors, nine, known, world, names, noise.size, rng)
     tables = _tables(scenario, start, world, readings, sensors, [*delivered.values(), *geometry], rng)
-    truth = _truth(scenario, seed, world, orbit, attitude, noise, readings, nine, known, sensors)
+    truth = _truth(scenario, seed, start, world, orbit, attitude, noise, readings, nine, known, sensors)
     shown = {**delivered, "sunlit": Channel("sunlit", world.track.sunlit, "1", "sunlight", "", 1e-3)}
     truth["effects"] = [_told(one, hidden, world, shown, names, noise.size, scenario.kinds) for one in hidden]
     return Case(
@@ -274,6 +274,7 @@ def _with_gaps(table: Table, share: float, rng: np.random.Generator) -> Table:
 def _truth(
     scenario: Scenario,
     seed: int,
+    start: np.datetime64,
     world: World,
     orbit: Orbit,
     attitude: str,
@@ -287,6 +288,7 @@ def _truth(
     return {
         "scenario": scenario.name,
         "seed": seed,
+        "start": str(start),
         "days": scenario.days,
         "verdicts": list(scenario.verdicts),
         "floor_nT": float(np.std(readings.noise[~readings.outlier])),

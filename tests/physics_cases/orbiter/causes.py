@@ -248,9 +248,9 @@ def day_night(world: World, rng: np.random.Generator) -> Cause:
 
 
 def sun_angle(world: World, rng: np.random.Generator) -> Cause:
-    """Return a field that follows the Sun's direction in the body, in two degrees of harmonics."""
+    """Return a field by where the Sun shines from, in two degrees of harmonics; none in shadow."""
     first, second = world.track.sun @ _axis(rng), (world.track.sun @ _axis(rng)) ** 2 - 1.0 / 3.0
-    made = np.outer(first, _axis(rng)) + np.outer(second, _axis(rng))
+    made = world.track.sunlit[:, None] * (np.outer(first, _axis(rng)) + np.outer(second, _axis(rng)))
     return Cause("Sun angle field", ("sun_angle",), ("sun_direction",), made)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ LAGS = (0.0, 150.0, 400.0, 1000.0, 2500.0)
 #: A rival whose best likeness leaves less than this (in sums of squares over the noise variance) is as good
 #: as the truth: the difference of two fits' losses is then below two of its own standard deviations.
 ALIKE = 16.0
+#: The nine parameters are fitted anew every so often: the standard processing's interval (Yin 2010, 2.6).
+INTERVAL_DAYS = 15.0
 #: Samples that rivals are compared on.
 COMPARED = 12_000
 
@@ -26,18 +30,43 @@ def nine_columns(world: World, rows: slice) -> np.ndarray:
     return np.column_stack([u * b, *angles, u])
 
 
-def thinned(world: World) -> slice:
-    """Return every so manyth sample."""
-    return slice(0, None, max(1, world.strength.size // COMPARED))
+@dataclass(frozen=True)
+class Calibration:
+    """The nine parameters fitted anew every interval, on every so manyth sample.
+
+    `rows` thin the base grid; `pieces` are an interval's thinned samples and the orthonormal columns of
+    what is fitted there.
+    """
+
+    rows: slice
+    share: float
+    pieces: tuple[tuple[slice, np.ndarray], ...]
+
+    @classmethod
+    def of(cls, world: World, beside: tuple[np.ndarray, ...] = ()) -> Calibration:
+        """Return the calibration of a world; contributions `beside` the nine are fitted with them."""
+        rows = slice(0, None, max(1, world.strength.size // COMPARED))
+        columns = np.column_stack([nine_columns(world, rows), *(one[rows] for one in beside)])
+        days = world.track.seconds[rows] / 86_400.0
+        # A rest shorter than half an interval joins the one before it.
+        count = max(1, round(float(world.track.seconds[-1]) / 86_400.0 / INTERVAL_DAYS))
+        edges = np.searchsorted(days, [INTERVAL_DAYS * k for k in range(count)]).tolist()
+        spans = [slice(a, b) for a, b in pairwise([*edges, days.size])]
+        share = world.strength.size / days.size
+        return cls(rows, share, tuple((span, np.linalg.qr(_unit(columns[span]))[0]) for span in spans))
+
+    def left_of(self, values: np.ndarray) -> np.ndarray:
+        """Return what the fits leave of thinned values, (row,) or (row, column)."""
+        out = values.astype(np.float64, copy=True)
+        for span, q in self.pieces:
+            out[span] -= q @ (q.T @ values[span])
+        return out
 
 
 def retained(world: World, seen: np.ndarray, beside: tuple[np.ndarray, ...] = ()) -> np.ndarray:
-    """Return what the nine parameters (and what is `beside`) leave of a contribution, thinned; nT."""
-    rows = thinned(world)
-    base = np.column_stack([nine_columns(world, rows), *(one[rows] for one in beside)])
-    q, _ = np.linalg.qr(base / np.linalg.norm(base, axis=0))
-    left = seen[rows] - q @ (q.T @ seen[rows])
-    return np.asarray(left)
+    """Return what the calibration (and what is `beside`) leaves of a contribution, thinned; nT."""
+    calibration = Calibration.of(world, beside)
+    return calibration.left_of(seen[calibration.rows])
 
 
 def equivalents(
@@ -52,20 +81,22 @@ def equivalents(
     sigma : float
         White noise of the residual, nT.
     """
-    rows = thinned(world)
-    share = world.strength.size / world.strength[rows].size
+    calibration = Calibration.of(world)
+    rows = calibration.rows
     u, b = world.direction[rows], world.field[rows]
-    q, _ = np.linalg.qr(_unit(nine_columns(world, rows)))
-    left = retained(world, cause.seen(world))
+    left = calibration.left_of(cause.seen(world)[rows])
     found = []
     for name, channel in channels.items():
-        best = np.inf
-        for series in _responses(channel, world.track.step):
-            for columns in (u * series[rows][:, None], u * b * series[rows][:, None]):
-                best = min(best, share * _unexplained(q, columns, left) / sigma**2)
-        if best < ALIKE:
+        tried = [
+            calibration.left_of(shape * series[rows][:, None])
+            for series in _responses(channel, world.track.step)
+            for shape in (u, u * b)
+        ]
+        best = min((_unexplained(columns, left) for columns in tried), default=np.inf)
+        if calibration.share * best / sigma**2 < ALIKE:
             family = FAMILY.get(channel.kind, channel.kind)
-            found.append({"channel": name, "family": family, "delta_chi2": float(best)})
+            delta = float(calibration.share * best / sigma**2)
+            found.append({"channel": name, "family": family, "delta_chi2": delta})
     return found
 
 
@@ -75,10 +106,9 @@ def _responses(channel: Channel, step: float) -> list[np.ndarray]:
     return [low_pass(channel.values, lag, step) if lag else channel.values for lag in LAGS]
 
 
-def _unexplained(q: np.ndarray, columns: np.ndarray, left: np.ndarray) -> float:
-    own = columns - q @ (q.T @ columns)
-    value, *_ = np.linalg.lstsq(_unit(own), left, rcond=1e-6)
-    rest = left - _unit(own) @ value
+def _unexplained(columns: np.ndarray, left: np.ndarray) -> float:
+    value, *_ = np.linalg.lstsq(_unit(columns), left, rcond=1e-6)
+    rest = left - _unit(columns) @ value
     return float(rest @ rest)
 
 
