@@ -200,7 +200,7 @@ def _parse_dated(key: str, time: str, entry: Mapping[str, Any], events: Sequence
 
 
 def _events_of(key: str, kind: str, events: Sequence[Event]) -> list[Any]:
-    found = sorted(np.datetime64(event.at) for event in events if event.kind == kind)
+    found = sorted(to_utc(event.at) for event in events if event.kind == kind)
     if not found:
         kinds = sorted({event.kind for event in events})
         raise ModelError(
