@@ -15,6 +15,7 @@ from inflight.diagnosis.diagnosis import Diagnosis
 from inflight.diagnosis.library import Library, Term, make_library
 from inflight.diagnosis.search import Rules, Search
 from inflight.diagnosis.verdict import Material, conclude
+from inflight.effects.families import channels_of
 from inflight.effects.scalar_sensor import ScalarBias, TimeShift
 from inflight.errors import CatalogError, WorkerError
 from inflight.geometry import GEOMETRY
@@ -183,9 +184,17 @@ def _plan(
     length = span[1] - span[0]
     parts, width = block_parts(len(days), length, orbit)
     geometry = list(GEOMETRY) if position_channel(mission) else []
+    vectors = [name for name, channel in channels_of(mission).items() if len(channel.axis_names) == 3]
     shifts = _shifts(found, orbit, length)
     library = make_library(
-        mission, found.model, found.channels, geometry, shifts, found.base, cadence / SECOND, found.fixed
+        mission,
+        found.model,
+        found.channels,
+        [*geometry, *vectors],
+        shifts,
+        found.base,
+        cadence / SECOND,
+        found.fixed,
     )
     for name in found.still:
         library.unscorable.append(
@@ -380,6 +389,7 @@ def material_of(made: Prepared, mission: Mission) -> Material:
         made.loaded.series,
         dict(made.loaded.sums),
         made.plan.cadence_ns / SECOND,
+        made.loaded.floor,
         made.context,
         made.run,
     )

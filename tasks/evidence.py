@@ -27,14 +27,14 @@ from inflight.diagnosis.series import Features, Series, features_of, pack_blocks
 from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.noise import noise_floor
+from inflight.noise import NoiseFloor, joined_floor, noise_floor
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 1
+EVIDENCE_VERSION = 4
 #: Rows of the series are at least so far apart in long records, seconds.
 _SERIES_S, _LONG_DAYS = 60.0, 100
 
@@ -234,21 +234,40 @@ def day_rows(
 
 
 def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
-    """Return sums that make the white level of the whole span: squares of the day's, times its samples."""
+    """Return the white level of a day's residual, all its rows together, as sums of squares over its samples."""
     step = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
     place = np.rint((stamps - stamps[0]) / (step * SECOND)).astype(np.int64)
-    out = {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
+    found = []
     for row in residual.T:
         even = np.full(int(place[-1]) + 1, np.nan)
         even[place[good]] = row[good]
-        found = noise_floor(even, step)
-        if np.isfinite(found.level_nT):
-            count = float(found.samples)
-            out["floor_samples"] += count
-            out["floor"] += count * found.level_nT**2
-            out["floor_low"] += count * max(found.level_nT - found.low_nT, 0.0) ** 2
-            out["floor_high"] += count * max(found.high_nT - found.level_nT, 0.0) ** 2
-    return out
+        found.append(noise_floor(even, step))
+    level = joined_floor(found)
+    if not np.isfinite(level.level_nT):
+        return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
+    return {
+        "floor_samples": float(level.samples),
+        "floor": level.samples * level.level_nT**2,
+        "floor_low": level.samples * level.low_nT**2,
+        "floor_high": level.samples * level.high_nT**2,
+    }
+
+
+def _floor_of(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
+    """Return the white level of several blocks together."""
+    known = [report for report in reports if report.get("floor_samples")]
+    return joined_floor(
+        [
+            NoiseFloor(
+                *(
+                    float(np.sqrt(report[name] / report["floor_samples"]))
+                    for name in ("floor", "floor_low", "floor_high")
+                ),
+                samples=int(report["floor_samples"]),
+            )
+            for report in known
+        ]
+    )
 
 
 def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
@@ -282,7 +301,7 @@ class Loaded:
     within: Evidence | None
     series: Series
     sums: Mapping[str, float]
-    days: int = 0
+    floor: NoiseFloor
 
 
 def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
@@ -313,5 +332,5 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         within,
         Series.of(packed, starts, features),
         sums,
-        len(made.days),
+        _floor_of([day.report for day in ordered]),
     )

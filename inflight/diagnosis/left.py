@@ -137,8 +137,14 @@ def _made_channels(series: Series, names: set[str]) -> dict[str, xr.Variable]:
             values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
             factors.append(_part(series, part, values))
         made = product(factors)
-        out[name] = xr.Variable(("time", "axis")[: made.ndim], made)
+        unit = "*".join(f"({_unit(series, part.channel)})" for part in parse(name).parts)
+        out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
     return out
+
+
+def _unit(series: Series, channel: str) -> str:
+    names = series.features.names
+    return series.features.units[names.index(channel)] if channel in names else "1"
 
 
 def _part(series: Series, part: Part, values: Floats) -> Floats:

@@ -86,12 +86,27 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
             place
             for place in named
             if table.options[place].channels == table.options[first].channels
-            and len(table.options[place].columns) < len(table.options[first].columns)
+            and _simplicity(table.options[place]) < _simplicity(table.options[first])
             and _behind(loss, place, first) < search.rules.rival_t
         ]
-        chosen = min(same, key=lambda place: float(loss[:, place].sum())) if same else first
+        simplest = min((_simplicity(table.options[place]) for place in same), default=None)
+        chosen = min(
+            (place for place in same if _simplicity(table.options[place]) == simplest),
+            key=lambda place: float(loss[:, place].sum()),
+            default=first,
+        )
         return table.options[chosen], form
     return None
+
+
+def _simplicity(option: Option) -> tuple[int, bool]:
+    """Order forms of one cause: fewer coefficients first, then a field straight in its channel."""
+    return len(option.columns), not option.mechanism.startswith("channel_field")
+
+
+def _simplicity(option: Option) -> tuple[int, bool]:
+    """Order forms of one cause: fewer coefficients first, then a field straight in its channel."""
+    return len(option.columns), not option.mechanism.startswith("channel_field")
 
 
 def _behind(loss: Floats, one: int, other: int) -> float:
@@ -99,19 +114,22 @@ def _behind(loss: Floats, one: int, other: int) -> float:
     return float(hac_t((loss[:, one] - loss[:, other])[:, None])[0]) if one != other else 0.0
 
 
-def _drop_idle(search: Search) -> None:
-    """Drop effects that the others have made superfluous, the idlest first."""
+def _drop_idle(search: Search) -> bool:
+    """Drop effects that the others have made superfluous, the idlest first; return whether any was."""
+    dropped = False
     while len(search.accepted) > 1:
         worths = [search.worth(option) for option in search.accepted]
         place = int(np.argmin([t for _, t in worths]))
         gain, t = worths[place]
         if t >= search.rules.keep_t and gain >= search.rules.keep_gain:
-            return
-        option = search.accepted[place]
+            return dropped
+        option, dropped = search.accepted[place], True
         search.drop(option)
         search.rounds.append(
             Round(len(search.rounds) + 1, "drop", option.name, option.family, gain, t, 1.0, "raw")
         )
+    return dropped
+    return dropped
 
 
 def _note(search: Search, action: str, option: Option, table: Table, place: int, form: str) -> None:
@@ -135,9 +153,12 @@ def settle(search: Search) -> list[Standing]:
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
     """
+    tables: dict[str, Table] = {}
     for _ in range(_EXCHANGES):
+        tables = {}
         for option in list(search.accepted):
-            better = _better(search, option)
+            tables[option.name] = search.table(without=option)
+            better = _better(search, option, tables[option.name])
             if better is not None:
                 search.drop(option)
                 search.add(better)
@@ -149,13 +170,16 @@ def settle(search: Search) -> list[Standing]:
                 break
         else:
             break
-    _drop_idle(search)
-    return [standing(search, option) for option in search.accepted]
+    if _drop_idle(search):
+        tables = {}
+    return [
+        standing(search, option, tables.get(option.name) or search.table(without=option))
+        for option in search.accepted
+    ]
 
 
-def _better(search: Search, option: Option) -> Option | None:
+def _better(search: Search, option: Option, table: Table) -> Option | None:
     """Return an option that leaves significantly less than an accepted one in its place."""
-    table = search.table(without=option)
     place = _place_of(table, option)
     if place is None:
         return None
@@ -174,6 +198,11 @@ def _better(search: Search, option: Option) -> Option | None:
     return table.options[best] if table.options[best].mechanism != option.mechanism else None
 
 
+def _same_cause(one: Option, other: Option) -> bool:
+    same = bool(one.channels) and one.channels == other.channels and one.family == other.family
+    return same or one.mechanism == other.mechanism
+
+
 def _place_of(table: Table, option: Option) -> int | None:
     for place, other in enumerate(table.options):
         if other.name == option.name:
@@ -188,9 +217,11 @@ def _form_of(table: Table, place: int) -> str:
     )
 
 
-def standing(search: Search, option: Option) -> Standing:
-    """Return how an effect of the model stands against everything that could take its place."""
-    table = search.table(without=option)
+def standing(search: Search, option: Option, table: Table) -> Standing:
+    """Return how an effect of the model stands against everything that could take its place.
+
+    Another form of the same cause, the same channels in the same family, is no rival.
+    """
     place = _place_of(table, option)
     if place is None:
         gain, t = search.worth(option)
@@ -199,7 +230,7 @@ def standing(search: Search, option: Option) -> Standing:
     scores = table.scores[form]
     rivals: dict[str, tuple[Option, float]] = {}
     for other, rival in enumerate(table.options):
-        if rival.mechanism == option.mechanism or rival.placebo or (rival.agnostic and not option.agnostic):
+        if _same_cause(rival, option) or rival.placebo or (rival.agnostic and not option.agnostic):
             continue
         if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
             continue

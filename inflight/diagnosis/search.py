@@ -164,10 +164,11 @@ class Search:
         self._absorb()
         live = set(np.array(self.forms["raw"].names)[np.diagonal(self.forms["raw"].gram.sum(axis=0)) > 0])
         dead = [option for option in self.options if not set(option.columns) & live]
+        left = {one.mechanism for one in self.options} - {one.mechanism for one in dead}
+        told = {one.mechanism: one for one in dead if one.mechanism not in left and not one.placebo}
         self.unscorable = [
-            {"name": one.name, "family": one.family, "reason": "nothing of it is left beside the calibration"}
-            for one in dead
-            if not one.placebo
+            {"name": name, "family": one.family, "reason": "nothing of it is left beside the calibration"}
+            for name, one in told.items()
         ]
         gone = {one.name for one in dead}
         self.options = [one for one in self.options if one.name not in gone]
@@ -221,14 +222,14 @@ class Search:
 
     # Scores.
 
-    def table(self, without: Option | None = None, changes: bool = True) -> Table:
+    def table(self, without: Option | None = None) -> Table:
         """Score everything that is not in the model (an effect of it left out, when one is named)."""
         taken = {name for option in self.accepted if option is not without for name in option.columns}
         main = [option for option in self.options if not set(option.columns) & taken]
         signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}
         ratios: dict[str, tuple[Floats, Floats]] = {}
-        timed = self._changes(without) if changes else None
+        timed = self._changes(without)
         for form, evidence in self.forms.items():
             present, y = self.present(form, without), self.y(form)
             columns = [evidence.index(option.columns) for option in main]
@@ -263,7 +264,7 @@ class Search:
         absorbed = self.forms["raw"]
         found = drifts(small, self.carriers) + steps(small, self.carriers)
         found += episodes(small, absorbed, self._outside(base), self.y())
-        taken = {option.name for option in self.accepted}
+        taken = {option.name for option in self.accepted if option is not without}
         found = [change for change in found if change.name not in taken]
         if not found:
             return None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,10 +21,11 @@ _ROLES = ("vector", "scalar", "inboard", "outboard")
 
 @dataclass(frozen=True)
 class Features:
-    """Names and widths of what the series holds; `sensors` are those the directions belong to."""
+    """Names, widths and units of what the series holds; `sensors` are those the directions belong to."""
 
     names: tuple[str, ...]
     widths: tuple[int, ...]
+    units: tuple[str, ...]
     sensors: tuple[str, ...]
     rows: int
 
@@ -36,18 +38,15 @@ class Features:
     def as_json(self) -> dict[str, object]:
         """Return what `of_json` reads."""
         return {
-            "names": list(self.names),
-            "widths": list(self.widths),
-            "sensors": list(self.sensors),
-            "rows": self.rows,
+            name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()
         }
 
     @classmethod
-    def of_json(cls, told: dict[str, list[str]]) -> Features:
+    def of_json(cls, told: dict[str, Any]) -> Features:
         """Return the features a store's attributes tell of."""
-        return cls(
-            tuple(told["names"]), tuple(map(int, told["widths"])), tuple(told["sensors"]), int(told["rows"])
-        )  # type: ignore[call-overload]
+        widths = tuple(int(one) for one in told["widths"])
+        lists = {name: tuple(map(str, told[name])) for name in ("names", "units", "sensors")}
+        return cls(lists["names"], widths, lists["units"], lists["sensors"], int(told["rows"]))
 
 
 def features_of(rows: Rows, channels: Sequence[str]) -> Features:
@@ -62,7 +61,10 @@ def features_of(rows: Rows, channels: Sequence[str]) -> Features:
         if name in rows.samples and name not in names:
             names.append(name)
             widths.append(int(np.prod(rows.samples[name].shape[1:], dtype=int)))
-    return Features(tuple(names), tuple(widths), tuple(rows.directions), count)
+    units = tuple(
+        str(rows.samples[name].attrs.get("units", "1")) if name in rows.samples else "1" for name in names
+    )
+    return Features(tuple(names), tuple(widths), units, tuple(rows.directions), count)
 
 
 def thin(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
@@ -158,7 +160,8 @@ class Series:
         for name in (*self.channels, *_ROLES, "field"):
             if name in self.features.names:
                 part = self[name]
-                data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part))
+                unit = self.features.units[self.features.names.index(name)]
+                data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part, {"units": unit}))
         field = self["field"]
         with np.errstate(invalid="ignore", divide="ignore"):
             unit = field / np.linalg.norm(field, axis=1, keepdims=True)

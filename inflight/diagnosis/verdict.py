@@ -23,6 +23,7 @@ from inflight.diagnosis.words import sentence, stopped
 from inflight.effects.coefficients import coefficient_unit
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.noise import NoiseFloor
 from inflight.time import SECOND, to_utc
 
 #: An effect of which the calibration takes over all but this part is known through a magnifying glass only.
@@ -58,6 +59,7 @@ class Material:
     series: Series
     sums: Mapping[str, float]
     cadence_s: float
+    floor: NoiseFloor
     context: str = ""
     run: str = ""
     turn: Mapping[str, Floats] | None = None
@@ -75,7 +77,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     effects = tuple(_effect(search, material, one) for one in standings)
     after = held_out(search, material)
     left = _left(search, material) if search.accepted else left_before
-    floor, low, high = _floor(material)
+    floor = material.floor.level_nT
     structure = structure_of(material.series, left)
     line = _line(material, left)
     blocks = effective_blocks(search, material, left)
@@ -90,8 +92,8 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         "held_out_before_nT": before,
         "held_out_after_nT": after,
         "noise_floor_nT": floor,
-        "noise_floor_low_nT": low,
-        "noise_floor_high_nT": high,
+        "noise_floor_low_nT": material.floor.low_nT,
+        "noise_floor_high_nT": material.floor.high_nT,
         "structure_nT": structure.rms_nT,
         "structure_t": structure.t,
     }
@@ -190,18 +192,6 @@ def _native_rms(material: Material, search: Search, accepted: bool) -> float:
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
     )
     return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _inside(material)))
-
-
-def _floor(material: Material) -> tuple[float, float, float]:
-    """Return the white level of the span and its interval, nT at the cadence of the comparison."""
-    sums = material.sums
-    count = sums.get("floor_samples", 0.0)
-    if count <= 0:
-        return float("nan"), float("nan"), float("nan")
-    level = float(np.sqrt(sums["floor"] / count))
-    days = max(len(np.unique(material.series.tt2000 // (86_400 * SECOND))), 1)
-    down, up = (float(np.sqrt(sums[name] / count / days)) for name in ("floor_low", "floor_high"))
-    return level, max(level - down, 0.0), level + up
 
 
 def effective_blocks(search: Search, material: Material, left: Floats) -> dict[str, Any]:
