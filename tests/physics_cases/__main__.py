@@ -37,7 +37,7 @@ def main() -> int:
     seeds = list(range(given.first_seed, given.first_seed + given.seeds))
     for outcome in run_cases(names, seeds, given.jobs, not given.simulate_only, given.keep):
         outcomes.append(outcome)
-        verdict = outcome.score.verdict if outcome.score else outcome.error.split("\n")[0]
+        verdict = outcome.score.verdict if outcome.score else last_line(outcome.error)
         console.print(f"[dim]{outcome.name} {outcome.seed}: {verdict}[/]", highlight=False)
     console.print(_timing_table(outcomes) if given.simulate_only else score_table(outcomes))
     told = summary(outcomes)
@@ -61,6 +61,11 @@ def _arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def last_line(text: str) -> str:
+    """Return the last line of a traceback, which says what happened."""
+    return text.rsplit("\n", 1)[-1]
+
+
 def score_table(outcomes: list[Outcome]) -> Table:
     """Return a table with a row for each case."""
     table = Table(*COLUMNS, title="hidden effects and what was said of them")
@@ -73,7 +78,7 @@ def _row(one: Outcome) -> list[str]:
     hidden = ", ".join(effect["name"] for effect in one.truth["effects"]) or "nothing"
     found = one.score
     if found is None:
-        told = one.error[:60] or "not diagnosed"
+        told = last_line(one.error)[:60] or "not diagnosed"
         return [one.name, str(one.seed), hidden, f"[red]{told}[/]", *[""] * 10, f"{one.diagnose_s:.1f}"]
     effects = (one.told or {}).get("effects") or []
     named = ", ".join(f"{effect['family']}:{'+'.join(effect.get('channels') or [])}" for effect in effects)

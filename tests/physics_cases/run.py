@@ -6,6 +6,7 @@ import json
 import shutil
 import tempfile
 import time
+import traceback
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -84,8 +85,8 @@ def _diagnosed(workspace: Path) -> tuple[dict[str, Any] | None, str]:
         told = found.as_json()
         # What a person gets is text: what is no JSON is an error here, not a surprise later.
         return json.loads(json.dumps(told)), ""
-    except Exception as error:  # the table shows it
-        return None, f"{type(error).__name__}: {error}"
+    except Exception:  # the table shows its last line
+        return None, traceback.format_exc().strip()
 
 
 def run_cases(

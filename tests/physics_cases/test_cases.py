@@ -19,7 +19,7 @@ def marked(name):
 @pytest.mark.parametrize("name", [marked(name) for name in scenarios()])
 def test_the_hidden_effect_is_named_or_honestly_confused(tmp_path, name):
     outcome = run_case(name, SEED, tmp_path)
-    assert not outcome.error
+    assert not outcome.error, outcome.error
     told = outcome.score
     assert not told.confident_wrong, f"FOUND {told.false_additions}, hidden {outcome.truth['effects']}"
     assert told.family is not False, f"{told.verdict} does not name {outcome.truth['effects']}"
