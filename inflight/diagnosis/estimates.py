@@ -43,7 +43,7 @@ class Estimate:
 
 def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel)."""
-    total = evidence.gram.sum(axis=0)
+    total = evidence.total
     p = present.columns
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
     inverse = _inverse(matrix)
@@ -104,7 +104,7 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
     """
     evidence = search.forms[form]
     columns = evidence.index(option.columns)
-    left = projected(evidence.gram.sum(axis=0), search.present(form, option))
+    left = projected(evidence.total, search.present(form, option))
     kept = float(gamma @ left[np.ix_(columns, columns)] @ gamma)
     whole = float(gamma @ centred(search, option) @ gamma)
     rows = max(float(evidence.count.sum()), 1.0)
@@ -114,7 +114,7 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
 def centred(search: Search, option: Option) -> Floats:
     """Return the Gram matrix of an option's columns, each less what it shares with one calibration column."""
     raw = search.raw
-    total = raw.gram.sum(axis=0)
+    total = raw.total
     own = raw.index(option.columns)
     base = raw.index([name for term in search.library.base for name in term.columns])
     if not base.size:
@@ -160,7 +160,7 @@ def mimics(search: Search, option: Option, gamma: Floats) -> list[tuple[str, flo
     raw = search.raw
     names = [name for term in search.library.base for name in term.columns]
     base, own = raw.index(names), raw.index(option.columns)
-    total = raw.gram.sum(axis=0)
+    total = raw.total
     inner = total[np.ix_(base, base)]
     shift = _inverse(inner) @ total[np.ix_(base, own)] @ (gamma / raw.scale[own])
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))

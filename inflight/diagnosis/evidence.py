@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +50,22 @@ class Evidence:
 
     def __len__(self) -> int:
         return len(self.gram)
+
+    @cached_property
+    def total(self) -> Floats:
+        """Sum over all blocks; (column, column)."""
+        return np.asarray(self.gram.sum(axis=0))
+
+    @cached_property
+    def _sums(self) -> dict[tuple[tuple[int, ...], ...], list[Floats]]:
+        return {}
+
+    def sums(self, folds: Sequence[npt.NDArray[np.int64]]) -> list[Floats]:
+        """Return the sum over the blocks of each fold; they are kept, because every question asks for them."""
+        key = tuple(tuple(fold.tolist()) for fold in folds)
+        if key not in self._sums:
+            self._sums[key] = [np.asarray(self.gram[fold].sum(axis=0)) for fold in folds]
+        return self._sums[key]
 
     @property
     def residuals(self) -> list[int]:
@@ -161,7 +178,7 @@ class Evidence:
         gone = self.index(names)
         kept = np.setdiff1d(np.arange(len(self.names)), gone)
         out = np.empty((len(self), kept.size, kept.size))
-        before = np.diagonal(self.gram.sum(axis=0))[kept]
+        before = np.diagonal(self.total)[kept]
         for group in groups:
             blocks = self.gram[np.asarray(group)]
             total = blocks[:, gone].sum(axis=0)

@@ -37,7 +37,7 @@ def flip_ratios(
     """Return observed ratios (candidate,) and flipped ones (draw, candidate)."""
     scores = block_scores(evidence, present, y)
     summed = np.stack([scores[unit].sum(axis=0) for unit in units])
-    gram = projected(evidence.gram.sum(axis=0), present)
+    gram = projected(evidence.total, present)
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for place, columns in enumerate(candidates):

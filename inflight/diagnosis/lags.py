@@ -106,7 +106,7 @@ def profile(
         half = half_inverse(matrices)
         return np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1)
 
-    total = evidence.gram.sum(axis=0)
+    total = evidence.total
     whole = explained(total)
     others = [_peak(grid, explained(total - evidence.gram[fold].sum(axis=0))) for fold in folds]
     best = _peak(grid, whole)

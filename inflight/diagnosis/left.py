@@ -97,7 +97,7 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
     sigma = [s for term in search.library.refined for s in term.sigma]
     names = [*refined, *present]
     precision = search.precision(evidence, names, np.asarray([*sigma, *[np.inf] * len(present)]))
-    total = evidence.gram.sum(axis=0)
+    total = evidence.total
     place, y = evidence.index(names), search.y("raw")
     common = (
         -solve_scaled(total[np.ix_(place, place)] + np.diag(precision), total[place, y])

@@ -123,7 +123,7 @@ def fit(
     evidence: Evidence, present: Present, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
-    gram = projected(evidence.gram.sum(axis=0), present)
+    gram = projected(evidence.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
     for positions, columns in _grouped(candidates):
@@ -154,24 +154,27 @@ def score(
     folds : sequence of ndarray
         Blocks held out together.
     """
-    total = evidence.gram.sum(axis=0)
+    total = evidence.total
     loss0 = np.zeros(len(evidence))
     loss = np.zeros((len(evidence), len(candidates)))
     grouped = _grouped(candidates)
-    for fold in folds:
+    p = present.columns
+    for fold, held in zip(folds, evidence.sums(folds), strict=True):
         blocks = evidence.gram[fold]
-        train = total - blocks.sum(axis=0)
+        train = total - held
         own = present.solve(train)
-        left = train - train[:, present.columns] @ own if present.columns.size else train
-        own_y = own[:, y]
-        base = _quadratic(blocks, present.columns, own_y, y)
+        base = _quadratic(blocks, p, own[:, y], y)
         loss0[fold] = base
         for positions, columns in grouped:
-            half = half_inverse(left[columns[:, :, None], columns[:, None, :]])
-            gamma = -np.einsum("cik,clk,cl->ci", half, half, left[columns, y])
-            loss[np.ix_(fold, positions)] = base[:, None] + _change(
-                blocks, present.columns, own, columns, gamma, y
-            )
+            inner = train[columns[:, :, None], columns[:, None, :]]
+            right = train[columns, y]
+            if p.size:
+                across = train[columns[:, :, None], p]
+                inner = inner - across @ own[:, columns].transpose(1, 0, 2)
+                right = right - across @ own[:, y]
+            half = half_inverse(inner)
+            gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
+            loss[np.ix_(fold, positions)] = base[:, None] + _change(blocks, p, own, columns, gamma, y)
     gain = 1.0 - loss.sum(axis=0) / max(loss0.sum(), 1e-300)
     gamma_all, explained = fit(evidence, present, candidates, y)
     return Scores(loss0, loss, gain, hac_t(loss0[:, None] - loss), gamma_all, explained)
@@ -188,22 +191,18 @@ def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
 
 def _change(blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int) -> Floats:
     """Return by how much candidates change the held-out sum of squares; (block, candidate)."""
-    linear = np.einsum("bck,ck->bc", blocks[:, columns, y], gamma)
-    square = np.einsum(
-        "bckl,ck,cl->bc", blocks[:, columns[:, :, None], columns[:, None, :]], gamma, gamma, optimize=True
-    )
+    linear = np.sum(blocks[:, columns, y] * gamma, axis=2)
+    inner = blocks[:, columns[:, :, None], columns[:, None, :]]
+    square = np.sum(np.matmul(inner, gamma[:, :, None])[:, :, :, 0] * gamma, axis=2)
     if not present.size:
         return np.asarray(2.0 * linear + square)
     # The model's own columns give way: their change is minus the candidate's projection on them.
     beta = -np.einsum("pck,ck->cp", own[:, columns], gamma)
-    inner = blocks[:, present[:, None], present[None, :]]
-    with_y = blocks[:, present, y] - inner @ own[:, y]
-    linear = linear - np.einsum(
-        "bckp,ck,p->bc", blocks[:, columns[:, :, None], present], gamma, own[:, y], optimize=True
-    )
-    linear = linear + with_y @ beta.T
-    cross = np.einsum("bckp,ck,cp->bc", blocks[:, columns[:, :, None], present], gamma, beta, optimize=True)
-    square = square + 2.0 * cross + np.einsum("bpq,cp,cq->bc", inner, beta, beta, optimize=True)
+    own_y = own[:, y]
+    model = blocks[:, present[:, None], present[None, :]]
+    across = np.matmul(gamma[:, None, :], blocks[:, columns[:, :, None], present])[:, :, 0, :]
+    linear = linear - across @ own_y + (blocks[:, present, y] - model @ own_y) @ beta.T
+    square = square + 2.0 * np.sum(across * beta, axis=2) + np.sum(np.matmul(beta, model) * beta, axis=2)
     return np.asarray(2.0 * linear + square)
 
 
@@ -212,7 +211,7 @@ def block_scores(evidence: Evidence, present: Present, y: int) -> Floats:
 
     They sum to what the projected columns have in common with the residual.
     """
-    total = evidence.gram.sum(axis=0)
+    total = evidence.total
     own = present.solve(total)
     gram = evidence.gram
     if not present.columns.size:

@@ -162,7 +162,7 @@ class Search:
         ]
         self.variance = self._variance()
         self._absorb()
-        live = set(np.array(self.forms["raw"].names)[np.diagonal(self.forms["raw"].gram.sum(axis=0)) > 0])
+        live = set(np.array(self.forms["raw"].names)[np.diagonal(self.forms["raw"].total) > 0])
         dead = [option for option in self.options if not set(option.columns) & live]
         left = {one.mechanism for one in self.options} - {one.mechanism for one in dead}
         told = {one.mechanism: one for one in dead if one.mechanism not in left and not one.placebo}
@@ -211,13 +211,15 @@ class Search:
         """Return the columns of the model beside the calibration, with their priors."""
         return self._present_in(self.forms[form], without)
 
-    def _present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+    def _model_columns(self, without: Option | None = None) -> list[str]:
+        """Names of the model's columns beside the calibration: refined ones, then those taken."""
         names = [name for term in self.library.refined for name in term.columns]
+        return names + [name for one in self.accepted if one is not without for name in one.columns]
+
+    def _present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+        names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
-        for option in self.accepted:
-            if option is not without:
-                names += option.columns
-                sigma += [np.inf] * len(option.columns)
+        sigma += [np.inf] * (len(names) - len(sigma))
         return Present(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
 
     # Scores.
@@ -257,8 +259,7 @@ class Search:
         """Return the options bound to a time, with the evidence of their columns alone."""
         base, sigma = self._base()
         kept = [name for name in self.carriers.names if name not in base]
-        own = [name for term in self.library.refined for name in term.columns]
-        own += [name for option in self.accepted if option is not without for name in option.columns]
+        own = self._model_columns(without)
         small = self.raw.select(list(dict.fromkeys([*base, *own, *kept])))
         precision = self.precision(small, base, sigma)
         absorbed = self.forms["raw"]
@@ -274,7 +275,7 @@ class Search:
         options = [
             Option(one.name, one.mechanism, one.family, tuple(one.functions), change=one) for one in found
         ]
-        live = np.diagonal(wide.gram.sum(axis=0)) > 0
+        live = np.diagonal(wide.total) > 0
         options = [one for one in options if live[wide.index(one.columns)].any()]
         return options, wide, present
 
@@ -305,10 +306,10 @@ class Search:
         for form, evidence in self.forms.items():
             if option.change is not None and form == "within":
                 continue
-            folds = folds_of(len(evidence), option.interleaved)
-            found = score(
-                evidence, self.present(form, option), [evidence.index(option.columns)], self.y(form), folds
-            )
+            small = evidence.select([*self._model_columns(option), *option.columns])
+            folds = folds_of(len(small), option.interleaved)
+            y = small.residuals[self.residual]
+            found = score(small, self._present_in(small, option), [small.index(option.columns)], y, folds)
             best = max(best, (float(found.t[0]), float(found.gain[0])))
         return best[1], best[0]
 

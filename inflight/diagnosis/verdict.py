@@ -186,7 +186,7 @@ def _native_rms(material: Material, search: Search, accepted: bool) -> float:
         taken = sum(len(option.columns) for option in search.accepted)
         keep = present.columns.size - taken
         present = Present(present.columns[:keep], present.precision[:keep])
-    total = evidence.gram.sum(axis=0)
+    total = evidence.total
     y = search.y()
     left = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
