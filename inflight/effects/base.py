@@ -42,6 +42,7 @@ CHANNEL_OPTIONS = ("channel", "lag", "width")
 #: An effect that follows the field is solved for at a vector sensor until nothing larger than this moves.
 _SETTLED_NT = 1e-9
 _MOST_STEPS = 80
+_RUN_AWAY_NT = 1e9
 
 
 class _ParametersOf:
@@ -105,16 +106,19 @@ class Effect:
                 )
         self.name = name or self.label()
         self.given = dict(options)
+        if self.channels and not self.channels[0]:
+            self.required("channel")
         if set(CHANNEL_OPTIONS) & set(options):
             first = str(options.get("channel", self.channels[0] if self.channels else ""))
             first = slowed(first, options.get("lag"), options.get("width"))
             self.channels = (first, *self.channels[1:])
-        if self.channels and not self.channels[0]:
-            self.required("channel")
         self.prepare()
 
     def prepare(self) -> None:
         """Read the options; called once, for subclasses to override."""
+
+    def require_complete(self) -> None:
+        """Raise `ModelError` when an option is missing that only a search may leave open."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle so that a worker makes the class anew where it is a user's own."""
@@ -222,10 +226,10 @@ class Effect:
             following = truth + self.field(with_field(samples, reading), values, sensor)
             moved = float(np.nanmax(np.abs(following - reading), initial=0.0))
             reading = following
-            if moved < _SETTLED_NT and moved >= last:
+            if moved == 0.0 or last <= moved < _SETTLED_NT:
                 return reading
-            if moved == 0.0:
-                return reading
+            if moved > _RUN_AWAY_NT:
+                break
             last = moved
         raise ModelError(
             f"effect '{self.name}' is too strong to be told from the field it follows",

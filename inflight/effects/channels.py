@@ -123,17 +123,23 @@ class Hysteresis(Effect):
 
     family = "hysteresis"
     options: ClassVar[tuple[str, ...]] = ("channel", "width")
-    channels = ("", "")
+    channels: tuple[str, ...] = ("", "")
     direct = Parameter("nT", AXES, sigma=10.0, per_channel=1)
     play = Parameter("nT", AXES, sigma=10.0, per_channel=1)
 
     def prepare(self) -> None:
-        """Name the channel and its play."""
-        plain = slowed(str(self.given.get("channel", "")), self.given.get("lag"))
-        self.channels = (plain, slowed(plain, width=self.required("width")))
+        """Name the channel and its play; a search makes the effect before it knows a width."""
+        plain = slowed(str(self.given["channel"]), self.given.get("lag"))
+        known = "width" in self.given
+        self.channels = (plain, slowed(plain, width=self.given["width"])) if known else (plain,)
+
+    def require_complete(self) -> None:
+        """Refuse a hysteresis without a width."""
+        self.required("width")
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the sum of both; (time, axis) nT."""
+        self.require_complete()
         direct, play = self.drive(samples, "direct"), self.drive(samples, "play", 1)
         return np.asarray(direct[:, None] * values["direct"] + play[:, None] * values["play"])
 

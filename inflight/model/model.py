@@ -255,6 +255,7 @@ def _parse_effects(
     for index, entry in enumerate(entries):
         try:
             effects.append(make_effect(entry, sensors, own, mission))
+            effects[-1].effect.require_complete()
         except InflightError as error:
             place = f"{source}: effect {index + 1}" if error.file == "" else f"{source}: {error.file}"
             raise ModelError(error.message, file=place, channel=error.channel, remedy=error.remedy) from None

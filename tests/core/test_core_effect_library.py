@@ -10,7 +10,7 @@ from inflight.effects.base import with_field
 from inflight.effects.families import FAMILIES
 from inflight.errors import ModelError, SamplesError
 from inflight.mission import Mission
-from inflight.model import make_effect
+from inflight.model import Model, make_effect
 from inflight.time import SECOND, to_tt2000
 
 
@@ -83,7 +83,7 @@ def test_lag_and_width_name_the_derived_channel():
         ({**SOLAR, "lagg": "10 s"}, "did you mean 'lag'"),
         ({**SOLAR, "lag": "soon"}, "lag: 'soon' is no duration"),
         ({"effect": "channel_field"}, "needs the option 'channel'"),
-        ({"effect": "hysteresis", "channel": "coil_temperature"}, "needs the option 'width'"),
+        ({"effect": "hysteresis", "width": 2}, "needs the option 'channel'"),
         ({"effect": "remanent", "channel": "coil_temperature"}, "no option and no parameter 'channel'"),
         ({"effect": "tone", "period": "0 s"}, "above 0"),
         ({"effect": "offset_step"}, "needs the option 'at'"),
@@ -106,6 +106,16 @@ def test_what_is_misspelt_or_missing_is_told_with_a_remedy(entry, told):
 def test_an_effect_that_acts_on_one_kind_of_sensor_finds_it():
     assert make_effect({"effect": "time_shift"}, SENSORS).sensor.name == "ovm"
     assert make_effect({"effect": "offset_step", "at": "2004-01-01"}, SENSORS).sensor.name == "fgm"
+
+
+def test_a_hysteresis_without_width_may_be_searched_for_but_not_modelled():
+    entry = {"effect": "hysteresis", "sensor": "fgm", "channel": "coil_temperature"}
+    assert make_effect(entry, SENSORS).effect.channels == ("coil_temperature",)
+    with pytest.raises(ModelError, match="needs the option 'width'"):
+        added(entry)
+    text = "model: m\neffects:\n  - {effect: hysteresis, sensor: fgm, channel: coil_temperature}\n"
+    with pytest.raises(ModelError, match=r"effect 1: effect 'hysteresis' needs the option 'width'"):
+        Model.parse(text, MISSION)
 
 
 def at_times(*utc):
@@ -258,10 +268,9 @@ def test_candidates_come_from_what_the_mission_has():
 
 @pytest.mark.parametrize("label", sorted(known_effects()))
 def test_every_candidate_can_be_made(label):
-    """A width is all that a search adds: it depends on the data."""
+    """Without a width, too, which a search adds: it depends on the data."""
     for options in known_effects()[label].candidates(MISSION):
-        more = {"width": 1.0} if label == "hysteresis" else {}
-        made = make_effect({"effect": label, **options, **more}, SENSORS, mission=MISSION)
+        made = make_effect({"effect": label, **options}, SENSORS, mission=MISSION)
         assert made.effect.family in FAMILIES
 
 

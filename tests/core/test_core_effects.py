@@ -228,8 +228,9 @@ def test_an_effect_that_follows_the_field_is_solved_for_at_a_vector_sensor(name,
     assert not effect.is_additive
 
 
-def test_an_effect_too_strong_to_be_told_from_the_field_is_refused():
-    model = model_of({"effect": "eddy", "sensor": "fgm", "diagonal": [3.0, 3.0, 3.0]})
+@pytest.mark.parametrize("size", [3.0, 1e9])
+def test_an_effect_too_strong_to_be_told_from_the_field_is_refused(size):
+    model = model_of({"effect": "eddy", "sensor": "fgm", "diagonal": [size, 1.0, 1.0]})
     with pytest.raises(ModelError, match="too strong"):
         model.disturb(true_samples(0))
 
