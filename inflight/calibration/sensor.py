@@ -56,25 +56,29 @@ def vector_sensor_of(model: Model) -> ModelEffect:
 
 
 def reference_of(model: Model, tt2000: int) -> Reference:
-    """Return values and prior sigmas of the nine parameters at a time; fixed ones get sigma 0.
+    """Return values and prior sigmas of the nine parameters at a time; those no block fits get sigma 0.
+
+    A parameter that is free but constant, or a function of time, is refined over the whole span (see
+    `inflight.diagnosis`); a block's own fit leaves it alone.
 
     Raises
     ------
     ModelError
-        When a free parameter is not a block's own, so that its fit would never reach a product, or its
-        sigma is infinite.
+        When a block's own parameter has an infinite sigma.
     """
     entry = vector_sensor_of(model)
     timed = [entry.parameters[part] for part in PARTS]
-    for part in timed:
-        if part.free and (part.time != "block" or not np.all(np.isfinite(part.sigma))):
+    own = [part.free and part.time == "block" for part in timed]
+    for part, is_own in zip(timed, own, strict=True):
+        if is_own and not np.all(np.isfinite(part.sigma)):
             raise ModelError(
-                f"'{part.key}' is free with time '{part.time}' and sigma {part.sigma[:, 0].tolist()}; a fit "
-                "reaches the products through time 'block' only, and needs a finite sigma",
-                remedy="write time: block and a wide sigma, or free: false",
+                f"'{part.key}' is fitted once a block and its sigma is {part.sigma[:, 0].tolist()}",
+                remedy="give a finite sigma, however wide",
             )
     value = np.concatenate([part.at(tt2000) for part in timed])
-    sigma = np.concatenate([part.sigma[:, 0] if part.free else np.zeros(3) for part in timed])
+    sigma = np.concatenate(
+        [part.sigma[:, 0] if is_own else np.zeros(3) for part, is_own in zip(timed, own, strict=True)]
+    )
     return Reference(value, sigma, entry.name)
 
 

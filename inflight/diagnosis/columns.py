@@ -7,7 +7,8 @@ the residual after a change d, as in `inflight.calibration.equations`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 import xarray as xr
@@ -20,6 +21,24 @@ from inflight.model import Model
 
 #: Roles whose reading is a vector.
 _VECTORS = ("vector", "inboard", "outboard")
+
+
+class Samples(dict[str, xr.Variable]):
+    """Samples as plain variables: what an effect reads of a Dataset, without the cost of its indexing."""
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Length of each dimension."""
+        return {"time": int(self["tt2000"].size)}
+
+    def assign(self, **variables: tuple[tuple[str, ...], Floats, dict[str, str]]) -> Samples:
+        """Return the samples with some variables added."""
+        return Samples(self | {name: xr.Variable(*told) for name, told in variables.items()})
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset) -> Samples:
+        """Return the variables of a Dataset."""
+        return cls({str(name): variable for name, variable in dataset.variables.items()})
 
 
 @dataclass(frozen=True)
@@ -69,7 +88,7 @@ def term_columns(term: Term, rows: Rows) -> Floats:
         When a channel is not in the samples.
     """
     entry = term.entry
-    kinds = type(entry.effect).parameters()
+    kinds = entry.effect.parameters()
     times = rows.samples["tt2000"].values
     values = {name: np.array(value) for name, value in entry.values(times).items()}
     out = []
@@ -130,5 +149,9 @@ def design(terms: Sequence[Term], rows: Rows) -> Floats:
     """
     if not terms:
         return np.zeros((*rows.residual.shape, 0))
-    found = np.concatenate([term_columns(term, rows) for term in terms], axis=-1)
-    return np.where(np.isfinite(found) & (rows.weight > 0)[:, None, None], found, 0.0)
+    # Effects only look variables up: a thousand columns would spend their time in a Dataset's indexing.
+    light = replace(rows, samples=cast("xr.Dataset", Samples.of(rows.samples)))
+    found = np.concatenate([term_columns(term, light) for term in terms], axis=-1)
+    found[~np.isfinite(found)] = 0.0
+    found[rows.weight <= 0] = 0.0
+    return found
