@@ -37,14 +37,14 @@ def main() -> int:
     seeds = list(range(given.first_seed, given.first_seed + given.seeds))
     for outcome in run_cases(names, seeds, given.jobs, not given.simulate_only, given.keep):
         outcomes.append(outcome)
-        verdict = outcome.score.verdict if outcome.score else last_line(outcome.error)
-        console.print(f"[dim]{outcome.name} {outcome.seed}: {verdict}[/]", highlight=False)
+        console.print(f"[dim]{_line(outcome)}[/]", highlight=False)
+        if given.json:
+            # After every case: a run of hours that is stopped has still told what it knew.
+            told = {"summary": summary(outcomes), "cases": [one.as_json() for one in outcomes]}
+            given.json.write_text(json.dumps(told, indent=1), encoding="utf-8")
     console.print(_timing_table(outcomes) if given.simulate_only else score_table(outcomes))
     told = summary(outcomes)
     console.print(json.dumps(told, indent=1))
-    if given.json:
-        text = json.dumps({"summary": told, "cases": [one.as_json() for one in outcomes]}, indent=1)
-        given.json.write_text(text, encoding="utf-8")
     return int(bool(told["confident_wrong"] or told["errors"]))
 
 
@@ -59,6 +59,15 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--simulate-only", action="store_true", help="make the cases, diagnose nothing")
     parser.add_argument("--width", type=int, default=None, help="of the table, characters")
     return parser.parse_args()
+
+
+def _line(one: Outcome) -> str:
+    """Return what is said of a case as soon as it is done."""
+    said = last_line(one.error) or "made"
+    if one.score:
+        said = f"{one.score.verdict}, {'passed' if one.score.passed else 'failed'}"
+        said += ", CONFIDENTLY WRONG" if one.score.confident_wrong else ""
+    return f"{one.name} {one.seed}: {said}, {one.diagnose_s:.0f} s"
 
 
 def last_line(text: str) -> str:
