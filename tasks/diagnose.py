@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,10 +118,12 @@ def prepare(
     *,
     client: Any = None,
     progress: Progress | None = None,
+    used: UsedModel | None = None,
+    narrow: Callable[[PassPlan], PassPlan] | None = None,
 ) -> Prepared:
-    """Make or find the evidence of a span."""
+    """Make or find the evidence of a span and a model, the present one if none; a narrow one stays apart."""
     tell = progress or (lambda stage, done, total: None)
-    used = current_model(cat, mission, settings.comparison)
+    used = used or current_model(cat, mission, settings.comparison)
     needs = tuple(needs_of(mission, used.model))
     channels = _channel_needs(mission)
     index = ArchiveIndex.of(cat, [*needs, *channels])
@@ -143,8 +145,10 @@ def prepare(
     found = survey(cat, mission, used.model, needs, index, days, reader)
     tell("survey", 1, 1)
     plan = _plan(mission, found, needs, channels, days, span, cadence)
+    plan = narrow(plan) if narrow else plan
     context = cat.save_context(mission.text, used.model.name, used.version, {})
-    run, blocks = _pass(cat, mission, plan, index, base, settings, context, client, tell)
+    dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
+    run, blocks = _pass(cat, mission, plan, index, base, settings, context, dataset, client, tell)
     loaded = load_evidence(cat, plan, blocks)
     return Prepared(plan, used, found, loaded, context, run, len(plan.blocks) - len(blocks))
 
@@ -218,7 +222,7 @@ def _plan(
 
 
 def _shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
-    """Return by how much each placebo is shifted, s: a day or more and part of an orbit, or part of the record."""
+    """Return the shift of each placebo, s: a day or more and part of an orbit, or part of the record."""
     generator = np.random.default_rng(20_000)
     names = sorted(found.channels)
     chosen = (
@@ -246,11 +250,11 @@ def _pass(
     base: Need,
     settings: DiagnoseSettings,
     context: str,
+    dataset: str,
     client: Any,
     tell: Progress,
 ) -> tuple[str, list[Day]]:
     """Make the blocks that are missing or out of date; return the run and all blocks' days."""
-    dataset = f"equations/{settings.comparison}/library"
     keys, parents = {}, {}
     for block in plan.blocks:
         sources = [
@@ -340,7 +344,7 @@ def _within_groups(days: list[list[int]], blocks: int) -> list[list[int]]:
 
 
 def _intervals(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
-    """Return the blocks of each calibration interval: one when nothing the calibration fits is a block's own."""
+    """Return the blocks of each calibration interval; all in one when nothing it fits is a block's own."""
     raw = made.loaded.raw
     own = [
         timed
