@@ -258,10 +258,12 @@ class Catalog:
 
     # --- models, contexts, files -----------------------------------------------------------------
 
-    def save_model(self, name: str, text: str, parent: int | None = None, message: str = "") -> int:
-        """Save a model file and return its version; a text that is known returns the version it has."""
+    def save_model(
+        self, name: str, text: str, parent: int | None = None, message: str = "", *, again: bool = False
+    ) -> int:
+        """Save a model and return its version; a known text returns the version it has, unless `again`."""
         with self._database.write() as session:
-            return registry.save_model(session, name, text, parent, message)
+            return registry.save_model(session, name, text, parent, message, again)
 
     def model_text(self, name: str | None = None, version: int | None = None) -> tuple[str, int, str]:
         """Return ``(name, version, text)`` of a model: the latest version, of the latest model when None.

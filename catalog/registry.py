@@ -16,7 +16,9 @@ from inflight.catalog.validity import require_tables
 from inflight.errors import CatalogError
 
 
-def save_model(session: Session, name: str, text: str, parent: int | None, message: str) -> int:
+def save_model(
+    session: Session, name: str, text: str, parent: int | None, message: str, again: bool = False
+) -> int:
     """Save a model file; see `Catalog.save_model`."""
     sha256 = sha256_text(text)
     versions = session.scalars(select(ModelRow).where(ModelRow.name == name).order_by(ModelRow.version)).all()
@@ -26,7 +28,7 @@ def save_model(session: Session, name: str, text: str, parent: int | None, messa
             f"model '{name}' has no version {parent}", remedy=f"use one of {sorted(known) or 'none'}"
         )
     same = [row.version for row in versions if row.sha256 == sha256]
-    if same:
+    if same and not again:
         return same[-1]
     version = max(known, default=0) + 1
     created = dt.datetime.now(dt.UTC).isoformat(timespec="seconds")
