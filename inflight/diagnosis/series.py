@@ -154,15 +154,22 @@ class Series:
         name = sensor or self.features.sensors[0]
         return self[f"direction:{name}"].reshape(len(self.values), self.features.rows, 3)
 
+    def _measured(self, name: str) -> Floats:
+        """Return a reading or the field, NaN where nothing was measured."""
+        part = self[name]
+        there = self["weight"] > 0
+        return np.where(there if part.ndim == 1 else there[:, None], part, np.nan)
+
     def rows(self, turn: dict[str, Floats], more: dict[str, xr.Variable]) -> Rows:
         """Return the series as rows, so that columns can be made from it."""
         data = dict(more) | {"tt2000": xr.Variable("time", self.tt2000)}
         for name in (*self.channels, *_ROLES, "field"):
             if name in self.features.names:
-                part = self[name]
+                # A missing reading is stored as 0: a rate of change across it would be enormous.
+                part = self[name] if name in self.channels else self._measured(name)
                 unit = self.features.units[self.features.names.index(name)]
                 data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part, {"units": unit}))
-        field = self["field"]
+        field = self._measured("field")
         with np.errstate(invalid="ignore", divide="ignore"):
             unit = field / np.linalg.norm(field, axis=1, keepdims=True)
         data["field_direction"] = xr.Variable(("time", "axis"), unit)
