@@ -264,6 +264,9 @@ def axis_response(
         Unit vector of the field in the axes wanted.
     block : ndarray of int, shape (sample,)
         Blocks of the jackknife.
+    bins : int
+        Bins of about equal counts; with a single one the constant field is told, which with more
+        is taken off.
 
     Returns
     -------
@@ -273,7 +276,7 @@ def axis_response(
     good = np.isfinite(coordinate) & np.isfinite(residual) & np.isfinite(direction).all(axis=1)
     x, y, u = coordinate[good], residual[good], direction[good]
     blocks, which = np.unique(block[good], return_inverse=True)
-    edges = bin_edges(x, bins)
+    edges = bin_edges(x, bins) if bins > 1 else np.array([-np.inf, np.inf])
     if blocks.size < MIN_BLOCKS or edges is None:
         return None
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
@@ -288,10 +291,11 @@ def axis_response(
     if not cells.met.all() or np.linalg.cond(whole).max() > 1e4:
         return None
     share = cells.count.sum(axis=0) / cells.count.sum()
-    field_ = _centred(np.linalg.solve(whole, right.sum(axis=0)[..., None])[..., 0], share)
+    centred = _centred if bins > 1 else _as_it_is
+    field_ = centred(np.linalg.solve(whole, right.sum(axis=0)[..., None])[..., 0], share)
     ridge = 1e-9 * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     left = whole - gram + ridge
-    without = _centred(np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0], share)
+    without = centred(np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0], share)
     found = [_rms(field_[:, axis], without[..., axis], share) for axis in range(3)]
     centre = np.bincount(index, weights=x, minlength=shape[1]) / np.bincount(index, minlength=shape[1])
     amplitude, sigma = np.array(found).T
@@ -301,6 +305,10 @@ def axis_response(
 def _centred(field: Floats, share: Floats) -> Floats:
     """Return a field (..., bin, axis) less its weighted mean over the bins."""
     return np.asarray(field - np.einsum("b,...ba->...a", share, field)[..., None, :])
+
+
+def _as_it_is(field: Floats, share: Floats) -> Floats:
+    return field
 
 
 def strongest(found: Sequence[Dependence], count: int = 3) -> list[Dependence]:

@@ -171,22 +171,29 @@ def find_failures(
             break
         best = max(clear, key=lambda one: one.amplitude)
         one = coordinates[best.coordinate]
-        response = axis_response(one.name, one.unit, one.values, left, direction, block)
+        # What follows the field itself is a constant field, or no field at all.
+        parts = 1 if one.kind.startswith("field_") else 8
+        response = axis_response(one.name, one.unit, one.values, left, direction, block, parts)
         failures.append(Failure(best, response, one.kind, len(failures)))
-        left = left - _fitted(best, one, left, response, direction)
+        left = left - _fitted(best, one, left, response, direction, block)
         told = measure((coordinates[each.coordinate] for each in found), left, block)
     return failures
 
 
 def _fitted(
-    best: Dependence, one: Coordinate, residual: Floats, response: AxisResponse | None, direction: Floats
+    best: Dependence,
+    one: Coordinate,
+    residual: Floats,
+    response: AxisResponse | None,
+    direction: Floats,
+    block: npt.NDArray[np.int64],
 ) -> Floats:
-    """Return what a structure makes of the residual: its axes where they are told, else its mean curve."""
+    """Return what a structure makes of the residual: its field along the axes, and its mean curve beyond."""
+    fitted = np.zeros_like(residual)
     if response is not None and response.axis:
-        known = response.centre
-        field_ = np.stack(
-            [np.interp(one.values, known, response.field[:, axis]) for axis in range(3)], axis=1
-        )
-        return np.asarray(np.nan_to_num(np.einsum("ta,ta->t", field_, direction)))
+        curves = [np.interp(one.values, response.centre, response.field[:, axis]) for axis in range(3)]
+        fitted = np.nan_to_num(np.einsum("at,ta->t", np.array(curves), direction))
+        beyond = dependence(one.name, one.unit, one.values, residual - fitted, block, bins=_bins(one, block))
+        best = beyond or best
     met = np.isfinite(best.mean)
-    return np.asarray(np.nan_to_num(np.interp(one.values, best.centre[met], best.mean[met])))
+    return np.asarray(fitted + np.nan_to_num(np.interp(one.values, best.centre[met], best.mean[met])))

@@ -1,71 +1,29 @@
-"""Lines in the spectrum of a residual, along each axis too: which are known, and which are not.
-
-A field along axis k that repeats with a period shows in the residual only through the direction u_k,
-which turns along the orbit: the spectrum of the residual has it at sidebands. The spectrum of
-``residual * u_k`` (demodulated) has it at its own period.
-"""
+"""Lines in the spectrum of a residual, along each axis too: which are known, and which are not."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, signal, stats
+from scipy import signal, stats
 
 from inflight.arrays import Floats
+from inflight.spectrum import SERIES, Power, background_of
 
-#: Names of the four series: the residual, and the residual times the direction's components.
-SERIES = ("residual", "x", "y", "z")
-#: Least part of a stretch that must be measured, and its fewest samples.
-_LEAST_PART, _LEAST_SAMPLES = 0.5, 64
-#: Frequencies the local background is the median of, and the chance of one false line in a spectrum.
-_AROUND, _CHANCE = 101, 0.01
+#: The chance of a false line in one spectrum.
+CHANCE = 0.001
 #: A line must also stand this far above its background: real backgrounds are not smooth.
-_LEAST_RATIO = 3.0
+_LEAST_RATIO = 4.0
 #: Harmonics of the orbit that are drawn, and those that are recognised.
-DRAWN_HARMONICS, _KNOWN_HARMONICS = 6, 12
+DRAWN_HARMONICS, _KNOWN_HARMONICS = 6, 24
+#: Harmonics of a short known period, its sidebands at the orbit, and how far those are split, in steps.
+_SHORT_HARMONICS, _SIDES, _SPLIT = 12, range(-6, 7), 3.5
+#: Times a day that the Earth's turn splits lines of the orbit by.
+_TURNS = 5
 #: A Hann window spreads a line over this many frequencies on either side.
 _SPREAD = 2
 _DAY_S = 86_400.0
-
-
-@dataclass
-class Power:
-    """Sums of the spectra of stretches on one grid of frequencies.
-
-    Attributes
-    ----------
-    frequency : ndarray, shape (frequency,)
-        Hz, without zero.
-    total : ndarray, shape (series, frequency)
-        Sum of one-sided densities, nT^2/Hz.
-    stretches : int
-        How many were added.
-    square : ndarray, shape (series,)
-        Sum of the mean squares of what the residual was multiplied by: 1 and u_k^2.
-    """
-
-    frequency: Floats
-    total: Floats
-    stretches: int = 0
-    square: Floats = field(default_factory=lambda: np.zeros(len(SERIES)))
-
-    def add(self, other: Power) -> None:
-        """Add the stretches of another one on the same grid."""
-        self.total = self.total + other.total
-        self.stretches += other.stretches
-        self.square = self.square + other.square
-
-    @property
-    def density(self) -> Floats:
-        """Mean density; (series, frequency), nT^2/Hz."""
-        return np.asarray(self.total / max(self.stretches, 1))
-
-    @property
-    def direction_square(self) -> Floats:
-        """Mean square of what each series was multiplied by; (series,)."""
-        return np.asarray(self.square / max(self.stretches, 1))
 
 
 @dataclass(frozen=True)
@@ -96,9 +54,16 @@ class Line:
 
     @property
     def axis(self) -> str:
-        """Series other than the residual in which the line is largest; empty when it is in none."""
-        along = np.where(np.isfinite(self.amplitude[1:]), self.amplitude[1:], 0.0)
+        """Axis along which the line is largest, where it is three sigma; empty on none."""
+        with np.errstate(invalid="ignore"):
+            seen = self.amplitude[1:] > 3.0 * self.sigma[1:]
+        along = np.where(seen, self.amplitude[1:], 0.0)
         return SERIES[1 + int(np.argmax(along))] if along.any() else ""
+
+    @property
+    def strength(self) -> float:
+        """Largest amplitude that is seen, nT: in the residual where it shows there, else along an axis."""
+        return float(self.amplitude[0] if np.isfinite(self.amplitude[0]) else np.nanmax(self.amplitude))
 
     def as_json(self) -> dict[str, object]:
         """Return the fields of the command line's JSON."""
@@ -119,36 +84,12 @@ class Line:
         }
 
 
-def stretch_power(residual: Floats, direction: Floats, cadence: float) -> Power | None:
-    """Return the spectra of one stretch at equal steps, such as a day.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (time,)
-        nT; gaps (NaN) are bridged by straight lines.
-    direction : ndarray, shape (time, 3)
-        Unit vector of the field, axes of the vector sensor.
-    cadence : float
-        Seconds between samples.
-
-    Returns
-    -------
-    Power or None
-        Hann-windowed periodograms of the residual less its mean, and of that times each component
-        of the direction; None when less than half of the stretch is measured.
-    """
-    known = np.isfinite(residual) & np.isfinite(direction).all(axis=1)
-    if known.sum() < max(_LEAST_SAMPLES, _LEAST_PART * residual.size):
-        return None
-    measured = residual[known] - residual[known].mean()
-    factors = np.concatenate([np.ones((1, measured.size)), direction[known].T])
-    index = np.arange(residual.size)
-    series = np.array([np.interp(index, index[known], measured * factor) for factor in factors])
-    levelled = signal.detrend(series, axis=1)
-    frequency, power = signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
-    # Bridged gaps hold no noise: the rest stands for the whole.
-    power /= known.mean()
-    return Power(frequency[1:], np.asarray(power[:, 1:]), 1, np.mean(factors**2, axis=1))
+def told_period(seconds: float) -> str:
+    """Return a period as a person says it: seconds, minutes, hours or days, three figures."""
+    for name, size in (("d", 86_400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds:.3g} s"
 
 
 def known_periods(periods: Mapping[str, float], orbit: float | None) -> dict[str, float]:
@@ -175,61 +116,12 @@ def drawn_periods(known: Mapping[str, float]) -> dict[str, float]:
     return {name: seconds for name, seconds in known.items() if name not in late}
 
 
-def add_power(sums: dict[tuple[int, float], Power], power: Power | None) -> None:
-    """Add a stretch to the sums of its grid of frequencies; a mission's spectra are never held one by one."""
-    if power is None:
-        return
-    grid = (power.frequency.size, round(float(power.frequency[-1]), 9))
-    if grid in sums:
-        sums[grid].add(power)
-    else:
-        sums[grid] = power
-
-
-def finest(sums: Mapping[tuple[int, float], Power]) -> Power | None:
-    """Return the sums on the finest grid; None without any."""
-    return max(sums.values(), key=lambda one: (one.frequency.size, one.stretches), default=None)
-
-
-def slow_power(
-    seconds: Floats, residual: Floats, direction: Floats, step: float, most: float = 32 * _DAY_S
-) -> Power | None:
-    """Return the spectra of a long record of means, for periods of hours to weeks.
-
-    Parameters
-    ----------
-    seconds : ndarray, shape (row,)
-        Time of the means, increasing, on a grid of `step` seconds with gaps.
-    residual, direction : ndarray, shape (row,), (row, 3)
-        Means.
-    most : float
-        Longest stretch, s: a third of the record if that is shorter; stretches overlap by half.
-
-    Returns
-    -------
-    Power or None
-        None when the record is shorter than three days.
-    """
-    slot = np.round((seconds - seconds[0]) / step).astype(np.int64) if seconds.size else np.zeros(0, np.int64)
-    count = int(slot[-1]) + 1 if slot.size else 0
-    if count * step < 3 * _DAY_S:
-        return None
-    grid = np.full((count, 4), np.nan)
-    grid[slot] = np.column_stack([residual, direction])
-    length = int(min(most, max(count * step / 3, 3 * _DAY_S)) / step)
-    sums: dict[tuple[int, float], Power] = {}
-    for start in range(0, count - length + 1, max(length // 2, 1)):
-        part = grid[start : start + length]
-        add_power(sums, stretch_power(part[:, 0], part[:, 1:], step))
-    return finest(sums)
-
-
 def find_lines(
     power: Power,
     known: Mapping[str, float],
     shortest: float = 0.0,
     longest: float = np.inf,
-    most: int = 12,
+    most: int = 20,
 ) -> list[Line]:
     """Return the lines of a mean spectrum: new ones, those that follow from them, known ones.
 
@@ -252,16 +144,19 @@ def find_lines(
     """
     density = power.density
     step = float(power.frequency[0])
-    background = np.array([_background(row) for row in density])
+    background = np.array([background_of(row) for row in density])
     ratio = density / background
     inside = (power.frequency * longest >= 1.0) & (power.frequency * shortest <= 1.0)
+    # Near zero and near Nyquist a window holds half as many independent numbers.
+    inside[: _SPREAD + 1] = inside[-_SPREAD - 1 :] = False
     ratio = np.where(inside, ratio, 0.0)
     peaks = sorted(_peaks(ratio, power.stretches), key=lambda peak: -float(ratio[:, peak].max()))
     orbit = 1.0 / known["orbit"] if "orbit" in known else 0.0
+    explained = _Known.of(known, step)
     lines: list[Line] = []
     for peak in peaks:
         frequency = _centre(power.frequency, density[int(np.argmax(ratio[:, peak])), :], peak)
-        label = _label(frequency, step, known)
+        label = explained.name_of(frequency, step)
         follows = "" if label else _relation(frequency, step, orbit, lines)
         if any(abs(1.0 / line.period_s - frequency) <= 2 * step for line in lines):
             continue
@@ -272,18 +167,9 @@ def find_lines(
     return new + following + [line for line in lines if line.is_known][:most]
 
 
-def _background(density: Floats) -> Floats:
-    """Return the running median around each frequency; narrower towards the slow end."""
-    filled = np.maximum(density, 1e-300)
-    wide = ndimage.median_filter(filled, _AROUND, mode="nearest")
-    near = ndimage.median_filter(filled, 15, mode="nearest")
-    weight = np.clip(np.arange(density.size) / _AROUND, 0.0, 1.0)
-    return np.asarray(near ** (1 - weight) * wide**weight)
-
-
 def _peaks(ratio: Floats, stretches: int) -> list[int]:
-    """Return local maxima that noise would reach in one spectrum of a hundred."""
-    chance = _CHANCE / ratio.shape[1]
+    """Return local maxima that noise would reach in one spectrum of a thousand."""
+    chance = CHANCE / ratio.shape[1]
     # A median lies below the mean of such a spectrum by its own ratio.
     shape = max(stretches, 1)
     limit = stats.gamma.isf(chance, shape) / stats.gamma.ppf(0.5, shape)
@@ -303,15 +189,52 @@ def _centre(frequency: Floats, density: Floats, peak: int) -> float:
     return float(frequency[peak] + np.clip(shift, -0.5, 0.5) * frequency[0])
 
 
-def _label(frequency: float, step: float, known: Mapping[str, float]) -> str:
-    """Return the known period a frequency belongs to; the day splits lines of the orbit by 1/day."""
-    best, name = np.inf, ""
-    for label, seconds in known.items():
-        away = abs(frequency - 1.0 / seconds)
-        width = max(1.5 * step, 1.5 / _DAY_S if label.startswith("orbit") else 0.0)
-        if away <= width and away < best:
-            best, name = away, label
-    return name
+@dataclass(frozen=True)
+class _Known:
+    """Frequencies that need no explanation, Hz, with their names and how near a line must be, in steps."""
+
+    frequency: Floats
+    names: list[str]
+    width: Floats
+
+    @classmethod
+    def of(cls, known: Mapping[str, float], step: float) -> _Known:
+        """Return the frequencies of known periods and what follows from them, on a grid of `step` Hz.
+
+        Harmonics of the orbit are split by the Earth's turn; on a grid too coarse to tell these apart
+        only the nearest count. Short periods have harmonics, split by the orbit.
+        """
+        most = _TURNS if step < 0.5 / _DAY_S else 1
+        turns = sorted(range(-most, most + 1), key=abs)
+        orbit = 1.0 / known["orbit"] if "orbit" in known else 0.0
+        found: dict[str, float] = {}
+        for name, seconds in known.items():
+            base = 1.0 / seconds
+            if name.startswith("orbit"):
+                found |= {_sided(name, turn, "/day"): base + turn / _DAY_S for turn in turns}
+            elif orbit and base > 3.0 * orbit:
+                for times in range(1, _SHORT_HARMONICS + 1):
+                    multiple = name if times == 1 else f"{name}/{times}"
+                    sides = {
+                        _sided(multiple, side, "/orbit"): times * base + side * orbit
+                        for side in sorted(_SIDES, key=abs)
+                    }
+                    found |= sides
+            else:
+                found[name] = base
+        frequency = np.array(list(found.values()))
+        wide = orbit > 0 and step >= 0.5 / _DAY_S
+        return cls(frequency, list(found), np.where(wide & (frequency > 30 * orbit), _SPLIT, 1.5))
+
+    def name_of(self, frequency: float, step: float) -> str:
+        """Return the name of the nearest one that is near enough; empty when there is none."""
+        away = np.abs(self.frequency - frequency)
+        best = int(np.argmin(away)) if away.size else 0
+        return self.names[best] if away.size and away[best] <= self.width[best] * step else ""
+
+
+def _sided(name: str, side: int, unit: str) -> str:
+    return name if side == 0 else f"{name} {'+' if side > 0 else '-'} {abs(side)}{unit}"
 
 
 def _relation(frequency: float, step: float, orbit: float, lines: Sequence[Line]) -> str:
@@ -329,11 +252,11 @@ def _relation(frequency: float, step: float, orbit: float, lines: Sequence[Line]
 
 
 def _told_relation(period: float, times: int, side: int) -> str:
-    base = f"{period / 60:.1f} min" if period >= 60 else f"{period:.3g} s"
+    base = told_period(period)
     whole = base if times == 1 else f"({base})/{times}"
     if side == 0:
         return f"multiple: {whole}"
-    return f"sideband: {whole} {'+' if side > 0 else '-'} {abs(side) if abs(side) > 1 else ''}orbit".strip()
+    return f"sideband: {_sided(whole, side, '/orbit')}"
 
 
 def _amplitudes(power: Power, density: Floats, background: Floats, peak: int) -> tuple[Floats, Floats]:
@@ -350,19 +273,3 @@ def _amplitudes(power: Power, density: Floats, background: Floats, peak: int) ->
         # The direction multiplies a field once in the residual and once more in the demodulation.
         scale = np.append(1.0, 1.0 / power.direction_square[1:])
         return np.where(seen, amplitude * scale, np.nan), np.where(seen, sigma * scale, np.nan)
-
-
-def thinned(frequency: Floats, density: Floats, points: int = 1200) -> tuple[Floats, Floats]:
-    """Return about so many points of a spectrum: means in steps of equal ratio, single ones at the slow end.
-
-    `density` has shape (..., frequency).
-    """
-    if frequency.size <= points:
-        return frequency, density
-    edges = np.geomspace(1.0, frequency.size, points).astype(np.int64) - 1
-    first = np.unique(edges)
-    count = np.diff(np.append(first, frequency.size))
-    return (
-        np.add.reduceat(frequency, first) / count,
-        np.add.reduceat(density, first, axis=-1) / count,
-    )

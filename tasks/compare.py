@@ -16,17 +16,10 @@ from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.failures import Coordinate, find_failures, measure
 from inflight.flags import UNUSABLE, Flag
-from inflight.lines import (
-    Line,
-    Power,
-    add_power,
-    find_lines,
-    finest,
-    known_periods,
-    slow_power,
-    stretch_power,
-)
+from inflight.lines import Line, find_lines, known_periods
 from inflight.mission import Mission
+from inflight.resolving import resolve_lines
+from inflight.spectrum import Power, add_power, finest, slow_power, stretch_power
 from inflight.statistics import NoiseFloor, Size, joined, joined_floor, noise_floor, size_of
 from inflight.tasks.compare_page import CompareReport, Drawn, Spectra, write_page
 from inflight.tasks.compare_rows import Sources, Spans, rows_of_day, scalar_channels
@@ -41,8 +34,8 @@ from inflight.wander import daily_wander
 _ROWS, _SHORTEST = 400_000, 60.0
 #: Blocks of the uncertainties: a day when the span has at least so many days, else three hours.
 _DAY_BLOCKS, _BLOCK = 10, 3 * 3600.0
-#: The spectrum of whole days tells shorter periods than this, that of weeks tells longer ones; s.
-_SEAM = 3 * 3600.0
+#: Means tell periods of so many of their lengths and more, and apart by less than whole days can.
+_SEAM = 4.0
 _BINS = 160
 
 
@@ -236,10 +229,12 @@ def _spectra(digest: _Digest, rows: dict[str, Floats], direction: Floats, missio
     known = known_periods(stated, _orbit_period(rows))
     fast, before = finest(digest.power), finest(digest.power_before)
     slow = slow_power(rows["tt2000"] / SECOND, rows["after"], direction, digest.length)
-    lines: list[Line] = find_lines(fast, known, longest=_SEAM if slow else np.inf) if fast else []
+    seam = _SEAM * digest.length
+    lines: list[Line] = find_lines(fast, known, longest=seam if slow else np.inf) if fast else []
     if slow is not None:
-        lines += find_lines(slow, known, shortest=_SEAM)
-    lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.ratio))
+        record = rows["tt2000"] / SECOND, rows["after"], direction
+        lines += resolve_lines(*record, find_lines(slow, known, shortest=seam), slow)
+    lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.strength))
     return Spectra(fast, before, slow, lines, known)
 
 

@@ -25,9 +25,9 @@ from inflight.figures import (
     wander_figure,
 )
 from inflight.figures.page import html_table
-from inflight.figures.style import told_period
-from inflight.lines import SERIES, Line, Power, drawn_periods
+from inflight.lines import Line, drawn_periods, told_period
 from inflight.mission import Mission
+from inflight.spectrum import SERIES, Power
 from inflight.statistics import NoiseFloor, Size
 from inflight.time import to_utc
 from inflight.wander import Wander

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ class Spans:
         """Return the number of the span that each stamp is in, from midnight."""
         return np.asarray((stamps - self.midnight) // round(self.length * SECOND), dtype=np.int64)
 
-    @property
+    @cached_property
     def numbers(self) -> Int64:
         """Numbers of the spans that hold samples."""
         return np.unique(self.number(self.stamps))

@@ -34,17 +34,18 @@ def html_page(
     footer : str
         Plain text, such as an acknowledgement of the data.
     """
-    figures = [plot for _, _, plots in sections for plot in plots]
-    script, placed = components(figures) if figures else ("", ())
-    marks, body = iter(placed), []
+    scripts, body = [], []
     for heading, paragraphs, plots in sections:
         body.append(f"<h2>{escape(heading)}</h2>")
         body += [f"<div>{paragraph}</div>" for paragraph in paragraphs]
-        body.append('<div class="row">' + "".join(next(marks) for _ in plots) + "</div>")
+        # One document a figure: the time Bokeh takes grows with the square of what a document holds.
+        parts = [components(plot) for plot in plots]
+        scripts += [script for script, _ in parts]
+        body.append('<div class="row">' + "".join(place for _, place in parts) + "</div>")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f"<style>{_STYLE}</style>{INLINE.render()}</head><body><h1>{escape(title)}</h1>"
-        f'{"".join(body)}<p class="quiet">{escape(footer)}</p>{script}</body></html>\n'
+        f'{"".join(body)}<p class="quiet">{escape(footer)}</p>{"".join(scripts)}</body></html>\n'
     )
 
 

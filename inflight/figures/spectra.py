@@ -17,9 +17,9 @@ from inflight.figures.style import (
     log_ticks,
     place_legend,
     plain_figure,
-    told_period,
 )
-from inflight.lines import SERIES, Line, thinned
+from inflight.lines import Line, told_period
+from inflight.spectrum import SERIES, thinned
 
 #: What each series is called above its figure.
 _TITLES = {

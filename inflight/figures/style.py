@@ -68,14 +68,6 @@ def log_ticks(values: Floats) -> FixedTicker | None:
     return FixedTicker(ticks=sorted([*decades, *(3 * decades)]))
 
 
-def told_period(seconds: float) -> str:
-    """Return a period as a person says it: seconds, minutes, hours or days, three figures."""
-    for name, size in (("d", 86_400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 1.5 * size:
-            return f"{seconds / size:.3g} {name}"
-    return f"{seconds:.3g} s"
-
-
 def band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:
     """Draw a band of one sigma around a curve."""
     source = ColumnDataSource({"x": x, "low": value - sigma, "high": value + sigma})

@@ -9,7 +9,9 @@ import xarray as xr
 from bokeh.embed import json_item
 from bokeh.models import Legend, Whisker
 
+from inflight.dependence import AxisResponse, Branch, Dependence, Loop
 from inflight.figures import (
+    axis_figure,
     daily_figure,
     dependence_figure,
     histogram_figure,
@@ -17,10 +19,12 @@ from inflight.figures import (
     parameter_figures,
     series_figure,
     spectrum_figure,
+    wander_figure,
 )
 from inflight.figures.page import html_table
-from inflight.statistics import Dependence
+from inflight.lines import Line
 from inflight.time import day_bounds
+from inflight.wander import Wander, daily_wander
 
 NAN = float("nan")
 
@@ -64,10 +68,60 @@ def test_histogram_of_nothing_and_of_something():
 def test_spectrum_without_the_one_before_and_with_periods_outside():
     frequency = np.linspace(1e-4, 0.5, 2048)
     power = np.ones(2048)
-    plot = spectrum_figure(frequency, np.full(2048, NAN), power, {"torquer": 20.0, "year": 3e7})
+    plot = spectrum_figure(frequency, None, power, {"torquer": 20.0, "year": 3e7})
     text = written(plot)
     assert "torquer" in text
     assert "year" not in text
+    assert "pre-flight" not in text
+
+
+def test_a_spectrum_marks_unknown_lines_where_they_are_seen():
+    frequency = np.linspace(1e-4, 0.5, 43_200)
+    seen = np.array([NAN, NAN, NAN, 0.2])
+    lines = [Line(2460.0, "", "", 40.0, seen, seen / 10), Line(5550.0, "orbit", "", 90.0, seen, seen / 10)]
+    along = written(
+        spectrum_figure(frequency, np.ones(43_200), np.ones(43_200), {"orbit": 5550.0}, lines, "z")
+    )
+    assert "41 min" in along
+    assert "unknown period" in along
+    assert len(along) < 300_000, "a browser is given few points"
+    residual = written(spectrum_figure(frequency, None, np.ones(43_200), {}, lines))
+    assert "41 min" not in residual
+
+
+def test_branches_are_drawn_where_they_differ():
+    centre, mean, sigma = np.arange(3.0), np.array([0.1, NAN, 0.2]), np.array([0.01, NAN, 0.01])
+    branch = Branch(mean, sigma)
+    for opening, drawn in ((0.5, True), (0.01, False)):
+        loop = Loop(branch, branch, opening, 0.01)
+        text = written(dependence_figure(Dependence("t", "K", centre, mean, sigma, 0.1, 0.01, loop)))
+        assert ("rising" in text) == drawn
+
+
+def test_axes_and_wander_are_drawn_from_little():
+    ones = np.ones((4, 3))
+    response = AxisResponse("current", "A", np.arange(4.0), ones, ones, np.ones(3), np.ones(3))
+    assert written(axis_figure(response))
+    found = [
+        Wander("fgm.offset[x]", "nT", 3.0, 1.0, 3.0, 0.2, 12),
+        Wander("fgm.offset[y]", "nT", NAN, NAN, NAN, NAN, 0),
+    ]
+    assert "offset[y]" in written(wander_figure(found))
+    assert written(wander_figure([]))
+
+
+def test_the_wander_of_daily_parameters_is_their_scatter_over_their_sigma():
+    generator = np.random.default_rng(0)
+    daily = table(200)
+    shape = daily["value"].shape
+    daily["value"] = daily["value"] + generator.normal(0, 0.1, shape) * np.array([1.0, 1.0, 3.0, 1.0])
+    daily["determined"] = daily["determined"] & (np.arange(shape[1]) != 3)
+    found = daily_wander(daily)
+    assert [one.ratio for one in found[:3]] == pytest.approx([1.0, 1.0, 3.0], rel=0.15)
+    assert found[0].sigma_ratio == pytest.approx(1 / np.sqrt(2 * 199))
+    assert np.isnan(found[3].ratio)
+    start, end = int(daily["start"].values[50]), int(daily["start"].values[60])
+    assert {one.days for one in daily_wander(daily, start, end)[:3]} == {10}
 
 
 def test_dependence_takes_its_error_bars_into_the_range():

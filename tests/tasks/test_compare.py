@@ -120,8 +120,9 @@ def test_a_failed_reading_counts_for_neither_report_and_the_clock_begins_at_midn
     assert told["after_nT"] == pytest.approx(report.after.rms, rel=1e-12)
     assert told["before_nT"] == pytest.approx(report.before.rms, rel=1e-12)
     days = catalog.days("l2/field", states=("published",))
-    digest = module._digest_of(catalog, mission, days, lambda stage, done, total: None)
-    assert [float(row["time of day"][0]) for row in digest.rows] == [6.0, 6.0]
+    digest = module._digest_of(catalog, mission, "main", days, lambda stage, done, total: None)
+    # The middle of the first minute after six.
+    assert [float(row["time of day"][0]) for row in digest.rows] == pytest.approx([6 + 0.5 / 60] * 2)
 
 
 def test_the_json_has_the_promised_shape(four_days):
@@ -169,7 +170,10 @@ def test_an_injected_error_shows_where_the_model_fails(four_days, monkeypatch):
     first = report.fails_where[0]
     assert first.coordinate == "field direction x"
     assert first.amplitude == pytest.approx(0.3 * np.concatenate(along).std(), rel=0.05)
-    assert first.amplitude > 5 * first.sigma_amplitude
+    assert first.amplitude > 5 * first.sigma
+    assert first.axis == "x"
+    assert "field direction x" in first.sentence
+    assert "along x" in first.sentence
 
 
 @pytest.mark.parametrize("name", ["four.html", "short.html"])
@@ -202,11 +206,10 @@ def test_what_is_kept_of_a_mission_is_bounded(four_days, monkeypatch):
     catalog, mission = four_days
     monkeypatch.setattr(module, "_ROWS", 2_000)
     days = catalog.days("l2/field", states=("published",)) * 50
-    digest = module._digest_of(catalog, mission, days, lambda stage, done, total: None)
+    digest = module._digest_of(catalog, mission, "main", days, lambda stage, done, total: None)
     assert sum(row["after"].size for row in digest.rows) <= 2_000 + len(days)
     assert len(digest.power) == 1
-    frequency, before, after = module._mean_power(digest.power.values())
-    assert frequency.size == before.size == after.size
+    assert next(iter(digest.power.values())).stretches == 200
 
 
 def test_a_browser_is_given_no_more_points_than_it_can_draw():
