@@ -321,7 +321,7 @@ def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
         raw,
         made.loaded.white,
         made.plan.library,
-        _intervals(made, settings),
+        intervals_of(made, settings),
         _within_groups(days, len(raw)),
         rules,
         made.loaded.within,
@@ -343,7 +343,7 @@ def _within_groups(days: list[list[int]], blocks: int) -> list[list[int]]:
     return [part.tolist() for part in np.array_split(np.arange(blocks), 4)]
 
 
-def _intervals(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
+def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
     """Return the blocks of each calibration interval; all in one when nothing it fits is a block's own."""
     raw = made.loaded.raw
     own = [
