@@ -12,6 +12,7 @@ from inflight.calibration import Reference, fit_block, split_chain, usable
 from inflight.calibration.sensor import PARTS
 from inflight.catalog import Catalog
 from inflight.diagnosis.library import Term, Told
+from inflight.effects.families import channels_of
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import CalibrationError
 from inflight.mission import Mission
@@ -189,7 +190,7 @@ def _thinned(
 def _channels(
     reader: ChannelReader, days: Sequence[np.datetime64]
 ) -> tuple[dict[str, Told], tuple[str, ...]]:
-    told, still = {}, []
+    told, still, kinds = {}, [], channels_of(reader.mission)
     read = {day: reader.day(day) for day in days}
     for name in reader.scalars:
         values = np.concatenate([read[day][name] for day in days])
@@ -202,7 +203,7 @@ def _channels(
         if spread <= _STILL * max(float(np.abs(finite).max()), 1e-300):
             still.append(name)
             continue
-        told[name] = Told(float(finite.mean()), spread, 1.0 - finite.size / values.size)
+        told[name] = Told(float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind)
     return told, tuple(still)
 
 

@@ -22,11 +22,15 @@ from inflight.sensors import Sensor, sensors_of
 from inflight.time import SECOND
 
 #: First-order responses tried of every channel, s; combinations of neighbours reach what lies between.
-LAGS = (0.0, 40.0, 120.0, 360.0, 1100.0, 3300.0)
+LAGS = (0.0, 60.0, 240.0, 1000.0, 4000.0)
 #: Widths of the play operator tried, as parts of the channel's range.
 WIDTHS = (0.15, 0.4)
-#: Lags of placebos, and of channels that act on the sensor's scale.
-FEW_LAGS = (0.0, 360.0)
+#: Lags of placebos.
+FEW_LAGS = (0.0, 240.0)
+#: Kinds of channels that may act on a sensor's scale or by hysteresis; currents do neither.
+THERMAL = frozenset({"temperature", "other", "voltage"})
+#: Effects that only such channels are tried with.
+OF_THERMAL = frozenset({"channel_scale", "channel_angle", "hysteresis"})
 #: Channels that get placebos, and placebos of each: enough to show what a wrong channel explains.
 MOST_PLACEBOS = 16
 #: Effects that describe a shape in some coordinate and name no cause: taken when nothing else explains.
@@ -124,11 +128,14 @@ class Told:
         Over the span, channel units; `spread` is the range of nine tenths of its values.
     missing : float
         Part of the span it is missing.
+    kind : str
+        Of the mission's channel.
     """
 
     mean: float
     spread: float
     missing: float = 0.0
+    kind: str = "other"
 
 
 @dataclass
@@ -312,28 +319,48 @@ def _expand(
     channels: Mapping[str, Told],
 ) -> None:
     """Add an effect with every lag or width of its bank."""
-    kind, sensor = type(entry.effect), entry.sensor.name
     base = _base_channels(entry.effect.channels)
     common = {"mechanism": mechanism, "family": family, "channels": base, "agnostic": label in AGNOSTIC}
-    variants: list[tuple[str, dict[str, Any], float]] = [("", {}, 0.0)]
     lone = options.get("channel")
-    if "lag" in kind.options and lone in channels:
-        bank = LAGS if kind.is_plain_field() else FEW_LAGS
-        variants = [
-            (f"@lag={lag:g}s" if lag else "", {"lag": f"{lag:g} s"} if lag else {}, lag) for lag in bank
-        ]
-    elif "width" in kind.options and lone in channels:
-        spread = channels[lone].spread
-        variants = [(f"@width={w * spread:.3g}", {"width": float(f"{w * spread:.3g}")}, 0.0) for w in WIDTHS]
-    for suffix, more, lag in variants:
-        made = (
-            _made({"effect": label, "sensor": sensor, **options, **more}, mission, model) if more else entry
-        )
-        if made is None:
-            continue
-        term = term_of(made, f"{mechanism}{suffix}")
+    if label in OF_THERMAL and lone in channels and channels[lone].kind not in THERMAL:
+        return
+    given = {"effect": label, "sensor": entry.sensor.name, **options}
+    if label == "channel_field" and lone in channels:
+        for lag in LAGS:
+            made = _made(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
+            if made is not None:
+                term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
+                library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
+    elif label == "hysteresis" and lone in channels:
+        _offer_plays(library, mission, model, given, channels[lone].spread, common)
+    else:
+        term = term_of(entry, mechanism)
         if term.parameters:
-            library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
+            library.add(Candidate(term.key, terms=(term.key,), **common), [term])
+
+
+def _offer_plays(
+    library: Library,
+    mission: Mission,
+    model: Model,
+    given: dict[str, Any],
+    spread: float,
+    common: dict[str, Any],
+) -> None:
+    """Add a channel with its play of several widths; the channel's own columns are those of its plain field."""
+    plain = _made(
+        {"effect": "channel_field", "sensor": given["sensor"], "channel": given["channel"]}, mission, model
+    )
+    if plain is None:
+        return
+    direct = term_of(plain, f"channel_field({given['channel']})")
+    for part in WIDTHS:
+        width = float(f"{part * spread:.3g}")
+        made = _made(given | {"width": width}, mission, model)
+        if made is not None:
+            key = f"{common['mechanism']}@width={width:g}"
+            own = Term(key, made, ("play",), (np.inf,) * 3)
+            library.add(Candidate(key, terms=(direct.key, key), **common), [direct, own])
 
 
 def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:

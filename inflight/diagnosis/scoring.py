@@ -175,7 +175,8 @@ def score(
             half = half_inverse(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
             loss[np.ix_(fold, positions)] = base[:, None] + _change(blocks, p, own, columns, gamma, y)
-    gain = 1.0 - loss.sum(axis=0) / max(loss0.sum(), 1e-300)
+    whole = float(loss0.sum())
+    gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
     return Scores(loss0, loss, gain, hac_t(loss0[:, None] - loss), gamma_all, explained)
 
