@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflight.arrays import Floats
-from inflight.diagnosis.scoring import hac_t
 from inflight.diagnosis.search import FORMS, Option, Round, Search, Table
 
 #: A rival must itself be worth this t, and this part of the winner's gain.
@@ -75,10 +73,11 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
         places = np.flatnonzero(passing[form])
         if not places.size:
             continue
-        loss = table.scores[form].loss
+        scores = table.scores[form]
+        loss = scores.loss
         best = places[int(np.argmin(loss[:, places].sum(axis=0)))]
         equal = [
-            int(place) for place in places if _behind(loss, int(place), int(best)) < search.rules.rival_t
+            int(place) for place in places if scores.behind(int(place), int(best)) < search.rules.rival_t
         ]
         named = [place for place in equal if not table.options[place].agnostic] or equal
         first = min(named, key=lambda place: float(loss[:, place].sum()))
@@ -87,7 +86,7 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
             for place in named
             if table.options[place].channels == table.options[first].channels
             and _simplicity(table.options[place]) < _simplicity(table.options[first])
-            and _behind(loss, place, first) < search.rules.rival_t
+            and scores.behind(place, first) < search.rules.rival_t
         ]
         simplest = min((_simplicity(table.options[place]) for place in same), default=None)
         chosen = min(
@@ -107,11 +106,6 @@ def _simplicity(option: Option) -> tuple[int, bool]:
 def _simplicity(option: Option) -> tuple[int, bool]:
     """Order forms of one cause: fewer coefficients first, then a field straight in its channel."""
     return len(option.columns), not option.mechanism.startswith("channel_field")
-
-
-def _behind(loss: Floats, one: int, other: int) -> float:
-    """Return the t by which one option leaves more than another."""
-    return float(hac_t((loss[:, one] - loss[:, other])[:, None])[0]) if one != other else 0.0
 
 
 def _drop_idle(search: Search) -> bool:
@@ -184,13 +178,14 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
     if place is None:
         return None
     form = _form_of(table, place)
-    loss = table.scores[form].loss
+    scores = table.scores[form]
+    loss = scores.loss
     passing = table.passing(search.rules)[form]
     others = [
         other
         for other in np.flatnonzero(passing)
         if not (table.options[other].agnostic and not option.agnostic)
-        and _behind(loss, place, int(other)) > search.rules.rival_t
+        and scores.behind(place, int(other)) > search.rules.rival_t
     ]
     if not others:
         return None
@@ -234,7 +229,7 @@ def standing(search: Search, option: Option, table: Table) -> Standing:
             continue
         if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
             continue
-        behind = _behind(scores.loss, other, place)
+        behind = scores.behind(other, place)
         if behind < search.rules.rival_t and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
     return Standing(

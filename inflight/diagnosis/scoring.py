@@ -18,6 +18,8 @@ from inflight.diagnosis.evidence import Evidence, solve_scaled
 Index = npt.NDArray[np.int64]
 #: Directions of a candidate that keep less than this of their own variance beside its others are dropped.
 _EIGEN_CUT = 1e-6
+#: A block in which less than this part of a column's largest block is left says nothing of it.
+_QUIET = 1e-6
 #: Folds of the cross-validation at most.
 FOLDS = 13
 
@@ -53,6 +55,8 @@ class Scores:
         In-sample values, scaled.
     explained : ndarray, shape (candidate,)
         In-sample sum of squares explained, nT^2.
+    active : ndarray of bool, shape (block, candidate)
+        Blocks in which anything of it is left beside the calibration.
     """
 
     loss0: Floats
@@ -61,6 +65,14 @@ class Scores:
     t: Floats
     gamma: list[Floats]
     explained: Floats
+    active: npt.NDArray[np.bool_]
+
+    def behind(self, one: int, other: int) -> float:
+        """Return the t by which one candidate leaves more than another, where either tells anything."""
+        if one == other:
+            return 0.0
+        difference = self.loss[:, [one]] - self.loss[:, [other]]
+        return float(hac_t(difference, self.active[:, [one]] | self.active[:, [other]])[0])
 
 
 def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[Index]:
@@ -71,26 +83,41 @@ def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
 
 
-def hac_t(difference: Floats) -> Floats:
+def hac_t(difference: Floats, active: npt.NDArray[np.bool_] | None = None) -> Floats:
     """Return mean over standard error of series; (series,), errors with Bartlett's kernel over blocks.
 
     Parameters
     ----------
     difference : ndarray, shape (block, series)
+    active : ndarray of bool, shape (block, series), optional
+        Blocks that tell anything: an effect that lasts a week is judged by that week.
     """
-    count = len(difference)
-    centred = difference - difference.mean(axis=0)
+    used = np.ones(difference.shape, dtype=bool) if active is None else active
+    count = np.maximum(used.sum(axis=0), 1)
+    summed = np.where(used, difference, 0.0).sum(axis=0)
+    centred = np.where(used, difference - summed / count, 0.0)
     variance = np.sum(centred**2, axis=0)
-    reach = max(1, int(4.0 * (count / 100.0) ** (2.0 / 9.0)))
+    reach = max(1, int(4.0 * (len(difference) / 100.0) ** (2.0 / 9.0)))
     total = variance.copy()
-    for lag in range(1, min(reach, count - 1) + 1):
+    for lag in range(1, min(reach, len(difference) - 1) + 1):
         weight = 1.0 - lag / (reach + 1.0)
         total += 2.0 * weight * np.sum(centred[lag:] * centred[:-lag], axis=0)
     # Few blocks can look anticorrelated by chance; that must not make them more certain.
     total = np.maximum(total, variance)
-    error = np.sqrt(total * count / max(count - 1, 1))
-    mean = difference.sum(axis=0)
-    return np.where(error > 0, mean / np.where(error > 0, error, 1.0), 0.0)
+    error = np.sqrt(total * count / np.maximum(count - 1, 1))
+    return np.where((error > 0) & (count > 2), summed / np.where(error > 0, error, 1.0), 0.0)
+
+
+def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
+    """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
+    own = np.einsum("bii->bi", evidence.gram)
+    peak = np.maximum(own.max(axis=0), 1e-300)
+    lively = own > _QUIET * peak
+    return (
+        np.stack([lively[:, columns].any(axis=1) for columns in candidates], axis=1)
+        if candidates
+        else lively[:, :0]
+    )
 
 
 def _grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
@@ -178,7 +205,8 @@ def score(
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
-    return Scores(loss0, loss, gain, hac_t(loss0[:, None] - loss), gamma_all, explained)
+    active = activity(evidence, candidates)
+    return Scores(loss0, loss, gain, hac_t(loss0[:, None] - loss, active), gamma_all, explained, active)
 
 
 def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:

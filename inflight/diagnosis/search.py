@@ -334,6 +334,7 @@ def _with_changes(
             np.concatenate([one.t, found.t if seen else np.zeros(more)]),
             [*one.gamma, *found.gamma],
             np.concatenate([one.explained, found.explained if seen else np.zeros(more)]),
+            np.concatenate([one.active, found.active], axis=1),
         )
         observed, flipped = ratios[form]
         out_ratios[form] = (
@@ -350,7 +351,7 @@ def _beats_placebo(scores: Scores, options: Sequence[Option]) -> Floats:
         return np.full(len(options), np.inf)
     best = placebos[int(np.argmin(scores.loss[:, placebos].sum(axis=0)))]
     floor = np.minimum(scores.loss[:, best], scores.loss0) if scores.gain[best] <= 0 else scores.loss[:, best]
-    return hac_t(floor[:, None] - scores.loss)
+    return hac_t(floor[:, None] - scores.loss, scores.active)
 
 
 def columns_of(evidence: Evidence, option: Option) -> Index:
