@@ -215,7 +215,7 @@ def _unit(material: Material, option: Option, column: str) -> str:
     for key in option.terms:
         term = material.terms[key]
         if column in term.columns:
-            kind = type(term.entry.effect).parameters()[column[len(term.key) + 1 :].split("[")[0]]
+            kind = type(term.entry.effect).parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
             channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
             return coefficient_unit(kind, material.mission, channel) if channel else kind.unit
     return ""
