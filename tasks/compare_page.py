@@ -34,6 +34,8 @@ from inflight.wander import Wander
 
 #: Points of the figure of the residual in time.
 _POINTS = 20_000
+#: Lines of the spectrum in the page's table.
+_SHOWN = 24
 
 
 @dataclass
@@ -252,13 +254,14 @@ def _lines(report: CompareReport) -> list[str]:
             line.label or line.follows or "unknown",
             f"{line.ratio:.0f}",
             *(
-                f"{a:.3f} +- {s:.3f}" if np.isfinite(a) else ""
+                f"{a:.4f} +- {s:.4f}" if np.isfinite(a) else ""
                 for a, s in zip(line.amplitude, line.sigma, strict=True)
             ),
         )
-        for line in report.lines
+        for line in report.lines[:_SHOWN]
     ]
-    note = (
+    more = len(report.lines) - len(rows)
+    note = (f"{more} weaker ones are in the JSON. " if more > 0 else "") + (
         "A field along one axis shows at its own period in the residual times that axis's direction; in the "
         "residual itself it shows at sidebands. Amplitudes along an axis are those of a field that acts "
         "there alone."

@@ -30,8 +30,8 @@ def dependence_figure(found: Dependence) -> figure:
     )
     loop = found.loop
     if loop is not None and loop.is_open:
-        plot.title.text = f"{plot.title.text}, loop {loop.opening:.3f} +- {loop.sigma_opening:.3f}"
-        for branch, colour, label in ((loop.rising, BEFORE, "rising"), (loop.falling, AFTER, "falling")):
+        apart = f"falling; apart by {loop.opening:.3f} +- {loop.sigma_opening:.3f}"
+        for branch, colour, label in ((loop.rising, BEFORE, "rising"), (loop.falling, AFTER, apart)):
             met = np.isfinite(branch.mean)
             band(plot, found.centre[met], branch.mean[met], branch.sigma[met], colour)
             plot.line(found.centre[met], branch.mean[met], color=colour, legend_label=label)
@@ -47,16 +47,15 @@ def dependence_figure(found: Dependence) -> figure:
 
 def axis_figure(found: AxisResponse) -> figure:
     """Draw the field along x, y, z that makes the residual follow a coordinate; bars of one sigma."""
-    told = ", ".join(
-        f"{axis} {found.amplitude[i]:.3f} +- {found.sigma_amplitude[i]:.3f}" for i, axis in enumerate("xyz")
-    )
     plot = plain_figure(
-        f"{found.coordinate}: {told} nT", _axis(found.coordinate, found.unit), "nT along axis"
+        f"{found.coordinate}: field along each axis", _axis(found.coordinate, found.unit), "nT"
     )
     for index, (axis, colour) in enumerate(zip("xyz", COMPONENTS, strict=True)):
         value, sigma = found.field[:, index], found.sigma[:, index]
         error_bars(plot, found.centre, value, sigma, colour, 0.6)
-        plot.line(found.centre, value, color=colour, legend_label=axis)
+        told = f"{axis} {found.amplitude[index]:.3f} +- {found.sigma_amplitude[index]:.3f}"
+        plot.line(found.centre, value, color=colour, legend_label=told)
+        plot.scatter(found.centre, value, color=colour, size=4)
     legend_below(plot)
     return plot
 

@@ -68,7 +68,7 @@ def spectrum_figure(
     inside = {name: s for name, s in known.items() if period.min() <= s <= period.max()}
     _mark_known(plot, inside)
     _mark_new(plot, frequency, after, [line for line in lines if line.is_new], series)
-    place_legend(plot, "bottom_right")
+    place_legend(plot, "center_left")
     return plot
 
 

@@ -18,6 +18,7 @@ from inflight.tasks.compare import compare
 from inflight.tasks.ingest import ingest
 from inflight.tasks.report import to_json
 from inflight.tasks.reprocess import reprocess
+from inflight.time import day_bounds
 
 NO_MEASUREMENT = (
     Flag.VECTOR_MISSING
@@ -134,6 +135,36 @@ def test_the_json_has_the_promised_shape(four_days):
     for entry in told["fails_where"]:
         assert set(entry) == {"coordinate", "amplitude_nT", "sigma_nT", "sentence"}
     assert told["path"] == ""
+    assert told["block"] == "3 h"
+    low, high = told["residual"]["noise_floor_interval_nT"]
+    assert low < told["residual"]["noise_floor_nT"] < high
+    wander = told["parameters"]["wander"]
+    assert len(wander) == 9
+    assert all(0.2 < one["ratio"] < 3.0 for one in wander if one["ratio"] is not None)
+    for line in told["spectrum_lines"]:
+        assert {"period_s", "label", "known", "amplitude_nT", "sigma_nT", "axis"} <= set(line)
+
+
+def test_blocks_are_days_as_soon_as_there_are_enough():
+    stamps = np.concatenate([sum(day_bounds(day)) // 2 + np.arange(3) for day in DAYS]).astype(float)
+    block, name = module._blocks(stamps, 10)
+    assert name == "day"
+    assert np.array_equal(block - block[0], np.repeat(np.arange(4), 3))
+    block, name = module._blocks(np.arange(0, 7 * 3600, 600) * 1e9, 9)
+    assert name == "3 h"
+    assert np.unique(block).size == 3
+
+
+def test_the_catalog_is_asked_once_an_instrument(four_days, monkeypatch):
+    catalog, mission = four_days
+    asked = []
+    days = Catalog.days
+    monkeypatch.setattr(
+        Catalog, "days", lambda self, name, *a, **k: asked.append(name) or days(self, name, *a, **k)
+    )
+    monkeypatch.setattr(Catalog, "current", lambda *_: pytest.fail("one query a channel"))
+    compare(catalog, mission)
+    assert len(asked) == len(set(asked))
 
 
 def test_a_span_is_half_open_and_one_without_products_is_an_error(four_days):

@@ -1,0 +1,30 @@
+"""Short names for places too narrow for whole ones."""
+
+from __future__ import annotations
+
+import re
+
+from inflight.lines import told_period
+
+_FIELD = re.compile(r"channel_(field|rate|scale)\((?P<channel>.*)\)(?P<rest>(@.*)?)$")
+_LAG = re.compile(r"@lag=([0-9.e+-]+)s")
+_KIND = {"field": "", "rate": "rate of ", "scale": "scale by "}
+
+
+def short_name(name: str) -> str:
+    """Return the name of a candidate as a person says it: ``battery_current, lag 40 s``."""
+    found = _FIELD.match(name)
+    said = f"{_KIND[found[1]]}{found['channel']}{found['rest']}" if found else name
+    said = _LAG.sub(lambda lag: f", lag {told_period(float(lag[1]))}", said)
+    return re.sub(r"@(\d{4}-\d\d-\d\d)T[0-9:.]*", r" \1", said)
+
+
+def short_parameter(name: str) -> str:
+    """Return a parameter without the name of a lone sensor, its effect's name shortened."""
+    effect, _, parameter = name.rpartition(".")
+    if effect in ("", "vector_sensor"):
+        return parameter
+    drift = effect.split(".")
+    if len(drift) > 1 and drift[-1] == "vector_sensor":
+        return f"{short_name(drift[0])} {parameter}"
+    return f"{short_name(effect)} {parameter}"

@@ -1,0 +1,66 @@
+"""The strongest structures of a residual are told one after the other, each once, in words."""
+
+import numpy as np
+
+from inflight.failures import Coordinate, find_failures, measure
+
+COUNT, BLOCKS = 14_400, 60
+BLOCK = np.repeat(np.arange(BLOCKS), COUNT // BLOCKS)
+TIME = np.arange(COUNT)
+TURN, TILT = TIME / 37.0, 0.9 * np.sin(TIME / 1013.0)
+DIRECTION = np.stack([np.cos(TURN) * np.cos(TILT), np.sin(TURN) * np.cos(TILT), np.sin(TILT)], axis=1)
+CURRENT, WARMTH = np.sin(TIME / 211.0), np.sin(TIME / 509.0)
+COORDINATES = {
+    one.name: one
+    for one in (
+        Coordinate("current", "A", "solar_current", CURRENT, np.gradient(CURRENT)),
+        Coordinate("copy of current", "mA", "other", 1000 * CURRENT + 3),
+        Coordinate("warmth", "degC", "temperature", WARMTH),
+        Coordinate("field direction z", "", "field_direction", DIRECTION[:, 2]),
+        Coordinate("constant", "", "other", np.ones(COUNT)),
+    )
+}
+
+
+def told(residual):
+    found = measure(COORDINATES.values(), residual, BLOCK)
+    return find_failures(COORDINATES, found, residual, DIRECTION, BLOCK)
+
+
+def noise(seed=0):
+    return np.random.default_rng(seed).normal(0, 0.1, COUNT)
+
+
+def test_two_structures_are_told_largest_first_and_a_copy_is_not_a_third():
+    failures = told(noise() + 0.2 * CURRENT + 0.1 * WARMTH)
+    names = [one.coordinate for one in failures]
+    assert names[0] in ("current", "copy of current")
+    assert names[1:] == ["warmth"]
+    first, second = failures
+    assert abs(first.amplitude - 0.2 * CURRENT.std()) < 4 * first.sigma
+    assert abs(second.amplitude - 0.1 * WARMTH.std()) < 4 * second.sigma
+    assert second.sentence.startswith("Beyond that, the residual follows warmth with 0.07")
+    assert "degC" in second.sentence
+    assert "follows this temperature" in second.sentence
+
+
+def test_the_axis_is_named_when_one_stands_out():
+    (failure, *_) = told(noise() + 0.3 * (CURRENT + 1) * DIRECTION[:, 2])
+    assert failure.coordinate == "field direction z"
+    (failure, *_) = told(noise() + 0.3 * DIRECTION[:, 2])
+    assert failure.axis == "z"
+    assert abs(failure.response.amplitude[2] - 0.3) < 3 * failure.response.sigma_amplitude[2]
+    assert "as a field along z of 0." in failure.sentence
+
+
+def test_branches_that_differ_are_told():
+    (failure, *_) = told(noise() + 0.2 * np.sin((TIME - 70) / 211.0))
+    assert "rising and falling differ by" in failure.sentence
+
+
+def test_noise_is_told_nothing_of():
+    assert sum(len(told(noise(seed))) for seed in range(20)) <= 1
+
+
+def test_a_residual_that_is_not_there_is_told_nothing_of():
+    assert told(np.full(COUNT, np.nan)) == []
