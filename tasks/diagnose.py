@@ -359,7 +359,8 @@ def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
     groups = _groups(raw.start, raw.end, settings.interval_days * DAY)
     # A short rest joins the interval before it.
     if len(groups) > 1 and len(groups[-1]) < 0.5 * len(groups[0]):
-        groups[-2] += groups.pop()
+        rest = groups.pop()
+        groups[-1] += rest
     return groups
 
 

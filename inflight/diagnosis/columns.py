@@ -95,7 +95,7 @@ def term_columns(term: Term, rows: Rows) -> Floats:
     for name in term.parameters:
         for index in range(kinds[name].size):
             step = kinds[name].step
-            if entry.effect.is_additive:
+            if entry.is_additive:
                 out.append(_additive(term, rows, values, name, index, step))
             else:
                 out.append(_differenced(term, rows, values, name, index, step))

@@ -72,7 +72,7 @@ class Term:
     @property
     def columns(self) -> list[str]:
         """Names of the columns, ``key.parameter[axis]``."""
-        kinds = type(self.entry.effect).parameters()
+        kinds = self.entry.effect.parameters()
         return [
             f"{self.key}.{name}[{axis}]" if axis else f"{self.key}.{name}"
             for name in self.parameters
@@ -82,7 +82,7 @@ class Term:
     @property
     def scale(self) -> list[float]:
         """Physical size of one unit of each column."""
-        kinds = type(self.entry.effect).parameters()
+        kinds = self.entry.effect.parameters()
         return [kinds[name].step for name in self.parameters for _ in range(kinds[name].size)]
 
 
@@ -223,8 +223,8 @@ def make_library(
     """
     library = Library(base=list(base), refined=_refined(model, base), placebos=dict(shifts))
     there = set(channels) | set(geometry)
-    for label, kind in sorted(known_effects().items()):
-        if label in TIMED or label == "vector_sensor":
+    for label, kind in sorted(known_effects(model.own).items()):
+        if label in TIMED or label in WIDE or label == "vector_sensor":
             continue
         try:
             options = kind.candidates(mission)
@@ -262,7 +262,7 @@ def term_of(entry: ModelEffect, key: str, free_only: bool = False) -> Term:
     free_only : bool
         Only parameters the model leaves free, with their stated sigma; else all that have a prior.
     """
-    kinds = type(entry.effect).parameters()
+    kinds = entry.effect.parameters()
     names, sigma = [], []
     for name, kind in kinds.items():
         timed = entry.parameters[name]
@@ -286,7 +286,7 @@ def _offer(
     shortest: float,
 ) -> None:
     """Add the candidates of one effect with one choice of options."""
-    kind = known_effects()[label]
+    kind = known_effects(model.own)[label]
     for sensor in _sensors(kind, mission, model):
         entry = _made({"effect": label, "sensor": sensor.name, **options}, mission, model)
         if entry is None:
@@ -365,7 +365,7 @@ def _offer_plays(
 
 def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:
     """Add the plain field of shifted channels, with a few lags."""
-    kind = known_effects()["channel_field"]
+    kind = known_effects(model.own)["channel_field"]
     sensors = _sensors(kind, mission, model)
     for name in shifts:
         for lag in FEW_LAGS:
@@ -398,7 +398,7 @@ def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]
 
 def _made(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
     try:
-        return make_effect(entry, sensors_of(mission, model.comparison))
+        return make_effect(entry, sensors_of(mission, model.comparison), model.own, mission)
     except InflightError:
         return None
 

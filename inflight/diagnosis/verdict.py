@@ -269,10 +269,10 @@ def _coefficients(
         term, parameter = _term_of(material, option, terms, column)
         unit, at = "", "difference"
         if term is not None:
-            kind = type(term.entry.effect).parameters()[parameter]
+            kind = term.entry.effect.parameters()[parameter]
             channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
             unit = coefficient_unit(kind, material.mission, channel) if channel else kind.unit
-            at = "difference" if term.entry.effect.is_additive else term.entry.sensor.name
+            at = "difference" if term.entry.is_additive else term.entry.sensor.name
         if option.change is not None:
             unit += option.change.unit
         out.append(Coefficient(column.rsplit(".", 1)[-1], float(value), float(sigma), unit, at))
