@@ -133,7 +133,7 @@ class Maker:
             entry = self.entry(term.entry, title, lag if bank else None)
             entries.append(entry)
             own = {one: self.library.terms[by_name[one].terms[place]].columns for one in weights}
-            for index, column in enumerate(_names(entry, term.parameters)):
+            for index, column in enumerate(names_of(entry, term.parameters)):
                 columns.append(Column(column, tuple((own[one][index], w) for one, w in weights.items())))
         others = list(bank.values()) or [candidate]
         needs = [self.library.terms[key] for one in others for key in one.terms]
@@ -157,13 +157,13 @@ class Maker:
 
     def _of_parameter(self, candidate: Candidate) -> Addition:
         term = self.library.terms[candidate.terms[0]]
-        names = _names(term.entry, term.parameters)
+        names = names_of(term.entry, term.parameters)
         columns = [Column(name, ((own, 1.0),)) for name, own in zip(names, term.columns, strict=True)]
         return Addition(candidate.name, tuple(columns), (term.entry,), (term,))
 
     def of_term(self, term: Term, name: str = "") -> Addition:
         """Return the addition of an effect of no library; the evidence may not have its columns yet."""
-        names = _names(term.entry, term.parameters)
+        names = names_of(term.entry, term.parameters)
         columns = [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
         return Addition(name or term.entry.name, tuple(columns), (term.entry,), (term,))
 
@@ -266,7 +266,7 @@ class Maker:
         label = f"{kind}_{'episode' if len(at) == 2 else 'step'}"
         title = name or self.free_name(f"{label}_{_stamp(at[0])}")
         entries = self._dated(kind, title, at, self._carrier(found[0]))
-        values = [_names(entry, (_only(entry),)) for entry in entries]
+        values = [names_of(entry, (_only(entry),)) for entry in entries]
         made = tuple(
             Column(one, ((column, 1.0),), inside.astype(np.float64))
             for one, column in zip(values[0], found, strict=True)
@@ -317,7 +317,8 @@ def _only(entry: ModelEffect) -> str:
     return next(iter(type(entry.effect).parameters()))
 
 
-def _names(entry: ModelEffect, parameters: Sequence[str]) -> list[str]:
+def names_of(entry: ModelEffect, parameters: Sequence[str]) -> list[str]:
+    """Return the names the model calls the values of some parameters by."""
     return [name for key in parameters for name in entry.parameters[key].columns]
 
 

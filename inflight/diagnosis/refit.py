@@ -100,8 +100,10 @@ class Ground:
         interleaved : bool
             Hold out every k-th block instead of runs: for effects that lie in few blocks.
         """
-        evidence, present, names, sigma = self.absorbed(columns, fixed or {})
-        value, covariance, base = self._solved(evidence, present, columns, fixed or {})
+        whole, names, sigma = self._model_of(columns, fixed or {})
+        evidence, present = self._beside(whole, names, sigma)
+        value, covariance = self._solved(evidence, present)
+        base = self._base(whole, names, value, covariance)
         y = evidence.residuals[0]
         scale = evidence.scale[present.columns]
         found = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
@@ -119,18 +121,37 @@ class Ground:
             max(float(held), 0.0) / rows,
         )
 
-    def absorbed(
+    def absorbed(self, columns: Sequence[Column], fixed: Mapping[str, float]) -> tuple[Evidence, Present]:
+        """Return what the calibration leaves of the model's columns, and which they are with their priors.
+
+        Those of `columns` come last.
+        """
+        return self._beside(*self._model_of(columns, fixed))
+
+    def _model_of(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[Evidence, Present, list[str], list[float]]:
-        """Return what the calibration leaves of the model's columns; which they are, and their priors."""
-        gone = [name for term in self.base for name in term.columns]
-        prior = [(n, s) for t in self.refined for n, s in zip(t.columns, t.sigma, strict=True)]
-        names = [name for name, _ in prior if name not in fixed] + [one.name for one in columns]
-        sigma = [s for name, s in prior if name not in fixed] + [np.inf] * len(columns)
-        whole = combined(self.raw, [*gone, *(n for n, _ in prior if n not in fixed)], columns, fixed)
+    ) -> tuple[Evidence, list[str], list[float]]:
+        """Return the evidence of calibration and model, names of the model's columns, and their priors."""
+        free = [
+            (name, sigma)
+            for term in self.refined
+            for name, sigma in zip(term.columns, term.sigma, strict=True)
+            if name not in fixed
+        ]
+        names = [name for name, _ in free] + [one.name for one in columns]
+        sigma = [sigma for _, sigma in free] + [np.inf] * len(columns)
+        return combined(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed), names, sigma
+
+    def _beside(
+        self, whole: Evidence, names: Sequence[str], sigma: Sequence[float]
+    ) -> tuple[Evidence, Present]:
+        gone = self._base_names
         evidence = whole.absorbed(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
-        present = Present(evidence.index(names), self._precision(evidence, names, np.array(sigma)))
-        return evidence, present, names, sigma
+        return evidence, Present(evidence.index(names), self._precision(evidence, names, np.array(sigma)))
+
+    @property
+    def _base_names(self) -> list[str]:
+        return [name for term in self.base for name in term.columns]
 
     @property
     def _base_sigma(self) -> Floats:
@@ -141,35 +162,24 @@ class Ground:
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
 
-    def _solved(
-        self, evidence: Evidence, present: Present, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[Floats, Floats, tuple[dict[str, float], dict[str, float]]]:
-        """Return values and covariance of the columns, scaled, and what the calibration takes with them."""
-        y = evidence.residuals[0]
+    def _solved(self, evidence: Evidence, present: Present) -> tuple[Floats, Floats]:
+        """Return values and covariance of the model's columns, scaled."""
         p = present.columns
-        value, covariance = sandwich(evidence, present, y) if p.size else (np.zeros(0), np.zeros((0, 0)))
+        if not p.size:
+            return np.zeros(0), np.zeros((0, 0))
+        value, covariance = sandwich(evidence, present, evidence.residuals[0])
         # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
-        if p.size:
-            inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
-            inverse = solve_scaled(inner, np.eye(p.size))
-            covariance = covariance + self.variance * (inverse * present.precision) @ inverse
-        names = [evidence.names[place] for place in p]
-        return value, covariance, self._base(columns, fixed, names, value, covariance)
+        inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
+        inverse = solve_scaled(inner, np.eye(p.size))
+        return value, covariance + self.variance * (inverse * present.precision) @ inverse
 
     def _base(
-        self,
-        columns: Sequence[Column],
-        fixed: Mapping[str, float],
-        names: Sequence[str],
-        value: Floats,
-        covariance: Floats,
+        self, whole: Evidence, names: Sequence[str], value: Floats, covariance: Floats
     ) -> tuple[dict[str, float], dict[str, float]]:
         """Return the calibration's mean shift over its intervals and its error, physical units."""
-        gone = [name for term in self.base for name in term.columns]
+        gone = self._base_names
         if not gone:
             return {}, {}
-        own = [name for name in names if name not in {one.name for one in columns}]
-        whole = combined(self.raw, [*gone, *own], columns, fixed)
         at, others, y = whole.index(gone), whole.index(names), whole.residuals[0]
         prior = np.diag(self._precision(whole, gone, self._base_sigma))
         shift, turn = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
@@ -191,7 +201,7 @@ class Ground:
 
 
 def variance_of(white: Evidence, base: Sequence[Term]) -> float:
-    """Return the variance of a row that the calibration alone leaves, as the search weighs priors by; nT^2."""
+    """Return the variance of a row the calibration alone leaves, as the search weighs priors by; nT^2."""
     names = [name for term in base for name in term.columns]
     free = white.select(names).absorbed(names, [range(len(white))], np.zeros(len(names)))
     y = free.residuals[0]
