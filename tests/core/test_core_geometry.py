@@ -87,7 +87,7 @@ def test_far_away_the_earth_is_a_small_spot_on_the_sun():
 def orbit(
     frame="itrf", step=10.0, hours=12.0, node=40.0, inclination=INCLINATION, unit="km", start="2024-05-01"
 ):
-    """Return samples of a circular orbit; node (deg) from the equinox of date; and its argument of latitude."""
+    """Return samples of a circular orbit, its argument of latitude (deg), its positions of date (km)."""
     stamps = to_tt2000(np.datetime64(start, "ns")) + np.arange(0, hours * 3600, step).astype(int) * SECOND
     t = (stamps - stamps[0]) / SECOND
     days = days_since_j2000(stamps)
