@@ -142,11 +142,12 @@ def _most_correlated(correlation: Floats, groups: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class Shift:
-    """What one unit of a coefficient, ignored, does to the calibration.
+    """What a found coefficient, ignored, does to the calibration; it is straight in the value.
 
     Attributes
     ----------
     effect, coefficient, unit : str
+    value : float
     shifts : dict of str to float
         Calibration parameter -> its shift in the parameter's own physical unit.
     """
@@ -154,6 +155,7 @@ class Shift:
     effect: str
     coefficient: str
     unit: str
+    value: float
     shifts: dict[str, float]
 
 
@@ -164,7 +166,7 @@ def shifts_of(search: Search, option: Option, coefficients: Sequence[Coefficient
         gamma = np.zeros(len(option.columns))
         gamma[place] = coefficient.value
         found = mimics(search, option, gamma)
-        out.append(Shift(option.name, coefficient.name, coefficient.unit, dict(found)))
+        out.append(Shift(option.name, coefficient.name, coefficient.unit, coefficient.value, dict(found)))
     return out
 
 

@@ -11,7 +11,7 @@ from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
 from inflight.diagnosis.tradeoffs import Trial
-from inflight.figures.naming import short_name
+from inflight.figures.naming import distinct, short_name
 from inflight.figures.style import AFTER, NEW, REFERENCE, place_legend, plain_figure
 
 #: Rows of the table and of the drop plot; width of a bar, pixels; values printed of one candidate.
@@ -39,7 +39,7 @@ def candidate_table(
     if not real:
         return "<p>No candidate could be scored.</p>"
     ghost = max([float(one["gain"]) for one in candidates if one["placebo"]], default=0.0)
-    wide = max(max(float(one["gain"]) + 2.0 * _sigma(one) for one in real), ghost, 0.02)
+    wide = max(*(float(one["gain"]) + 2.0 * _sigma(one) for one in real), ghost, 0.02)
     head = (
         "",
         "candidate",
@@ -162,7 +162,7 @@ def drop_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
     """
     real = [one for one in candidates if not one["placebo"]][:_DROPS]
     names = [short_name(str(one["name"])) for one in real]
-    labels = [_unique(names, place) for place in range(len(names))]
+    labels = distinct(names)
     before = np.array([float(one["gain"]) for one in real])
     after = np.array([float(one["gain_now"]) for one in real])
     plot = plain_figure(
@@ -207,9 +207,3 @@ def drop_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
     plot.hover.tooltips = [("", "@name"), ("before", "@before{0.0000}"), ("after", "@after{0.0000}")]
     place_legend(plot, "bottom_right")
     return plot
-
-
-def _unique(names: Sequence[str], place: int) -> str:
-    """Return a label that no earlier row has."""
-    earlier = names[:place].count(names[place])
-    return names[place] + "\u200b" * earlier

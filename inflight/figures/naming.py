@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from inflight.lines import told_period
 
@@ -28,3 +29,8 @@ def short_parameter(name: str) -> str:
     if len(drift) > 1 and drift[-1] == "vector_sensor":
         return f"{short_name(drift[0])} {parameter}"
     return f"{short_name(effect)} {parameter}"
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """Return the names, those that come again with marks that are not seen: axes of names want each once."""
+    return [name + "\u200b" * list(names[:place]).count(name) for place, name in enumerate(names)]

@@ -7,8 +7,10 @@ from html import escape
 from typing import Any
 
 from bokeh.embed import components
-from bokeh.resources import INLINE
+from bokeh.resources import Resources
 
+#: What figures alone need: widgets, tables of Bokeh's own and formulas would triple the page.
+_RESOURCES = Resources(mode="inline", components=["bokeh"])
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1180px; color: #222 }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
@@ -17,6 +19,7 @@ table { border-collapse: collapse; margin: .5rem 0 }
 td, th { padding: .15rem .8rem .15rem 0; text-align: right }
 td:first-child, th:first-child { text-align: left } th { border-bottom: 1px solid #999; font-weight: 600 }
 .quiet { color: #666; font-size: .9rem }
+.wide { font-size: .88rem } .wide td { border-bottom: 1px solid #e4e4e0; vertical-align: top }
 """
 
 
@@ -44,7 +47,8 @@ def html_page(
         body.append('<div class="row">' + "".join(place for _, place in parts) + "</div>")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<style>{_STYLE}</style>{INLINE.render()}</head><body><h1>{escape(title)}</h1>"
+        f"<style>{_STYLE}</style>{_RESOURCES.render()}</head><body><h1>{escape(title)}</h1>"
+        "<noscript><p>Figures need scripts; text and tables do not.</p></noscript>"
         f'{"".join(body)}<p class="quiet">{escape(footer)}</p>{"".join(scripts)}</body></html>\n'
     )
 

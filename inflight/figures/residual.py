@@ -11,15 +11,19 @@ from inflight.arrays import Floats
 from inflight.figures.style import AFTER, BEFORE, REFERENCE, log_ticks, place_legend, plain_figure
 
 Days = npt.NDArray[np.datetime64]
+#: What the two states are called unless a page says otherwise.
+STATES = ("pre-flight model", "calibrated")
 _HALF_DAY = np.timedelta64(12, "h")
 
 
-def daily_figure(day: Days, before: Floats, after: Floats, floor: float) -> figure:
+def daily_figure(
+    day: Days, before: Floats, after: Floats, floor: float, labels: tuple[str, str] = STATES
+) -> figure:
     """Draw each day's rms residual before and after, and the noise floor; nT, logarithmic."""
     plot = plain_figure(
         "Residual |B_vector| - F, each day", "", "rms (nT)", x_axis_type="datetime", y_axis_type="log"
     )
-    for values, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
+    for values, colour, label in ((before, BEFORE, labels[0]), (after, AFTER, labels[1])):
         plot.line(day, values, color=colour, alpha=0.6)
         plot.scatter(day, values, color=colour, size=5, legend_label=label)
     # Half a day to either side: of a single day the axis would tell microseconds.
@@ -44,13 +48,15 @@ def series_figure(time: Days, mean: Floats, low: Floats, high: Floats) -> figure
     return plot
 
 
-def histogram_figure(edges: Floats, before: Floats, after: Floats) -> figure:
+def histogram_figure(
+    edges: Floats, before: Floats, after: Floats, labels: tuple[str, str] = STATES
+) -> figure:
     """Draw the distributions of the residual less its mean, before and after; logarithmic counts.
 
     The edges follow the calibrated residual; what lies outside them is not drawn.
     """
     plot = plain_figure("Distribution (less its mean)", "nT", "samples", y_axis_type="log")
-    for counts, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
+    for counts, colour, label in ((before, BEFORE, labels[0]), (after, AFTER, labels[1])):
         shown = np.maximum(counts, 0.5)
         plot.step(edges[:-1], shown, mode="after", color=colour, line_width=1.5, legend_label=label)
     most = max(float(before.max(initial=1.0)), float(after.max(initial=1.0)))

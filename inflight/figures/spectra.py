@@ -39,6 +39,7 @@ def spectrum_figure(
     known: Mapping[str, float],
     lines: Sequence[Line] = (),
     series: str = "residual",
+    labels: tuple[str, str] = ("pre-flight model", "calibrated"),
 ) -> figure:
     """Draw amplitude densities against period, known periods dotted and named, unknown lines marked in red.
 
@@ -54,11 +55,13 @@ def spectrum_figure(
         As `inflight.lines.find_lines` returns them.
     series : str
         One of `inflight.lines.SERIES`.
+    labels : tuple of str
+        What the two states are called.
     """
     plot = plain_figure(
         _TITLES[series], "period (s)", "nT / sqrt(Hz)", x_axis_type="log", y_axis_type="log", width=560
     )
-    for power, colour, label in ((before, BEFORE, "pre-flight model"), (after, AFTER, "calibrated")):
+    for power, colour, label in ((before, BEFORE, labels[0]), (after, AFTER, labels[1])):
         if power is not None:
             shown, thin = thinned(frequency, power)
             plot.line(1.0 / shown, np.sqrt(thin), color=colour, legend_label=label)

@@ -29,7 +29,7 @@ _WIDTH, _LEFT, _RIGHT = 1080, 10, 1070
 
 
 def explained(residual: Mapping[str, Any]) -> float:
-    """Return which part of what is above the noise floor the found effects explain, in mean squares, held out."""
+    """Return which part of the held-out mean square above the noise floor the found effects explain."""
     before, after, floor = (
         float(residual[name] or np.nan)
         for name in ("held_out_before_nT", "held_out_after_nT", "noise_floor_nT")
