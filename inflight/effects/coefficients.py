@@ -48,6 +48,8 @@ def product_factor(stated: str, channel: str, power: int, wanted: str) -> float:
 def _size(unit: str) -> float:
     """Return how many base units one unit is; zeros of temperature scales do not count."""
     plain = _OFFSET_UNIT.sub(r"delta_degree_\1", unit)
+    if plain == "dimensionless":  # pint parses it to a unit without a name, which it then does not find
+        return 1.0
     return factor_and_offset(plain, str(REGISTRY.get_base_units(plain)[1]))[0]
 
 
