@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -51,6 +51,33 @@ def dask_client(workers: int | None = None) -> Iterator[Client]:
         else:
             with _local_client(workers or available_cores()) as client:
                 yield client
+
+
+class _WhenNeeded:
+    """Stands for a client that is started when the first work is given to it."""
+
+    def __init__(self, workers: int | None, stack: ExitStack) -> None:
+        self._workers, self._stack = workers, stack
+        self._client: Client | None = None
+
+    def submit(self, *work: Any, **options: Any) -> Any:
+        """Give work to the client: see `distributed.Client.submit`."""
+        if self._client is None:
+            self._client = self._stack.enter_context(dask_client(self._workers))
+        return self._client.submit(*work, **options)
+
+
+@contextmanager
+def client_when_needed(workers: int | None = None) -> Iterator[Any]:
+    """Yield what work can be submitted to; no process starts before the first does.
+
+    Parameters
+    ----------
+    workers : int, optional
+        As of `dask_client`.
+    """
+    with ExitStack() as stack:
+        yield _WhenNeeded(workers, stack)
 
 
 @contextmanager

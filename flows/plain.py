@@ -8,7 +8,7 @@ from typing import Any
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.flows.cluster import dask_client
+from inflight.flows.cluster import client_when_needed, dask_client
 from inflight.flows.span import Span
 from inflight.tasks.release import make_release
 from inflight.tasks.report import Progress, RunReport
@@ -54,6 +54,20 @@ def backfill(
     return taken.followed_by(reprocess(workspace, parameters, workers, progress), "backfill")
 
 
+def diagnose(
+    workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
+) -> RunReport:
+    """Find which effect is missing from the model of a span."""
+    from inflight.tasks.diagnose import DiagnoseSettings
+    from inflight.tasks.diagnosing import diagnose_span
+
+    settings = DiagnoseSettings.model_validate(parameters.get("settings") or {})
+    save, span = bool(parameters.get("save")), _span(parameters)
+    with client_when_needed(workers) as client:
+        fields = diagnose_span(workspace, *span, settings, save=save, client=client, progress=progress)
+    return RunReport.from_json(fields)
+
+
 def release(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
@@ -66,5 +80,6 @@ STEPS: dict[str, Callable[[Workspace, Parameters, int | None, Progress | None], 
     "ingest": ingest,
     "reprocess": reprocess,
     "backfill": backfill,
+    "diagnose": diagnose,
     "release": release,
 }
