@@ -103,11 +103,6 @@ def _simplicity(option: Option) -> tuple[int, bool]:
     return len(option.columns), not option.mechanism.startswith("channel_field")
 
 
-def _simplicity(option: Option) -> tuple[int, bool]:
-    """Order forms of one cause: fewer coefficients first, then a field straight in its channel."""
-    return len(option.columns), not option.mechanism.startswith("channel_field")
-
-
 def _drop_idle(search: Search) -> bool:
     """Drop effects that the others have made superfluous, the idlest first; return whether any was."""
     dropped = False
@@ -122,7 +117,6 @@ def _drop_idle(search: Search) -> bool:
         search.rounds.append(
             Round(len(search.rounds) + 1, "drop", option.name, option.family, gain, t, 1.0, "raw")
         )
-    return dropped
     return dropped
 
 

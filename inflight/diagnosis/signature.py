@@ -24,6 +24,8 @@ _RATIO = 4.0
 _SEGMENTS, _MEDIAN = 12, 41
 #: Harmonics of the orbit and the day that are masked, and by how many resolutions either side.
 _HARMONICS, _MASK = 30, 2.0
+#: Directions of the field that hold less than this part of the strongest one's are not seen.
+_SEEN = 3e-3
 #: Phases a period is folded into.
 PHASES = 24
 
@@ -136,8 +138,10 @@ def strongest_line(found: Periodogram) -> tuple[float, float] | None:
 
 def describe(
     tt2000: Int64, residual: Floats, direction: Floats, weight: Floats, frequency: float, spread: float
-) -> Signature:
-    """Return period, amplitudes along the axes and shape of a line.
+) -> tuple[Signature, float]:
+    """Return period, amplitudes along the axes and shape of a line, and the part of the residual it explains.
+
+    Where the field hardly turns, only the field's own direction is seen, and no axis is named.
 
     Parameters
     ----------
@@ -148,27 +152,40 @@ def describe(
     seconds = (tt2000[good] - tt2000[0]) / SECOND
     y, u = residual[good].reshape(-1), direction[good].reshape(-1, 3)
     seconds = np.repeat(seconds, residual.shape[1])
-    best = _refined(seconds, y, u, frequency, spread)
+    own, vectors = np.linalg.eigh(u.T @ u)
+    seen = vectors[:, own > _SEEN * own[-1]]
+    best = _refined(seconds, y, u @ seen, frequency, spread)
     period = 1.0 / best
-    curve, sigma = fold(seconds, y, u, period)
+    curve, sigma = fold(seconds, y, u @ seen, period)
+    whole = curve @ seen.T
+    errors = np.sqrt(sigma**2 @ (seen.T**2))
     amplitude = np.ptp(curve, axis=0) / 2.0
     clear = amplitude / np.maximum(np.sqrt(np.mean(sigma**2, axis=0)), 1e-12)
-    axis = int(np.argmax(clear))
-    shape, duty = shape_of(curve[:, axis], sigma[:, axis])
+    main = int(np.argmax(clear))
+    if seen.shape[1] == 3:
+        of_axes = np.ptp(whole, axis=0) / 2.0
+        place = int(np.argmax(of_axes / np.maximum(np.sqrt(np.mean(errors**2, axis=0)), 1e-12)))
+        named, size = AXES[place], float(of_axes[place])
+        shape, duty = shape_of(whole[:, place], errors[:, place])
+    else:
+        named, size = None, float(amplitude[main])
+        shape, duty = shape_of(curve[:, main], sigma[:, main])
     span = seconds[-1] - seconds[0]
-    strength = float(clear[axis]) * np.sqrt(PHASES / 2.0)
-    return Signature(
+    strength = float(clear[main]) * np.sqrt(PHASES / 2.0)
+    amplitudes = {
+        name: (float(np.ptp(whole[:, at]) / 2.0), float(np.sqrt(np.mean(errors[:, at] ** 2))))
+        for at, name in enumerate(AXES)
+    }
+    told = Signature(
         period_s=period,
-        axis=AXES[axis],
+        axis=named,
         shape=shape,
-        amplitude_nT=float(amplitude[axis]),
+        amplitude_nT=size,
         period_sigma_s=float(period**2 / (np.pi * max(span, period)) * np.sqrt(6.0) / max(strength, 1.0)),
         duty=duty,
-        amplitudes={
-            name: (float(amplitude[place]), float(np.sqrt(np.mean(sigma[:, place] ** 2))))
-            for place, name in enumerate(AXES)
-        },
+        amplitudes=amplitudes if named else {},
     )
+    return told, _explained(seconds, y, u @ seen, best) / max(float(y @ y), 1e-300)
 
 
 def _explained(seconds: Floats, y: Floats, u: Floats, frequency: float, harmonics: int = 2) -> float:
@@ -201,7 +218,8 @@ def _refined(seconds: Floats, y: Floats, u: Floats, frequency: float, spread: fl
 def fold(seconds: Floats, y: Floats, u: Floats, period: float) -> tuple[Floats, Floats]:
     """Return the field along each axis by phase, its mean taken off, and its error; (phase, axis), nT."""
     phase = ((seconds % period) / period * PHASES).astype(np.int64) % PHASES
-    curve, sigma = np.zeros((PHASES, 3)), np.full((PHASES, 3), np.inf)
+    shape = (PHASES, u.shape[1])
+    curve, sigma = np.zeros(shape), np.full(shape, np.inf)
     noise = float(np.var(y))
     for place in range(PHASES):
         inside = phase == place

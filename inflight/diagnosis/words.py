@@ -51,7 +51,8 @@ def _of_signature(signature: Signature | None) -> str:
     if signature is None:
         return "structure without a clear shape"
     if signature.period_s:
-        text = f"it repeats every {signature.period_s:.5g} s on axis {signature.axis}, {signature.amplitude_nT:.3g} nT"
+        where = f"on axis {signature.axis}" if signature.axis else "along the field"
+        text = f"it repeats every {signature.period_s:.5g} s {where}, {signature.amplitude_nT:.3g} nT"
         return text + (
             f", like a {signature.shape} wave" if signature.shape in ("sine", "square", "pulse") else ""
         )
@@ -62,7 +63,10 @@ def _of_signature(signature: Signature | None) -> str:
             + (f" with a lag of {signature.lag_s:.3g} s" if signature.lag_s else "")
             + ", but not beyond doubt"
         )
-    return f"slow structure of {signature.amplitude_nT:.3g} nT ({signature.shape})"
+    if signature.gain:
+        kind = (signature.shape or "").replace("_", " ")
+        return f"it looks most like a {kind} (held-out gain {signature.gain:.0%}), but not beyond doubt"
+    return f"slow structure of {signature.amplitude_nT:.3g} nT without a shape"
 
 
 def stopped(told: Mapping[str, Any], rounds: int, most: int) -> str:

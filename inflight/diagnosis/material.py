@@ -1,0 +1,117 @@
+"""What a verdict is made from beside the search, and the sizes of the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.diagnosis.left import residual_left
+from inflight.diagnosis.library import Term
+from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.diagnosis.search import Search
+from inflight.diagnosis.series import Series
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.noise import NoiseFloor
+from inflight.time import SECOND
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a verdict needs beside the search.
+
+    Attributes
+    ----------
+    model : Model
+        The model diagnosed.
+    linearised : Model
+        The same at the values the evidence was linearised at.
+    terms : mapping of str to Term
+    series : Series
+    sums : mapping of str to float
+        Over native samples: count, square, inside, spikes, and of the noise floor.
+    cadence_s : float
+        Of the search.
+    """
+
+    mission: Mission
+    model: Model
+    linearised: Model
+    terms: Mapping[str, Term]
+    series: Series
+    sums: Mapping[str, float]
+    cadence_s: float
+    floor: NoiseFloor
+    context: str = ""
+    run: str = ""
+    turn: Mapping[str, Floats] | None = None
+
+
+def held_out(search: Search, material: Material) -> float:
+    """Return the held-out rms at the cadence of the comparison, nT: of the blocks' means, and what is inside bins."""
+    evidence = search.forms["raw"]
+    interleaved = any(option.interleaved for option in search.accepted)
+    present = search.present()
+    empty: list[Any] = []
+    found = score(evidence, present, empty, search.y(), folds_of(len(evidence), interleaved))
+    mean = float(found.loss0.sum() / max(evidence.count.sum(), 1.0))
+    return float(np.sqrt(max(mean, 0.0) + _inside(material)))
+
+
+def _inside(material: Material) -> float:
+    return material.sums.get("inside", 0.0) / max(material.sums.get("count", 1.0), 1.0)
+
+
+def native_rms(material: Material, search: Search, accepted: bool) -> float:
+    """Return the in-sample rms at the cadence of the comparison, nT, with or without what was taken."""
+    evidence = search.forms["raw"]
+    present = search.present()
+    if not accepted:
+        taken = sum(len(option.columns) for option in search.accepted)
+        keep = present.columns.size - taken
+        present = Present(present.columns[:keep], present.precision[:keep])
+    total = evidence.total
+    y = search.y()
+    left = total[y, y] - (
+        total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
+    )
+    return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _inside(material)))
+
+
+def effective_blocks(search: Search, material: Material, left: Floats) -> dict[str, Any]:
+    """Return number and length of the blocks, and how many independent ones the residual's correlation leaves."""
+    raw = search.raw
+    length = float(np.median(raw.end - raw.start)) / SECOND
+    memory = _correlation_s(material.series, left)
+    used = int(np.sum(raw.count > 0))
+    span = float(raw.end[-1] - raw.start[0]) / SECOND
+    independent = min(float(used), span / max(2.0 * memory, 1e-9))
+    return {"count": used, "length_s": length, "correlation_s": memory, "independent": independent}
+
+
+def _correlation_s(series: Series, residual: Floats) -> float:
+    """Return the residual's integrated correlation time, s, summed up to its first zero."""
+    good = series["weight"] > 0
+    y = np.where(good[:, None], residual, 0.0)
+    size = float(np.sum(y**2)) / max(good.sum(), 1)
+    if size <= 0:
+        return series.step_s
+    total, lag = 0.5, 1
+    while lag < min(len(y) // 4, 5000):
+        both = good[lag:] & good[:-lag]
+        value = float(np.sum(y[lag:] * y[:-lag])) / max(both.sum(), 1) / size
+        if value <= 0.02:
+            break
+        step = max(1, lag // 8)
+        total += value * step
+        lag += step
+    return total * series.step_s
+
+
+def left_of(search: Search, material: Material, accepted: bool = True) -> Floats:
+    """Return the residual of the series after calibration, model and what was taken; (sample, row)."""
+    return residual_left(search, material.series, material.terms, dict(material.turn or {}), accepted)
