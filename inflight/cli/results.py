@@ -75,13 +75,13 @@ def compare_span(
         )
     span = Span.model_validate({"start": start, "end": end}).as_text()
     name = "-".join(["compare", comparison, *filter(None, span)])
-    page = _page(output) if output else _page_if_writable(workspace.reports / name)
+    page = page_path(output) if output else _page_path_if_writable(workspace.reports / name)
     catalog = session.open_catalog()
     with session.progress() as progress:
         return measure(catalog, mission, *span, comparison=comparison, output=page, progress=progress)
 
 
-def _page(path: Path) -> Path:
+def page_path(path: Path) -> Path:
     """Return the path of a page, whose folder is made when it is not there."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,9 +94,9 @@ def _page(path: Path) -> Path:
     return path if path.suffix == ".html" else path.with_name(f"{path.name}.html")
 
 
-def _page_if_writable(path: Path) -> Path | None:
+def _page_path_if_writable(path: Path) -> Path | None:
     try:
-        return _page(path)
+        return page_path(path)
     except StorageError:
         return None
 

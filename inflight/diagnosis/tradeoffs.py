@@ -14,9 +14,9 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.diagnosis import Coefficient
 from inflight.diagnosis.estimates import estimate, mimics, within_and_raw
+from inflight.diagnosis.material import Material, held_out
 from inflight.diagnosis.scoring import half_inverse
 from inflight.diagnosis.search import Option, Search
-from inflight.diagnosis.verdict import Material, held_out
 from inflight.effects.coefficients import coefficient_unit
 
 #: Parameters of a cross-talk matrix at most; candidates whose values are worked out.

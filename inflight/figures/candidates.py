@@ -11,11 +11,11 @@ from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
 from inflight.diagnosis.tradeoffs import Trial
-from inflight.figures.naming import distinct, short_name
+from inflight.figures.naming import bare_parameter, distinct, short_name
 from inflight.figures.style import AFTER, NEW, REFERENCE, place_legend, plain_figure
 
 #: Rows of the table and of the drop plot; width of a bar, pixels; values printed of one candidate.
-_ROWS, _DROPS, _BAR, _VALUES = 16, 24, 190, 3
+_ROWS, _DROPS, _BAR, _VALUES = 16, 24, 150, 3
 _GHOST = "#c9c9c4"
 
 
@@ -50,9 +50,11 @@ def candidate_table(
         "retained",
         "W/k",
         "values, alone",
-        "cannot be told from",
     )
-    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+    aligned = ["text-align:left" if cell in ("candidate", "values, alone") else "" for cell in head]
+    top = "".join(
+        f'<th style="{style}">{escape(cell)}</th>' for style, cell in zip(aligned, head, strict=True)
+    )
     lines = [
         _row(place + 1, one, trials.get(one["name"]), found, ghost, wide) for place, one in enumerate(real)
     ]
@@ -75,7 +77,7 @@ def _row(
 ) -> str:
     name = one["name"]
     taken = name in found
-    chips = "".join(_chip(short_name(rival), NEW) for rival in found.get(name, ()))
+    chips = "".join(_chip(f"not told from {short_name(rival)}", NEW) for rival in found.get(name, ()))
     rival_of = [other for other, rivals in found.items() if _is_among(name, rivals)]
     chips += "".join(_chip(f"rival of {short_name(other)}", NEW) for other in rival_of)
     weight = "font-weight:600" if taken else ""
@@ -83,7 +85,7 @@ def _row(
     cells = [
         f'<td style="text-align:right">{rank}</td>',
         f'<td style="{weight};text-align:left" title="{escape(name)}">{escape(short_name(name))}{mark}'
-        f'<div class="quiet">{escape(str(one["family"]).replace("_", " "))}</div></td>',
+        f'<div class="quiet">{escape(str(one["family"]).replace("_", " "))}</div>{chips}</td>',
         f"<td>{_bar(one, ghost, wide)}</td>",
         f"<td>{_number(one['t'], '.1f')}</td>",
         f"<td>{_number(one['p'], '.2g')}</td>",
@@ -91,7 +93,6 @@ def _row(
         f"<td>{_number(trial.retained, '.2g') if trial else ''}</td>",
         f"<td>{_number(trial.consistency, '.1f') if trial else ''}</td>",
         f'<td style="text-align:left;white-space:nowrap">{_values(trial)}</td>',
-        f'<td style="text-align:left">{chips}</td>',
     ]
     return f"<tr>{''.join(cells)}</tr>"
 
@@ -118,7 +119,7 @@ def _values(trial: Trial | None) -> str:
         return ""
     order = sorted(trial.values, key=lambda one: -abs(one[1]) / max(one[2], 1e-300))
     shown = [one for one in trial.values if one in order[:_VALUES]]
-    lines = [f"{name} {value:.3g} ± {sigma:.1g} {unit}" for name, value, sigma, unit in shown]
+    lines = [f"{bare_parameter(name)} {value:.3g} ± {sigma:.1g} {unit}" for name, value, sigma, unit in shown]
     hidden = len(trial.values) - len(shown)
     more = f'<div class="quiet">and {hidden} more</div>' if hidden else ""
     return "<br>".join(map(escape, lines)) + more

@@ -10,7 +10,7 @@ from bokeh.plotting import figure
 
 from inflight.diagnosis.tradeoffs import CrossTalk, Shift
 from inflight.figures.heatmap import DIVERGING
-from inflight.figures.naming import distinct, short_name, short_parameter
+from inflight.figures.naming import bare_parameter, distinct, short_name, short_parameter
 from inflight.figures.page import html_table
 from inflight.figures.style import plain_figure
 
@@ -89,15 +89,15 @@ def shift_table(shifts: Sequence[Shift]) -> str:
     )
     rows = [
         (
-            f"{short_name(one.effect)} {one.coefficient} = {one.value:.3g} {one.unit}",
+            f"{short_name(one.effect)} {bare_parameter(one.coefficient)} = {one.value:.3g} {one.unit}",
             *(
-                f"{one.shifts[name] * factor:+.3g}"
+                f"{one.shifts[name] * factor:+.2g}"
                 for name, (factor, _) in zip(parameters, shown, strict=True)
             ),
         )
         for one in shifts
     ]
-    return f'<div style="overflow-x:auto">{html_table(head, rows)}</div>'
+    return f'<div class="wide" style="overflow-x:auto;white-space:nowrap">{html_table(head, rows)}</div>'
 
 
 def _unit(name: str) -> tuple[float, str]:

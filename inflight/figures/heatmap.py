@@ -31,7 +31,7 @@ def heat_map_figures(found: HeatMap) -> list[figure]:
         # One scale, but a mapper a figure: each becomes a document of its own.
         mapper = LinearColorMapper(palette=DIVERGING, low=-limit, high=limit, nan_color="#d8d8d8")
         plot = plain_figure(
-            f"Mean residual {title}, by time and {found.coordinate.replace('_', ' ')}",
+            f"Mean residual (nT) {title}, by time and {found.coordinate.replace('_', ' ')}",
             label,
             "",
             y_axis_type="datetime",
@@ -51,7 +51,7 @@ def heat_map_figures(found: HeatMap) -> list[figure]:
         plot.grid.visible = False
         plot.hover.tooltips = [(found.coordinate.replace("_", " "), "$x{0.0}"), ("nT", "@image{0.0000}")]
         if last:
-            bar = ColorBar(color_mapper=mapper, title="nT", width=14, padding=4)
+            bar = ColorBar(color_mapper=mapper, width=14, padding=4)
             plot.add_layout(bar, "right")
         plots.append(plot)
     return plots

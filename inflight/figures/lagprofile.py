@@ -23,8 +23,9 @@ def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
     """
     size = np.sqrt(np.maximum(found.left, 0.0) / max(rows, 1.0))
     drawn = found.lags > 0
+    said = f"lag {found.best:.3g} ± {found.sigma:.2g} s" if found.best > 0 else "no lag is best"
     plot = plain_figure(
-        f"{short_name(name).split(', lag')[0]}: lag {found.best:.3g} ± {found.sigma:.2g} s",
+        f"{short_name(name).split(', lag')[0]}: {said}",
         "lag (s)",
         "rms left, in-sample (nT)",
         x_axis_type="log",

@@ -9,6 +9,8 @@ from inflight.lines import told_period
 
 _FIELD = re.compile(r"channel_(field|rate|scale)\((?P<channel>.*)\)(?P<rest>(@.*)?)$")
 _LAG = re.compile(r"@lag=([0-9.e+-]+)s")
+_WIDTH = re.compile(r"@width=([0-9.e+-]+)")
+_WORDS = {"scale_factor": "scale", "misalignment": "angle", "coefficient": ""}
 _KIND = {"field": "", "rate": "rate of ", "scale": "scale by "}
 
 
@@ -17,18 +19,26 @@ def short_name(name: str) -> str:
     found = _FIELD.match(name)
     said = f"{_KIND[found[1]]}{found['channel']}{found['rest']}" if found else name
     said = _LAG.sub(lambda lag: f", lag {told_period(float(lag[1]))}", said)
+    said = _WIDTH.sub(lambda width: f", width {float(width[1]):g}", said)
     return re.sub(r"@(\d{4}-\d\d-\d\d)T[0-9:.]*", r" \1", said)
 
 
 def short_parameter(name: str) -> str:
     """Return a parameter without the name of a lone sensor, its effect's name shortened."""
     effect, _, parameter = name.rpartition(".")
+    parameter = bare_parameter(parameter)
     if effect in ("", "vector_sensor"):
         return parameter
     drift = effect.split(".")
     if len(drift) > 1 and drift[-1] == "vector_sensor":
         return f"{short_name(drift[0])} {parameter}"
     return f"{short_name(effect)} {parameter}"
+
+
+def bare_parameter(name: str) -> str:
+    """Return ``scale_factor[x]`` as ``scale x``, and a coefficient as its axis alone."""
+    kind, _, axis = name.partition("[")
+    return f"{_WORDS.get(kind, kind)} {axis.rstrip(']')}".strip() or kind
 
 
 def distinct(names: Sequence[str]) -> list[str]:

@@ -10,6 +10,7 @@ from bokeh.plotting import figure
 from inflight.arrays import Floats
 from inflight.diagnosis.signature import Periodogram
 from inflight.figures.spectra import spectrum_figure
+from inflight.figures.style import log_ticks
 from inflight.lines import Line
 
 #: Unlabelled peaks marked a figure, and how near to another one, in frequencies, one is the same.
@@ -27,7 +28,7 @@ def periodogram_figures(before: Periodogram, after: Periodogram, known: Mapping[
         Periods to name, s.
     """
     frequency = after.frequency[1:]
-    return [
+    plots = [
         spectrum_figure(
             frequency,
             before.power[axis, 1:],
@@ -39,6 +40,11 @@ def periodogram_figures(before: Periodogram, after: Periodogram, known: Mapping[
         )
         for axis, series in enumerate("xyz")
     ]
+    for axis, plot in enumerate(plots):
+        drawn = np.sqrt(np.concatenate([before.power[axis, 1:], after.power[axis, 1:]]))
+        if (ticks := log_ticks(drawn)) is not None:
+            plot.yaxis.ticker = ticks
+    return plots
 
 
 def unexplained_peaks(found: Periodogram, axis: int) -> list[int]:

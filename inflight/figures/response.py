@@ -8,7 +8,8 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis.pictures import Curve, Response
+from inflight.diagnosis.pictures import Curve
+from inflight.diagnosis.responses import Response
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -55,20 +56,23 @@ def response_figures(found: Response) -> list[figure]:
     """Draw what a field along x, y and z would have to be to make the residual follow a channel.
 
     Bars are one sigma between blocks, the grey band is what the same channel at other times explains,
-    the dotted line is what is left after the found effects.
+    the dotted line is what is left after the found effects; `response_key` says so on the page.
     """
     plots = []
     curves = [curve for branch in found.branches.values() for curve in branch]
     reach = _reach(curves, [*found.low, *found.high])
     label = f"{found.channel} ({found.unit})" if found.unit not in ("", "1") else found.channel
     for axis, name in enumerate("xyz"):
-        plot = plain_figure(f"{found.channel}: axis {name}", label, "nT", height=230, y_range=reach)
+        plot = plain_figure(
+            f"{found.channel}: field along {name}", label, "nT", height=205, width=384, y_range=reach
+        )
+        plot.toolbar.autohide = True
         _envelope(plot, found, axis)
         for branch, parts in found.branches.items():
             if branch == "after":
                 continue
             colour, marker = _BRANCHES[branch]
-            _draw(plot, parts[axis], colour, marker, "before" if branch == "all" else branch)
+            _draw(plot, parts[axis], colour, marker)
         left = found.branches["after"][axis]
         known = np.isfinite(left.mean)
         plot.line(
@@ -77,11 +81,25 @@ def response_figures(found: Response) -> list[figure]:
             color="#111111",
             line_dash="dotted",
             line_width=2,
-            legend_label="after",
         )
-        legend_below(plot)
         plots.append(plot)
     return plots
+
+
+def response_key() -> str:
+    """Return the key of all response figures as HTML: one for the page leaves the small ones their room."""
+    marks = (
+        (_BRANCHES["rising"][0], "&#9650;", "before, channel rising"),
+        (_BRANCHES["falling"][0], "&#9660;", "before, channel falling"),
+        (_BRANCHES["all"][0], "&#9679;", "before, a channel without branches"),
+        ("#111111", "&#8943;", "after"),
+        (_CHANCE, "&#9632;", "chance"),
+    )
+    said = "".join(
+        f'<span style="margin-right:1.4rem"><span style="color:{colour}">{mark}</span> {text}</span>'
+        for colour, mark, text in marks
+    )
+    return f"<p>{said}</p>"
 
 
 def _envelope(plot: figure, found: Response, axis: int) -> None:
@@ -91,15 +109,17 @@ def _envelope(plot: figure, found: Response, axis: int) -> None:
     source = ColumnDataSource(
         {"x": found.centre[known], "low": found.low[axis][known], "high": found.high[axis][known]}
     )
-    plot.varea(x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35, legend_label="chance")
+    plot.varea(x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35)
 
 
-def _draw(plot: figure, curve: Curve, colour: str, marker: str, label: str) -> None:
+def _draw(plot: figure, curve: Curve, colour: str, marker: str, label: str = "") -> None:
     known = np.isfinite(curve.mean) & np.isfinite(curve.centre)
     x, mean, sigma = curve.centre[known], curve.mean[known], np.nan_to_num(curve.sigma[known])
-    error_bars(plot, x, mean, sigma, colour, 0.6)
-    plot.line(x, mean, color=colour, line_width=1.5, legend_label=label)
-    plot.scatter(x, mean, color=colour, marker=marker, size=5, legend_label=label)
+    # Plain segments: whiskers are many models, and a page has many of these.
+    plot.segment(x, mean - sigma, x, mean + sigma, color=colour, alpha=0.6)
+    named = {"legend_label": label} if label else {}
+    plot.line(x, mean, color=colour, line_width=1.5, **named)
+    plot.scatter(x, mean, color=colour, marker=marker, size=5, **named)
 
 
 def _reach(curves: Sequence[Curve], more: Sequence[np.ndarray] = ()) -> tuple[float, float]:

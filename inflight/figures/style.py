@@ -56,7 +56,7 @@ def legend_below(plot: figure) -> None:
 
 
 def log_ticks(values: Floats) -> FixedTicker | None:
-    """Return ticks at 1 and 3 of each decade for values of less than two decades.
+    """Return ticks at 1 and 3 of each decade for values of less than two decades, more of them below one.
 
     Bokeh's own labels would run into each other there; None when they do not.
     """
@@ -65,7 +65,8 @@ def log_ticks(values: Floats) -> FixedTicker | None:
         return None
     low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
     decades = 10.0 ** np.arange(low, high + 1)
-    return FixedTicker(ticks=sorted([*decades, *(3 * decades)]))
+    parts = (1, 3) if positive.max() >= 10 * positive.min() else (1, 1.5, 2, 3, 5, 7)
+    return FixedTicker(ticks=sorted(float(f"{part * decade:.3g}") for decade in decades for part in parts))
 
 
 def band(plot: figure, x: Any, value: Floats, sigma: Floats, colour: str) -> None:

@@ -54,11 +54,11 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
         ("residual now", _told(residual["held_out_before_nT"])),
         ("with what was found", _told(residual["held_out_after_nT"])),
         ("noise floor", f"{_told(residual['noise_floor_nT'])} ({_interval(residual)})"),
-        ("explained of what is above the floor", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
+        ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
         ("what is left", remaining),
     ]
     cells = "".join(
-        f'<div style="margin-right:2.2rem"><div class="quiet">{escape(name)}</div>'
+        f'<div style="margin-right:1.6rem"><div class="quiet">{escape(name)}</div>'
         f'<div style="font-size:1.15rem;font-weight:600">{escape(value)}</div></div>'
         for name, value in told
     )
@@ -67,9 +67,14 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
         f'<div><span style="background:{colour};color:#fff;padding:.15rem .6rem;border-radius:4px;'
         f'font-weight:700;letter-spacing:.03em">{escape(verdict)}</span> '
         f'<span class="quiet">{escape(MEANING.get(verdict, ""))}</span></div>'
-        f'<p style="font-size:1.05rem;margin:.6rem 0;max-width:64rem">{escape(sentence)}</p>'
+        f'<p style="font-size:1.02rem;margin:.6rem 0;max-width:66rem">{_lines(sentence)}</p>'
         f'<div style="display:flex;flex-wrap:wrap">{cells}</div>{_scale(residual)}</div>'
     )
+
+
+def _lines(sentence: str) -> str:
+    """Return a sentence of several findings with each on a line of its own."""
+    return "<br>".join(escape(part) for part in sentence.replace("; ", ";\n").split("\n"))
 
 
 def _told(value: float | None) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from bokeh.models import BoxAnnotation, ColumnDataSource, Span, Whisker
+from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
 from inflight.diagnosis.tradeoffs import Step
-from inflight.figures.naming import short_name
-from inflight.figures.style import AFTER, BEFORE, REFERENCE, place_legend, plain_figure
+from inflight.figures.naming import distinct, short_name
+from inflight.figures.style import AFTER, BEFORE, REFERENCE, legend_below, place_legend, plain_figure
 
 
 def waterfall_figure(
@@ -33,7 +33,7 @@ def waterfall_figure(
         "",
         "rms, held out (nT)",
         x_range=["as found", *names, "now left"],
-        width=max(430, min(1130, 190 + 110 * (len(names) + 1))),
+        width=max(430, min(1130, 160 + 84 * (len(names) + 2))),
         height=360,
     )
     plot.xaxis.major_label_orientation = 0.45
@@ -56,16 +56,11 @@ def waterfall_figure(
 def _bars(plot: figure, steps: Sequence[Step], names: Sequence[str]) -> None:
     before = np.array([step.before for step in steps])
     after = np.array([step.after for step in steps])
-    ends = np.array([[step.first_in, step.last_in] for step in steps])
-    square = before[:, None] ** 2 - ends
-    reached = np.sqrt(np.maximum(square, 0.0))
     source = ColumnDataSource(
         {
             "name": list(names),
             "before": before,
             "after": after,
-            "upper": reached.max(axis=1),
-            "lower": reached.min(axis=1),
             "text": [f"-{(b - a) * 1000:.3g} pT" for b, a in zip(before, after, strict=True)],
         }
     )
@@ -73,6 +68,41 @@ def _bars(plot: figure, steps: Sequence[Step], names: Sequence[str]) -> None:
     plot.text(
         "name", "before", text="text", source=source, text_align="center", text_font_size="11px", y_offset=-4
     )
-    bars = Whisker(base="name", upper="upper", lower="lower", source=source, line_color="#222222")
-    bars.upper_head.size = bars.lower_head.size = 12
-    plot.add_layout(bars)
+
+
+def order_figure(steps: Sequence[Step], start: float) -> figure:
+    """Draw what each effect takes off the mean square when it is taken first, in its turn, and last.
+
+    Effects that share what they explain lie far apart; what an effect takes off last is its own.
+
+    Parameters
+    ----------
+    start : float
+        Held-out rms before, nT.
+    """
+    names = distinct([short_name(step.name) for step in steps])
+    plot = plain_figure(
+        "Taken first, in its turn, or last",
+        "part of the mean square as found (%)",
+        "",
+        y_range=names[::-1] or ["none"],
+        width=540,
+        height=max(200, 130 + 34 * len(names)),
+    )
+    part = 100.0 / max(start**2, 1e-30)
+    first, turn, last = (
+        part * np.array([getattr(step, kind) for step in steps])
+        for kind in ("first_in", "removed", "last_in")
+    )
+    source = ColumnDataSource({"name": names, "first": first, "turn": turn, "last": last})
+    plot.segment("first", "name", "last", "name", source=source, color=REFERENCE, line_width=3, alpha=0.5)
+    marks = (("first", "triangle", BEFORE), ("turn", "circle", "#111111"), ("last", "square", AFTER))
+    for kind, marker, colour in marks:
+        said = "in its turn" if kind == "turn" else kind
+        plot.scatter(kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=said)
+    plot.hover.tooltips = [
+        ("", "@name"),
+        *((kind, f"@{kind}{{0.00}} %") for kind in ("first", "turn", "last")),
+    ]
+    legend_below(plot)
+    return plot
