@@ -11,11 +11,11 @@ from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 
 from inflight.diagnosis.tradeoffs import Trial
-from inflight.figures.naming import bare_parameter, distinct, short_name
+from inflight.figures.naming import bare_parameter, distinct, short_name, short_parameter
 from inflight.figures.style import AFTER, NEW, REFERENCE, place_legend, plain_figure
 
-#: Rows of the table and of the drop plot; width of a bar, pixels; values printed of one candidate.
-_ROWS, _DROPS, _BAR, _VALUES = 16, 24, 150, 3
+#: Rows of the table and of the drop plot; width of a bar, pixels; values and rivals printed of one candidate.
+_ROWS, _DROPS, _BAR, _VALUES, _CHIPS = 16, 24, 150, 3, 4
 _GHOST = "#c9c9c4"
 
 
@@ -77,14 +77,17 @@ def _row(
 ) -> str:
     name = one["name"]
     taken = name in found
-    chips = "".join(_chip(f"not told from {short_name(rival)}", NEW) for rival in found.get(name, ()))
+    own = [short_parameter(rival) if "." in rival else short_name(rival) for rival in found.get(name, ())]
+    chips = "".join(_chip(f"or {rival}", NEW) for rival in own[:_CHIPS])
+    chips += _chip(f"or {len(own) - _CHIPS} more", NEW) if len(own) > _CHIPS else ""
     rival_of = [other for other, rivals in found.items() if _is_among(name, rivals)]
     chips += "".join(_chip(f"rival of {short_name(other)}", NEW) for other in rival_of)
     weight = "font-weight:600" if taken else ""
     mark = " " + _chip("taken", AFTER) if taken else ""
     cells = [
         f'<td style="text-align:right">{rank}</td>',
-        f'<td style="{weight};text-align:left" title="{escape(name)}">{escape(short_name(name))}{mark}'
+        f'<td style="text-align:left;max-width:17rem" title="{escape(name)}">'
+        f'<span style="{weight}">{escape(short_name(name))}</span>{mark}'
         f'<div class="quiet">{escape(str(one["family"]).replace("_", " "))}</div>{chips}</td>',
         f"<td>{_bar(one, ghost, wide)}</td>",
         f"<td>{_number(one['t'], '.1f')}</td>",
@@ -167,7 +170,7 @@ def drop_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
     before = np.array([float(one["gain"]) for one in real])
     after = np.array([float(one["gain_now"]) for one in real])
     plot = plain_figure(
-        "Gain of each candidate, before and after the found effects",
+        "Gain before and after the found effects",
         "held-out gain (part of the mean square)",
         "",
         y_range=labels[::-1] or ["none"],

@@ -38,9 +38,11 @@ def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
     )
     if found.best > 0:
         plot.add_layout(Span(location=found.best, dimension="height", line_color=NEW, line_width=1.5))
-        low = max(found.best - found.sigma, float(found.lags[drawn][0]))
+        # The axis is logarithmic: an interval that reaches nothing is open to the left.
+        low = found.best - found.sigma
+        left = low if low > 0 else None
         plot.add_layout(
-            BoxAnnotation(left=low, right=found.best + found.sigma, fill_color=NEW, fill_alpha=0.12)
+            BoxAnnotation(left=left, right=found.best + found.sigma, fill_color=NEW, fill_alpha=0.12)
         )
     place_legend(plot, "top_left")
     return plot

@@ -53,7 +53,7 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
     told = [
         ("residual now", _told(residual["held_out_before_nT"])),
         ("with what was found", _told(residual["held_out_after_nT"])),
-        ("noise floor", f"{_told(residual['noise_floor_nT'])} ({_interval(residual)})"),
+        (f"noise floor ({_interval(residual)})", _told(residual["noise_floor_nT"])),
         ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
         ("what is left", remaining),
     ]

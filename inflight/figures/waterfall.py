@@ -33,7 +33,7 @@ def waterfall_figure(
         "",
         "rms, held out (nT)",
         x_range=["as found", *names, "now left"],
-        width=max(430, min(1130, 160 + 84 * (len(names) + 2))),
+        width=max(430, min(1130, 170 + 66 * (len(names) + 2))),
         height=360,
     )
     plot.xaxis.major_label_orientation = 0.45
@@ -86,7 +86,7 @@ def order_figure(steps: Sequence[Step], start: float) -> figure:
         "part of the mean square as found (%)",
         "",
         y_range=names[::-1] or ["none"],
-        width=540,
+        width=450,
         height=max(200, 130 + 34 * len(names)),
     )
     part = 100.0 / max(start**2, 1e-30)
