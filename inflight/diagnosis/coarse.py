@@ -18,8 +18,9 @@ from inflight.comparison import Rows as NativeRows
 from inflight.diagnosis.columns import Rows
 from inflight.time import GAP, SECOND, Int64
 
-#: A sample is a spike when it is this many sigma from the median of its neighbours.
-_SPIKE, _NEIGHBOURS = 6.0, 9
+#: A sample is a spike when it is this many sigma from the median of its neighbours, sigma being that of the
+#: record or of the samples around, whichever is larger.
+_SPIKE, _NEIGHBOURS, _AROUND = 7.0, 9, 61
 #: A bin needs this part of the usual number of good samples.
 _LEAST = 0.3
 #: Gaps of a channel up to so many bins are bridged by a straight line.
@@ -51,15 +52,17 @@ def bin_means(
 def spikes(residual: Floats) -> npt.NDArray[np.bool_]:
     """Return which samples stand out from their neighbours; (time,) of a residual (time, row).
 
-    The measure is local, so that no effect, however large, is taken for an outlier.
+    The measure is local, so that no effect, however large, is taken for an outlier, nor a lively hour
+    for a series of them.
     """
     if len(residual) < _NEIGHBOURS:
         return np.zeros(len(residual), dtype=bool)
     filled = np.where(np.isfinite(residual), residual, 0.0)
-    off = filled - median_filter(filled, size=(_NEIGHBOURS, 1), mode="nearest")
+    off = np.abs(filled - median_filter(filled, size=(_NEIGHBOURS, 1), mode="nearest"))
     known = np.isfinite(residual).all(axis=1)
-    sigma = TO_SIGMA * np.median(np.abs(off[known]), axis=0) if known.any() else np.ones(residual.shape[1])
-    return np.asarray((np.abs(off) > _SPIKE * np.maximum(sigma, 1e-6)).any(axis=1))
+    usual = TO_SIGMA * np.median(off[known], axis=0) if known.any() else np.ones(residual.shape[1])
+    around = TO_SIGMA * median_filter(off, size=(min(_AROUND, len(off)), 1), mode="nearest")
+    return np.asarray((off > _SPIKE * np.maximum(np.maximum(usual, around), 1e-6)).any(axis=1))
 
 
 def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
@@ -125,6 +128,8 @@ def coarsen(
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     usable = rows.good & np.isfinite(rows.residual).all(axis=1)
     out = spikes(np.where(usable[:, None], rows.residual, np.nan))
+    if rows.band is not None:
+        out[:] = False  # what went through a filter has no single wild samples left
     good = usable & ~out
     residual, count = bin_means(rows.residual, stamps, edges, good)
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))

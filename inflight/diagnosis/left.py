@@ -37,9 +37,14 @@ class Structure:
     rms_nT: float  # noqa: N815 (a unit)
     t: float
 
-    def is_clear(self, floor: float) -> bool:
-        """Return True when it is beyond doubt and large enough to matter."""
-        return self.t > _CLEAR_T and self.rms_nT > _CLEAR_PART * floor
+    def is_large(self, noise: float) -> bool:
+        """Return True when it is large enough to matter beside noise of this size, nT."""
+        return self.rms_nT > _CLEAR_PART * noise
+
+    @property
+    def is_sure(self) -> bool:
+        """True when it is there beyond doubt."""
+        return self.t > _CLEAR_T
 
 
 def structure_of(series: Series, residual: Floats) -> Structure:

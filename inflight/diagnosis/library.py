@@ -391,6 +391,9 @@ def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]
     """The sensor an effect's candidates act on: one is enough, the data give the difference only."""
     sensors = list(sensors_of(mission, model.comparison).values())
     wanted = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))
+    if mission.comparisons[model.comparison].kind == "platform":
+        # The vector sensor gives the direction only: whatever is seen is at the scalar sensor.
+        wanted = ("scalar",)
     for role in wanted:
         found = [sensor for sensor in sensors if sensor.role == role]
         if found:

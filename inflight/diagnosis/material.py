@@ -83,14 +83,26 @@ def native_rms(material: Material, search: Search, accepted: bool) -> float:
 
 
 def effective_blocks(search: Search, material: Material, left: Floats) -> dict[str, Any]:
-    """Return number and length of the blocks, and how many independent ones the residual's correlation leaves."""
-    raw = search.raw
+    """Return number and length of the blocks, and how many independent ones there really are.
+
+    Neighbours that the residual's correlation ties together count once, and blocks that hold hardly any of
+    the residual's square hardly count: of four days, a storm of some hours may be all that tells.
+    """
+    raw, evidence, y = search.raw, search.forms["raw"], search.y()
     length = float(np.median(raw.end - raw.start)) / SECOND
     memory = _correlation_s(material.series, left)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
-    independent = min(float(used), span / max(2.0 * memory, 1e-9))
-    return {"count": used, "length_s": length, "correlation_s": memory, "independent": independent}
+    square = np.clip(evidence.gram[:, y, y], 0.0, None)
+    telling = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
+    independent = min(float(used), span / max(2.0 * memory, 1e-9), telling)
+    return {
+        "count": used,
+        "length_s": length,
+        "correlation_s": memory,
+        "telling": telling,
+        "independent": independent,
+    }
 
 
 def _correlation_s(series: Series, residual: Floats) -> float:

@@ -86,7 +86,7 @@ class Table:
 
     def passing(self, rules: Rules) -> dict[str, np.ndarray]:
         """Return, a form, which options may be added."""
-        real = np.array([not option.placebo for option in self.options])
+        real = np.array([not option.placebo for option in self.options], dtype=bool)
         return {
             form: real
             & (self.scores[form].t > rules.t)
@@ -251,7 +251,7 @@ class Search:
                 scores, ratios = _with_changes(scores, ratios, found, flipped)
                 options = options + group
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
-        real = np.tile(np.array([not option.placebo for option in options]), len(ratios))
+        real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
         p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
         return Table(options, scores, p, {form: _beats_placebo(one, options) for form, one in scores.items()})
 

@@ -31,24 +31,32 @@ class Unknown:
         A line stands out that no known period explains.
     signature : Signature or None
         None when nothing is there.
-    floor : float
-        Noise floor, nT.
+    noise : float
+        Noise floor, nT; of a record without one, the residual's own size.
     """
 
     structure: Structure
     has_line: bool
     signature: Signature | None
-    floor: float
+    noise: float
 
     @property
     def is_there(self) -> bool:
-        """True when what is left is more than noise."""
-        return self.has_line or self.structure.is_clear(self.floor)
+        """True when what is left may be more than noise."""
+        return self.has_line or self.structure.is_large(self.noise)
+
+    @property
+    def is_sure(self) -> bool:
+        """True when what is left is more than noise beyond doubt."""
+        return self.has_line or (self.structure.is_sure and self.structure.is_large(self.noise))
 
 
 def look_at(search: Search, material: Material, last: Table, left: Floats, structure: Structure) -> Unknown:
     """Describe what is left: a line, else what the best rejected candidate hints at, else its size."""
     floor = material.floor.level_nT
+    if not floor > 0:
+        good = material.series["weight"] > 0
+        floor = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else float("nan")
     line = _line(material, left)
     if line is not None:
         return Unknown(structure, True, line, floor)

@@ -85,4 +85,4 @@ def _remaining(unknown: Unknown, independent: float, fewest: int) -> Verdict:
     """Return what is to be said of what is left."""
     if not unknown.is_there:
         return "NOTHING_LEFT"
-    return "UNKNOWN_EFFECT" if independent >= fewest else "NOT_IDENTIFIABLE"
+    return "UNKNOWN_EFFECT" if unknown.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"
