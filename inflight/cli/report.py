@@ -39,7 +39,7 @@ def report(
 ) -> None:
     """Show on one page what is missing from the model: where it fails, which effect, how the error falls.
 
-    Without a span it is that of the last 'inflight diagnose', whose work is not done again.
+    Without a span it is that of the last 'inflight diagnose'; what was measured is not read again.
     """
     workspace = session.open_workspace()
     made = report_span(session, workspace, start, end, comparison, output, workers)
@@ -99,13 +99,6 @@ def _asked(
 
 
 def _print_report(console: Console, fields: Mapping[str, Any]) -> None:
-    residual = fields["residual"]
     console.print(fields["verdict"], style="bold", markup=False)
     console.print(f"  {fields['sentence']}", soft_wrap=True, markup=False)
-    if residual["held_out_before_nT"] is not None:
-        console.print(
-            f"  held-out residual {residual['held_out_before_nT']:.4g} nT, "
-            f"with what was found {residual['held_out_after_nT']:.4g} nT",
-            markup=False,
-        )
     console.print(f"  page: {fields['path']}", soft_wrap=True, markup=False)

@@ -37,6 +37,8 @@ def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
         found.lags[drawn][[0, -1]], [size[0], size[0]], color=AFTER, line_dash="dotted", legend_label="no lag"
     )
     if found.best > 0:
+        height = float(np.interp(found.best, found.lags, size))
+        plot.scatter([found.best], [height], color=NEW, size=8, legend_label="best")
         plot.add_layout(Span(location=found.best, dimension="height", line_color=NEW, line_width=1.5))
         # The axis is logarithmic: an interval that reaches nothing is open to the left.
         low = found.best - found.sigma
