@@ -12,6 +12,7 @@ from inflight.diagnosis.estimates import detectable
 from inflight.diagnosis.findings import axis
 from inflight.diagnosis.left import Structure
 from inflight.diagnosis.material import Material
+from inflight.diagnosis.scoring import fit
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.signature import Periodogram, describe, periodogram, strongest_line
 from inflight.time import SECOND
@@ -95,8 +96,9 @@ def _hinted(search: Search, last: Table, structure: Structure) -> Signature:
     if hint is None:
         return Signature(shape="wander", amplitude_nT=structure.rms_nT)
     option, gain = hint
-    values = detectable(search, option)
-    along = axis(option.columns[int(np.argmin(values))]) if len(option.columns) == 3 else None
+    along = None
+    if option.change is None and len(option.columns) == 3:
+        along = axis(option.columns[int(np.argmax(_strength(search, option)))])
     shape = option.mechanism
     if option.change is not None:
         shape = "step" if option.change.at else "drift"
@@ -110,6 +112,14 @@ def _hinted(search: Search, last: Table, structure: Structure) -> Signature:
         amplitude_nT=structure.rms_nT,
         gain=gain,
     )
+
+
+def _strength(search: Search, option: Option) -> Floats:
+    """Return how far each coefficient of a rejected candidate is from nothing, in thirds of what is detectable."""
+    evidence = search.forms["raw"]
+    gamma, _ = fit(evidence, search.present(), [evidence.index(option.columns)], search.y())
+    physical = gamma[0] * evidence.scale[evidence.index(option.columns)]
+    return np.abs(physical) / np.maximum(detectable(search, option), 1e-300)
 
 
 def _hint(search: Search, last: Table) -> tuple[Option, float] | None:
