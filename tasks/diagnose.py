@@ -10,9 +10,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.diagnosis.candidates import make_library
 from inflight.diagnosis.changes import Carriers
 from inflight.diagnosis.diagnosis import Diagnosis
-from inflight.diagnosis.library import Library, Term, make_library
+from inflight.diagnosis.library import Library, Term
 from inflight.diagnosis.search import Rules, Search
 from inflight.diagnosis.verdict import Material, conclude
 from inflight.effects.families import channels_of

@@ -1,0 +1,265 @@
+"""Candidates of the library: every effect with every channel and coordinate it may depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from inflight.derived import base_channels
+from inflight.diagnosis.library import Candidate, Library, Term, Told, term_of
+from inflight.effects import Effect, known_effects
+from inflight.effects.families import family_of
+from inflight.errors import InflightError
+from inflight.mission import Mission
+from inflight.model import Model, ModelEffect, make_effect
+from inflight.sensors import Sensor, sensors_of
+from inflight.time import SECOND, parse_duration
+
+#: First-order responses tried of every channel, s; combinations of neighbours reach what lies between.
+LAGS = (0.0, 60.0, 240.0, 1000.0, 4000.0)
+#: Widths of the play operator tried, as parts of the channel's range.
+WIDTHS = (0.15, 0.4)
+#: Lags of placebos.
+FEW_LAGS = (0.0, 240.0)
+#: Kinds of channels that may act on a sensor's scale or by hysteresis; currents do neither.
+THERMAL = frozenset({"temperature", "other", "voltage"})
+#: Effects that only such channels are tried with.
+OF_THERMAL = frozenset({"channel_scale", "channel_angle", "hysteresis"})
+#: Effects that describe a shape in some coordinate and name no cause: taken when nothing else explains.
+AGNOSTIC = frozenset(
+    {
+        "orbit_periodic",
+        "sun_periodic",
+        "local_time_periodic",
+        "function_of_two",
+        "day_night_series",
+        "function_of_channel",
+    }
+)
+#: Effects that the pass does not try by themselves: they need a time, which the search over blocks finds.
+TIMED = frozenset({"offset_step", "offset_episode", "bias_step", "clock_step", "clock_episode", "scale_step"})
+#: Effects of so many columns that a single channel would outweigh all others; a user adds them by name.
+WIDE = frozenset({"function_of_channel", "function_of_two", "tolles_lawson"})
+
+
+def make_library(
+    mission: Mission,
+    model: Model,
+    channels: Mapping[str, Told],
+    geometry: Sequence[str],
+    shifts: Mapping[str, float],
+    base: Sequence[Term],
+    shortest: float,
+    fixed: Sequence[Term] = (),
+) -> Library:
+    """Return everything that may be tried on a comparison.
+
+    Parameters
+    ----------
+    model : Model
+        The present model; what it holds free is refined, not tried.
+    channels : mapping of str to Told
+        Every channel of one number a time.
+    geometry : sequence of str
+        Coordinates the samples hold, such as ``orbit_phase`` and ``sunlit``.
+    shifts : mapping of str to float
+        Placebo name -> seconds.
+    base : sequence of Term
+        The calibration's own terms.
+    shortest : float
+        Shortest period the library's cadence shows, s.
+    fixed : sequence of Term
+        Parameters of the vector sensor that the model holds fixed.
+    """
+    library = Library(base=list(base), refined=_refined(model, base), placebos=dict(shifts))
+    there = set(channels) | set(geometry)
+    for label, kind in sorted(known_effects(model.own).items()):
+        if label in TIMED or label in WIDE or label == "vector_sensor":
+            continue
+        try:
+            options = kind.candidates(mission)
+        except InflightError as error:
+            library.unscorable.append({"name": label, "family": kind.family, "reason": error.message})
+            continue
+        for given in options:
+            _offer(library, mission, model, label, given, there, channels, shortest)
+    for term in fixed:
+        key = f"{term.key}.{term.parameters[0]}"
+        own = replace(term, key=key)
+        library.add(Candidate(key, key, "sensor", (), (key,)), [own])
+    _offer_placebos(library, mission, model, shifts)
+    return library
+
+
+def _refined(model: Model, base: Sequence[Term]) -> list[Term]:
+    """Terms of the model's own parameters that a stated sigma lets data refine."""
+    own = {term.entry.name for term in base}
+    found = []
+    for entry in model.effects:
+        if entry.name in own:
+            continue
+        term = term_of(entry, f"model:{entry.name}", free_only=True)
+        if term.parameters:
+            found.append(term)
+    return found
+
+
+def _offer(
+    library: Library,
+    mission: Mission,
+    model: Model,
+    label: str,
+    options: Mapping[str, Any],
+    there: set[str],
+    channels: Mapping[str, Told],
+    shortest: float,
+) -> None:
+    """Add the candidates of one effect with one choice of options."""
+    kind = known_effects(model.own)[label]
+    for sensor in _sensors(kind, mission, model):
+        entry = _made({"effect": label, "sensor": sensor.name, **options}, mission, model)
+        if entry is None:
+            continue
+        used = [name for name in entry.effect.channels if name]
+        missing = [name for name in used if name not in there]
+        mechanism = _mechanism(label, options)
+        family = family_of(entry.effect, mission)
+        if missing:
+            library.unscorable.append(
+                {"name": mechanism, "family": family, "reason": f"{', '.join(missing)} is not there"}
+            )
+            continue
+        if _in_model(model, entry):
+            continue
+        if "period" in options and _seconds(options["period"]) < 2.0 * shortest:
+            continue
+        _expand(library, mission, model, label, dict(options), entry, mechanism, family, channels)
+
+
+def _expand(
+    library: Library,
+    mission: Mission,
+    model: Model,
+    label: str,
+    options: dict[str, Any],
+    entry: ModelEffect,
+    mechanism: str,
+    family: str,
+    channels: Mapping[str, Told],
+) -> None:
+    """Add an effect with every lag or width of its bank."""
+    base = _base_channels(entry.effect.channels)
+    common: dict[str, Any] = {
+        "mechanism": mechanism,
+        "family": family,
+        "channels": base,
+        "agnostic": label in AGNOSTIC,
+    }
+    lone = options.get("channel", "")
+    if label in OF_THERMAL and lone in channels and channels[lone].kind not in THERMAL:
+        return
+    given = {"effect": label, "sensor": entry.sensor.name, **options}
+    if label == "channel_field" and lone in channels:
+        for lag in LAGS:
+            made = _made(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
+            if made is not None:
+                term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
+                library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
+    elif label == "hysteresis" and lone in channels:
+        _offer_plays(library, mission, model, given, channels[lone].spread, common)
+    else:
+        term = term_of(entry, mechanism)
+        if term.parameters:
+            library.add(Candidate(term.key, terms=(term.key,), **common), [term])
+
+
+def _offer_plays(
+    library: Library,
+    mission: Mission,
+    model: Model,
+    given: dict[str, Any],
+    spread: float,
+    common: dict[str, Any],
+) -> None:
+    """Add a channel with its play of several widths; its own columns are those of its plain field."""
+    plain = _made(
+        {"effect": "channel_field", "sensor": given["sensor"], "channel": given["channel"]}, mission, model
+    )
+    if plain is None:
+        return
+    direct = term_of(plain, f"channel_field({given['channel']})")
+    for part in WIDTHS:
+        width = float(f"{part * spread:.3g}")
+        made = _made(given | {"width": width}, mission, model)
+        if made is not None:
+            key = f"{common['mechanism']}@width={width:g}"
+            own = Term(key, made, ("play",), (np.inf,) * 3)
+            library.add(Candidate(key, terms=(direct.key, key), **common), [direct, own])
+
+
+def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:
+    """Add the plain field of shifted channels, with a few lags."""
+    kind = known_effects(model.own)["channel_field"]
+    sensors = _sensors(kind, mission, model)
+    for name in shifts:
+        for lag in FEW_LAGS:
+            channel, number = name.split("~")
+            derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
+            entry = _made(
+                {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model
+            )
+            if entry is None:
+                continue
+            term = term_of(entry, f"channel_field({derived})")
+            library.add(
+                Candidate(
+                    term.key, f"channel_field({name})", "unknown", (name,), (term.key,), lag, False, True
+                ),
+                [term],
+            )
+
+
+def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]:
+    """The sensor an effect's candidates act on: one is enough, the data give the difference only."""
+    sensors = list(sensors_of(mission, model.comparison).values())
+    wanted = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))
+    if mission.comparisons[model.comparison].kind == "platform":
+        # The vector sensor gives the direction only: whatever is seen is at the scalar sensor.
+        wanted = ("scalar",)
+    for role in wanted:
+        found = [sensor for sensor in sensors if sensor.role == role]
+        if found:
+            return found[:1]
+    return []
+
+
+def _made(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
+    try:
+        return make_effect(entry, sensors_of(mission, model.comparison), model.own, mission)
+    except InflightError:
+        return None
+
+
+def _in_model(model: Model, entry: ModelEffect) -> bool:
+    """Return True when the model has this cause already and leaves it free."""
+    for own in model.effects:
+        same = type(own.effect) is type(entry.effect) and own.effect.channels == entry.effect.channels
+        if same and own.effect.given == entry.effect.given and own.sensor.role == entry.sensor.role:
+            return any(timed.free for timed in own.parameters.values())
+    return False
+
+
+def _mechanism(label: str, options: Mapping[str, Any]) -> str:
+    told = [str(value) for key, value in options.items() if key not in ("lag", "width")]
+    return f"{label}({', '.join(told)})" if told else label
+
+
+def _base_channels(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(base for name in names if name for base in base_channels(name)))
+
+
+def _seconds(period: Any) -> float:
+    return parse_duration(period) / SECOND if isinstance(period, str) else float(period)
