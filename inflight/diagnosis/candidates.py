@@ -171,7 +171,8 @@ def _expand(
     elif label == "hysteresis" and lone in channels:
         _offer_plays(library, mission, model, given, channels[lone].spread, common)
     else:
-        term = term_of(entry, mechanism)
+        form = "".join(f"@{key}={options[key]}" for key in ("degree", "order") if key in options)
+        term = term_of(entry, f"{mechanism}{form}")
         if term.parameters:
             library.add(Candidate(term.key, terms=(term.key,), **common), [term])
 
@@ -252,8 +253,12 @@ def _in_model(model: Model, entry: ModelEffect) -> bool:
     return False
 
 
+#: Options that give one cause another form.
+FORM = frozenset({"lag", "width", "degree", "order"})
+
+
 def _mechanism(label: str, options: Mapping[str, Any]) -> str:
-    told = [str(value) for key, value in options.items() if key not in ("lag", "width")]
+    told = [str(value) for key, value in options.items() if key not in FORM]
     return f"{label}({', '.join(told)})" if told else label
 
 

@@ -79,7 +79,8 @@ class SunDirectionField(Effect):
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return one candidate from geometry, or one for every channel with the Sun's direction."""
         given = channels_of_kind(mission, "sun_direction", width=3)
-        return options_of_channels(given) or ([{}] if knows_sun(mission) else [])
+        found: list[dict[str, Any]] = options_of_channels(given) or ([{}] if knows_sun(mission) else [])
+        return [options | more for options in found for more in ({}, {"degree": 2})]
 
 
 def harmonics(direction: Floats, degree: int) -> Floats:
