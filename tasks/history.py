@@ -22,23 +22,33 @@ def version_of(cat: Catalog, mission: Mission, like: UsedModel, version: int) ->
     return UsedModel(Model.parse(text, mission, f"{name} version {version}", like.model.own), version, text)
 
 
-def evidence_root(cat: Catalog, mission: Mission, current: UsedModel) -> UsedModel | None:
-    """Return the nearest version with evidence, the present one or one it came from; None without any."""
+def evidence_root(cat: Catalog, mission: Mission, current: UsedModel) -> tuple[UsedModel, Mission] | None:
+    """Return the nearest version with evidence, the present one or one it came from, and its mission.
+
+    The mission is the text the evidence was made with: naming another file with effects changes
+    nothing of what was made before. None when no version has evidence.
+    """
     dataset = f"equations/{current.model.comparison}/library"
     contexts = {day.context for day in cat.days(dataset, states=("published",))} - {None}
-    found = [cat.context(str(one)) for one in contexts]
-    versions = {
-        one.model_version
-        for one in found
-        if one.model_name == current.model.name and one.mission_text == mission.text
-    }
+    versions = {}
+    for record in (cat.context(str(one)) for one in contexts):
+        before = mission if record.mission_text == mission.text else Mission.parse(record.mission_text)
+        if record.model_name == current.model.name and _measures_as(before, mission):
+            versions[record.model_version] = before
     records = _records(cat, current)
     at: int | None = current.version
     while at is not None:
         if at in versions:
-            return current if at == current.version else version_of(cat, mission, current, at)
+            used = current if at == current.version else version_of(cat, mission, current, at)
+            return used, versions[at]
         at = records[at].parent
     return None
+
+
+def _measures_as(one: Mission, other: Mission) -> bool:
+    """Return True when two missions differ in nothing but words and the files of a user's own effects."""
+    words = {"effects", "description", "acknowledgement"}
+    return one is other or one.model_dump(exclude=words) == other.model_dump(exclude=words)
 
 
 def before_last(cat: Catalog, mission: Mission, current: UsedModel) -> UsedModel:

@@ -73,8 +73,14 @@ class Workbench:
 
     def __post_init__(self) -> None:
         self.current = current_model(self.cat, self.mission, self.settings.comparison)
-        root = None if self.fresh else evidence_root(self.cat, self.mission, self.current)
-        self.made = self._prepared(root or self.current, None)
+        root = evidence_root(self.cat, self.mission, self.current)
+        if self.fresh and root and root[0].text != self.current.text:
+            root = None
+        #: The mission as it was when the evidence was made; it keys the evidence.
+        used, self._measured = root or (self.current, self.mission)
+        self.made = self._prepared(used, None)
+        if used.text == self.current.text:
+            self.made = replace(self.made, used=self.current)
         self._narrow: tuple[tuple[str, ...], Prepared] | None = None
         #: The fit of the model as it stands is asked for again with the next change.
         self._last: tuple[Evidence, tuple[Any, ...], Fitted] | None = None
@@ -89,17 +95,15 @@ class Workbench:
 
         narrower = None if needs is None else narrow
         how: Any = {"client": self.client, "progress": self.progress, "used": used, "narrow": narrower}
-        return prepare(self.cat, self.mission, self.start, self.end, self.settings, **how)
+        return prepare(self.cat, self._measured, self.start, self.end, self.settings, **how)
 
     def _restore(self) -> None:
         """Find out what the present version added to the root, and dropped of it."""
         root = {entry.name for entry in self.root.model.effects}
         now = {entry.name for entry in self.current.model.effects}
         self.dropped = sorted(root - now)
-        self.additions: list[Addition] = []
-        for entry in self.current.model.effects:
-            if entry.name not in root:
-                self.additions.append(known_addition(self.maker, entry))
+        added = [entry for entry in self.current.model.effects if entry.name not in root]
+        self.additions: list[Addition] = [known_addition(self.maker, entry) for entry in added]
         for entry in self.root.model.effects:
             if isinstance(entry.effect, VectorSensor) and entry.name in now:
                 self.additions += self._freed(entry.name)
@@ -341,7 +345,8 @@ class Workbench:
     def _units(self) -> dict[str, str]:
         entries = [*self.made.plan.model.effects, *(one.entry for one in self.made.plan.library.base)]
         entries += [entry for one in self.additions for entry in one.entries]
-        return {
+        made = {column.name: one.unit for one in self.additions for column in one.columns}
+        return made | {
             name: timed.parameter.unit
             for entry in entries
             for timed in entry.parameters.values()
@@ -367,6 +372,7 @@ class Workbench:
 
     def _refresh(self) -> None:
         if self.root.version != self.current.version or self.additions or self.dropped:
+            self._measured = self.mission
             self.made = self._prepared(self.current, None)
             self._narrow = None
         for name in ("_search", "_whole"):

@@ -101,7 +101,13 @@ def _why(by: float, was: float, now: float) -> str:
 def numbers(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]]:
     """Return the fitted numbers of some of a model's effects: name, value, sigma and unit."""
     return [
-        {"name": name, "value": float(value), "sigma": float(sigma), "unit": timed.parameter.unit}
+        {
+            "name": name,
+            "value": float(value),
+            "sigma": float(sigma),
+            # The growth of a trend is per day, as additions write it.
+            "unit": timed.parameter.unit + ("/d" if name.endswith("*b") else ""),
+        }
         for entry in entries
         for timed in model.effect(entry.name).parameters.values()
         for name, value, sigma in zip(timed.columns, timed.value.ravel(), timed.sigma.ravel(), strict=True)

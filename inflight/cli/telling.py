@@ -56,7 +56,7 @@ def _effects(effects: Sequence[Fields]) -> Table:
     table = _table("effect", "family", "coefficient", "value", "", "unit", "at", "gain", "t", "p", "retained")
     for effect in effects:
         stands = (_percent(effect["gain"]), _number(effect["t"], 3), _number(effect["flip_p"], 2))
-        cells = (*stands, _percent(effect["retained"]))
+        cells: tuple[str, ...] = (*stands, _percent(effect["retained"]))
         name, family = effect["name"], effect["family"]
         for one in effect["coefficients"]:
             value, sigma = _with_error(one["value"], one["sigma"])

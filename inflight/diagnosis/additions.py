@@ -49,6 +49,8 @@ class Addition:
         It lies in few blocks.
     gains : dict of str to ((str, float), ...)
         Value of the model -> columns it is the sum of, and their weights; itself when it is not named.
+    unit : str
+        Of columns that are no values of the model by themselves.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Addition:
     needs: tuple[Term, ...] = ()
     interleaved: bool = False
     gains: Mapping[str, tuple[tuple[str, float], ...]] | None = None
+    unit: str = ""
 
     def put_into(self, model: Model, value: Mapping[str, float], sigma: Mapping[str, float]) -> Model:
         """Return the model with the effect at fitted values, which later fits may move.
@@ -221,7 +224,8 @@ class Maker:
             made.append(Column(title, ((column, 1.0),), days))
             value = entry.name + (f".matrix[{axis}{axis}]*b" if part == "matrix" else f".shift[{axis}]*b")
             gains[value] = ((title, self._per_reading(term, part, axis)),)
-        return Addition(kind, tuple(made), (entry,), (term,), gains=gains)
+        unit = "1/d" if part == "matrix" else "nT/d"
+        return Addition(kind, tuple(made), (entry,), (term,), gains=gains, unit=unit)
 
     def _drifting(self, kind: str, name: str, term: Term, origin: int) -> ModelEffect:
         part, size = ("matrix", 9) if kind == "scale_drift" else ("shift", 3)

@@ -128,7 +128,7 @@ def _unknown(maker: Maker, name: str, mechanisms: Sequence[str]) -> ModelError:
     dead = {one["name"]: one["reason"] for one in maker.library.unscorable}
     if name in dead:
         return ModelError(f"{name!r} cannot be tried: {dead[name]}", remedy="these data cannot show it")
-    known = [*mechanisms, *DRIFTS, *known_effects(maker.model.own)]
+    known = [*channels_of(maker.mission), *mechanisms, *DRIFTS, *known_effects(maker.model.own)]
     return ModelError(
         f"there is no candidate {name!r}{did_you_mean(name, known)}",
         remedy="'inflight diagnose' lists candidates; or give an entry, such as "
@@ -183,7 +183,12 @@ def _apart(maker: Maker, entry: ModelEffect) -> Addition:
     """Return the addition of an effect that is in no library, at values that do nothing."""
     kinds = type(entry.effect).parameters()
     still = {
-        key: replace(timed, value=kinds[key].default_values[:, None])
+        key: replace(
+            timed,
+            value=kinds[key].default_values[:, None],
+            sigma=np.full((kinds[key].size, 1), kinds[key].sigma),
+            free=True,
+        )
         if np.isfinite(kinds[key].sigma) and timed.time == "constant"
         else timed
         for key, timed in entry.parameters.items()
