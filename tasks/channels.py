@@ -138,7 +138,7 @@ class DerivedChannels:
             history = self._before(place) if not part.is_plain else []
             whole = np.concatenate([self._filled(one, part.channel) for one in [*history, day]])
             return part.of(whole, step)[-bins:] if not part.is_plain else whole
-        shift = int(round(self.shifts[f"{part.channel}~{part.placebo}"] / step))
+        shift = round(self.shifts[f"{part.channel}~{part.placebo}"] / step)
         need = bins + int(np.ceil(part.history_s / step))
         return part.of(self._wrapped(place, part.channel, bins, shift, need), step)[-bins:]
 
@@ -147,7 +147,7 @@ class DerivedChannels:
         return [self.days[place - 1]] if adjacent else []
 
     def _wrapped(self, place: int, channel: str, bins: int, shift: int, need: int) -> Floats:
-        """Return `need` bins of a channel that end `shift` bins before the day does, around the span's end."""
+        """Return `need` bins of a channel, `shift` bins before the day's own, around the span's end."""
         pieces: list[Floats] = []
         at, left = place, shift + need
         while left > 0:

@@ -217,7 +217,7 @@ def day_rows(
     derived: DerivedChannels,
     day: np.datetime64,
 ) -> tuple[Rows, dict[str, float], tuple[Any, Any] | None]:
-    """Return a day's rows on the library's cadence, sums over its native samples, and its band if it has one."""
+    """Return a day's rows on the library's cadence, sums over its native samples, and its band if any."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
     start, end = day_bounds(day)
@@ -234,7 +234,7 @@ def day_rows(
 
 
 def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
-    """Return the white level of a day's residual, all its rows together, as sums of squares over its samples."""
+    """Return the white level of a day's residual, all rows together, as sums of squares over its samples."""
     step = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
     place = np.rint((stamps - stamps[0]) / (step * SECOND)).astype(np.int64)
     found = []
@@ -259,11 +259,10 @@ def _floor_of(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
     return joined_floor(
         [
             NoiseFloor(
-                *(
-                    float(np.sqrt(report[name] / report["floor_samples"]))
-                    for name in ("floor", "floor_low", "floor_high")
-                ),
-                samples=int(report["floor_samples"]),
+                float(np.sqrt(report["floor"] / report["floor_samples"])),
+                float(np.sqrt(report["floor_low"] / report["floor_samples"])),
+                float(np.sqrt(report["floor_high"] / report["floor_samples"])),
+                int(report["floor_samples"]),
             )
             for report in known
         ]

@@ -1,4 +1,4 @@
-"""Before the pass: where the residual is linearised, what each channel does, how the span is cut in blocks."""
+"""Before the pass: where the residual is linearised, what each channel does, how the span is cut."""
 
 from __future__ import annotations
 
@@ -217,7 +217,8 @@ def cadence_for(span_ns: int, native_ns: int) -> int:
 def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int]:
     """Return parts of a day and days of a block.
 
-    A block of a short span is a part of a day, of an orbit or more where one is known; of a long one, some days.
+    A block of a short span is a part of a day, of an orbit or more where one is known; of a long one,
+    some days.
     """
     if days > MOST_BLOCKS:
         return 1, -(-days // MOST_BLOCKS)

@@ -98,7 +98,8 @@ def _kinds(carriers: Carriers) -> list[tuple[str, str, tuple[str, ...]]]:
 def _edges(blocks: int) -> Sequence[int]:
     if blocks < 4:
         return []
-    return np.unique(np.linspace(1, blocks - 1, min(MOST_EDGES, blocks - 1)).round().astype(int)).tolist()
+    places = np.linspace(1, blocks - 1, min(MOST_EDGES, blocks - 1)).round()
+    return [int(place) for place in np.unique(places)]
 
 
 def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int) -> list[Change]:

@@ -69,7 +69,7 @@ def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> 
     """Put a channel on the bins: means where it is faster, straight lines where it is slower; (bin, ...)."""
     width = int(edges[1] - edges[0])
     flat = np.asarray(values, dtype=np.float64)
-    good = np.isfinite(flat.reshape(len(flat), -1)).all(axis=1)
+    good = np.asarray(np.isfinite(flat.reshape(len(flat), -1)).all(axis=1))
     if not good.any():
         return np.full((edges.size - 1, *flat.shape[1:]), np.nan)
     if cadence_ns <= width:

@@ -61,7 +61,7 @@ class Evidence:
         return {}
 
     def sums(self, folds: Sequence[npt.NDArray[np.int64]]) -> list[Floats]:
-        """Return the sum over the blocks of each fold; they are kept, because every question asks for them."""
+        """Return the sum over the blocks of each fold; kept, because every question asks for them."""
         key = tuple(tuple(fold.tolist()) for fold in folds)
         if key not in self._sums:
             self._sums[key] = [np.asarray(self.gram[fold].sum(axis=0)) for fold in folds]

@@ -21,9 +21,9 @@ MOST_UNITS = 60
 
 def flip_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
     """Return random signs (draw, unit) and the blocks of each unit."""
-    units = np.array_split(np.arange(blocks), min(blocks, MOST_UNITS))
+    units: list[Index] = np.array_split(np.arange(blocks, dtype=np.int64), min(blocks, MOST_UNITS))
     signs = np.random.default_rng(seed).integers(0, 2, (draws, len(units))) * 2.0 - 1.0
-    return signs, units
+    return np.asarray(signs, dtype=np.float64), units
 
 
 def flip_ratios(

@@ -7,7 +7,7 @@ no sample is read again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -81,5 +81,5 @@ def unpack(packed: Floats) -> Floats:
 
 def parts_of(stamps: npt.NDArray[np.int64], edges: Sequence[int]) -> list[slice]:
     """Return the rows between consecutive TT2000 edges."""
-    places: Any = np.searchsorted(stamps, np.asarray(edges, dtype=np.int64))
-    return [slice(int(a), int(b)) for a, b in zip(places[:-1], places[1:], strict=True)]
+    places = np.searchsorted(stamps, np.asarray(edges, dtype=np.int64)).tolist()
+    return [slice(a, b) for a, b in pairwise(places)]

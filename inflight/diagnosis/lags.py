@@ -104,7 +104,7 @@ def profile(
         cross = left[columns, y].reshape(lags.size, size)
         matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
         half = half_inverse(matrices)
-        return np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1)
+        return np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
 
     total = evidence.total
     whole = explained(total)

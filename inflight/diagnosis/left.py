@@ -1,4 +1,4 @@
-"""What is left: the residual as a series with everything the model explains taken off, its sizes, its structure."""
+"""What is left: the residual with everything the model explains taken off, its sizes, its structure."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def structure_of(series: Series, residual: Floats) -> Structure:
 def residual_left(
     search: Search, series: Series, terms: Mapping[str, Term], turn: dict[str, Floats], accepted: bool = True
 ) -> Floats:
-    """Return the series' residual after calibration, model and (when asked) what the search took; (sample, row)."""
+    """Return the residual after calibration, model and (when asked) what the search took; (sample, row)."""
     options = search.accepted if accepted else []
     wanted = [*search.library.base, *search.library.refined]
     used = {key for option in options for key in option.terms}
@@ -96,7 +96,10 @@ def residual_left(
 
 
 def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[str]]]:
-    """Return, an interval, the values of calibration, refined and taken columns (scaled), and the latter's names."""
+    """Return each interval's values of calibration, refined and taken columns (scaled), in this order.
+
+    With each come the names of the refined and taken columns.
+    """
     evidence = search.forms["raw"]
     refined = [name for term in search.library.refined for name in term.columns]
     sigma = [s for term in search.library.refined for s in term.sigma]

@@ -126,7 +126,7 @@ def _grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
     out = []
     for size in np.unique(sizes):
         positions = np.flatnonzero(sizes == size)
-        out.append((positions, np.stack([candidates[place] for place in positions])))
+        out.append((positions, np.stack([candidates[int(place)] for place in positions])))
     return out
 
 

@@ -93,7 +93,7 @@ def periodogram(
         used += 1
     if not used:
         return None
-    frequency = np.fft.rfftfreq(length, step)
+    frequency: Floats = np.fft.rfftfreq(length, step).astype(np.float64)
     power = powers / used * 2.0 * step / np.sum(window**2)
     resolution = 1.0 / (length * step)
     ratio = np.stack([one / _running_median(one) for one in power])
