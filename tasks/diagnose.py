@@ -236,10 +236,10 @@ def _shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
     for name in chosen:
         part = generator.uniform(0.15, 0.85)
         if length >= 4 * DAY and length >= 4 * period:
-            shift = (generator.integers(1, 3) * DAY + part * period) / SECOND
+            shift = float((generator.integers(1, 3) * DAY + part * period) / SECOND)
         else:
             shift = generator.uniform(0.25, 0.75) * length / SECOND
-        out[f"{name}~1"] = float(shift)
+        out[f"{name}~1"] = shift
     return out
 
 
@@ -277,17 +277,10 @@ def _pass(
                 kept[day] = adopted
                 todo.remove(day)
         size = settings.batch_blocks
+        batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
         jobs = [
-            Job(
-                tuple(batch),
-                {day: keys[day] for day in batch},
-                {day: parents[day] for day in batch},
-                index,
-                plan.needs,
-                run.id,
-                dataset,
-            )
-            for batch in (todo[at : at + size] for at in range(0, len(todo), size))
+            Job(batch, _of(keys, batch), _of(parents, batch), index, plan.needs, run.id, dataset)
+            for batch in batches
         ]
         tell("pass", 0, len(todo))
         done = 0
@@ -311,6 +304,10 @@ def _pass(
             )
         run.publish(supersede=True)
         return run.id, [kept[day] for day in sorted(kept)]
+
+
+def _of(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
+    return {day: told[day] for day in days}
 
 
 def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
