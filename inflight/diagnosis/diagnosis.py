@@ -13,7 +13,7 @@ Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "
 
 @dataclass(frozen=True)
 class Coefficient:
-    """One number of an effect; `at` is a sensor, or ``difference`` when data give vector minus reference only."""
+    """One number of an effect; `at` is a sensor, or ``difference`` of vector and reference."""
 
     name: str
     value: float
@@ -100,7 +100,8 @@ class Diagnosis:
     remaining : dict
         ``verdict`` and ``signature`` of what is left after the effects.
     residual : dict
-        Sizes before and after, held out, and the noise floor with its interval; nT at the cadence of the comparison.
+        Sizes before and after, held out, and the noise floor with its interval; nT at the cadence of
+        the comparison.
     rounds : tuple of dict
         Ledger of additions and removals.
     candidates : tuple of dict

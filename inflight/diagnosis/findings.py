@@ -109,7 +109,7 @@ def lag_profile(search: Search, option: Option) -> LagProfile | None:
 
 
 def _worst_mimics(search: Search, option: Option, found: Estimate) -> list[tuple[str, float]]:
-    """Return the calibration's parameters that shift most, in their own usual size, when the effect is ignored."""
+    """Return the calibration's parameters that shift most, in their usual size, when the effect is ignored."""
     shifts = mimics(search, option, found.value)
     scale = dict(zip(search.raw.names, search.raw.scale, strict=True))
     ordered = sorted(shifts, key=lambda pair: -abs(pair[1]) / scale[pair[0]])
@@ -179,7 +179,7 @@ def unscorable(search: Search) -> tuple[dict[str, Any], ...]:
 
 
 def candidates(search: Search, first: Table, last: Table) -> tuple[dict[str, Any], ...]:
-    """Return the best options of the first round, with their gain now: those of taken ones fall to nothing."""
+    """Return the best options of the first round, with their gain now: of taken ones nothing is left."""
     now = {option.name: place for place, option in enumerate(last.options)}
     best: dict[str, dict[str, Any]] = {}
     scores = first.scores["raw"]

@@ -52,7 +52,7 @@ class Material:
 
 
 def held_out(search: Search, material: Material) -> float:
-    """Return the held-out rms at the cadence of the comparison, nT: of the blocks' means, and what is inside bins."""
+    """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
     evidence = search.forms["raw"]
     interleaved = any(option.interleaved for option in search.accepted)
     present = search.present()

@@ -301,7 +301,7 @@ class Search:
         self.accepted = [one for one in self.accepted if one is not option]
 
     def worth(self, option: Option) -> tuple[float, float]:
-        """Return held-out gain and t of an effect of the model against the model without it, the best form."""
+        """Return held-out gain and t of an effect of the model against the model without it, best form."""
         best = (-np.inf, -np.inf)
         for form, evidence in self.forms.items():
             if option.change is not None and form == "within":

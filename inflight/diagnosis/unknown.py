@@ -115,7 +115,7 @@ def _hinted(search: Search, last: Table, structure: Structure) -> Signature:
 
 
 def _strength(search: Search, option: Option) -> Floats:
-    """Return how far each coefficient of a rejected candidate is from nothing, in thirds of what is detectable."""
+    """Return how far a rejected candidate's coefficients are from nothing, in units of what is detectable."""
     evidence = search.forms["raw"]
     gamma, _ = fit(evidence, search.present(), [evidence.index(option.columns)], search.y())
     physical = gamma[0] * evidence.scale[evidence.index(option.columns)]
