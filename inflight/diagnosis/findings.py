@@ -109,7 +109,7 @@ def lag_profile(search: Search, option: Option) -> LagProfile | None:
 
 
 def _worst_mimics(search: Search, option: Option, found: Estimate) -> list[tuple[str, float]]:
-    """Return the calibration's parameters that shift most, in their usual size, when the effect is ignored."""
+    """Return the calibration's parameters that shift most, in their usual size, if the effect is ignored."""
     shifts = mimics(search, option, found.value)
     scale = dict(zip(search.raw.names, search.raw.scale, strict=True))
     ordered = sorted(shifts, key=lambda pair: -abs(pair[1]) / scale[pair[0]])
