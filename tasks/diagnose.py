@@ -383,7 +383,7 @@ def carriers_of(library: Library) -> Carriers:
 
 def material_of(made: Prepared, mission: Mission) -> Material:
     """Return what a verdict needs beside the search."""
-    effects: Mapping[str, Term] = {term.key: term for term in made.plan.library.all_terms}
+    effects: dict[str, Term] = {term.key: term for term in made.plan.library.all_terms}
     return Material(
         mission,
         made.used.model,
@@ -395,4 +395,5 @@ def material_of(made: Prepared, mission: Mission) -> Material:
         made.loaded.floor,
         made.context,
         made.run,
+        made.plan.memory_s,
     )

@@ -24,8 +24,8 @@ from inflight.time import DAY, SECOND, day_bounds
 
 #: Days looked at, evenly spread, and samples of each that enter the fit.
 _DAYS, _SAMPLES = 12, 20_000
-#: Blocks that are wanted of a record of days and of weeks, and blocks of a long one at most.
-SHORT_BLOCKS, SHORT_DAYS, WANTED_BLOCKS, MOST_BLOCKS = 96, 8, 48, 200
+#: Blocks that are wanted of a record, and blocks of a long one at most.
+WANTED_BLOCKS, MOST_BLOCKS = 96, 200
 #: Correlation time the prewhitened form assumes, s; a fiftieth of the span when that is less.
 MEMORY_S = 600.0
 #: The library's cadence for spans of up to so many days, s.
@@ -224,5 +224,4 @@ def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int
         return 1, -(-days // MOST_BLOCKS)
     day_ns = span_ns / days
     most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
-    wanted = SHORT_BLOCKS if days <= SHORT_DAYS else WANTED_BLOCKS
-    return int(np.clip(-(-wanted // days), 1, most)), 1
+    return int(np.clip(-(-WANTED_BLOCKS // days), 1, most)), 1

@@ -16,7 +16,7 @@ from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.scoring import Index, Present, block_scores, half_inverse, projected
 
 #: Independent spans whose signs are flipped, at most.
-MOST_UNITS = 60
+MOST_UNITS = 120
 
 
 def flip_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:

@@ -15,6 +15,7 @@ from inflight.diagnosis.evidence import Evidence, solve_scaled
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.search import Search
 from inflight.diagnosis.series import Series
+from inflight.time import SECOND
 
 #: Lags of the residual's covariance that tell structure from noise, in rows of the series.
 _LAGS = 6
@@ -75,7 +76,7 @@ def residual_left(
     used = {key for option in options for key in option.terms}
     wanted += [terms[key] for key in sorted(used)]
     channels = {name for term in wanted for name in term.entry.effect.channels if name}
-    rows = series.rows(turn, _made_channels(series, channels))
+    rows = series.rows(turn, made_channels(series, channels))
     names = [name for term in wanted for name in term.columns]
     columns = design(wanted, rows)
     for option in options:
@@ -133,8 +134,10 @@ def _base_values(
     return -solve_scaled(total[np.ix_(inner, inner)] + np.diag(precision), right)
 
 
-def _made_channels(series: Series, names: set[str]) -> dict[str, xr.Variable]:
-    """Return derived channels on the series' own rows."""
+def made_channels(
+    series: Series, names: set[str], shifts: Mapping[str, float] | None = None
+) -> dict[str, xr.Variable]:
+    """Return derived channels on the series' own rows; placebos shifted by `shifts`, seconds."""
     out: dict[str, xr.Variable] = {}
     known = set(series.channels)
     for name in names:
@@ -143,7 +146,7 @@ def _made_channels(series: Series, names: set[str]) -> dict[str, xr.Variable]:
         factors = []
         for part in parse(name).parts:
             values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
-            factors.append(_part(series, part, values))
+            factors.append(_part(series, part, values, shifts or {}))
         made = product(factors)
         unit = "*".join(f"({_unit(series, part.channel)})" for part in parse(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
@@ -155,7 +158,10 @@ def _unit(series: Series, channel: str) -> str:
     return series.features.units[names.index(channel)] if channel in names else "1"
 
 
-def _part(series: Series, part: Part, values: Floats) -> Floats:
-    if part.is_plain or part.placebo:
+def _part(series: Series, part: Part, values: Floats, shifts: Mapping[str, float]) -> Floats:
+    if part.placebo:
+        shift = round(shifts.get(f"{part.channel}~{part.placebo}", 0.0) / series.step_s)
+        values = np.roll(values, shift, axis=0)
+    if not (part.lag_s or part.width):
         return values
-    return part.of(values, np.diff(series.tt2000) / 1e9)
+    return part.of(values, np.diff(series.tt2000) / SECOND)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.diagnosis.columns import turns_of
 from inflight.diagnosis.left import residual_left
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.scoring import Present, folds_of, score
@@ -36,19 +37,26 @@ class Material:
         Over native samples: count, square, inside, spikes, and of the noise floor.
     cadence_s : float
         Of the search.
+    memory_s : float
+        Correlation time the prewhitened form assumes, s.
     """
 
     mission: Mission
     model: Model
     linearised: Model
-    terms: Mapping[str, Term]
+    terms: MutableMapping[str, Term]
     series: Series
     sums: Mapping[str, float]
     cadence_s: float
     floor: NoiseFloor
     context: str = ""
     run: str = ""
-    turn: Mapping[str, Floats] | None = None
+    memory_s: float = 600.0
+
+    @property
+    def turn(self) -> dict[str, Floats]:
+        """K of every vector sensor, row by row; (9,) each."""
+        return turns_of(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
 def held_out(search: Search, material: Material) -> float:
@@ -126,4 +134,4 @@ def _correlation_s(series: Series, residual: Floats) -> float:
 
 def left_of(search: Search, material: Material, accepted: bool = True) -> Floats:
     """Return the residual of the series after calibration, model and what was taken; (sample, row)."""
-    return residual_left(search, material.series, material.terms, dict(material.turn or {}), accepted)
+    return residual_left(search, material.series, material.terms, material.turn, accepted)

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from inflight.diagnosis.scoring import fit, half_inverse, projected
 from inflight.diagnosis.search import FORMS, Option, Round, Search, Table
 
 #: A rival must itself be worth this t, and this part of the winner's gain.
 _RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02
+#: A rival that reproduces this part of an effect's square holds it as a special case.
+_CONTAINED = 0.9999
 #: Exchanges of an effect for a better one at most: a search must end.
 _EXCHANGES = 3
 
@@ -188,8 +191,25 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
 
 
 def _same_cause(one: Option, other: Option) -> bool:
-    same = bool(one.channels) and one.channels == other.channels and one.family == other.family
+    same = one.channels == other.channels and one.family == other.family
     return same or one.mechanism == other.mechanism
+
+
+def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
+    """Return True when a rival of more coefficients holds the option as a special case.
+
+    A free delay of each axis holds a delay of all; unless it explains more, it is a wider form and no rival.
+    """
+    if len(rival.columns) <= len(option.columns) or rival.change is not None or option.change is not None:
+        return False
+    evidence = search.forms[form]
+    own, wide = evidence.index(option.columns), evidence.index(rival.columns)
+    left = projected(evidence.total, search.present(form, option))
+    gamma, _ = fit(evidence, search.present(form, option), [own], search.y(form))
+    shared = left[np.ix_(wide, own)] @ gamma[0]
+    half = half_inverse(left[np.ix_(wide, wide)][None])[0]
+    whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
+    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > _CONTAINED * whole
 
 
 def _place_of(table: Table, option: Option) -> int | None:
@@ -224,7 +244,8 @@ def standing(search: Search, option: Option, table: Table) -> Standing:
         if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
             continue
         behind = scores.behind(other, place)
-        if behind < search.rules.rival_t and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
+        near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
+        if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
     return Standing(
         option,

@@ -19,7 +19,7 @@ Index = npt.NDArray[np.int64]
 #: Directions of a candidate that keep less than this of their own variance beside its others are dropped.
 _EIGEN_CUT = 1e-6
 #: A block in which less than this part of a column's largest block is left says nothing of it.
-_QUIET = 1e-6
+_QUIET = 1e-2
 #: Folds of the cross-validation at most.
 FOLDS = 13
 

@@ -161,7 +161,7 @@ class Search:
             for one in self.library.candidates
         ]
         self.variance = self._variance()
-        self._absorb()
+        self.absorb()
         live = set(np.array(self.forms["raw"].names)[np.diagonal(self.forms["raw"].total) > 0])
         dead = [option for option in self.options if not set(option.columns) & live]
         left = {one.mechanism for one in self.options} - {one.mechanism for one in dead}
@@ -194,7 +194,8 @@ class Search:
         each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
         return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
 
-    def _absorb(self) -> None:
+    def absorb(self) -> None:
+        """Make the three forms anew from the evidence."""
         names, sigma = self._base()
         precision = self.precision(self.raw, names, sigma)
         self.forms = {
@@ -293,7 +294,7 @@ class Search:
         if option.change is not None and not set(option.columns) <= set(self.raw.names):
             self.raw = self.raw.expand(option.change.functions)
             self.white = self.white.expand(option.change.functions)
-            self._absorb()
+            self.absorb()
         self.accepted.append(option)
 
     def drop(self, option: Option) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect, Verdict
+from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect, Signature, Verdict
 from inflight.diagnosis.findings import WEAK, candidates, confusion, effect, lag_profile, refined, unscorable
 from inflight.diagnosis.left import structure_of
 from inflight.diagnosis.material import Material, effective_blocks, held_out, left_of, native_rms
 from inflight.diagnosis.rounds import Standing, run, settle
-from inflight.diagnosis.search import Search
+from inflight.diagnosis.search import Search, Table
+from inflight.diagnosis.second import look_again
 from inflight.diagnosis.unknown import Unknown, known_periods, look_at
 from inflight.diagnosis.words import sentence, stopped
 
@@ -18,7 +19,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     """Run the rounds and say what they mean."""
     first = search.table()
     before = held_out(search, material)
-    last = run(search) if search.rules.rounds else first
+    last = _rounds(search, material, first) if search.rules.rounds else first
     standings = settle(search)
     if standings:
         last = search.table()
@@ -40,6 +41,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         "structure_t": unknown.structure.t,
     }
     signature = unknown.signature if remaining == "UNKNOWN_EFFECT" else None
+    own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _of_shape(effects[0])
     told = {
         "effects": effects,
         "signature": signature,
@@ -55,7 +57,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         rivals,
         separating,
         unscorable(search),
-        signature if verdict in ("UNKNOWN_EFFECT", "NOT_IDENTIFIABLE") else None,
+        own if verdict == "UNKNOWN_EFFECT" else None,
         {"verdict": remaining, "signature": signature},
         residual,
         tuple(one.as_json() for one in search.rounds),
@@ -70,6 +72,17 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     )
 
 
+def _rounds(search: Search, material: Material, first: Table) -> Table:
+    """Run the rounds, and once more with products of channels when something is left."""
+    last = run(search)
+    left = left_of(search, material)
+    seen = look_at(search, material, last, left, structure_of(material.series, left))
+    taken = sum(option.change is None for option in search.accepted)
+    if not seen.is_sure or taken >= search.rules.rounds or not look_again(search, material, [first, last]):
+        return last
+    return run(search)
+
+
 def _verdict(effects: tuple[FoundEffect, ...], standings: list[Standing], remaining: Verdict) -> Verdict:
     """Return the verdict about the residual as found."""
     if not effects:
@@ -79,6 +92,18 @@ def _verdict(effects: tuple[FoundEffect, ...], standings: list[Standing], remain
     if all(one.option.agnostic for one in standings):
         return "UNKNOWN_EFFECT"
     return "FOUND"
+
+
+def _of_shape(effect: FoundEffect) -> Signature:
+    """Return the signature of an effect that was taken for its shape and names no cause."""
+    return Signature(
+        channel="*".join(effect.channels) or None,
+        lag_s=effect.lag_s,
+        axis=effect.axes[0] if len(effect.axes) == 1 else None,
+        shape=effect.name,
+        amplitude_nT=effect.rms_nT,
+        gain=effect.gain,
+    )
 
 
 def _remaining(unknown: Unknown, independent: float, fewest: int) -> Verdict:

@@ -1,0 +1,165 @@
+"""A second look: fields that follow the product of two channels.
+
+All pairs of all channels would be too many columns for every mission. When the rounds leave something
+unexplained, the pairs of the most telling channels are made from the coarse series, with all their
+products with every other column, and join the evidence as candidates like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.diagnosis.columns import Rows, design
+from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.gram import prewhiten
+from inflight.diagnosis.left import made_channels
+from inflight.diagnosis.library import Term
+from inflight.diagnosis.material import Material
+from inflight.diagnosis.search import Option, Search, Table
+from inflight.errors import InflightError
+from inflight.model import make_effect
+from inflight.sensors import sensors_of
+from inflight.time import DAY
+
+#: Channels that are paired: the most telling ones.
+_CHANNELS = 8
+
+
+def look_again(search: Search, material: Material, tables: Sequence[Table]) -> bool:
+    """Add products of the most telling channels to the search's candidates; return whether there were any."""
+    names = telling_channels(search, material, tables)
+    known = {option.mechanism for option in search.options}
+    terms = [
+        term
+        for one, other in combinations(names, 2)
+        if (term := _product(material, one, other)) is not None and term.key not in known
+    ]
+    if not terms:
+        return False
+    raw, white = _bordered(search, material, terms)
+    search.raw, search.white = raw, white
+    for term in terms:
+        search.library.terms[term.key] = material.terms[term.key] = term
+        channels = tuple(term.entry.effect.channels[0].split("*"))
+        search.options.append(
+            Option(term.key, term.key, "unknown", tuple(term.columns), channels, (term.key,), agnostic=True)
+        )
+    search.absorb()
+    return True
+
+
+def telling_channels(search: Search, material: Material, tables: Sequence[Table]) -> list[str]:
+    """Return the channels whose own effects explain most, by any round's scores; those taken come first."""
+    there = set(material.series.channels)
+    gains = {channel: np.inf for option in search.accepted for channel in option.channels if channel in there}
+    for table in tables:
+        scores = table.scores["raw"]
+        for place, option in enumerate(table.options):
+            if option.placebo or len(option.channels) != 1 or option.channels[0] not in there:
+                continue
+            name = option.channels[0]
+            if material.series[name].ndim == 1 and scores.t[place] > 1.0:
+                gains[name] = max(gains.get(name, 0.0), float(scores.gain[place]))
+    scalars = [name for name in gains if material.series[name].ndim == 1]
+    return sorted(sorted(scalars), key=lambda name: -gains[name])[:_CHANNELS]
+
+
+def _product(material: Material, one: str, other: str) -> Term | None:
+    sensors = sensors_of(material.mission, material.model.comparison)
+    first = next(iter(material.series.features.sensors))
+    entry = {"effect": "channel_field", "channel": f"{one}*{other}", "sensor": first}
+    try:
+        made = make_effect(entry, sensors, material.model.own, material.mission)
+    except InflightError:
+        return None
+    return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
+
+
+def _bordered(search: Search, material: Material, terms: Sequence[Term]) -> tuple[Evidence, Evidence]:
+    """Return raw and prewhitened evidence with the terms' columns joined to all others."""
+    series = material.series
+    every = [*search.library.all_terms, *terms]
+    channels = {name for term in every for name in term.entry.effect.channels if name}
+    made = made_channels(series, channels, search.library.placebos)
+    rows = series.rows(material.turn, made)
+    names = [name for term in every for name in term.columns]
+    fresh = [name for term in terms for name in term.columns]
+    grams = [np.zeros((len(search.raw), len(names) + 1, len(fresh))) for _ in range(2)]
+    day = (series.tt2000 - series.tt2000[0]) // DAY
+    for part in _runs(day):
+        piece = _cut(rows, part)
+        columns = np.concatenate([design(every, piece), piece.residual[:, :, None]], axis=2)
+        stamps = series.tt2000[part]
+        for gram, values in zip(
+            grams, (columns, prewhiten(columns, piece.weight, stamps, material.memory_s)), strict=True
+        ):
+            _add(gram, values, piece.weight, series.block[part], len(fresh))
+    changes = {
+        name: told
+        for option in search.accepted
+        if option.change
+        for name, told in option.change.functions.items()
+    }
+    return (
+        _joined(search.raw, grams[0], names, terms, changes),
+        _joined(search.white, grams[1], names, terms, changes),
+    )
+
+
+def _runs(day: np.ndarray) -> list[slice]:
+    edges = [0, *(np.flatnonzero(np.diff(day)) + 1).tolist(), len(day)]
+    return [slice(a, b) for a, b in pairwise(edges) if b > a]
+
+
+def _cut(rows: Rows, part: slice) -> Rows:
+    return replace(
+        rows,
+        samples=rows.samples.isel(time=part),
+        residual=rows.residual[part],
+        directions={name: one[part] for name, one in rows.directions.items()},
+        weight=rows.weight[part],
+    )
+
+
+def _add(gram: Floats, values: Floats, weight: Floats, block: np.ndarray, fresh: int) -> None:
+    """Add products of all columns with the fresh ones, block by block; the residual stands last."""
+    root = np.sqrt(weight)[:, None, None]
+    scaled = values * root
+    for one in np.unique(block):
+        flat = scaled[block == one].reshape(-1, values.shape[2])
+        gram[one] += flat.T @ flat[:, -1 - fresh : -1]
+
+
+def _joined(
+    evidence: Evidence,
+    gram: Floats,
+    names: Sequence[str],
+    terms: Sequence[Term],
+    changes: dict[str, tuple[str, Floats]],
+) -> Evidence:
+    """Return the evidence with the fresh columns before its residuals."""
+    fresh = [name for term in terms for name in term.columns]
+    scale = np.array([one for term in terms for one in term.scale])
+    places = {name: place for place, name in enumerate([*names, "residual"])}
+    own = len(evidence.names) - len(evidence.residuals)
+    count, width = len(fresh), len(evidence.names)
+    across = np.zeros((len(evidence), width, count))
+    for place, name in enumerate(evidence.names):
+        source, factor = changes.get(name, (name, None))
+        if source in places:
+            piece = gram[:, places[source]]
+            across[:, place] = piece if factor is None else piece * np.asarray(factor)[:, None]
+    inner = gram[:, [places[name] for name in fresh]]
+    order = [*range(own), *range(width, width + count), *range(own, width)]
+    whole = np.block([[evidence.gram, across], [across.transpose(0, 2, 1), inner]])
+    return replace(
+        evidence,
+        names=tuple([*evidence.names, *fresh][place] for place in order),
+        gram=whole[:, order][:, :, order],
+        scale=np.concatenate([evidence.scale, scale])[order],
+    )
