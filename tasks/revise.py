@@ -22,7 +22,7 @@ from inflight.diagnosis.library import Library, Term
 from inflight.diagnosis.refit import Fitted, Ground, variance_of
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.verdict import conclude
-from inflight.diagnosis.wanted import Wanted, best_lag, find_wanted, known_addition
+from inflight.diagnosis.wanted import best_lag, find_wanted, known_addition
 from inflight.effects.naming import did_you_mean
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import ModelError
@@ -167,16 +167,13 @@ class Workbench:
             When nothing is called so, or it cannot be fitted.
         """
         wanted = find_wanted(self.maker, effect)
-        return self._add(wanted)
-
-    def _add(self, wanted: Wanted) -> Revision:
         addition = wanted.addition
         if wanted.bank:
             ground, fixed = self._ground([*self.additions, addition], self.dropped)
             lag = best_lag(ground, fixed, [c for one in self.additions for c in one.columns], wanted.bank)
             addition = wanted.at_lag(lag)
-        name = f"add {addition.name}"
-        return self._revise("add", name, [*self.additions, addition], self.dropped, addition)
+        more = [*self.additions, addition]
+        return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
 
     def drop(self, name: str) -> Revision:
         """Take an effect out of the model and fit everything anew.
@@ -358,7 +355,9 @@ class Workbench:
     def diagnose(self) -> Diagnosis:
         """Search what is missing from the present version; its evidence is made anew when it has none."""
         self._refresh()
-        return conclude(self._search, material_of(self.made, self.mission))
+        material = material_of(self.made, self.mission)
+        model = replace(material.model, version=self.root.version)
+        return conclude(self._search, replace(material, model=model))
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""

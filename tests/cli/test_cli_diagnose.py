@@ -1,0 +1,145 @@
+"""The missing effect by the command line: found, added, dropped, taken back, told to people and programs."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import pytest
+from heated_mission import make_heated_workspace
+from tiny_mission import TINY_YAML
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.tasks.diagnose import diagnose
+from inflight.tasks.diagnosing import last_diagnosis
+
+EFFECT = "channel_field(heater_current)"
+
+
+@pytest.fixture(scope="module")
+def heated(tmp_path_factory) -> Workspace:
+    """A workspace with a heater's field hidden, and evidence of its library; copied, never changed."""
+    made = make_heated_workspace(tmp_path_factory.mktemp("heated") / "heated")
+    diagnose(Catalog(made.root), made.mission())
+    return made
+
+
+@pytest.fixture
+def root(heated, tmp_path):
+    shutil.copytree(heated.root, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def test_diagnose_prints_the_fields_of_a_diagnosis_and_keeps_them(inflight, root):
+    told = inflight("diagnose", "--no-prefect", "--json", "-w", root)
+    assert told.code == 0
+    found = told.json
+    wanted = diagnose(Catalog(root), Workspace.open(root).mission()).as_json()
+    assert set(found) == set(wanted)
+    assert (found["command"], found["verdict"], found["effects"]) == (
+        "diagnose",
+        "FOUND",
+        wanted["effects"],
+    )
+    kept = last_diagnosis(Workspace.open(root))
+    assert kept.pop("asked")["settings"]["comparison"] == "main"
+    assert kept == found
+    assert not list((root / "reports").glob("*.part"))
+
+
+def test_diagnose_tells_a_person_what_was_found_and_what_to_type_next(inflight, root):
+    told = inflight("diagnose", "--no-prefect", "--rounds", 1, "-w", root).out
+    for part in (
+        "FOUND",
+        "follows heater_current on x, z",
+        "nT/mA",
+        "noise floor",
+        "(ghost)",
+        "why it stopped",
+    ):
+        assert part in told
+    assert f'next: inflight add "{EFFECT}"' in told
+
+
+def test_add_drop_and_undo_are_versions_with_errors_before_and_after(inflight, root):
+    added = inflight("add", EFFECT, "--json", "-w", root).json
+    assert added["command"] == "add"
+    assert added["model"] == {"name": "tiny-ideal", "version": 2, "parent": 1}
+    before, after = added["error"]["held_out_nT"]
+    assert after < 0.3 * before
+    assert {"parameter", "by", "sigma", "unit"} <= set(added["moved"][0])
+    dropped = inflight("drop", "channel_field_heater_current", "--json", "-w", root).json
+    assert dropped["error"]["held_out_nT"] == pytest.approx([after, before])
+    undone = inflight("undo", "--json", "-w", root).json
+    assert undone["model"] == {"name": "tiny-ideal", "version": 4, "parent": 3}
+    assert undone["error"]["held_out_nT"] == pytest.approx([before, after])
+    items = inflight("model", "history", "--json", "-w", root).json["items"]
+    assert [item["used"] for item in items] == [False, False, False, True]
+    assert "back to version 2" in items[-1]["message"]
+
+
+def test_an_added_effect_is_told_to_a_person(inflight, root, tmp_path):
+    entry = tmp_path / "entry.yaml"
+    entry.write_text("- {effect: channel_field, name: leak, channel: heater_current}\n", encoding="utf-8")
+    told = inflight("add", entry, "-w", root).out
+    assert "tiny-ideal version 2: add channel_field(heater_current): residual" in told
+    assert "leak.coefficient[x]" in told
+    assert "vector_sensor.offset[x]" in told
+    assert "inflight reprocess" in told
+
+
+def test_auto_saves_what_it_found_and_the_next_one_finds_nothing(inflight, root):
+    told = inflight("auto", "--no-prefect", "--json", "-w", root).json
+    assert (told["command"], [one["effect"] for one in told["versions"]]) == ("auto", [f"auto: add {EFFECT}"])
+    assert told["stopped"]
+    again = inflight("auto", "--no-prefect", "--workers", 1, "-w", root)
+    assert again.code == 0
+    assert "NOTHING_LEFT" in again.out
+    assert last_diagnosis(Workspace.open(root))["model"]["version"] == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("add", "chanel_field(heater_current)"), 1, "did you mean 'channel_field(heater_current)'"),
+        (("drop", "heater"), 1, "has no effect 'heater'"),
+        (("undo",), 1, "where it began"),
+        (("add", "nowhere.yaml"), 2, "nowhere.yaml"),
+        (("diagnose", "--comparison", "mian"), 2, "did you mean 'main'"),
+        (("diagnose", "--no-prefect", "--start", "2030-01-01"), 1, "no day of the span"),
+        (("diagnose", "--no-prefect", "--start", "soon"), 2, "is no date"),
+    ],
+)
+def test_wrong_commands_are_answered_with_what_is_wrong(inflight, root, arguments, code, message):
+    told = inflight(*arguments, "--json", "-w", root)
+    assert told.code == code
+    assert message in told.json["error"]["message"]
+    assert told.json["error"]["remedy"]
+
+
+def test_a_comparison_without_rows_is_refused(inflight, tmp_path):
+    (tmp_path / "spin.yaml").write_text(
+        TINY_YAML.replace(
+            "{kind: scalar, vector: turning, scalar: absolute}", "{kind: spin, vector: turning}"
+        ),
+        encoding="utf-8",
+    )
+    made = Workspace.create(tmp_path / "spin", tmp_path / "spin.yaml")
+    told = inflight("diagnose", "--json", "-w", made.root)
+    assert told.code == 2
+    assert "kind 'spin'" in told.json["error"]["message"]
+
+
+def test_help_does_not_wait_for_what_it_does_not_need():
+    code = """
+import json, sys
+from inflight.cli import main
+try:
+    main(["add", "--help"])
+except SystemExit:
+    heavy = ("prefect", "bokeh", "numba", "xarray", "dask")
+    print(json.dumps([name for name in heavy if name in sys.modules]))
+"""
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(told.stdout.splitlines()[-1]) == []
