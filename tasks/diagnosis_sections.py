@@ -119,10 +119,10 @@ def rivals_apart(found: Diagnosis) -> list[str]:
 
 def fails_here(seen: Seen) -> Section:
     """Return heat maps, and the residual against the field's direction."""
-    plots = [plot for one in heat_maps(seen) for plot in heat_map_figures(one)]
+    plots = [plot for one in heat_maps(seen) for plot in heat_map_figures(one, seen.changed)]
     note = [
         "Vertical bands follow the orbit (an eclipse: edges that move with the season), horizontal ones are "
-        "days or steps. Both maps share one scale of colours; the calibration is fitted in both."
+        "days or steps. The calibration is fitted before and after; both share one scale of colours."
     ]
     if not seen.is_scalar:
         note.append(f"The residual has several rows; row {'xyz'[seen.row]}, the largest, is drawn.")
@@ -163,8 +163,9 @@ def _channels(seen: Seen, found: Diagnosis) -> list[str]:
 
 def spectrum(seen: Seen, material: Material) -> Section:
     """Return the periodograms along each axis before and after."""
-    before, after = (_periodogram(seen, material, values) for values in (seen.before, seen.after))
-    if before is None or after is None:
+    after = _periodogram(seen, material, seen.after)
+    before = _periodogram(seen, material, seen.before) if seen.changed else None
+    if after is None:
         return "Spectrum along each axis", [], []
     stated = {name: period / SECOND for name, period in material.mission.periods.items()}
     known = drawn_periods(named_periods(stated, None))
@@ -181,7 +182,10 @@ def spectrum(seen: Seen, material: Material) -> Section:
 
 def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodogram | None:
     series = seen.series
-    return periodogram(series.tt2000, values, series.direction(), series["weight"], known_periods(material))
+    weight = np.where(seen.good, series["weight"], 0.0)
+    return periodogram(
+        series.tt2000, np.nan_to_num(values), series.direction(), weight, known_periods(material)
+    )
 
 
 # Which effect.
@@ -215,17 +219,12 @@ def error_falls(seen: Seen, search: Search, material: Material, found: Diagnosis
     steps = waterfall(search, material)
     start, end = float(told["held_out_before_nT"]), float(told["held_out_after_nT"])
     sizes = sizes_of(seen)
+    states = _STATES if seen.changed else ("now", "now")
     plots = [
         waterfall_figure(steps, start, end, (floor[0], floor[1], floor[2])),
         *([order_figure(steps, start)] if len(steps) > 1 else []),
-        daily_figure(
-            to_utc(sizes.day),
-            sizes.rms["before"],
-            sizes.rms["after"],
-            float("nan"),
-            _STATES,
-        ),
-        histogram_figure(sizes.edges, sizes.counts["before"], sizes.counts["after"], _STATES),
+        daily_figure(to_utc(sizes.day), sizes.rms["before"], sizes.rms["after"], float("nan"), states),
+        histogram_figure(sizes.edges, sizes.counts["before"], sizes.counts["after"], states),
     ]
     note = (
         "Steps of the error are held out, and what a step removes depends on what was there before it: "

@@ -15,7 +15,7 @@ from inflight.dependence import jackknife
 from inflight.diagnosis.material import Material, left_of
 from inflight.diagnosis.search import Search
 from inflight.diagnosis.series import Series
-from inflight.time import DAY, SECOND, Int64
+from inflight.time import DAY, SECOND, Int64, to_utc
 
 #: Rows and columns of a heat map at most, and coordinates that are drawn.
 MAP_ROWS, MAP_COLUMNS, _MAPS = 84, 72, 2
@@ -23,6 +23,8 @@ MAP_ROWS, MAP_COLUMNS, _MAPS = 84, 72, 2
 BINS, FEWEST, MOST_SAMPLES = 12, 12, 250_000
 #: Bins of the histogram, and days drawn at most.
 _HISTOGRAM, _DAYS = 120, 1000
+#: Parts of a bin of time that its error is taken from; the least range of a direction that is drawn.
+_PARTS, _TURNED = 8, 0.2
 #: Coordinates of a heat map with unit and whole turn, the one that tells most first.
 _COORDINATES = {
     "orbit_phase": ("deg", 360.0),
@@ -55,6 +57,11 @@ class Seen:
         """Samples with a residual; (sample,)."""
         finite = np.isfinite(self.before).all(axis=1) & np.isfinite(self.after).all(axis=1)
         return np.asarray((self.series["weight"] > 0) & finite)
+
+    @property
+    def changed(self) -> bool:
+        """True when something was found: else there is no after."""
+        return not bool(np.array_equal(self.before, self.after, equal_nan=True))
 
     @property
     def row(self) -> int:
@@ -124,14 +131,16 @@ def heat_maps(seen: Seen) -> list[HeatMap]:
     length = _row_length(series.tt2000)
     place = (series.tt2000 - series.tt2000[0]) // length
     first, rows = int(series.tt2000[0]), int(place[-1]) + 1
+    # No more columns than a row has samples, or every other one were empty.
+    columns = int(np.clip(length / (SECOND * series.step_s), 4, MAP_COLUMNS))
     span = (first, first + rows * length)
     out = []
     for name in varied[:_MAPS]:
         unit, reach = _COORDINATES[name]
-        out.append(_map(seen, name, unit, reach, series[name], place, span))
+        out.append(_map(seen, (name, unit, reach), series[name], place, span, MAP_COLUMNS))
     if not out:
         name, unit, reach, values = _time_coordinate(series.tt2000, length)
-        out.append(_map(seen, name, unit, reach, values, place, span))
+        out.append(_map(seen, (name, unit, reach), values, place, span, columns))
     return out
 
 
@@ -151,26 +160,32 @@ def _row_length(tt2000: Int64) -> int:
 
 def _time_coordinate(tt2000: Int64, length: int) -> tuple[str, str, float, Floats]:
     if length >= DAY:
-        hours = ((tt2000 - tt2000[0]) % DAY) / (3600.0 * SECOND)
-        return "hours since the record's start, each day", "h", 24.0, hours
+        utc = to_utc(tt2000)
+        return "time of day (UTC)", "h", 24.0, (utc - utc.astype("datetime64[D]")) / np.timedelta64(1, "h")
     seconds = ((tt2000 - tt2000[0]) % length) / SECOND
     return "time within the row", "s", length / SECOND, seconds
 
 
 def _map(
-    seen: Seen, name: str, unit: str, reach: float, values: Floats, place: Int64, span: tuple[int, int]
+    seen: Seen,
+    axis: tuple[str, str, float],
+    values: Floats,
+    place: Int64,
+    span: tuple[int, int],
+    columns: int,
 ) -> HeatMap:
+    name, unit, reach = axis
     good = seen.good & np.isfinite(values)
-    column = np.clip((values[good] % reach / reach * MAP_COLUMNS).astype(np.int64), 0, MAP_COLUMNS - 1)
+    column = np.clip((values[good] % reach / reach * columns).astype(np.int64), 0, columns - 1)
     rows = int(place[-1]) + 1
-    cell = place[good] * MAP_COLUMNS + column
+    cell = place[good] * columns + column
     weight = seen.series["weight"][good]
-    total = np.bincount(cell, weights=weight, minlength=rows * MAP_COLUMNS)
+    total = np.bincount(cell, weights=weight, minlength=rows * columns)
     means = []
     for which in ("before", "after"):
         summed = np.bincount(cell, weights=weight * seen.of_row(which)[good], minlength=total.size)
         with np.errstate(invalid="ignore", divide="ignore"):
-            means.append(np.where(total > 0, summed / total, np.nan).reshape(rows, MAP_COLUMNS))
+            means.append(np.where(total > 0, summed / total, np.nan).reshape(rows, columns))
     return HeatMap(name, unit, span, reach, means[0], means[1])
 
 
@@ -195,12 +210,15 @@ def along_field(seen: Seen, axis: int = 2) -> dict[str, list[Curve]]:
     Returns
     -------
     dict of str to list of Curve
-        ``before`` and ``after``; empty when the residual has several rows.
+        ``before``, and ``after`` when something was found; empty when the residual has several rows, or
+        the field's direction hardly turns.
     """
     if not seen.is_scalar:
         return {}
     thin = seen.thinned()
     part = thin.series.direction()[:, 0, axis]
+    if not thin.good.any() or np.ptp(part[thin.good]) < _TURNED:
+        return {}
     sides = {"all": np.ones(part.size, dtype=bool)}
     if "sunlit" in thin.series.channels:
         lit = thin.series["sunlit"] > 0.5
@@ -208,7 +226,7 @@ def along_field(seen: Seen, axis: int = 2) -> dict[str, list[Curve]]:
             sides = {"day": lit, "night": ~lit}
     edges = np.linspace(-1.0, 1.0, 2 * BINS + 1)
     out: dict[str, list[Curve]] = {}
-    for which in ("before", "after"):
+    for which in ("before", "after") if seen.changed else ("before",):
         values = thin.of_row(which)
         out[which] = [_means(label, part, values, thin.block, edges, side) for label, side in sides.items()]
     return out
@@ -282,7 +300,8 @@ def epoch(seen: Seen, when: int, width: int = 40) -> dict[str, Curve]:
     inside = float(min(max(days[-1], 0.1), max(-days[0], 0.1), 10.0))
     edges = np.linspace(-inside, inside, width + 1)
     near = np.abs(days) < inside
+    # A bin of time lies within one block of the search: its error is that between its own parts.
+    part = np.floor((days + inside) / (edges[1] - edges[0]) * _PARTS).astype(np.int64)
     return {
-        which: _means(which, days, seen.of_row(which), seen.series.block, edges, near)
-        for which in ("before", "after")
+        which: _means(which, days, seen.of_row(which), part, edges, near) for which in ("before", "after")
     }

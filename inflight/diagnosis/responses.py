@@ -25,7 +25,8 @@ class Response:
     Attributes
     ----------
     branches : dict of str to list of Curve
-        ``rising``, ``falling`` (or ``all`` of a channel that hardly turns) and ``after``, by axis.
+        ``rising``, ``falling`` (or ``all`` of a channel that hardly turns), by axis, and ``after`` when
+        something was found.
     low, high : list of ndarray, shape (bin,)
         Envelope, by axis, of what the channel at other times explains: what chance does.
     """
@@ -80,12 +81,13 @@ def _response(seen: Seen, u: Floats, name: str) -> Response | None:
         found = _fields("rising", x, place, before, u, seen.block, both)
         branches["rising"] = found[0]
         branches["falling"] = [Curve("falling", one.centre, one.mean, one.sigma) for one in found[1]]
-    branches["after"] = _fields("after", x, place, after, u, seen.block, [good])[0]
+    if seen.changed:
+        branches["after"] = _fields("after", x, place, after, u, seen.block, [good])[0]
     chance = list(_chance(seen, u, x, edges, good))
     low = [np.min([one[axis].mean for one in chance], axis=0) for axis in range(3)]
     high = [np.max([one[axis].mean for one in chance], axis=0) for axis in range(3)]
     unit = series.features.units[series.features.names.index(name)]
-    return Response(name, unit, branches, branches["after"][0].centre, low, high)
+    return Response(name, unit, branches, chance[0][0].centre, low, high)
 
 
 def _rising(x: Floats, series: Series) -> Floats | None:
@@ -140,7 +142,8 @@ def _fields(
     gram, right = np.empty((*shape, 3, 3)), np.empty((*shape, 3))
 
     def summed(values: Floats) -> Floats:
-        return np.bincount(cell, weights=values, minlength=shape[0] * shape[1]).reshape(shape)
+        found = np.bincount(cell, weights=values, minlength=shape[0] * shape[1])
+        return np.asarray(found, dtype=np.float64).reshape(shape)
 
     for i in range(3):
         right[..., i] = summed(np.einsum("tr,tr->t", rows[:, :, i], y))

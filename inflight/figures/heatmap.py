@@ -18,16 +18,17 @@ _SPANNED = 0.98
 _WIDTH, _HEIGHT = 560, 330
 
 
-def heat_map_figures(found: HeatMap) -> list[figure]:
-    """Draw a map before and after the found effects; grey cells were not measured."""
+def heat_map_figures(found: HeatMap, changed: bool = True) -> list[figure]:
+    """Draw a map before and after the found effects (`changed`), or one; grey cells were not measured."""
     values = np.abs(found.before[np.isfinite(found.before)])
     limit = float(np.quantile(values, _SPANNED)) if values.size else 0.0
     limit = max(limit, 1e-6)
     label = f"{found.coordinate.replace('_', ' ')} ({found.unit})"
     start, end = (_milliseconds(edge) for edge in found.span)
     plots = []
-    for title, map_ in (("before", found.before), ("after", found.after)):
-        last = title == "after"
+    pair = [("before", found.before), ("after", found.after)]
+    for title, map_ in pair if changed else [("now", found.before)]:
+        last = title != "before"
         # One scale, but a mapper a figure: each becomes a document of its own.
         mapper = LinearColorMapper(palette=DIVERGING, low=-limit, high=limit, nan_color="#d8d8d8")
         plot = plain_figure(

@@ -10,7 +10,7 @@ from inflight.lines import told_period
 _FIELD = re.compile(r"channel_(field|rate|scale)\((?P<channel>.*)\)(?P<rest>(@.*)?)$")
 _LAG = re.compile(r"@lag=([0-9.e+-]+)s")
 _WIDTH = re.compile(r"@width=([0-9.e+-]+)")
-_STAMP = re.compile(r"([@/])(\d{4}-\d\d-\d\d)T[0-9:.]*")
+_STAMP = re.compile(r"([@/])(\d{4}-\d\d-\d\d)T(\d\d:\d\d)(:\d\d)?[0-9.]*")
 _WORDS = {"scale_factor": "scale", "misalignment": "angle", "coefficient": ""}
 _KIND = {"field": "", "rate": "rate of ", "scale": "scale by "}
 
@@ -21,7 +21,14 @@ def short_name(name: str) -> str:
     said = f"{_KIND[found[1]]}{found['channel']}{found['rest']}" if found else name
     said = _LAG.sub(lambda lag: f", lag {told_period(float(lag[1]))}", said)
     said = _WIDTH.sub(lambda width: f", width {float(width[1]):g}", said)
-    return _STAMP.sub(lambda stamp: f"{' ' if stamp[1] == '@' else ' to '}{stamp[2]}", said)
+    return _STAMP.sub(_told_stamp, said)
+
+
+def _told_stamp(stamp: re.Match[str]) -> str:
+    """Return a time with as much of the clock as it needs."""
+    seconds = stamp[4] if stamp[4] not in (None, ":00") else ""
+    clock = f" {stamp[3]}{seconds}" if seconds or stamp[3] != "00:00" else ""
+    return f"{' ' if stamp[1] == '@' else ' to '}{stamp[2]}{clock}"
 
 
 def short_parameter(name: str) -> str:

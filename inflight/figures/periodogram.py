@@ -17,13 +17,17 @@ from inflight.lines import Line
 _PEAKS, _APART = 4, 6
 
 
-def periodogram_figures(before: Periodogram, after: Periodogram, known: Mapping[str, float]) -> list[figure]:
+def periodogram_figures(
+    before: Periodogram | None, after: Periodogram, known: Mapping[str, float]
+) -> list[figure]:
     """Draw dB u_x, dB u_y, dB u_z: amplitude density against period, both logarithmic.
 
     Known periods are named; peaks of what is left that no known period explains are red with their period.
 
     Parameters
     ----------
+    before : Periodogram, optional
+        Absent when nothing was found.
     known : mapping of str to float
         Periods to name, s.
     """
@@ -31,17 +35,18 @@ def periodogram_figures(before: Periodogram, after: Periodogram, known: Mapping[
     plots = [
         spectrum_figure(
             frequency,
-            before.power[axis, 1:],
+            before.power[axis, 1:] if before is not None else None,
             after.power[axis, 1:],
             known,
             [_line(after, axis, at) for at in unexplained_peaks(after, axis)],
             series,
-            labels=("before", "after"),
+            labels=("before", "after" if before is not None else "now"),
         )
         for axis, series in enumerate("xyz")
     ]
     for axis, plot in enumerate(plots):
-        drawn = np.sqrt(np.concatenate([before.power[axis, 1:], after.power[axis, 1:]]))
+        powers = [one.power[axis, 1:] for one in (before, after) if one is not None]
+        drawn = np.sqrt(np.concatenate(powers))
         if (ticks := log_ticks(drawn)) is not None:
             plot.yaxis.ticker = ticks
     return plots

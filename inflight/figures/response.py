@@ -73,15 +73,11 @@ def response_figures(found: Response) -> list[figure]:
                 continue
             colour, marker = _BRANCHES[branch]
             _draw(plot, parts[axis], colour, marker)
-        left = found.branches["after"][axis]
-        known = np.isfinite(left.mean)
-        plot.line(
-            left.centre[known],
-            left.mean[known],
-            color="#111111",
-            line_dash="dotted",
-            line_width=2,
-        )
+        if "after" in found.branches:
+            left = found.branches["after"][axis]
+            known = np.isfinite(left.mean)
+            style = {"color": "#111111", "line_dash": "dotted", "line_width": 2}
+            plot.line(left.centre[known], left.mean[known], **style)
         plots.append(plot)
     return plots
 

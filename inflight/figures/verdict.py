@@ -30,10 +30,7 @@ _WIDTH, _LEFT, _RIGHT = 1080, 10, 1070
 
 def explained(residual: Mapping[str, Any]) -> float:
     """Return which part of the held-out mean square above the noise floor the found effects explain."""
-    before, after, floor = (
-        float(residual[name] or np.nan)
-        for name in ("held_out_before_nT", "held_out_after_nT", "noise_floor_nT")
-    )
+    before, after, floor = _sizes(residual)
     above = before**2 - floor**2
     return (before**2 - after**2) / above if above > 0.05 * floor**2 else np.nan
 
@@ -72,6 +69,12 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
     )
 
 
+def _sizes(residual: Mapping[str, Any]) -> list[float]:
+    """Return the size before, after, and of the noise floor; NaN for none."""
+    names = ("held_out_before_nT", "held_out_after_nT", "noise_floor_nT")
+    return [np.nan if residual[name] is None else float(residual[name]) for name in names]
+
+
 def _lines(sentence: str) -> str:
     """Return a sentence of several findings with each on a line of its own."""
     return "<br>".join(escape(part) for part in sentence.replace("; ", ";\n").split("\n"))
@@ -90,9 +93,8 @@ def _interval(residual: Mapping[str, Any]) -> str:
 
 def _scale(residual: Mapping[str, Any]) -> str:
     """Return a horizontal scale with the residual before and after and the noise floor's interval."""
-    names = ("held_out_before_nT", "held_out_after_nT", "noise_floor_nT")
-    before, after, floor = (float(residual[name] or np.nan) for name in names)
-    most = np.nanmax([before, after, floor, 0.0])
+    before, after, floor = _sizes(residual)
+    most = float(np.nanmax([before, after, floor, 0.0]))
     if not np.isfinite(most) or most <= 0:
         return ""
 

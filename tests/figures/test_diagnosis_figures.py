@@ -380,7 +380,10 @@ def test_the_ledger_says_how_each_step_is_undone():
         ("channel_rate(t)", "rate of t"),
         ("hysteresis(t)@width=2.89e+03", "hysteresis(t), width 2890"),
         ("offset_step@2005-01-28T00:00:00.000000000", "offset_step 2005-01-28"),
-        ("clock_episode@2005-01-01T00:00:00/2005-01-16T12:00:00", "clock_episode 2005-01-01 to 2005-01-16"),
+        (
+            "clock_episode@2005-01-01T00:00:00/2005-01-16T12:00:00",
+            "clock_episode 2005-01-01 to 2005-01-16 12:00",
+        ),
         ("day_night", "day_night"),
     ],
 )
