@@ -74,7 +74,9 @@ def residual_left(
     options = search.accepted if accepted else []
     wanted = [*search.library.base, *search.library.refined]
     used = {key for option in options for key in option.terms}
-    wanted += [terms[key] for key in sorted(used)]
+    carried = {name for one in options if one.change for name, _ in one.change.functions.values()}
+    used |= {key for key, term in terms.items() if carried & set(term.columns)}
+    wanted += [terms[key] for key in sorted(used - {term.key for term in wanted})]
     channels = {name for term in wanted for name in term.entry.effect.channels if name}
     rows = series.rows(turn, made_channels(series, channels))
     names = [name for term in wanted for name in term.columns]

@@ -1,0 +1,143 @@
+"""Workspaces of real measurements, as delivered or with something put in, and what `diagnose` says of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from injections import _ELEMENTS, _OTHERS, ROOT
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect
+from inflight.diagnosis.estimates import sandwich
+from inflight.diagnosis.scoring import Present
+from inflight.diagnosis.search import Option, Search
+from inflight.tasks.diagnose import DiagnoseSettings, conclude, material_of, prepare, search_of
+from inflight.tasks.ingest import ingest
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What was said, and the search that said it."""
+
+    search: Search
+    diagnosis: Diagnosis
+    seconds: float
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the effects found."""
+        return [one.name for one in self.diagnosis.effects]
+
+    @property
+    def told_apart(self) -> set[str]:
+        """Mechanisms named: of effects found and of all that cannot be told from them."""
+        return {one.split("@")[0] for one in self.names} | {
+            str(one["name"]).split("@")[0] for one in self.diagnosis.confusion_set
+        }
+
+    @property
+    def families(self) -> set[str]:
+        """Families of effects found and of all that cannot be told from them."""
+        return {one.family for one in self.diagnosis.effects} | {
+            str(one["family"]) for one in self.diagnosis.confusion_set
+        }
+
+    def effect(self, family: str) -> FoundEffect | None:
+        """Return the effect found of a family, the first of several."""
+        return next((one for one in self.diagnosis.effects if one.family == family), None)
+
+    def option(self, name: str) -> Option:
+        """Return an option of the search by its name."""
+        known = [*self.search.accepted, *self.search.options]
+        return next(one for one in known if one.name == name)
+
+
+def workspace(root: Path, mission: str, changes: Mapping[str, str] | None = None) -> Workspace:
+    """Return a workspace of a shipped mission, some passages of its YAML replaced; each must be there once."""
+    text = (ROOT / "missions" / f"{mission}.yaml").read_text(encoding="utf-8")
+    for old, new in (changes or {}).items():
+        assert text.count(old) == 1, f"missions/{mission}.yaml no longer says {old!r} once"
+        text = text.replace(old, new)
+    models = root.parent / f"{root.name}-yaml" / "models"
+    models.mkdir(parents=True)
+    for preflight in (ROOT / "missions" / "models").glob(f"{mission}*.yaml"):
+        (models / preflight.name).write_text(preflight.read_text(encoding="utf-8"), encoding="utf-8")
+    source = models.parent / f"{mission}.yaml"
+    source.write_text(text, encoding="utf-8")
+    return Workspace.create(root, source)
+
+
+def diagnosed(known: Workspace, data: Path | None, comparison: str = "main") -> Diagnosed:
+    """Ingest the data unless they are there already, and diagnose a comparison."""
+    begun = time.perf_counter()
+    mission, cat = known.mission(), Catalog(known.root)
+    if data is not None:
+        ingest(cat, mission, data)
+    settings = DiagnoseSettings(comparison=comparison)
+    made = prepare(cat, mission, None, None, settings)
+    search = search_of(made, settings)
+    found = conclude(search, material_of(made, mission))
+    return Diagnosed(search, found, time.perf_counter() - begun)
+
+
+def observatory_workspace(
+    root: Path, record: xr.Dataset, extra: Mapping[str, str] | None = None, lemi: str = ""
+) -> tuple[Workspace, Path]:
+    """Return a workspace whose delivered file holds a changed record of the Conrad observatory.
+
+    Parameters
+    ----------
+    extra : mapping of str to str
+        Channels of the record that the mission does not know -> their entries in its YAML.
+    lemi : str
+        More lines of the vector instrument's files.
+    """
+    extra = extra or {}
+    temperature = "      electronics_temperature: {variable: Temperature2, unit: degC, kind: temperature}\n"
+    known = workspace(
+        root,
+        "conrad",
+        {
+            "wic_lemi036_gp20s3_1s_{start:%Y%m%d}_{end:%Y%m%d}.cdf": "observatory.npz",
+            "reader: cdf\n": f"reader: npz\n      time_unit: tt2000\n{lemi}",
+            temperature: temperature + "".join(f"      {name}: {entry}\n" for name, entry in extra.items()),
+        },
+    )
+    source = root.parent / f"{root.name}-data"
+    source.mkdir(parents=True)
+    columns = dict(zip(_ELEMENTS, record["vector"].values.T, strict=True))
+    columns |= {variable: record[name].values for name, variable in _OTHERS.items()}
+    columns |= {name: record[name].values for name in extra}
+    np.savez(source / "observatory.npz", DataTimes=record["tt2000"].values, **columns)
+    return known, source
+
+
+def along(search: Search, option: Option, direction: np.ndarray, before: bool = False) -> tuple[float, float]:
+    """Return the sum of an effect's axes along a direction and its sigma, physical units.
+
+    A field that hardly turns shows its own direction only: no axis is known by itself.
+
+    Parameters
+    ----------
+    before : bool
+        The sigma is that of the scatter around the model without the effect: a third of what `detectable`
+        would say of this direction.
+    """
+    evidence, y = search.forms["raw"], search.y()
+    columns = evidence.index(option.columns)[:3]
+    present = search.present("raw", option)
+    both = Present(np.append(present.columns, columns), np.append(present.precision, np.zeros(3)))
+    if before:
+        value, covariance = sandwich(evidence, both, y)
+    else:
+        value, covariance = sandwich(evidence, search.present(), y)
+        both = search.present()
+    place = [int(np.flatnonzero(both.columns == column)[0]) for column in columns]
+    weight = direction * evidence.scale[columns]
+    return float(weight @ value[place]), float(np.sqrt(weight @ covariance[np.ix_(place, place)] @ weight))
