@@ -120,7 +120,7 @@ def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.
     )
 
 
-def _grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
+def grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
     """Return (positions, columns (candidate, k)) of candidates with the same number of columns."""
     sizes = np.array([len(one) for one in candidates])
     out = []
@@ -153,7 +153,7 @@ def fit(
     gram = projected(evidence.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
-    for positions, columns in _grouped(candidates):
+    for positions, columns in grouped(candidates):
         half = half_inverse(gram[columns[:, :, None], columns[:, None, :]])
         score = np.einsum("cik,ci->ck", half, gram[columns, y])
         values = -np.einsum("cik,ck->ci", half, score)
@@ -184,7 +184,7 @@ def score(
     total = evidence.total
     loss0 = np.zeros(len(evidence))
     loss = np.zeros((len(evidence), len(candidates)))
-    grouped = _grouped(candidates)
+    groups = grouped(candidates)
     p = present.columns
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
         blocks = evidence.gram[fold]
@@ -192,7 +192,7 @@ def score(
         own = present.solve(train)
         base = _quadratic(blocks, p, own[:, y], y)
         loss0[fold] = base
-        for positions, columns in grouped:
+        for positions, columns in groups:
             inner = train[columns[:, :, None], columns[:, None, :]]
             right = train[columns, y]
             if p.size:
