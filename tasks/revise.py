@@ -228,7 +228,8 @@ class Workbench:
     ) -> Revision:
         ground, fixed = self._ground(additions, dropped)
         interleaved = any(one.interleaved for one in (*additions, *self.additions))
-        old = self._ground(self.additions, self.dropped, ground)
+        same = self._held(dropped)[1] == self._held(self.dropped)[1]
+        old = self._ground(self.additions, self.dropped, ground if same else None)
         before = self._fit(*old, self.additions, interleaved)
         after = self._fit(ground, fixed, additions, interleaved)
         model, parent = self._model(ground, additions, dropped, after), self.current.version
@@ -266,11 +267,11 @@ class Workbench:
         Parameters
         ----------
         beside : Ground, optional
-            Taken when it serves as well: what is compared should stand on the same.
+            Taken when it serves: what is compared should stand on the same.
         """
         held, hard = self._held(dropped)
         names = {part for one in additions for column in one.columns for part, _ in column.parts}
-        if beside is not None and names <= set(beside.raw.names) and not hard:
+        if beside is not None and names <= set(beside.raw.names):
             return beside, held
         if names <= set(self.made.loaded.raw.names) and not hard:
             return self._whole, held

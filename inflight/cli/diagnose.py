@@ -90,7 +90,7 @@ def _search(
     """Run the flow, or its plain function, and return the diagnosis."""
     given = {name: value for name, value in asked.items() if value is not None}
     given["comparison"] = _comparison(session, given.get("comparison"))
-    span = {name: given.pop(name) for name in ("start", "end") if name in given}
+    span: dict[str, Any] = {name: given.pop(name) for name in ("start", "end") if name in given}
     parameters: dict[str, Any] = {**span, "settings": given, "save": save}
     report = run_flow(session, "diagnose", parameters, workers=workers, prefect=prefect)
     return {"command": report.command, "run": report.run, "context": report.context, **report.extra}

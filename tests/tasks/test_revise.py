@@ -24,6 +24,22 @@ from inflight.tasks.revise import Workbench
 
 #: What both instruments of the tiny mission read at random, as the residual shows it, nT.
 NOISE = 0.05 * np.sqrt(2)
+#: The heater's field as ground tests would have told it.
+PREFLIGHT = """\
+model: tested
+mission: tiny
+effects:
+  - effect: vector_sensor
+    sensor: turning
+    scale_factor: {time: block, sigma: 0.002}
+    misalignment: {time: block, sigma: 0.05}
+    offset: {time: block, sigma: 50}
+  - effect: channel_field
+    name: leak
+    sensor: turning
+    channel: heater_current
+    coefficient: {unit: nT/A, value: [2.0, 0.0, -1.5], %s}
+"""
 OWN = """\
 from inflight import Effect, Parameter
 
@@ -201,6 +217,23 @@ def test_a_dropped_effect_leaves_the_residual_it_had_explained(bench):
     assert gone.held_out[1] == pytest.approx(first.held_out[0], rel=0.02)
     names = [entry.name for entry in bench.current.model.effects]
     assert names == ["vector_sensor", "channel_field_boom_temperature"]
+
+
+@pytest.mark.parametrize("known", ["sigma: [1.0e-4, 1.0e-4, 1.0e-4]", "free: false"])
+def test_an_effect_of_the_pre_flight_model_can_be_dropped_and_comes_back(workspace, known):
+    (workspace.root / "models").mkdir(exist_ok=True)
+    (workspace.root / "models" / "start.yaml").write_text(PREFLIGHT % known, encoding="utf-8")
+    text = (workspace.root / "mission.yaml").read_text(encoding="utf-8")
+    (workspace.root / "mission.yaml").write_text(text + "preflight: models/start.yaml\n", encoding="utf-8")
+    cat, mission = Catalog(workspace.root), Workspace.open(workspace.root).mission()
+    bench = Workbench(cat, mission)
+    gone = bench.drop("leak")
+    assert gone.held_out[0] == pytest.approx(NOISE, rel=0.03)
+    assert gone.held_out[1] > 4 * NOISE
+    assert Workbench(cat, mission).dropped == ["leak"]
+    back = bench.undo()
+    assert back.held_out[1] == pytest.approx(gone.held_out[0], rel=1e-6)
+    assert [entry.name for entry in current_model(cat, mission).model.effects] == ["vector_sensor", "leak"]
 
 
 def test_a_new_session_goes_on_where_the_last_one_was(workspace, bench):
