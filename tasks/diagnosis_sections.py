@@ -183,9 +183,8 @@ def spectrum(seen: Seen, material: Material) -> Section:
 def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodogram | None:
     series = seen.series
     weight = np.where(seen.good, series["weight"], 0.0)
-    return periodogram(
-        series.tt2000, np.nan_to_num(values), series.direction(), weight, known_periods(material)
-    )
+    known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
+    return periodogram(series.tt2000, known, turned, weight, known_periods(material))
 
 
 # Which effect.

@@ -31,6 +31,8 @@ _COORDINATES = {
     "sun_phase": ("deg", 360.0),
     "local_time": ("h", 24.0),
 }
+#: Units of time, their seconds, and the shortest row they are used for, seconds.
+_CLOCK = (("h", 3600.0, 7200.0), ("min", 60.0, 300.0), ("s", 1.0, 0.0))
 #: Days of a record whose uncertainties are taken between days.
 _DAY_BLOCKS = 10
 
@@ -56,12 +58,14 @@ class Seen:
     def good(self) -> npt.NDArray[np.bool_]:
         """Samples with a residual; (sample,)."""
         finite = np.isfinite(self.before).all(axis=1) & np.isfinite(self.after).all(axis=1)
+        finite &= np.isfinite(self.series.direction()).all(axis=(1, 2))
         return np.asarray((self.series["weight"] > 0) & finite)
 
     @property
     def changed(self) -> bool:
         """True when something was found: else there is no after."""
-        return not bool(np.array_equal(self.before, self.after, equal_nan=True))
+        same: bool = np.array_equal(self.before, self.after, equal_nan=True)
+        return not same
 
     @property
     def row(self) -> int:
@@ -71,7 +75,7 @@ class Seen:
     @property
     def is_scalar(self) -> bool:
         """True when the residual is one number a time."""
-        return self.before.shape[1] == 1
+        return bool(self.before.shape[1] == 1)
 
     def of_row(self, which: str) -> Floats:
         """Return ``before`` or ``after`` of the largest row; (sample,), NaN where there is none."""
@@ -162,8 +166,9 @@ def _time_coordinate(tt2000: Int64, length: int) -> tuple[str, str, float, Float
     if length >= DAY:
         utc = to_utc(tt2000)
         return "time of day (UTC)", "h", 24.0, (utc - utc.astype("datetime64[D]")) / np.timedelta64(1, "h")
-    seconds = ((tt2000 - tt2000[0]) % length) / SECOND
-    return "time within the row", "s", length / SECOND, seconds
+    unit, size = next(one for one in _CLOCK if length >= one[2] * SECOND)[:2]
+    inside = ((tt2000 - tt2000[0]) % length) / (size * SECOND)
+    return "time within the row", unit, length / (size * SECOND), inside
 
 
 def _map(

@@ -14,6 +14,8 @@ from inflight.diagnosis.pictures import BINS, FEWEST, Curve, Seen
 from inflight.diagnosis.series import Series
 from inflight.time import DAY, SECOND, Int64
 
+#: A bin whose field is known worse than this (condition of its equations) is left out.
+_CONDITION = 1e4
 #: Shifts of a channel that its envelope of chance is taken from, in days.
 _SHIFTS = (1.27, 1.61, 2.37, 2.74, 3.43, 3.83)
 
@@ -24,6 +26,8 @@ class Response:
 
     Attributes
     ----------
+    axes : tuple of str
+        ``x``, ``y``, ``z``; ``the field`` alone where the field's direction does not turn enough to tell.
     branches : dict of str to list of Curve
         ``rising``, ``falling`` (or ``all`` of a channel that hardly turns), by axis, and ``after`` when
         something was found.
@@ -33,6 +37,7 @@ class Response:
 
     channel: str
     unit: str
+    axes: tuple[str, ...]
     branches: dict[str, list[Curve]]
     centre: Floats
     low: list[Floats]
@@ -56,11 +61,19 @@ class Response:
 def responses(seen: Seen, channels: Sequence[str]) -> list[Response]:
     """Return the response to each channel that varies; those without enough bins are left out."""
     thin = seen.thinned()
-    u = thin.series.direction()
-    return [found for name in channels for found in [_response(thin, u, name)] if found is not None]
+    u, axes = _directions(thin)
+    return [found for name in channels for found in [_response(thin, u, axes, name)] if found is not None]
 
 
-def _response(seen: Seen, u: Floats, name: str) -> Response | None:
+def _directions(seen: Seen) -> tuple[Floats, tuple[str, ...]]:
+    """Return the direction of each row (sample, row, axis), and what its axes are called."""
+    u = np.where(seen.good[:, None, None], seen.series.direction(), 0.0)
+    if not seen.is_scalar or np.linalg.cond(np.einsum("tra,trb->ab", u, u)) < _CONDITION:
+        return u, ("x", "y", "z")
+    return np.ones((len(u), 1, 1)), ("the field",)
+
+
+def _response(seen: Seen, u: Floats, axes: tuple[str, ...], name: str) -> Response | None:
     series = seen.series
     x = series[name]
     if x.ndim != 1:
@@ -84,10 +97,10 @@ def _response(seen: Seen, u: Floats, name: str) -> Response | None:
     if seen.changed:
         branches["after"] = _fields("after", x, place, after, u, seen.block, [good])[0]
     chance = list(_chance(seen, u, x, edges, good))
-    low = [np.min([one[axis].mean for one in chance], axis=0) for axis in range(3)]
-    high = [np.max([one[axis].mean for one in chance], axis=0) for axis in range(3)]
+    low = [np.min([one[axis].mean for one in chance], axis=0) for axis in range(len(axes))]
+    high = [np.max([one[axis].mean for one in chance], axis=0) for axis in range(len(axes))]
     unit = series.features.units[series.features.names.index(name)]
-    return Response(name, unit, branches, chance[0][0].centre, low, high)
+    return Response(name, unit, axes, branches, chance[0][0].centre, low, high)
 
 
 def _rising(x: Floats, series: Series) -> Floats | None:
@@ -139,34 +152,35 @@ def _fields(
     shape = (int(which.max()) + 1, len(sides) * bins)
     cell = which * shape[1] + side * bins + place[inside]
     y, rows = residual[inside], u[inside]
-    gram, right = np.empty((*shape, 3, 3)), np.empty((*shape, 3))
+    axes = u.shape[2]
+    gram, right = np.empty((*shape, axes, axes)), np.empty((*shape, axes))
 
     def summed(values: Floats) -> Floats:
         found = np.bincount(cell, weights=values, minlength=shape[0] * shape[1])
         return np.asarray(found, dtype=np.float64).reshape(shape)
 
-    for i in range(3):
+    for i in range(axes):
         right[..., i] = summed(np.einsum("tr,tr->t", rows[:, :, i], y))
-        for j in range(i, 3):
+        for j in range(i, axes):
             gram[..., i, j] = gram[..., j, i] = summed(np.einsum("tr,tr->t", rows[:, :, i], rows[:, :, j]))
     count = summed(np.ones(len(y))).sum(axis=0)
     centre = np.divide(summed(x[inside]).sum(axis=0), count, out=np.full(shape[1], np.nan), where=count > 0)
     mean, sigma = _solved(gram, right, count)
     return [
-        [Curve(label, centre[part], mean[part, axis], sigma[part, axis]) for axis in range(3)]
+        [Curve(label, centre[part], mean[part, axis], sigma[part, axis]) for axis in range(axes)]
         for part in (slice(one * bins, (one + 1) * bins) for one in range(len(sides)))
     ]
 
 
 def _solved(gram: Floats, right: Floats, count: Floats) -> tuple[Floats, Floats]:
     """Return each cell's field less the common mean, and its jackknife error over blocks; (cell, axis)."""
-    whole, total = gram.sum(axis=0), right.sum(axis=0)
-    met = (count >= FEWEST) & (np.linalg.cond(whole + 1e-12 * np.eye(3)) < 1e4)
+    whole, total, eye = gram.sum(axis=0), right.sum(axis=0), np.eye(right.shape[-1])
+    met = (count >= FEWEST) & (np.linalg.cond(whole + 1e-12 * eye) < _CONDITION)
     if not met.any():
-        nothing = np.full((count.size, 3), np.nan)
+        nothing = np.full(total.shape, np.nan)
         return nothing, nothing
     share = np.where(met, count, 0.0) / count[met].sum()
-    ridge = 1e-9 * np.maximum(np.trace(whole, axis1=1, axis2=2), 1e-9)[:, None, None] * np.eye(3)
+    ridge = 1e-9 * np.maximum(np.trace(whole, axis1=1, axis2=2), 1e-9)[:, None, None] * eye
     field = np.linalg.solve(whole + ridge, total[..., None])[..., 0]
     field = np.where(met[:, None], field - share @ np.where(met[:, None], field, 0.0), np.nan)
     if len(gram) < 2:

@@ -62,7 +62,7 @@ def response_figures(found: Response) -> list[figure]:
     curves = [curve for branch in found.branches.values() for curve in branch]
     reach = _reach(curves, [*found.low, *found.high])
     label = f"{found.channel} ({found.unit})" if found.unit not in ("", "1") else found.channel
-    for axis, name in enumerate("xyz"):
+    for axis, name in enumerate(found.axes):
         plot = plain_figure(
             f"{found.channel}: field along {name}", label, "nT", height=205, width=384, y_range=reach
         )

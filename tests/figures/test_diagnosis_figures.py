@@ -166,7 +166,7 @@ def response(branches=("rising", "falling"), mean=(0.0, 1.0)):
     found = {name: [curve(name, mean)] * 3 for name in branches}
     found["after"] = [curve("after", (0.0, 0.0))] * 3
     envelope = [np.array([-0.2, -0.2])] * 3, [np.array([0.2, 0.2])] * 3
-    return Response("heater", "mA", found, np.array([1.0, 2.0]), *envelope)
+    return Response("heater", "mA", ("x", "y", "z"), found, np.array([1.0, 2.0]), *envelope)
 
 
 @pytest.mark.parametrize("branches", [("rising", "falling"), ("all",)])

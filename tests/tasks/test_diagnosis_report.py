@@ -315,6 +315,15 @@ def test_a_lagged_effect_opens_a_loop_between_the_branches():
     assert apart[middle] == pytest.approx(expected, rel=0.1)
 
 
+def test_where_the_field_does_not_turn_the_response_is_along_the_field():
+    seen = series_of(8, 60, {"t": wave}, lambda s, u, c: 0.2 * (c["t"] - 20.0))
+    seen.series.values[:, seen.series.features.place("direction:v")] = [0.6, 0.0, 0.8]
+    (found,) = responses(seen, ["t"])
+    assert found.axes == ("the field",)
+    assert found.stands_out(0)
+    assert along_field(seen) == {}
+
+
 def test_channels_that_do_not_vary_have_no_response():
     seen = series_of(8, 600, {"still": lambda s: 0 * s}, lambda s, u, c: u[:, 0])
     assert responses(seen, ["still"]) == []
