@@ -19,7 +19,7 @@ VERDICTS = {
     "NOTHING_LEFT": ("the residual is noise", "green"),
 }
 #: Rows shown before the rest is only counted; --json has all.
-_CANDIDATES, _PLACEBOS, _UNSCORABLE, _MOVED = 8, 3, 6, 10
+_CANDIDATES, _PLACEBOS, _UNSCORABLE, _MOVED, _COEFFICIENTS = 8, 3, 6, 10, 9
 
 
 def print_diagnosis(console: Console, fields: Fields) -> None:
@@ -58,7 +58,7 @@ def _effects(effects: Sequence[Fields]) -> Table:
         stands = (_percent(effect["gain"]), _number(effect["t"], 3), _number(effect["flip_p"], 2))
         cells: tuple[str, ...] = (*stands, _percent(effect["retained"]))
         name, family = effect["name"], effect["family"]
-        for one in effect["coefficients"]:
+        for one in _shown(effect["coefficients"]):
             value, sigma = _with_error(one["value"], one["sigma"])
             _row(table, name, family, one["name"], value, f"± {sigma}", one["unit"], one["at"], *cells)
             name, family, cells = "", "", ("",) * len(cells)
@@ -66,6 +66,13 @@ def _effects(effects: Sequence[Fields]) -> Table:
             lag, sigma = _with_error(effect["lag_s"], effect["lag_sigma_s"] or 0.0)
             _row(table, "", "", "lag", lag, f"± {sigma}" if effect["lag_sigma_s"] else "", "s")
     return table
+
+
+def _shown(coefficients: Sequence[Fields]) -> Sequence[Fields]:
+    """Return the coefficients; of many, those that stand out by three sigma."""
+    if len(coefficients) <= _COEFFICIENTS:
+        return coefficients
+    return [one for one in coefficients if abs(one["value"]) > 3.0 * one["sigma"]] or coefficients[:1]
 
 
 def _candidates(candidates: Sequence[Fields]) -> Table:
@@ -172,7 +179,11 @@ def _table(*columns: str) -> Table:
     table = Table(box=None, pad_edge=False)
     numeric = {"value", "gain", "t", "p", "retained", "beats placebo by t", "gain now", "by", "sigma"}
     for name in columns:
-        table.add_column(name, justify="right" if name in numeric else "left", overflow="fold")
+        # A name is folded before a number is.
+        folds = name in ("effect", "candidate, first round", "what else moved", "parameter")
+        table.add_column(
+            name, justify="right" if name in numeric else "left", overflow="fold", no_wrap=not folds
+        )
     return table
 
 
