@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,11 +44,17 @@ class Standing:
     rivals: tuple[tuple[Option, float], ...]
 
 
-def run(search: Search, most: int | None = None) -> Table:
+#: Puts what was taken into its best form.
+Refiner = Callable[[Option], Option]
+
+
+def run(search: Search, most: int | None = None, refiner: Refiner | None = None) -> Table:
     """Add and drop until nothing more is justified; return the last table of scores.
 
     Parameters
     ----------
+    refiner : callable, optional
+        Returns an accepted option in its best form (a lag, a width), before the next one is sought.
     most : int, optional
         Additions at most; the rules' own number when absent.
     """
@@ -61,6 +68,10 @@ def run(search: Search, most: int | None = None) -> Table:
         place = table.options.index(option)
         search.add(option)
         _note(search, "add", option, table, place, form)
+        if refiner is not None and (better := refiner(option)) is not option:
+            search.drop(option)
+            search.add(better)
+            search.rounds[-1] = replace(search.rounds[-1], name=better.name)
         _drop_idle(search)
     return search.table()
 

@@ -41,16 +41,21 @@ def look_again(search: Search, material: Material, tables: Sequence[Table]) -> b
     ]
     if not terms:
         return False
-    raw, white = _bordered(search, material, terms)
-    search.raw, search.white = raw, white
+    join_terms(search, material, terms)
     for term in terms:
-        search.library.terms[term.key] = material.terms[term.key] = term
         channels = tuple(term.entry.effect.channels[0].split("*"))
         search.options.append(
             Option(term.key, term.key, "unknown", tuple(term.columns), channels, (term.key,), agnostic=True)
         )
-    search.absorb()
     return True
+
+
+def join_terms(search: Search, material: Material, terms: Sequence[Term]) -> None:
+    """Join the columns of new terms to the evidence, with their products with every other column."""
+    search.raw, search.white = _bordered(search, material, terms)
+    for term in terms:
+        search.library.terms[term.key] = material.terms[term.key] = term
+    search.absorb()
 
 
 def telling_channels(search: Search, material: Material, tables: Sequence[Table]) -> list[str]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect, Signature, Verdict
 from inflight.diagnosis.findings import WEAK, candidates, confusion, effect, lag_profile, refined, unscorable
 from inflight.diagnosis.left import structure_of
 from inflight.diagnosis.material import Material, effective_blocks, held_out, left_of, native_rms
+from inflight.diagnosis.refine import refine
 from inflight.diagnosis.rounds import Standing, run, settle
 from inflight.diagnosis.search import Search, Table
 from inflight.diagnosis.second import look_again
@@ -74,13 +77,14 @@ def conclude(search: Search, material: Material) -> Diagnosis:
 
 def _rounds(search: Search, material: Material, first: Table) -> Table:
     """Run the rounds, and once more with products of channels when something is left."""
-    last = run(search)
+    refiner = partial(refine, search, material)
+    last = run(search, refiner=refiner)
     left = left_of(search, material)
     seen = look_at(search, material, last, left, structure_of(material.series, left))
     taken = sum(option.change is None for option in search.accepted)
     if not seen.is_sure or taken >= search.rules.rounds or not look_again(search, material, [first, last]):
         return last
-    return run(search)
+    return run(search, refiner=refiner)
 
 
 def _verdict(effects: tuple[FoundEffect, ...], standings: list[Standing], remaining: Verdict) -> Verdict:
