@@ -58,11 +58,24 @@ def spikes(residual: Floats) -> npt.NDArray[np.bool_]:
     if len(residual) < _NEIGHBOURS:
         return np.zeros(len(residual), dtype=bool)
     filled = np.where(np.isfinite(residual), residual, 0.0)
-    off = np.abs(filled - median_filter(filled, size=(_NEIGHBOURS, 1), mode="nearest"))
-    known = np.isfinite(residual).all(axis=1)
-    usual = TO_SIGMA * np.median(off[known], axis=0) if known.any() else np.ones(residual.shape[1])
-    around = TO_SIGMA * median_filter(off, size=(min(_AROUND, len(off)), 1), mode="nearest")
-    return np.asarray((off > _SPIKE * np.maximum(np.maximum(usual, around), 1e-6)).any(axis=1))
+    known = np.asarray(np.isfinite(residual).all(axis=1))
+    return np.asarray(np.any([_stands_out(row, known) for row in filled.T], axis=0))
+
+
+def _stands_out(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which samples of one row (time,) stand out from their neighbours.
+
+    On a slope every sample is the median of its neighbours: what is noise there, second differences tell.
+    """
+    off = np.abs(row - median_filter(row, size=_NEIGHBOURS, mode="nearest"))
+    bend = np.zeros(row.size)
+    bend[1:-1] = np.abs(row[1:-1] - 0.5 * (row[:-2] + row[2:])) * np.sqrt(2.0 / 3.0)
+    sigma = np.full(row.size, 1e-6)
+    for size in (off, bend):
+        usual = np.median(size[known]) if known.any() else 1.0
+        around = median_filter(size, size=min(_AROUND, row.size), mode="nearest")
+        sigma = np.maximum(sigma, TO_SIGMA * np.maximum(usual, around))
+    return np.asarray(off > _SPIKE * sigma)
 
 
 def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:

@@ -40,7 +40,8 @@ def mixture(lag: float, bank: Sequence[float]) -> Floats:
     Returns
     -------
     ndarray, shape (bank,)
-        Right to about a hundredth between neighbours of a bank whose lags grow three times a step.
+        Right to one to three hundredths of the response between neighbours of a bank whose lags grow
+        three times a step, to seven where they grow four times.
     """
     return np.array(_mixture(float(lag), tuple(float(one) for one in bank)))
 

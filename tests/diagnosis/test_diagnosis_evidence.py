@@ -1,0 +1,186 @@
+"""Algebra on Gram matrices against the same done on rows."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from row_cases import row_case
+
+from inflight.diagnosis.evidence import Evidence, solve_scaled
+from inflight.diagnosis.gram import gram_of, pack, parts_of, prewhiten, unpack
+from inflight.errors import CalibrationError
+from inflight.time import SECOND
+
+
+def grams_of(rows):
+    return np.einsum("bri,brj->bij", rows, rows)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    cut=st.integers(2, 8),
+    precision=st.lists(st.sampled_from([0.0, 1.0, 50.0, 1e4]), min_size=3, max_size=3),
+)
+def test_absorbing_is_a_fit_of_the_rows_in_each_interval(seed, cut, precision):
+    case = row_case(seed, blocks=10, rows=12)
+    groups = [range(cut), range(cut, 10)]
+    left = case.evidence.absorbed(["n0", "n1", "n2"], groups, np.array(precision))
+    expected = case.values[:, :, 3:].copy()
+    for group in groups:
+        n = case.of("n0", "n1", "n2")[list(group)]
+        # What is known beforehand acts like three more rows that read nought.
+        more = np.concatenate([n.reshape(-1, 3), np.diag(np.sqrt(precision))])
+        right = np.concatenate([expected[list(group)].reshape(-1, 8), np.zeros((3, 8))])
+        expected[list(group)] -= n @ np.linalg.lstsq(more, right, rcond=None)[0]
+    assert left.names == case.names[3:]
+    np.testing.assert_allclose(left.gram, grams_of(expected), rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(left.scale, case.evidence.scale[3:])
+
+
+def test_a_column_that_the_calibration_explains_wholly_is_dead_but_a_residual_never():
+    case = row_case(1)
+    case.values[:, :, 5] = case.of("n0", "n1") @ [2.0, -1.0]
+    case.values[:, :, 10] = case.of("n2")[:, :, 0]
+    left = case.evidence.absorbed(["n0", "n1", "n2"], [range(20)], np.zeros(3))
+    dead, alive = left.names.index("z0"), left.names.index("z1")
+    assert not left.gram[:, dead].any()
+    assert not left.gram[:, :, dead].any()
+    assert left.total[alive, alive] > 1.0
+    y = left.residuals[0]
+    assert np.abs(left.total[y, y]) < 1e-6
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), factors=st.lists(st.floats(-3, 3), min_size=20, max_size=20))
+def test_expanding_is_multiplying_rows_by_a_function_of_the_block(seed, factors):
+    case = row_case(seed, rows=6)
+    factor = np.array(factors)
+    wide = case.evidence.expand({"step": ("z0", factor), "late": ("n1", 1.0 - factor)})
+    rows = np.concatenate(
+        [
+            case.values[:, :, :-1],
+            case.of("z0") * factor[:, None, None],
+            case.of("n1") * (1.0 - factor)[:, None, None],
+            case.of("residual"),
+        ],
+        axis=2,
+    )
+    assert wide.names == (*case.names[:-1], "step", "late", "residual")
+    np.testing.assert_allclose(wide.gram, grams_of(rows), atol=1e-9)
+    np.testing.assert_array_equal(
+        wide.scale[-3:-1], [case.evidence.scale[case.names.index(name)] for name in ("z0", "n1")]
+    )
+
+
+@settings(max_examples=20, deadline=None)
+@given(cuts=st.sets(st.integers(1, 19), max_size=6), order=st.randoms(use_true_random=False))
+def test_blocks_add_up_whatever_way_they_are_merged_and_joined(cuts, order):
+    whole = row_case(3, rows=8).evidence
+    edges = [0, *sorted(cuts), 20]
+    groups = [list(range(a, b)) for a, b in pairwise(edges)]
+    merged = whole.merged(groups)
+    np.testing.assert_allclose(merged.total, whole.total, rtol=1e-12)
+    np.testing.assert_allclose(merged.gram[0], whole.gram[groups[0]].sum(axis=0), rtol=1e-12)
+    assert merged.count.sum() == whole.count.sum()
+    assert (merged.start[0], merged.end[-1]) == (whole.start[0], whole.end[-1])
+    pieces = [
+        Evidence(
+            whole.names,
+            *(part[group] for part in (whole.gram, whole.start, whole.end, whole.count)),
+            whole.scale,
+        )
+        for group in groups
+    ]
+    order.shuffle(pieces)
+    joined = pieces[0].joined(pieces[1:])
+    for name in ("gram", "start", "end", "count"):
+        np.testing.assert_array_equal(getattr(joined, name), getattr(whole, name))
+
+
+def test_joining_refuses_what_overlaps_and_what_has_other_columns():
+    one = row_case().evidence
+    with pytest.raises(CalibrationError, match="overlap"):
+        one.joined([one])
+    with pytest.raises(CalibrationError, match="different libraries"):
+        one.joined([one.select(["z0", "n1"])])
+
+
+def test_selecting_keeps_the_residual_last():
+    case = row_case(4)
+    some = case.evidence.select(["z3", "n1"])
+    assert some.names == ("z3", "n1", "residual")
+    np.testing.assert_allclose(some.gram, grams_of(case.of("z3", "n1", "residual")), rtol=1e-12)
+    with pytest.raises(CalibrationError, match="no column z9"):
+        case.evidence.select(["z9"])
+
+
+def test_sums_over_folds_are_sums_of_blocks():
+    evidence = row_case(5).evidence
+    folds = [np.arange(0, 7), np.arange(7, 20)]
+    for found, fold in zip(evidence.sums(folds), folds, strict=True):
+        np.testing.assert_allclose(found, evidence.gram[fold].sum(axis=0))
+
+
+@settings(max_examples=20, deadline=None)
+@given(width=st.integers(1, 9), blocks=st.integers(1, 4), seed=st.integers(0, 99))
+def test_packing_keeps_symmetric_matrices(width, blocks, seed):
+    rows = np.random.default_rng(seed).normal(size=(blocks, 5, width))
+    gram = grams_of(rows)
+    np.testing.assert_array_equal(unpack(pack(gram)), gram)
+    assert pack(gram).shape == (blocks, width * (width + 1) // 2)
+
+
+def test_a_store_gives_back_the_evidence():
+    evidence = row_case(6).evidence
+    back = Evidence.of(evidence.as_dataset(), evidence.names, evidence.scale)
+    for name in ("gram", "start", "end", "count", "scale"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(evidence, name))
+
+
+def test_the_gram_matrix_of_a_part_counts_good_rows_by_their_weight():
+    g = np.random.default_rng(7)
+    columns, residual, weight = g.normal(size=(30, 2, 4)), g.normal(size=(30, 2, 1)), g.uniform(0, 1, 30)
+    weight[5:9] = 0.0
+    stamps = SECOND * np.arange(30, dtype=np.int64)
+    parts = parts_of(stamps, [0, 10 * SECOND, 30 * SECOND])
+    assert parts == [slice(0, 10), slice(10, 30)]
+    both = np.concatenate([columns, residual], axis=2)
+    expected = [np.einsum("t,tri,trj->ij", weight[part], both[part], both[part]) for part in parts]
+    np.testing.assert_allclose(gram_of(columns, residual, weight, parts), expected, rtol=1e-12)
+
+
+def test_prewhitening_takes_off_what_the_row_before_foretells_and_breaks_at_gaps():
+    g = np.random.default_rng(8)
+    stamps = (SECOND * np.array([0, 10, 20, 30, 90, 100, 110])).astype(np.int64)
+    values, weight = g.normal(size=(7, 2)), np.array([1, 1, 0, 1, 1, 1, 1.0])
+    white = prewhiten(values, weight, stamps, 50.0)
+    phi = np.exp(-10 / 50)
+    np.testing.assert_allclose(white[1], values[1] - phi * values[0])
+    np.testing.assert_allclose(white[5:], values[5:] - phi * values[4:6])
+    # The first row, a row without weight, the one behind it, and the first after a gap.
+    assert not white[[0, 2, 3, 4]].any()
+
+
+def test_prewhitening_makes_a_first_order_process_white():
+    g = np.random.default_rng(9)
+    phi, noise = np.exp(-10 / 600), g.normal(size=20_000)
+    series = np.zeros(noise.size)
+    for k in range(1, noise.size):
+        series[k] = phi * series[k - 1] + noise[k]
+    stamps = 10 * SECOND * np.arange(noise.size, dtype=np.int64)
+    white = prewhiten(series, np.ones(noise.size), stamps, 600.0)
+    np.testing.assert_allclose(white[1:], noise[1:], atol=1e-12)
+
+
+def test_a_system_is_solved_in_units_of_its_diagonal_and_left_alone_where_it_is_singular():
+    g = np.random.default_rng(10)
+    rows = g.normal(size=(40, 4)) * [1e-6, 1.0, 1e5, 1.0]
+    rows[:, 3] = 0.0
+    truth = np.array([1e6, 2.0, 3e-5, 0.0])
+    found = solve_scaled(rows.T @ rows, rows.T @ (rows @ truth))
+    np.testing.assert_allclose(found, truth, rtol=1e-9)
+    many = solve_scaled(rows.T @ rows, rows.T @ np.stack([rows @ truth, -rows @ truth], axis=1))
+    np.testing.assert_allclose(many, np.stack([truth, -truth], axis=1), rtol=1e-9)
