@@ -1,8 +1,7 @@
-"""Workspaces of real measurements, as delivered or with something put in, and what `diagnose` says of them."""
+"""Workspaces of real measurements, as delivered or with something put in, and what `diagnose` says."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,6 @@ class Diagnosed:
 
     search: Search
     diagnosis: Diagnosis
-    seconds: float
 
     @property
     def names(self) -> list[str]:
@@ -35,11 +33,9 @@ class Diagnosed:
         return [one.name for one in self.diagnosis.effects]
 
     @property
-    def told_apart(self) -> set[str]:
-        """Mechanisms named: of effects found and of all that cannot be told from them."""
-        return {one.split("@")[0] for one in self.names} | {
-            str(one["name"]).split("@")[0] for one in self.diagnosis.confusion_set
-        }
+    def channels(self) -> set[str]:
+        """Channels of the effects found."""
+        return {channel for one in self.diagnosis.effects for channel in one.channels}
 
     @property
     def families(self) -> set[str]:
@@ -47,6 +43,12 @@ class Diagnosed:
         return {one.family for one in self.diagnosis.effects} | {
             str(one["family"]) for one in self.diagnosis.confusion_set
         }
+
+    @property
+    def ratio(self) -> float:
+        """Held-out rms after all that was taken over that of the untouched model."""
+        residual = self.diagnosis.residual
+        return residual["held_out_after_nT"] / residual["held_out_before_nT"]
 
     def effect(self, family: str) -> FoundEffect | None:
         """Return the effect found of a family, the first of several."""
@@ -59,7 +61,7 @@ class Diagnosed:
 
 
 def workspace(root: Path, mission: str, changes: Mapping[str, str] | None = None) -> Workspace:
-    """Return a workspace of a shipped mission, some passages of its YAML replaced; each must be there once."""
+    """Return a workspace of a shipped mission; passages of its YAML to replace must be there once."""
     text = (ROOT / "missions" / f"{mission}.yaml").read_text(encoding="utf-8")
     for old, new in (changes or {}).items():
         assert text.count(old) == 1, f"missions/{mission}.yaml no longer says {old!r} once"
@@ -73,21 +75,25 @@ def workspace(root: Path, mission: str, changes: Mapping[str, str] | None = None
     return Workspace.create(root, source)
 
 
-def diagnosed(known: Workspace, data: Path | None, comparison: str = "main") -> Diagnosed:
-    """Ingest the data unless they are there already, and diagnose a comparison."""
-    begun = time.perf_counter()
+def diagnosed(
+    known: Workspace,
+    data: Path | None,
+    comparison: str = "main",
+    days: tuple[str | None, str | None] = (None, None),
+) -> Diagnosed:
+    """Ingest some days of the data unless they are there already, and diagnose a comparison."""
     mission, cat = known.mission(), Catalog(known.root)
     if data is not None:
-        ingest(cat, mission, data)
+        ingest(cat, mission, data, None, *days)
     settings = DiagnoseSettings(comparison=comparison)
     made = prepare(cat, mission, None, None, settings)
     search = search_of(made, settings)
     found = conclude(search, material_of(made, mission))
-    return Diagnosed(search, found, time.perf_counter() - begun)
+    return Diagnosed(search, found)
 
 
 def observatory_workspace(
-    root: Path, record: xr.Dataset, extra: Mapping[str, str] | None = None, lemi: str = ""
+    root: Path, record: xr.Dataset, extra: Mapping[str, str] | None = None, clock: str = "[]"
 ) -> tuple[Workspace, Path]:
     """Return a workspace whose delivered file holds a changed record of the Conrad observatory.
 
@@ -95,8 +101,8 @@ def observatory_workspace(
     ----------
     extra : mapping of str to str
         Channels of the record that the mission does not know -> their entries in its YAML.
-    lemi : str
-        More lines of the vector instrument's files.
+    clock : str, optional
+        Steps of the scalar instrument's clock, as its files' `clock_offset`.
     """
     extra = extra or {}
     temperature = "      electronics_temperature: {variable: Temperature2, unit: degC, kind: temperature}\n"
@@ -105,7 +111,8 @@ def observatory_workspace(
         "conrad",
         {
             "wic_lemi036_gp20s3_1s_{start:%Y%m%d}_{end:%Y%m%d}.cdf": "observatory.npz",
-            "reader: cdf\n": f"reader: npz\n      time_unit: tt2000\n{lemi}",
+            "reader: cdf\n": "reader: npz\n      time_unit: tt2000\n",
+            "files: {same_as: lemi}": f"files: {{same_as: lemi, clock_offset: {clock}}}",
             temperature: temperature + "".join(f"      {name}: {entry}\n" for name, entry in extra.items()),
         },
     )

@@ -1,0 +1,40 @@
+"""Records too short or too smooth to tell causes apart: the honest answer is that."""
+
+import pytest
+from injections import REAL
+from real_workspaces import diagnosed, workspace
+
+FOLDERS = {"magnav-tl": "magnav-tl", "usgs-bou": "usgs-bou-201601"}
+pytestmark = [
+    pytest.mark.real_data,
+    pytest.mark.skipif(not REAL.is_dir(), reason=f"the folder of real measurements {REAL} is absent"),
+]
+
+
+@pytest.fixture(scope="module")
+def say(tmp_path_factory):
+    done = {}
+
+    def make(mission, comparison="main"):
+        first = mission not in done
+        if first:
+            done[mission] = workspace(tmp_path_factory.mktemp(mission) / "w", mission)
+        return diagnosed(done[mission], REAL / FOLDERS[mission] if first else None, comparison)
+
+    return make
+
+
+@pytest.mark.parametrize(("mission", "comparison"), [("magnav-tl", "main"), ("usgs-bou", "main")])
+def test_nothing_is_named_that_the_record_cannot_show(say, mission, comparison):
+    said = say(mission, comparison)
+    assert said.diagnosis.verdict in ("NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "CONFOUNDED")
+    assert said.diagnosis.verdict == "CONFOUNDED" or said.names == []
+    assert said.ratio <= 1.0
+
+
+def test_raw_and_published_values_of_one_observatory_leave_the_same(say):
+    """The published values are a linear map of the raw ones, which the nine parameters take up."""
+    raw, published = say("usgs-bou"), say("usgs-bou", "published")
+    before = [one.diagnosis.residual["held_out_before_nT"] for one in (raw, published)]
+    assert before[0] == pytest.approx(before[1], rel=0.01)
+    assert raw.diagnosis.verdict == published.diagnosis.verdict
