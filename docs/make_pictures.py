@@ -14,6 +14,7 @@ from pathlib import Path
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.tasks.compare import compare
+from inflight.tasks.diagnosis_report import report
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _QUIET = [
@@ -56,7 +57,7 @@ def screenshot(page: Path, picture: Path, width: int, height: int) -> None:
 
 
 def main(folder: str) -> None:
-    """Write docs/images/demo.png from the comparison page of a workspace."""
+    """Write docs/images/demo.png and report.png from the comparison and the diagnosis of a workspace."""
     workspace = Workspace.open(folder)
     images = Path(__file__).parent / "images"
     images.mkdir(exist_ok=True)
@@ -64,6 +65,9 @@ def main(folder: str) -> None:
         page = Path(scratch) / "compare.html"
         compare(Catalog(workspace.root), workspace.mission(), output=page)
         screenshot(page, images / "demo.png", 1200, 820)
+        page = Path(scratch) / "report.html"
+        report(Catalog(workspace.root), workspace.mission(), page)
+        screenshot(page, images / "report.png", 1240, 1420)
 
 
 if __name__ == "__main__":

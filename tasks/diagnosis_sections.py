@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
-from inflight.diagnosis.diagnosis import Diagnosis, Signature
+from inflight.diagnosis.diagnosis import Coefficient, Diagnosis, Signature
 from inflight.diagnosis.findings import lag_profile
 from inflight.diagnosis.material import Material
 from inflight.diagnosis.pictures import Seen, along_field, epoch, heat_maps, sizes_of
@@ -38,6 +39,8 @@ from inflight.time import SECOND, to_utc
 
 #: Channels whose response is drawn, beside those of found effects; and found effects drawn one by one.
 _CHANNELS, _EFFECTS = 6, 6
+#: Coefficients of an effect that are printed.
+_COEFFICIENTS = 6
 _STATES = ("before", "after")
 
 Section = tuple[str, list[str], list[Any]]
@@ -50,7 +53,8 @@ def effects_found(found: Diagnosis) -> list[str]:
     head = ("found", "family", "value ± sigma", "at", "gain", "t", "p", "retained", "W/k", "rms, nT")
     rows = []
     for one in found.effects:
-        for place, value in enumerate(one.coefficients):
+        shown = _telling(one.coefficients)
+        for place, value in enumerate(shown):
             own = (short_name(one.name), one.family.replace("_", " ")) if place == 0 else ("", "")
             numbers = (
                 f"{one.gain:.1%}",
@@ -62,6 +66,9 @@ def effects_found(found: Diagnosis) -> list[str]:
             )
             said = f"{bare_parameter(value.name)} {value.value:.4g} ± {value.sigma:.2g} {value.unit}"
             rows.append((*own, said, value.at, *(numbers if place == 0 else ("",) * len(numbers))))
+        if len(shown) < len(one.coefficients):
+            hidden = len(one.coefficients) - len(shown)
+            rows.append(("", "", f"and {hidden} less significant ones", *[""] * (len(head) - 3)))
     note = (
         "Gain, t and family-wise p are held out, against the model without the effect; retained is the part "
         "of its variance that no other parameter explains; W/k compares raw and within-day values, and large "
@@ -90,6 +97,13 @@ def _signature(found: Diagnosis) -> list[str]:
     ]
     said = ", ".join(f"{name} {value}" for name, value in parts if value)
     return [f"<p><b>Signature of what is left:</b> {escape(said)}</p>"]
+
+
+def _telling(coefficients: Sequence[Coefficient]) -> list[Coefficient]:
+    """Return the most significant coefficients in their own order; a field of many has too many to print."""
+    ordered = sorted(coefficients, key=lambda one: -abs(one.value) / max(one.sigma, 1e-300))
+    kept = {one.name for one in ordered[:_COEFFICIENTS]}
+    return [one for one in coefficients if one.name in kept]
 
 
 def rivals_apart(found: Diagnosis) -> list[str]:
@@ -184,6 +198,9 @@ def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodog
     series = seen.series
     weight = np.where(seen.good, series["weight"], 0.0)
     known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
+    if not turned.any():
+        # A platform's residual has no direction of its own: its spectrum stands in the first place.
+        turned[:, :, 0] = 1.0
     return periodogram(series.tt2000, known, turned, weight, known_periods(material))
 
 
@@ -271,6 +288,7 @@ def stands_for(search: Search, found: Diagnosis) -> Section:
         shift
         for option, one in zip(search.accepted, found.effects, strict=True)
         for shift in shifts_of(search, option, one.coefficients)
+        if shift.coefficient in {value.name for value in _telling(one.coefficients)}
     ]
     text = [
         '<p class="quiet">Correlations of errors, the whole span as one calibration interval: pairs near '

@@ -27,7 +27,7 @@ class Response:
     Attributes
     ----------
     axes : tuple of str
-        ``x``, ``y``, ``z``; ``the field`` alone where the field's direction does not turn enough to tell.
+        ``x``, ``y``, ``z``; ``B`` alone, along the field, where its direction hardly turns.
     branches : dict of str to list of Curve
         ``rising``, ``falling`` (or ``all`` of a channel that hardly turns), by axis, and ``after`` when
         something was found.
@@ -70,7 +70,7 @@ def _directions(seen: Seen) -> tuple[Floats, tuple[str, ...]]:
     u = np.where(seen.good[:, None, None], seen.series.direction(), 0.0)
     if not seen.is_scalar or np.linalg.cond(np.einsum("tra,trb->ab", u, u)) < _CONDITION:
         return u, ("x", "y", "z")
-    return np.ones((len(u), 1, 1)), ("the field",)
+    return np.ones((len(u), 1, 1)), ("B",)
 
 
 def _response(seen: Seen, u: Floats, axes: tuple[str, ...], name: str) -> Response | None:

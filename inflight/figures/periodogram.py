@@ -42,7 +42,7 @@ def periodogram_figures(
             series,
             labels=("before", "after" if before is not None else "now"),
         )
-        for axis, series in enumerate("xyz")
+        for axis, series in enumerate("xyz" if after.power[1:].any() else ["residual"])
     ]
     for axis, plot in enumerate(plots):
         powers = [one.power[axis, 1:] for one in (before, after) if one is not None]
@@ -67,5 +67,5 @@ def unexplained_peaks(found: Periodogram, axis: int) -> list[int]:
 def _line(found: Periodogram, axis: int, at: int) -> Line:
     step = float(found.frequency[1])
     amplitude: Floats = np.full(4, np.nan)
-    amplitude[axis + 1] = np.sqrt(2.0 * found.power[axis, at] * step)
+    amplitude[[0, axis + 1]] = np.sqrt(2.0 * found.power[axis, at] * step)
     return Line(1.0 / float(found.frequency[at]), "", "", float(found.ratio[axis, at]), amplitude, amplitude)

@@ -319,7 +319,7 @@ def test_where_the_field_does_not_turn_the_response_is_along_the_field():
     seen = series_of(8, 60, {"t": wave}, lambda s, u, c: 0.2 * (c["t"] - 20.0))
     seen.series.values[:, seen.series.features.place("direction:v")] = [0.6, 0.0, 0.8]
     (found,) = responses(seen, ["t"])
-    assert found.axes == ("the field",)
+    assert found.axes == ("B",)
     assert found.stands_out(0)
     assert along_field(seen) == {}
 
