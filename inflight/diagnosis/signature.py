@@ -246,7 +246,9 @@ def shape_of(curve: Floats, sigma: Floats) -> tuple[str, float | None]:
     levels = np.where(on, curve[on].mean() if on.any() else 0.0, curve[~on].mean() if (~on).any() else 0.0)
     left = float(np.mean((curve - levels) ** 2))
     whole = float(np.var(curve))
-    duty = float(on.mean())
+    # By levels, not by phases: a phase in which it switches belongs to both.
+    height = np.median(curve[on]) - np.median(curve[~on]) if on.any() and not on.all() else 0.0
+    duty = float(np.clip(np.mean(curve - np.median(curve[~on])) / height, 0.0, 1.0)) if height > 0 else 0.0
     if left < 0.15 * whole + noise**2 / curve.size:
         return ("square" if 0.25 <= duty <= 0.75 else "pulse"), duty
     return "other", duty
