@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,13 +80,14 @@ def diagnosed(
     data: Path | None,
     comparison: str = "main",
     days: tuple[str | None, str | None] = (None, None),
+    instruments: Sequence[str] | None = None,
 ) -> Diagnosed:
-    """Ingest some days of the data unless they are there already, and diagnose a comparison."""
+    """Ingest some days of the data unless they are there already, and diagnose a comparison of them."""
     mission, cat = known.mission(), Catalog(known.root)
     if data is not None:
-        ingest(cat, mission, data, None, *days)
+        ingest(cat, mission, data, instruments, *days)
     settings = DiagnoseSettings(comparison=comparison)
-    made = prepare(cat, mission, None, None, settings)
+    made = prepare(cat, mission, *days, settings)
     search = search_of(made, settings)
     found = conclude(search, material_of(made, mission))
     return Diagnosed(search, found)

@@ -8,7 +8,9 @@ from injections import REAL
 from real_workspaces import diagnosed, workspace
 
 FOLDER = REAL / "wik-cobenzl-2011"
-MONTH = ("2011-09-01", "2011-10-01")
+MONTH, WEEK = ("2011-09-01", "2011-10-01"), ("2011-09-20", "2011-09-27")
+#: The LEMI is left out: only the main comparison and the one with its own F are looked at.
+USED = ("didd", "didd_total_field", "pmag", "vault", "variometer_room")
 pytestmark = [
     pytest.mark.real_data,
     pytest.mark.skipif(not FOLDER.is_dir(), reason=f"real measurements are absent: {FOLDER}"),
@@ -19,12 +21,12 @@ pytestmark = [
 def known(tmp_path_factory):
     """A workspace with the month taken in, and what is said of its main comparison."""
     made = workspace(tmp_path_factory.mktemp("wik") / "w", "wik-cobenzl")
-    return made, diagnosed(made, FOLDER, days=MONTH)
+    return made, diagnosed(made, FOLDER, days=MONTH, instruments=USED)
 
 
 def test_one_instrument_held_against_itself_leaves_nothing(known):
     """F of the dIdD is the length of its own vector, but for rounding to 0.1 nT."""
-    said = diagnosed(known[0], None, "dependent")
+    said = diagnosed(known[0], None, "dependent", WEEK)
     assert said.diagnosis.verdict == "NOTHING_LEFT"
     assert said.diagnosis.residual["noise_floor_nT"] < 0.06
 
@@ -37,7 +39,6 @@ def test_temperatures_that_stand_still_are_listed_as_unscorable(known):
 
 def test_the_month_not_fitted_is_never_worse(known):
     assert known[1].ratio <= 1.0
-    assert diagnosed(known[0], None, "variometer").ratio <= 1.0
 
 
 @pytest.mark.xfail(
@@ -62,7 +63,9 @@ def test_a_step_of_one_nanotesla_is_found(tmp_path_factory):
     for file in sorted((folder / "data" / "didd").iterdir()):
         file.chmod(0o644)
         file.write_text(_raised(file.read_text(encoding="ascii"), file.name, at), encoding="ascii")
-    said = diagnosed(workspace(folder / "w", "wik-cobenzl"), folder / "data", days=MONTH)
+    said = diagnosed(
+        workspace(folder / "w", "wik-cobenzl"), folder / "data", days=MONTH, instruments=("didd", "pmag")
+    )
     steps = [one for one in said.diagnosis.effects if one.name.startswith(("bias_step", "offset_step"))]
     assert len(steps) == 1
     when = np.datetime64(steps[0].at[0].rstrip("Z"))
