@@ -198,7 +198,7 @@ def _plan(
         [*geometry, *vectors],
         shifts,
         found.base,
-        cadence / SECOND,
+        (2.0 * cadence / SECOND, 0.5 * length / SECOND),
         found.fixed,
     )
     for name in found.still:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,9 @@ from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 7
+EVIDENCE_VERSION = 8
+#: Days lose the bins without geometry when these are at most this part of them.
+_GEOMETRY_GAPS = 0.3
 #: Rows of the series are at least so far apart in long records, seconds.
 _SERIES_S, _LONG_DAYS = 60.0, 100
 
@@ -228,9 +230,20 @@ def day_rows(
     edges = derived.reader.edges(day)
     turn = turns_of(made.model, (start + end) // 2)
     rows, sums = coarsen(samples, native, edges, variables, turn)
+    rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
     sums |= _floor(native.residual, native.good, samples["tt2000"].values)
     band = (native.band, rows.weight > 0) if native.band is not None else None
     return rows, sums, band
+
+
+def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
+    """Return which bins have no geometry, when most have: what is not there must not pass for a shadow."""
+    out = np.zeros(used.size, dtype=bool)
+    for values in geometry.values():
+        missing = ~np.isfinite(values.reshape(used.size, -1)).all(axis=1)
+        if (missing & used).sum() <= _GEOMETRY_GAPS * max(used.sum(), 1):
+            out |= missing
+    return out
 
 
 def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:

@@ -52,7 +52,7 @@ def make_library(
     geometry: Sequence[str],
     shifts: Mapping[str, float],
     base: Sequence[Term],
-    shortest: float,
+    periods: tuple[float, float],
     fixed: Sequence[Term] = (),
 ) -> Library:
     """Return everything that may be tried on a comparison.
@@ -69,13 +69,17 @@ def make_library(
         Placebo name -> seconds.
     base : sequence of Term
         The calibration's own terms.
-    shortest : float
-        Shortest period the library's cadence shows, s.
+    periods : tuple of float
+        Shortest and longest period that can be seen, s.
     fixed : sequence of Term
         Parameters of the vector sensor that the model holds fixed.
     """
     library = Library(base=list(base), refined=_refined(model, base), placebos=dict(shifts))
     there = set(channels) | set(geometry)
+    library_own = known_effects()
+    own = {
+        one.__name__ for label, one in known_effects(model.own).items() if library_own.get(label) is not one
+    }
     for label, kind in sorted(known_effects(model.own).items()):
         if label in TIMED or label in WIDE or label == "vector_sensor":
             continue
@@ -84,8 +88,10 @@ def make_library(
         except InflightError as error:
             library.unscorable.append({"name": label, "family": kind.family, "reason": error.message})
             continue
+        if kind.__name__ in own and not options:
+            options = [{}]
         for given in options:
-            _offer(library, mission, model, label, given, there, channels, shortest)
+            _offer(library, mission, model, label, given, there, channels, periods)
     for term in fixed:
         key = f"{term.key}.{term.parameters[0]}"
         own = replace(term, key=key)
@@ -115,7 +121,7 @@ def _offer(
     options: Mapping[str, Any],
     there: set[str],
     channels: Mapping[str, Told],
-    shortest: float,
+    periods: tuple[float, float],
 ) -> None:
     """Add the candidates of one effect with one choice of options."""
     kind = known_effects(model.own)[label]
@@ -134,7 +140,7 @@ def _offer(
             continue
         if _in_model(model, entry):
             continue
-        if "period" in options and _seconds(options["period"]) < 2.0 * shortest:
+        if "period" in options and not periods[0] <= _seconds(options["period"]) <= periods[1]:
             continue
         _expand(library, mission, model, label, dict(options), entry, mechanism, family, channels)
 

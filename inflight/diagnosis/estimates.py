@@ -112,20 +112,9 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
 
 
 def centred(search: Search, option: Option) -> Floats:
-    """Return the Gram matrix of an option's columns, each less what it shares with one calibration column."""
-    raw = search.raw
-    total = raw.total
-    own = raw.index(option.columns)
-    base = raw.index([name for term in search.library.base for name in term.columns])
-    if not base.size:
-        return np.asarray(total[np.ix_(own, own)])
-    size = np.sqrt(np.clip(np.diag(total), 1e-300, None))
-    likeness = np.abs(total[np.ix_(own, base)]) / size[own][:, None] / size[base][None, :]
-    nearest = base[np.argmax(likeness, axis=1)]
-    share = total[own, nearest] / np.clip(total[nearest, nearest], 1e-300, None)
-    out = total[np.ix_(own, own)] - share[:, None] * total[np.ix_(nearest, own)]
-    out = out - share[None, :] * total[np.ix_(own, nearest)]
-    return np.asarray(out + np.outer(share, share) * total[np.ix_(nearest, nearest)])
+    """Return the Gram matrix of an option's columns about constant channels (see `Evidence.centred`)."""
+    base = [name for term in search.library.base for name in term.columns]
+    return search.raw.centred(search.raw.index(option.columns), search.raw.index(base))
 
 
 def detectable(search: Search, option: Option, form: str = "raw") -> Floats:

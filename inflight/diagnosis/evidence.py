@@ -89,6 +89,23 @@ class Evidence:
             )
         return np.array([places[name] for name in names], dtype=np.int64)
 
+    def centred(self, columns: npt.NDArray[np.int64], base: npt.NDArray[np.int64]) -> Floats:
+        """Return the total Gram matrix of columns, each less what it shares with one column of the base.
+
+        It is an effect's own variance about a constant channel: a temperature of 293 K that moves by one
+        kelvin moves by one kelvin.
+        """
+        total = self.total
+        if not base.size:
+            return np.asarray(total[np.ix_(columns, columns)])
+        size = np.sqrt(np.clip(np.diag(total), 1e-300, None))
+        likeness = np.abs(total[np.ix_(columns, base)]) / size[columns][:, None] / size[base][None, :]
+        nearest = base[np.argmax(likeness, axis=1)]
+        share = total[columns, nearest] / np.clip(total[nearest, nearest], 1e-300, None)
+        out = total[np.ix_(columns, columns)] - share[:, None] * total[np.ix_(nearest, columns)]
+        out = out - share[None, :] * total[np.ix_(columns, nearest)]
+        return np.asarray(out + np.outer(share, share) * total[np.ix_(nearest, nearest)])
+
     def select(self, names: Sequence[str]) -> Evidence:
         """Return some columns, with all residuals behind them."""
         kept = np.concatenate([self.index(names), np.array(self.residuals, dtype=np.int64)])

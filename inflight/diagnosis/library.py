@@ -47,6 +47,13 @@ class Term:
         ]
 
     @property
+    def usual(self) -> list[float]:
+        """Usual size of each column's parameter, as its effect states it, in units of the column."""
+        kinds = self.entry.effect.parameters()
+        sizes = [(kinds[name].sigma / kinds[name].step, kinds[name].size) for name in self.parameters]
+        return [size if np.isfinite(size) else 1e3 for size, count in sizes for _ in range(count)]
+
+    @property
     def scale(self) -> list[float]:
         """Physical size of one unit of each column."""
         kinds = self.entry.effect.parameters()

@@ -19,7 +19,7 @@ from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
 from inflight.diagnosis.scoring import hac_t
 from inflight.diagnosis.search import Option, Search
-from inflight.diagnosis.second import join_terms
+from inflight.diagnosis.second import MOST_ROWS, join_terms
 from inflight.model import make_effect
 from inflight.sensors import sensors_of
 
@@ -36,7 +36,7 @@ def refine(search: Search, material: Material, option: Option) -> Option:
 
     The new columns join the evidence, from the coarse series.
     """
-    if option.change is not None or len(option.channels) != 1:
+    if option.change is not None or len(option.channels) != 1 or len(material.series.tt2000) > MOST_ROWS:
         return option
     if option.mechanism.startswith("hysteresis("):
         return _with_width(search, material, option)
@@ -123,7 +123,7 @@ class _Plays:
         used = rows or self.rows
         columns = design(terms, used)
         root = np.sqrt(used.weight)[:, None, None]
-        return np.asarray((columns * root).reshape(-1, columns.shape[2]))
+        return np.asarray((columns * root).reshape(root.size * columns.shape[1], columns.shape[2]))
 
     def _absorbed(self, values: Floats) -> Floats:
         out = values.copy()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from inflight.arrays import Floats
 from inflight.diagnosis.scoring import fit, half_inverse, projected
 from inflight.diagnosis.search import FORMS, Option, Round, Search, Table
 
@@ -44,6 +45,8 @@ class Standing:
     rivals: tuple[tuple[Option, float], ...]
 
 
+#: Coefficients of a cause at most that goes before wider forms, and the part of their gain it must reach.
+_FEW, _PART = 12, 0.3
 #: Puts what was taken into its best form.
 Refiner = Callable[[Option], Option]
 
@@ -79,8 +82,8 @@ def run(search: Search, most: int | None = None, refiner: Refiner | None = None)
 def winner(table: Table, search: Search) -> tuple[Option, str] | None:
     """Return what to add next and the form that shows it, or None when nothing is beyond doubt.
 
-    Of those that do equally well, one that names a cause goes before one that describes a shape, and
-    of the same channels the one with fewer coefficients.
+    One that names a cause goes before one that describes a shape (see `_named`), and of the same
+    channels the one with fewer coefficients, when it does equally well.
     """
     passing = table.passing(search.rules)
     for form in FORMS:
@@ -89,11 +92,7 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
             continue
         scores = table.scores[form]
         loss = scores.loss
-        best = places[int(np.argmin(loss[:, places].sum(axis=0)))]
-        equal = [
-            int(place) for place in places if scores.behind(int(place), int(best)) < search.rules.rival_t
-        ]
-        named = [place for place in equal if not table.options[place].agnostic] or equal
+        named = _named(table, places.tolist(), scores.gain)
         first = min(named, key=lambda place: float(loss[:, place].sum()))
         same = [
             place
@@ -110,6 +109,23 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
         )
         return table.options[chosen], form
     return None
+
+
+def _named(table: Table, places: list[int], gain: Floats) -> list[int]:
+    """Return those of the passing options that go first: named causes of few coefficients.
+
+    A shape in a coordinate, or a form of dozens of coefficients, can mimic several causes at once. It waits
+    for those, unless they explain but a small part of what it does; what it mimicked is then left to it.
+    """
+    best = max(float(gain[place]) for place in places)
+    for is_first in (
+        lambda option: not option.agnostic and len(option.columns) <= _FEW,
+        lambda option: not option.agnostic,
+    ):
+        found = [place for place in places if is_first(table.options[place]) and gain[place] > _PART * best]
+        if found:
+            return found
+    return places
 
 
 def _simplicity(option: Option) -> tuple[int, bool]:

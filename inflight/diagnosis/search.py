@@ -20,6 +20,11 @@ from inflight.diagnosis.library import Library
 from inflight.diagnosis.scoring import Index, Present, Scores, folds_of, hac_t, score
 
 FORMS = ("raw", "within", "white")
+#: An effect of which the calibration leaves less than this part cannot be told from the calibration.
+LEAST_KEPT = 1e-3
+#: An effect of its usual size that explains less than so many times a row's variance could not be seen: three
+#: sigma, of residuals correlated over several rows.
+_CLEAR = 50.0
 
 
 @dataclass(frozen=True)
@@ -162,16 +167,36 @@ class Search:
         ]
         self.variance = self._variance()
         self.absorb()
-        live = set(np.array(self.forms["raw"].names)[np.diagonal(self.forms["raw"].total) > 0])
-        dead = [option for option in self.options if not set(option.columns) & live]
-        left = {one.mechanism for one in self.options} - {one.mechanism for one in dead}
-        told = {one.mechanism: one for one in dead if one.mechanism not in left and not one.placebo}
+        self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Leave out what the calibration takes over, and say so."""
+        seen = {option.name: self._seen(option) for option in self.options}
+        visible = {option.mechanism for option in self.options if seen[option.name]}
+        told = {
+            one.mechanism: one for one in self.options if one.mechanism not in visible and not one.placebo
+        }
         self.unscorable = [
-            {"name": name, "family": one.family, "reason": "nothing of it is left beside the calibration"}
+            {
+                "name": name,
+                "family": one.family,
+                "channels": list(one.channels),
+                "reason": "the calibration takes it over: what is left of it could not be seen",
+            }
             for name, one in told.items()
         ]
-        gone = {one.name for one in dead}
-        self.options = [one for one in self.options if one.name not in gone]
+        self.options = [option for option in self.options if seen[option.name]]
+
+    def _seen(self, option: Option) -> bool:
+        """Return True when an effect of its usual size would stand out of what the calibration leaves."""
+        base, _ = self._base()
+        form = self.forms["raw"]
+        whole = np.diag(self.raw.centred(self.raw.index(option.columns), self.raw.index(base)))
+        left = np.diag(form.total)[form.index(option.columns)]
+        kept = np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), 0.0)
+        usual = np.array([size for key in option.terms for size in self.library.terms[key].usual])
+        clear = left * usual[: len(left)] ** 2 > _CLEAR * self.variance
+        return bool(np.any((kept >= LEAST_KEPT) & clear))
 
     # The calibration and the model's own parameters.
 

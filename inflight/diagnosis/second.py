@@ -27,16 +27,28 @@ from inflight.sensors import sensors_of
 from inflight.time import DAY
 
 #: Channels that are paired: the most telling ones.
-_CHANNELS = 8
+_CHANNELS, _PAIRS = 8, 60
+#: Angles: a field may follow them, but no product with them means anything.
+NO_FACTOR = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
+#: Rows of the series at most: of longer records a user asks for a product by name.
+MOST_ROWS = 400_000
 
 
-def look_again(search: Search, material: Material, tables: Sequence[Table]) -> bool:
-    """Add products of the most telling channels to the search's candidates; return whether there were any."""
-    names = telling_channels(search, material, tables)
+def look_again(search: Search, material: Material, tables: Sequence[Table], unexplained: bool) -> bool:
+    """Add products of channels to the search's candidates; return whether there were any.
+
+    Parameters
+    ----------
+    unexplained : bool
+        Something is left: all pairs of the most telling channels are tried. Else only pairs with a
+        channel that was taken, because its field may depend on another channel.
+    """
+    if len(material.series.tt2000) > MOST_ROWS:
+        return False
     known = {option.mechanism for option in search.options}
     terms = [
         term
-        for one, other in combinations(names, 2)
+        for one, other in _pairs(search, material, tables, unexplained)
         if (term := _product(material, one, other)) is not None and term.key not in known
     ]
     if not terms:
@@ -45,7 +57,7 @@ def look_again(search: Search, material: Material, tables: Sequence[Table]) -> b
     for term in terms:
         channels = tuple(term.entry.effect.channels[0].split("*"))
         search.options.append(
-            Option(term.key, term.key, "unknown", tuple(term.columns), channels, (term.key,), agnostic=True)
+            Option(term.key, term.key, "unknown", tuple(term.columns), channels, (term.key,))
         )
     return True
 
@@ -56,6 +68,22 @@ def join_terms(search: Search, material: Material, terms: Sequence[Term]) -> Non
     for term in terms:
         search.library.terms[term.key] = material.terms[term.key] = term
     search.absorb()
+
+
+def _pairs(
+    search: Search, material: Material, tables: Sequence[Table], unexplained: bool
+) -> list[tuple[str, str]]:
+    """Return the pairs to try: a channel that was taken with every other one; of the telling ones all."""
+    series = material.series
+    scalars = [name for name in series.channels if series[name].ndim == 1 and name not in NO_FACTOR]
+    taken = [name for option in search.accepted for name in option.channels if name in scalars]
+    pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
+    if unexplained:
+        pairs += combinations(telling_channels(search, material, tables), 2)
+    first: dict[frozenset[str], tuple[str, str]] = {}
+    for pair in pairs:
+        first.setdefault(frozenset(pair), pair)
+    return list(first.values())[:_PAIRS]
 
 
 def telling_channels(search: Search, material: Material, tables: Sequence[Table]) -> list[str]:

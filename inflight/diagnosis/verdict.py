@@ -81,8 +81,9 @@ def _rounds(search: Search, material: Material, first: Table) -> Table:
     last = run(search, refiner=refiner)
     left = left_of(search, material)
     seen = look_at(search, material, last, left, structure_of(material.series, left))
-    taken = sum(option.change is None for option in search.accepted)
-    if not seen.is_sure or taken >= search.rules.rounds or not look_again(search, material, [first, last]):
+    if len(search.accepted) >= search.rules.rounds or not (seen.is_sure or search.accepted):
+        return last
+    if not look_again(search, material, [first, last], seen.is_sure):
         return last
     return run(search, refiner=refiner)
 
@@ -93,7 +94,7 @@ def _verdict(effects: tuple[FoundEffect, ...], standings: list[Standing], remain
         return remaining
     if any(one.rivals or one.retained < WEAK for one in effects):
         return "CONFOUNDED"
-    if all(one.option.agnostic for one in standings):
+    if all(one.option.agnostic or one.option.family == "unknown" for one in standings):
         return "UNKNOWN_EFFECT"
     return "FOUND"
 
