@@ -1,4 +1,4 @@
-"""A small spacecraft in a tilted dipole: readings, channels and evidence in memory, a sample a minute.
+"""A small spacecraft in a tilted dipole: readings, channels and evidence, a sample every two minutes.
 
 A flight is made once and looked at with several residuals: what is hidden changes the residual, not the
 columns.
@@ -37,7 +37,7 @@ from inflight.noise import NoiseFloor
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Usual spacing of the samples, seconds.
-STEP_S = 60.0
+STEP_S = 120.0
 NOISE_NT = 0.09
 CHANNELS = (
     "solar_current",
@@ -53,22 +53,22 @@ MU, EARTH_KM = 398_600.4418, 6378.137
 
 MISSION_YAML = """\
 mission: small
-description: A vector and a scalar magnetometer on a boom, one sample a minute
+description: A vector and a scalar magnetometer on a boom
 periods: {orbit: ORBIT s}
 instruments:
   fgm:
     role: vector
-    cadence: 60 s
+    cadence: 120 s
     files: {pattern: "fgm_{day:%Y%m%d}.csv", reader: table, delimiter: ",", time: time}
     channels: {field: {variables: [x, y, z], unit: nT}}
   ovm:
     role: scalar
-    cadence: 60 s
+    cadence: 120 s
     files: {pattern: "ovm_{day:%Y%m%d}.csv", reader: table, delimiter: ",", time: time}
     channels: {field: {variable: f, unit: nT}}
   house:
     role: housekeeping
-    cadence: 60 s
+    cadence: 120 s
     files: {pattern: "house_{day:%Y%m%d}.csv", reader: table, delimiter: ",", time: time}
     channels:
       solar_current: {variable: a, unit: A, kind: solar_current}
@@ -79,12 +79,12 @@ instruments:
       payload_current: {variable: g, unit: A, kind: current}
   pointing:
     role: attitude
-    cadence: 60 s
+    cadence: 120 s
     files: {pattern: "att_{day:%Y%m%d}.csv", reader: table, delimiter: ",", time: time}
     channels: {attitude: {variables: [x, y, z, w], unit: "1", kind: attitude, frame: itrf}}
   track:
     role: orbit
-    cadence: 60 s
+    cadence: 120 s
     files: {pattern: "orb_{day:%Y%m%d}.csv", reader: table, delimiter: ",", time: time}
     channels: {position: {variables: [x, y, z], unit: km, kind: position, frame: itrf}}
 comparisons: {main: {kind: scalar, vector: fgm, scalar: ovm}}
@@ -512,7 +512,8 @@ def case_of(
     model, base = linearised(model, hidden[0])
     told, shifts = told_of(flight, channels), placebos_of(flight, channels)
     geometry = [name for name in GEOMETRY if name in flight.samples]
-    library = make_library(mission, model, told, geometry, shifts, base, STEP_S)
+    seen = (2.0 * STEP_S, 0.5 * STEP_S * flight.tt2000.size)
+    library = make_library(mission, model, told, geometry, shifts, base, seen)
     derived = {name: derived_on(flight, name, shifts) for name in library.channels if name}
     rows = rows_on_bins(flight, model, hidden[0], derived)
     more = [rows_of(model, samples_of(flight, one)).residual[:, :, None] for one in hidden[1:]]
