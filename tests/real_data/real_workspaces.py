@@ -86,7 +86,7 @@ def diagnosed(
     mission, cat = known.mission(), Catalog(known.root)
     if data is not None:
         ingest(cat, mission, data, instruments, *days)
-    settings = DiagnoseSettings(comparison=comparison)
+    settings = DiagnoseSettings(comparison=comparison, draws=500)
     made = prepare(cat, mission, *days, settings)
     search = search_of(made, settings)
     found = conclude(search, material_of(made, mission))
