@@ -81,8 +81,8 @@ def test_a_sine_is_told_from_a_switch():
 
 
 def test_a_short_pulse_is_told_from_a_switch():
-    _, seconds, _ = turning(30)
-    found = found_in(30, along("z", 0.8 * square(seconds, SWITCH_S, 0.125)))
+    _, seconds, _ = turning(20)
+    found = found_in(20, along("z", 0.8 * square(seconds, SWITCH_S, 0.125)))
     assert found.shape == "pulse"
     assert found.duty == pytest.approx(0.125, abs=0.05)
 
