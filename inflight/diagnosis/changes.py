@@ -80,7 +80,7 @@ def steps(evidence: Evidence, carriers: Carriers) -> list[Change]:
         after = (np.arange(len(evidence)) >= edge).astype(np.float64)
         when = int(evidence.start[edge])
         for name, family, columns in _kinds(carriers):
-            label = f"{name}_step@{to_utc(when)}"
+            label = f"{name}_step@{to_utc(when).astype('datetime64[s]')}"
             functions = {f"{label}.{column}": (column, after) for column in columns}
             found.append(Change(label, f"{name}_step", family, functions, (when,)))
     return found
@@ -119,7 +119,7 @@ def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int)
             inside = np.zeros(len(evidence))
             inside[first:last] = 1.0
             when = (int(evidence.start[first]), int(evidence.end[last - 1]))
-            label = f"{name}_episode@{to_utc(when[0])}/{to_utc(when[1])}"
+            label = f"{name}_episode@{to_utc(when[0]).astype('datetime64[s]')}/{to_utc(when[1]).astype('datetime64[s]')}"
             functions = {f"{label}.{columns[0]}": (columns[0], inside)}
             found.append(Change(label, f"{name}_episode", family, functions, when))
     return found

@@ -51,7 +51,9 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
         within_and_raw(search, option),
         found.rms,
         rivals,
-        tuple(f"{to_utc(when)}Z" for when in option.change.at) if option.change else (),
+        tuple(f"{to_utc(when).astype('datetime64[s]')}Z" for when in option.change.at)
+        if option.change
+        else (),
         tuple(term.entry.as_yaml() for term in terms),
     )
 
@@ -162,8 +164,8 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
     return [
         {
             "rivals": [option.name, rival.name],
-            "start": f"{to_utc(int(evidence.start[place]))}Z",
-            "end": f"{to_utc(int(evidence.end[place]))}Z",
+            "start": f"{to_utc(int(evidence.start[place])).astype('datetime64[s]')}Z",
+            "end": f"{to_utc(int(evidence.end[place])).astype('datetime64[s]')}Z",
             "difference_nT": float(rms[place]),
         }
         for place in best

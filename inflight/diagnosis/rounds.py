@@ -107,8 +107,26 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
             key=lambda place: float(loss[:, place].sum()),
             default=first,
         )
-        return table.options[chosen], form
+        return table.options[_timely(table, places.tolist(), chosen, form, search.rules.rival_t)], form
     return None
+
+
+def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: float) -> int:
+    """Return what to take for a change in time: the same cause without one when it does as well, else the best time."""
+    option, scores = table.options[chosen], table.scores[form]
+    if option.change is None:
+        return chosen
+    steady = [
+        place
+        for place in places
+        if table.options[place].change is None
+        and _same_cause(table.options[place], option)
+        and scores.behind(place, chosen) < rival_t
+    ]
+    if steady:
+        return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
+    same = [place for place, other in enumerate(table.options) if other.mechanism == option.mechanism]
+    return min(same, key=lambda place: float(scores.loss[:, place].sum()))
 
 
 def _named(table: Table, places: list[int], gain: Floats) -> list[int]:
@@ -190,8 +208,9 @@ def settle(search: Search) -> list[Standing]:
             break
     if _drop_idle(search):
         tables = {}
+    last = search.table() if search.accepted else None
     return [
-        standing(search, option, tables.get(option.name) or search.table(without=option))
+        standing(search, option, tables.get(option.name) or search.table(without=option), last)
         for option in search.accepted
     ]
 
@@ -209,12 +228,21 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
         other
         for other in np.flatnonzero(passing)
         if not (table.options[other].agnostic and not option.agnostic)
+        and not _same_cause(table.options[other], option)
         and scores.behind(place, int(other)) > search.rules.rival_t
+        and _is_worth(table, int(other), place, form, search.rules.gain)
     ]
     if not others:
         return None
     best = min(others, key=lambda other: float(loss[:, other].sum()))
     return table.options[best] if table.options[best].mechanism != option.mechanism else None
+
+
+def _still(last: Table, rival: Option, form: str) -> float:
+    """Return the sum of squares a rival explains beside everything that was taken; 0 when it is taken itself."""
+    place = _place_of(last, rival)
+    scores = last.scores[form]
+    return float(scores.loss0.sum() * scores.gain[place]) if place is not None else 0.0
 
 
 def _same_cause(one: Option, other: Option) -> bool:
@@ -239,6 +267,14 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > _CONTAINED * whole
 
 
+def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> bool:
+    """Return True unless the other is a product of channels that hardly explains more: one channel is simpler."""
+    if table.options[other].family != "unknown":
+        return True
+    left = table.scores[form].loss.sum(axis=0)
+    return float(left[place] - left[other]) > gain * float(left[place])
+
+
 def _place_of(table: Table, option: Option) -> int | None:
     for place, other in enumerate(table.options):
         if other.name == option.name:
@@ -253,10 +289,11 @@ def _form_of(table: Table, place: int) -> str:
     )
 
 
-def standing(search: Search, option: Option, table: Table) -> Standing:
+def standing(search: Search, option: Option, table: Table, last: Table | None = None) -> Standing:
     """Return how an effect of the model stands against everything that could take its place.
 
-    Another form of the same cause, the same channels in the same family, is no rival.
+    Another form of the same cause, the same channels in the same family, is no rival; nor is what explains
+    as much beside the effect (in the `last` table) as in its place: that is another effect.
     """
     place = _place_of(table, option)
     if place is None:
@@ -267,6 +304,12 @@ def standing(search: Search, option: Option, table: Table) -> Standing:
     rivals: dict[str, tuple[Option, float]] = {}
     for other, rival in enumerate(table.options):
         if _same_cause(rival, option) or rival.placebo or (rival.agnostic and not option.agnostic):
+            continue
+        if rival.family == "unknown" and set(option.channels) < set(rival.channels):
+            continue
+        if last is not None and _still(last, rival, form) > 0.5 * float(
+            scores.loss0.sum() * scores.gain[other]
+        ):
             continue
         if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
             continue

@@ -25,6 +25,8 @@ LEAST_KEPT = 1e-3
 #: An effect of its usual size that explains less than so many times a row's variance could not be seen: three
 #: sigma, of residuals correlated over several rows.
 _CLEAR = 50.0
+#: Part of a column that the calibration leaves, from which on it is no matter of the calibration.
+_OWN = 0.05
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,15 @@ class Table:
     def passing(self, rules: Rules) -> dict[str, np.ndarray]:
         """Return, a form, which options may be added."""
         real = np.array([not option.placebo for option in self.options], dtype=bool)
+        raw = self.scores["raw"]
+        # What only a filtered form shows must at least show the right way in the residual itself.
+        agreed = {
+            "raw": real,
+            "within": real & (raw.t > 0),
+            "white": real & (raw.gain > 0.5 * rules.gain) & (raw.t > 1),
+        }
         return {
-            form: real
+            form: agreed[form]
             & (self.scores[form].t > rules.t)
             & (self.scores[form].gain > rules.gain)
             & (self.p[form] < rules.p)
@@ -195,7 +204,11 @@ class Search:
         left = np.diag(form.total)[form.index(option.columns)]
         kept = np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), 0.0)
         usual = np.array([size for key in option.terms for size in self.library.terms[key].usual])
-        clear = left * usual[: len(left)] ** 2 > _CLEAR * self.variance
+        # What the calibration hardly touches is seen or not by the data; of what it nearly takes over, the
+        # usual size says whether the rest can be.
+        own = np.diag(self.raw.total)[self.raw.index(option.columns)]
+        clear = left > _OWN * own
+        clear |= left * usual[: len(left)] ** 2 > _CLEAR * self.variance
         return bool(np.any((kept >= LEAST_KEPT) & clear))
 
     # The calibration and the model's own parameters.

@@ -28,6 +28,8 @@ from inflight.time import DAY
 
 #: Channels that are paired: the most telling ones.
 _CHANNELS, _PAIRS = 8, 60
+#: A factor that varies by less than this part of its size is a constant.
+_STEADY = 1e-3
 #: Angles: a field may follow them, but no product with them means anything.
 NO_FACTOR = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
 #: Rows of the series at most: of longer records a user asks for a product by name.
@@ -75,7 +77,7 @@ def _pairs(
 ) -> list[tuple[str, str]]:
     """Return the pairs to try: a channel that was taken with every other one; of the telling ones all."""
     series = material.series
-    scalars = [name for name in series.channels if series[name].ndim == 1 and name not in NO_FACTOR]
+    scalars = [name for name in series.channels if series[name].ndim == 1 and _varies(series[name], name)]
     taken = [name for option in search.accepted for name in option.channels if name in scalars]
     pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
     if unexplained:
@@ -84,6 +86,12 @@ def _pairs(
     for pair in pairs:
         first.setdefault(frozenset(pair), pair)
     return list(first.values())[:_PAIRS]
+
+
+def _varies(values: Floats, name: str) -> bool:
+    """Return True when a product with the channel is another thing than the other channel alone."""
+    known = values[np.isfinite(values)]
+    return name not in NO_FACTOR and known.size > 0 and bool(np.std(known) > _STEADY * np.abs(known).mean())
 
 
 def telling_channels(search: Search, material: Material, tables: Sequence[Table]) -> list[str]:

@@ -37,7 +37,8 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         "after_nT": native_rms(material, search, accepted=True),
         "held_out_before_nT": before,
         "held_out_after_nT": held_out(search, material),
-        "noise_floor_nT": material.floor.level_nT,
+        # A record without a fast part, filtered or rounded away, tells no floor.
+        "noise_floor_nT": material.floor.level_nT or float("nan"),
         "noise_floor_low_nT": material.floor.low_nT,
         "noise_floor_high_nT": material.floor.high_nT,
         "structure_nT": unknown.structure.rms_nT,

@@ -13,7 +13,7 @@ def sentence(told: Mapping[str, Any]) -> str:
     residual = told["residual"]
     sizes = (
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
-        f"noise floor {residual['noise_floor_nT']:.3g} nT"
+        f"noise floor {_size(residual['noise_floor_nT'])}"
     )
     parts = [_of_effect(effect) for effect in told["effects"]]
     if parts:
@@ -34,8 +34,16 @@ def sentence(told: Mapping[str, Any]) -> str:
     }[told["remaining"]]()
 
 
+def _size(nanotesla: float) -> str:
+    return f"{nanotesla:.3g} nT" if nanotesla == nanotesla else "unknown"
+
+
+def _article(word: str) -> str:
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+
+
 def _of_effect(effect: FoundEffect) -> str:
-    what = f"a {effect.family.replace('_', ' ')} effect"
+    what = f"{_article(effect.family.replace('_', ' '))} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
     if effect.at:
         cause += f" from {effect.at[0]}" + (f" to {effect.at[1]}" if len(effect.at) > 1 else "")
