@@ -88,7 +88,7 @@ def make_library(
         except InflightError as error:
             library.unscorable.append({"name": label, "family": kind.family, "reason": error.message})
             continue
-        if kind.__name__ in own and not options:
+        if kind.__name__ in mission_own and not options:
             options = [{}]
         for given in options:
             _offer(library, mission, model, label, given, there, channels, periods)

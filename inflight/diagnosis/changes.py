@@ -119,7 +119,8 @@ def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int)
             inside = np.zeros(len(evidence))
             inside[first:last] = 1.0
             when = (int(evidence.start[first]), int(evidence.end[last - 1]))
-            label = f"{name}_episode@{to_utc(when[0]).astype('datetime64[s]')}/{to_utc(when[1]).astype('datetime64[s]')}"
+            begin, end = (to_utc(one).astype("datetime64[s]") for one in when)
+            label = f"{name}_episode@{begin}/{end}"
             functions = {f"{label}.{columns[0]}": (columns[0], inside)}
             found.append(Change(label, f"{name}_episode", family, functions, when))
     return found

@@ -145,7 +145,10 @@ class Diagnosis:
             "verdict": self.remaining["verdict"],
             "signature": left.as_json() if left is not None else None,
         }
-        return plain({"command": "diagnose", "run": self.run, "context": self.context, **told})
+        whole: dict[str, Any] = plain(
+            {"command": "diagnose", "run": self.run, "context": self.context, **told}
+        )
+        return whole
 
 
 def plain(value: Any) -> Any:

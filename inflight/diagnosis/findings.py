@@ -175,8 +175,9 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
 def unscorable(search: Search) -> tuple[dict[str, Any], ...]:
     """Return what these data cannot show, and why; each name once."""
     out: dict[str, dict[str, Any]] = {}
-    for one in [*search.unscorable, *search.library.unscorable]:
-        out.setdefault(one["name"], one)
+    told: list[dict[str, Any]] = [*search.unscorable, *search.library.unscorable]
+    for one in told:
+        out.setdefault(str(one["name"]), one)
     return tuple(out.values())
 
 

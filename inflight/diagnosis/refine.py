@@ -146,13 +146,15 @@ class _Plays:
         return _term(self.search, self.material, source, key, {"width": width}, ("play",))
 
     def left(self, width: float, direct: bool) -> Floats:
-        """Return the sum of squares a play leaves in each block, with or without the channel itself; (block,)."""
+        """Return what a play leaves in each block, with or without the channel itself; (block,) nT^2."""
         term = self.term(width, f"{self.option.mechanism}@trial")
         play = self._absorbed(self._flat([term], self._rows([term])))
         columns = np.concatenate([self.model, play, *([self.own] if direct else [])], axis=1)
         value = np.linalg.lstsq(columns.T @ columns, columns.T @ self.y[:, 0], rcond=1e-12)[0]
         rest = self.y[:, 0] - columns @ value
-        return np.bincount(self.block, weights=rest**2, minlength=len(self.search.raw))
+        return np.asarray(
+            np.bincount(self.block, weights=rest**2, minlength=len(self.search.raw)), dtype=np.float64
+        )
 
 
 def _term(

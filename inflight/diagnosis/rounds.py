@@ -112,7 +112,7 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
 
 
 def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: float) -> int:
-    """Return what to take for a change in time: the same cause without one when it does as well, else the best time."""
+    """Return what to take for a change in time: its steady cause if that does as well, else the best time."""
     option, scores = table.options[chosen], table.scores[form]
     if option.change is None:
         return chosen
@@ -136,14 +136,9 @@ def _named(table: Table, places: list[int], gain: Floats) -> list[int]:
     for those, unless they explain but a small part of what it does; what it mimicked is then left to it.
     """
     best = max(float(gain[place]) for place in places)
-    for is_first in (
-        lambda option: not option.agnostic and len(option.columns) <= _FEW,
-        lambda option: not option.agnostic,
-    ):
-        found = [place for place in places if is_first(table.options[place]) and gain[place] > _PART * best]
-        if found:
-            return found
-    return places
+    named = [place for place in places if not table.options[place].agnostic and gain[place] > _PART * best]
+    few = [place for place in named if len(table.options[place].columns) <= _FEW]
+    return few or named or places
 
 
 def _simplicity(option: Option) -> tuple[int, bool]:
@@ -239,7 +234,7 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
 
 
 def _still(last: Table, rival: Option, form: str) -> float:
-    """Return the sum of squares a rival explains beside everything that was taken; 0 when it is taken itself."""
+    """Return the sum of squares a rival explains beside all that was taken; 0 when it is taken itself."""
     place = _place_of(last, rival)
     scores = last.scores[form]
     return float(scores.loss0.sum() * scores.gain[place]) if place is not None else 0.0
@@ -268,7 +263,7 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
 
 
 def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> bool:
-    """Return True unless the other is a product of channels that hardly explains more: one channel is simpler."""
+    """Return True unless the other is a product that hardly explains more: one channel is simpler."""
     if table.options[other].family != "unknown":
         return True
     left = table.scores[form].loss.sum(axis=0)

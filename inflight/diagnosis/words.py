@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite
 from typing import Any
 
 from inflight.diagnosis.diagnosis import FoundEffect, Signature
@@ -35,7 +36,7 @@ def sentence(told: Mapping[str, Any]) -> str:
 
 
 def _size(nanotesla: float) -> str:
-    return f"{nanotesla:.3g} nT" if nanotesla == nanotesla else "unknown"
+    return f"{nanotesla:.3g} nT" if isfinite(nanotesla) else "unknown"
 
 
 def _article(word: str) -> str:
