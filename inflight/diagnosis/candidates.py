@@ -77,7 +77,7 @@ def make_library(
     library = Library(base=list(base), refined=_refined(model, base), placebos=dict(shifts))
     there = set(channels) | set(geometry)
     library_own = known_effects()
-    own = {
+    mission_own = {
         one.__name__ for label, one in known_effects(model.own).items() if library_own.get(label) is not one
     }
     for label, kind in sorted(known_effects(model.own).items()):
