@@ -10,6 +10,7 @@ PYTHON ?= $(shell for python in python3.11 python3.12 python3 python3.13; do \
 WORKERS ?= 2
 DEMO ?= demo
 DAYS ?= 30
+SEEDS ?= 1
 
 # One BLAS thread: steps run in parallel over days, and results must not depend on the number of threads.
 export OPENBLAS_NUM_THREADS := 1
@@ -17,7 +18,7 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench docs lock format clean
+.PHONY: help setup demo test cases lint bench docs lock format clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -43,7 +44,10 @@ demo: setup  ## simulate a month, run the whole chain, show what came out (under
 	$(BIN)/inflight --workspace $(DEMO) demo --days $(DAYS)
 
 test: setup  ## run the tests
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile -m "not slow" $(ARGS)
+
+cases: setup  ## diagnose missions with hidden effects, print the score table (half an hour)
+	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS)
 
 lint: setup  ## check style, types and the direction of imports
 	$(BIN)/ruff check .

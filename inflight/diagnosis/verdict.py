@@ -32,18 +32,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     unknown = look_at(search, material, last, left, structure_of(material.series, left))
     remaining = _remaining(unknown, blocks["independent"], search.rules.blocks)
     verdict = _verdict(effects, standings, remaining)
-    residual = {
-        "before_nT": native_rms(material, search, accepted=False),
-        "after_nT": native_rms(material, search, accepted=True),
-        "held_out_before_nT": before,
-        "held_out_after_nT": held_out(search, material),
-        # A record without a fast part, filtered or rounded away, tells no floor.
-        "noise_floor_nT": material.floor.level_nT or float("nan"),
-        "noise_floor_low_nT": material.floor.low_nT,
-        "noise_floor_high_nT": material.floor.high_nT,
-        "structure_nT": unknown.structure.rms_nT,
-        "structure_t": unknown.structure.t,
-    }
+    residual = _sizes(search, material, before, unknown)
     signature = unknown.signature if remaining == "UNKNOWN_EFFECT" else None
     own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _of_shape(effects[0])
     told = {
@@ -74,6 +63,22 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         material.context,
         material.run,
     )
+
+
+def _sizes(search: Search, material: Material, before: float, unknown: Unknown) -> dict[str, float]:
+    """Return the sizes of the residual, nT at the cadence of the comparison."""
+    return {
+        "before_nT": native_rms(material, search, accepted=False),
+        "after_nT": native_rms(material, search, accepted=True),
+        "held_out_before_nT": before,
+        "held_out_after_nT": held_out(search, material),
+        # A record without a fast part, filtered or rounded away, tells no floor.
+        "noise_floor_nT": material.floor.level_nT or float("nan"),
+        "noise_floor_low_nT": material.floor.low_nT,
+        "noise_floor_high_nT": material.floor.high_nT,
+        "structure_nT": unknown.structure.rms_nT,
+        "structure_t": unknown.structure.t,
+    }
 
 
 def _rounds(search: Search, material: Material, first: Table) -> Table:

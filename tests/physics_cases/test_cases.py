@@ -5,15 +5,28 @@ import pytest
 from .run import run_case
 from .scenarios import scenarios
 
-pytestmark = pytest.mark.slow
 SEED = 1
+#: Cases that every test run makes; the others are marked slow and run with ``make cases``.
+QUICK = {
+    "battery",
+    "clock_episode",
+    "near_copies",
+    "null_polar",
+    "offset_step",
+    "slow_response",
+    "steady_in_full_sun",
+    "two_days",
+    "unrecorded_switch",
+}
 #: Cases that fail, with what was measured; each is to be taken out when it passes.
 FAILING: dict[str, str] = {}
 
 
 def marked(name):
-    reason = FAILING.get(name)
-    return pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=reason)) if reason else name
+    marks = [] if name in QUICK else [pytest.mark.slow]
+    if name in FAILING:
+        marks.append(pytest.mark.xfail(strict=True, reason=FAILING[name]))
+    return pytest.param(name, marks=marks)
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in scenarios()])
