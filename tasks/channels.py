@@ -62,6 +62,10 @@ class ChannelReader:
         start, end = day_bounds(day)
         return grid(max(start, self.span[0]), min(end, self.span[1]), self.cadence_ns)
 
+    def forget(self) -> None:
+        """Let go of the days that were read."""
+        self._read.clear()
+
     def day(self, day: np.datetime64) -> dict[str, Floats]:
         """Return every channel of a day on its bins; NaN where there is nothing."""
         if day not in self._read:

@@ -11,13 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.diagnosis.candidates import make_library
-from inflight.diagnosis.changes import Carriers
+from inflight.diagnosis.carriers import carriers_of
 from inflight.diagnosis.diagnosis import Diagnosis
-from inflight.diagnosis.library import Library, Term
+from inflight.diagnosis.library import Term
 from inflight.diagnosis.search import Rules, Search
 from inflight.diagnosis.verdict import Material, conclude
 from inflight.effects.families import channels_of
-from inflight.effects.scalar_sensor import ScalarBias, TimeShift
 from inflight.errors import CatalogError, WorkerError
 from inflight.geometry import GEOMETRY
 from inflight.mission import Mission
@@ -29,11 +28,8 @@ from inflight.tasks.models import UsedModel, current_model
 from inflight.tasks.needs import Need, base_role, channel_homes, needs_of, position_channel
 from inflight.tasks.report import Progress
 from inflight.tasks.samples import ArchiveIndex
-from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, survey
+from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, placebo_shifts, survey
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
-
-#: Channels that get a placebo.
-_PLACEBOS = 16
 
 
 class DiagnoseSettings(BaseModel):
@@ -124,6 +120,42 @@ def prepare(
 ) -> Prepared:
     """Make or find the evidence of a span and a model, the present one if none; a narrow one stays apart."""
     tell = progress or (lambda stage, done, total: None)
+    made = planned(cat, mission, settings, start, end, used, tell)
+    plan = narrow(made.plan) if narrow else made.plan
+    context = cat.save_context(mission.text, made.used.model.name, made.used.version, {})
+    dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
+    run, blocks = _pass(cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell)
+    loaded = load_evidence(cat, plan, blocks)
+    return Prepared(plan, made.used, made.survey, loaded, context, run, len(plan.blocks) - len(blocks))
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A pass that is still to be made: what a worker is given, and the archive it reads."""
+
+    plan: PassPlan
+    index: ArchiveIndex
+    base: Need
+    used: UsedModel
+    survey: Survey
+
+
+def planned(
+    cat: Catalog,
+    mission: Mission,
+    settings: DiagnoseSettings,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    used: UsedModel | None = None,
+    tell: Progress = lambda stage, done, total: None,
+) -> Planned:
+    """Look at the span, linearise the model, and decide what is tried.
+
+    Raises
+    ------
+    CatalogError
+        When the archive has no day of the span.
+    """
     used = used or current_model(cat, mission, settings.comparison)
     needs = tuple(needs_of(mission, used.model))
     channels = _channel_needs(mission)
@@ -146,12 +178,7 @@ def prepare(
     found = survey(cat, mission, used.model, needs, index, days, reader)
     tell("survey", 1, 1)
     plan = _plan(mission, found, needs, channels, days, span, cadence)
-    plan = narrow(plan) if narrow else plan
-    context = cat.save_context(mission.text, used.model.name, used.version, {})
-    dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
-    run, blocks = _pass(cat, mission, plan, index, base, settings, context, dataset, client, tell)
-    loaded = load_evidence(cat, plan, blocks)
-    return Prepared(plan, used, found, loaded, context, run, len(plan.blocks) - len(blocks))
+    return Planned(plan, index, base, used, found)
 
 
 def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:
@@ -190,7 +217,7 @@ def _plan(
     parts, width = block_parts(len(days), length, orbit)
     geometry = list(GEOMETRY) if position_channel(mission) else []
     vectors = [name for name, channel in channels_of(mission).items() if len(channel.axis_names) == 3]
-    shifts = _shifts(found, orbit, length)
+    shifts = placebo_shifts(found, orbit, length)
     library = make_library(
         mission,
         found.model,
@@ -220,27 +247,6 @@ def _plan(
         memory,
         found.channels,
     )
-
-
-def _shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
-    """Return the shift of each placebo, s: a day or more and part of an orbit, or part of the record."""
-    generator = np.random.default_rng(20_000)
-    names = sorted(found.channels)
-    chosen = (
-        [names[place] for place in np.unique(np.linspace(0, len(names) - 1, _PLACEBOS).round().astype(int))]
-        if names
-        else []
-    )
-    period = orbit or DAY
-    out = {}
-    for name in chosen:
-        part = generator.uniform(0.15, 0.85)
-        if length >= 4 * DAY and length >= 4 * period:
-            shift = float((generator.integers(1, 3) * DAY + part * period) / SECOND)
-        else:
-            shift = generator.uniform(0.25, 0.75) * length / SECOND
-        out[f"{name}~1"] = shift
-    return out
 
 
 def _pass(
@@ -360,25 +366,6 @@ def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
         rest = groups.pop()
         groups[-1] += rest
     return groups
-
-
-def carriers_of(library: Library) -> Carriers:
-    """Return the library's columns that may change in time."""
-
-    def columns(kind: type, parameter: str) -> tuple[str, ...]:
-        for term in library.all_terms:
-            if isinstance(term.entry.effect, kind) and parameter in term.parameters:
-                return tuple(name for name in term.columns if f".{parameter}" in name)
-        return ()
-
-    from inflight.effects.vector_sensor import Affine, VectorSensor
-
-    return Carriers(
-        offset=columns(VectorSensor, "offset") or columns(Affine, "shift"),
-        scale=columns(VectorSensor, "scale_factor"),
-        clock=columns(TimeShift, "seconds"),
-        bias=columns(ScalarBias, "bias"),
-    )
 
 
 def material_of(made: Prepared, mission: Mission) -> Material:

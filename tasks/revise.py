@@ -16,6 +16,7 @@ import numpy as np
 
 from inflight.catalog import Catalog
 from inflight.diagnosis.additions import Addition, Maker, held_at_nothing, values_of
+from inflight.diagnosis.carriers import carriers_of
 from inflight.diagnosis.diagnosis import Diagnosis
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.library import Library, Term
@@ -31,7 +32,6 @@ from inflight.model import Model
 from inflight.tasks.diagnose import (
     DiagnoseSettings,
     Prepared,
-    carriers_of,
     intervals_of,
     material_of,
     prepare,

@@ -22,6 +22,8 @@ from inflight.tasks.channels import ChannelReader
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
+#: Channels that get a placebo.
+_PLACEBOS = 16
 #: Days looked at, evenly spread, and samples of each that enter the fit.
 _DAYS, _SAMPLES = 12, 20_000
 #: Blocks that are wanted of a record, and blocks of a long one at most.
@@ -225,3 +227,24 @@ def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int
     day_ns = span_ns / days
     most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
     return int(np.clip(-(-WANTED_BLOCKS // days), 1, most)), 1
+
+
+def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
+    """Return the shift of each placebo, s: a day or more and part of an orbit, or part of the record."""
+    generator = np.random.default_rng(20_000)
+    names = sorted(found.channels)
+    chosen = (
+        [names[place] for place in np.unique(np.linspace(0, len(names) - 1, _PLACEBOS).round().astype(int))]
+        if names
+        else []
+    )
+    period = orbit or DAY
+    out = {}
+    for name in chosen:
+        part = generator.uniform(0.15, 0.85)
+        if length >= 4 * DAY and length >= 4 * period:
+            shift = float((generator.integers(1, 3) * DAY + part * period) / SECOND)
+        else:
+            shift = generator.uniform(0.25, 0.75) * length / SECOND
+        out[f"{name}~1"] = shift
+    return out

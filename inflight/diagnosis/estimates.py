@@ -113,8 +113,10 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
 
 def centred(search: Search, option: Option) -> Floats:
     """Return the Gram matrix of an option's columns about constant channels (see `Evidence.centred`)."""
-    base = [name for term in search.library.base for name in term.columns]
-    return search.raw.centred(search.raw.index(option.columns), search.raw.index(base))
+    own = search.raw.index(option.columns)
+    # Only a channel has a mean that is none of the effect's doing.
+    base = [name for term in search.library.base for name in term.columns] if option.channels else []
+    return search.raw.centred(own, search.raw.index(base))
 
 
 def detectable(search: Search, option: Option, form: str = "raw") -> Floats:

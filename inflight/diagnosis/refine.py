@@ -25,6 +25,8 @@ from inflight.sensors import sensors_of
 
 #: A lag is refined when it is off by more than this part.
 _NEAR = 0.02
+#: Profiles of a lag at most: each new column makes the next one sharper.
+_TURNS = 3
 #: Widths tried, as parts of the channel's range.
 _WIDTHS = np.geomspace(0.02, 0.9, 16)
 #: The channel itself stays beside its play when it helps by more than this t.
@@ -46,16 +48,28 @@ def refine(search: Search, material: Material, option: Option) -> Option:
 
 
 def _with_lag(search: Search, material: Material, option: Option) -> Option:
+    made = option
+    for _ in range(_TURNS):
+        # The profile between two lags of the bank is a mixture's; a column of the lag itself makes it exact.
+        better = _nearer(search, material, option, made)
+        if better is made:
+            break
+        made = better
+    return made
+
+
+def _nearer(search: Search, material: Material, option: Option, now: Option) -> Option:
+    """Return the option with a lag nearer to the best one; the present one when it is near enough."""
     found = lag_profile(search, option)
     if found is None:
-        return option
+        return now
     smallest = float(found.lags[found.lags > 0][0])
     best = found.best if found.best >= smallest else 0.0
-    if abs(best - option.lag_s) <= _NEAR * max(best, option.lag_s) or (best == 0.0 and option.lag_s == 0.0):
-        return option
+    if abs(best - now.lag_s) <= _NEAR * max(best, now.lag_s) or (best == 0.0 and now.lag_s == 0.0):
+        return now
     if best == 0.0:
         plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
-        return plain[0] if plain else option
+        return plain[0] if plain else now
     lag = float(f"{best:.4g}")
     key = f"{option.mechanism}@lag={lag:g}s"
     term = _term(search, material, option.terms[0], key, {"lag": f"{lag:g} s"}, ("coefficient",))

@@ -200,7 +200,8 @@ class Search:
         """Return True when an effect of its usual size would stand out of what the calibration leaves."""
         base, _ = self._base()
         form = self.forms["raw"]
-        whole = np.diag(self.raw.centred(self.raw.index(option.columns), self.raw.index(base)))
+        own_base = self.raw.index(base if option.channels else [])
+        whole = np.diag(self.raw.centred(self.raw.index(option.columns), own_base))
         left = np.diag(form.total)[form.index(option.columns)]
         kept = np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), 0.0)
         usual = np.array([size for key in option.terms for size in self.library.terms[key].usual])

@@ -19,6 +19,9 @@ from inflight.time import SECOND
 
 #: A line that explains less than this part of the residual's square is no effect worth a name.
 _LEAST_PART = 0.01
+#: Lines beside a harmonic at so many turns of the Earth; resolutions within which they are the same; what a
+#: nominal period may be off by; and by how much the field must turn to have a period of its own.
+_SPLITS, _APART, _SHARP, _TURNING = 2, 1.5, 2e-4, 0.3
 
 
 @dataclass(frozen=True)
@@ -75,13 +78,48 @@ def _line(material: Material, left: Floats) -> Signature | None:
     told, part = describe(
         series.tt2000, left, series.direction(), series["weight"], line[0], float(found.frequency[1])
     )
-    return told if part >= _LEAST_PART else None
+    if part < _LEAST_PART or _is_known(material, float(told.period_s or 0.0)):
+        return None
+    return told
+
+
+def _is_known(material: Material, period: float) -> bool:
+    """Return True for a harmonic of a known period, or one that the turning Earth splits from it.
+
+    Judged at the resolution of the whole span, which is finer than that of the periodogram's segments.
+    """
+    series = material.series
+    span = float(series.tt2000[-1] - series.tt2000[0]) / SECOND
+    frequency = 1.0 / period if period > 0 else 0.0
+    for known in known_periods(material):
+        for split in range(-_SPLITS, _SPLITS + 1):
+            offset = frequency - split / 86_400.0
+            harmonic = round(offset * known)
+            if harmonic >= 1 and abs(offset - harmonic / known) < _APART * max(
+                1.0 / span, _SHARP * frequency
+            ):
+                return True
+    return False
+
+
+def _own_period(material: Material) -> list[float]:
+    """Return the period with which the field turns in the sensor, s: the orbit's, or the spin's."""
+    series = material.series
+    direction = series.direction()[:, 0]
+    good = (series["weight"] > 0) & np.isfinite(direction).all(axis=1)
+    if good.sum() < 64 or float(np.ptp(direction[good], axis=0).max()) < _TURNING:
+        return []
+    even = np.where(good[:, None], direction - direction[good].mean(axis=0), 0.0)
+    power = (np.abs(np.fft.rfft(even, 4 * len(even), axis=0)) ** 2).sum(axis=1)
+    at = int(np.argmax(power[8:])) + 8
+    return [4 * len(even) * series.step_s / at]
 
 
 def known_periods(material: Material) -> list[float]:
     """Return the periods whose harmonics are no news: orbit, day, and those of the mission; seconds."""
     periods = {name: period / SECOND for name, period in material.mission.periods.items()}
-    return [86_400.0, *(period for period in periods.values() if period > 2 * material.series.step_s)]
+    known = [86_400.0, *(period for period in periods.values() if period > 2 * material.series.step_s)]
+    return known + _own_period(material)
 
 
 def spectrum_left(material: Material, left: Floats) -> Periodogram | None:

@@ -1,0 +1,115 @@
+"""The search: ranking 300 candidates of 3000 days, and the pass against reading, decoding and BLAS.
+
+Evidence of 3000 days is made from random rows with the structure of real evidence: nine parameters,
+a few of a model, 300 candidates of three columns, 200 blocks. The ranking reads nothing else.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.nine import timed
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
+from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.time import DAY, SECOND
+
+#: Blocks of a mission of 3000 days, candidates, columns of each, rows that stand for a block's.
+BLOCKS, CANDIDATES, WIDTH, ROWS = 200, 300, 3, 1500
+
+
+@dataclass(frozen=True)
+class Made:
+    """Evidence with its candidates' columns."""
+
+    evidence: Evidence
+    present: Present
+    candidates: list[np.ndarray] = field(default_factory=list)
+
+
+def synthetic(blocks: int = BLOCKS, candidates: int = CANDIDATES) -> Made:
+    """Return random evidence: two model columns, the candidates', a residual that follows one of them."""
+    generator = np.random.default_rng(1)
+    width = 2 + candidates * WIDTH + 1
+    gram = np.empty((blocks, width, width))
+    for block in range(blocks):
+        rows = generator.normal(size=(ROWS, width))
+        rows[:, -1] += 0.2 * rows[:, 2]
+        gram[block] = rows.T @ rows
+    names = (*(f"c{place}" for place in range(width - 1)), "residual")
+    start = np.arange(blocks, dtype=np.int64) * 15 * DAY
+    evidence = Evidence(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
+    columns = [np.arange(2 + WIDTH * place, 2 + WIDTH * (place + 1)) for place in range(candidates)]
+    return Made(evidence, Present(np.array([0, 1]), np.zeros(2)), columns)
+
+
+def ranking(draws: int = 2000) -> list[str]:
+    """Return the lines to print: scores, cross-validation and flips of one form, and of all three."""
+    made = synthetic()
+    y = len(made.evidence.names) - 1
+
+    def scored() -> object:
+        return score(made.evidence, made.present, made.candidates, y, folds_of(len(made.evidence)))
+
+    def flipped() -> object:
+        signs, units = flip_signs(len(made.evidence), draws, 0)
+        observed, drawn = flip_ratios(made.evidence, made.present, made.candidates, y, signs, units)
+        return family_wise(observed, drawn)
+
+    with threadpool_limits(1):
+        begun = time.perf_counter()
+        scored()
+        first = time.perf_counter() - begun
+        again, flips = timed(scored, 3) / 1e3, timed(flipped, 3) / 1e3
+    size = made.evidence.gram[0].nbytes / 2 / 15
+    return [
+        f"ranking {CANDIDATES} candidates ({len(made.evidence.names)} columns, {len(made.evidence)} blocks):",
+        f"  one form: cross-validation {again:.2f} s (first time {first:.2f} s), {draws} flips {flips:.2f} s",
+        f"  raw, within-day and prewhitened: {3 * (again + flips):.1f} s (aim 1.5 s)",
+        f"  stored: {size / 1e3:.0f} kB a day and form",
+    ]
+
+
+def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
+    """Return the lines to print: the pass of a mission against its floor, a day and core."""
+    from inflight.tasks import diagnose
+    from inflight.tasks.channels import ChannelReader, DerivedChannels
+    from inflight.tasks.evidence import block_evidence
+    from inflight.tasks.samples import ArchiveIndex, load_samples
+
+    mission = Workspace.open(cat.workspace).mission()
+    made = diagnose.planned(cat, mission, diagnose.DiagnoseSettings())
+    plan, index = made.plan, made.index
+    reader = ChannelReader(cat, mission, plan.channel_needs, index, plan.cadence_ns, plan.span)
+    derived = DerivedChannels(reader, plan.days, plan.told, plan.library.placebos)
+    some = plan.blocks[2 : 2 + days]
+    columns = len(plan.library.columns)
+    rows = int(DAY / plan.cadence_ns)
+    matrix = np.random.default_rng(0).normal(size=(rows, columns + 1))
+    with threadpool_limits(1):
+        begun = time.perf_counter()
+        for block in some:
+            block_evidence(cat, mission, plan, index, derived, block)
+        whole = (time.perf_counter() - begun) / len(some)
+
+        def read() -> None:
+            for block in some:
+                needs = list(plan.needs)
+                load_samples(
+                    cat, mission, plan.model, block[0], needs, ArchiveIndex(index.days), geometry=False
+                )
+                reader.forget()
+                reader.day(block[0])
+
+        reading = timed(read) / 1e3 / len(some)
+        blas = 2 * timed(lambda: matrix.T @ matrix, 5) / 1e3
+    return [
+        f"evidence of a day: {columns} columns at {plan.cadence_ns / SECOND:g} s, two forms: {whole:.2f} s",
+        f"  floor: reading {reading:.2f} s, BLAS {blas:.2f} s; ratio {whole / (reading + blas):.1f} (aim 2)",
+    ]
