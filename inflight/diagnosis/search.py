@@ -158,6 +158,8 @@ class Search:
     rounds: list[Round] = field(default_factory=list)
     forms: dict[str, Evidence] = field(default_factory=dict)
     carriers: Carriers = field(default_factory=Carriers)
+    #: Columns on the coarse series, when more were joined to the evidence: names and (sample, row, column).
+    wall: tuple[list[str], Floats] | None = None
 
     def __post_init__(self) -> None:
         self.options = [

@@ -14,7 +14,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.columns import Rows, design
+from inflight.diagnosis.columns import design
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.gram import prewhiten
 from inflight.diagnosis.left import made_channels
@@ -121,25 +121,41 @@ def _product(material: Material, one: str, other: str) -> Term | None:
     return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
 
 
+def _wall(search: Search, material: Material, terms: Sequence[Term]) -> tuple[list[str], Floats]:
+    """Return the columns of all terms on the coarse series, (sample, row, column) float32, and their names.
+
+    They are kept: each further column costs its own making only.
+    """
+    series = material.series
+    known, kept = search.wall if search.wall is not None else ([], None)
+    new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known)]
+    channels = {name for term in new for name in term.entry.effect.channels if name}
+    rows = series.rows(material.turn, made_channels(series, channels, search.library.placebos))
+    made = [design([term], rows).astype(np.float32) for term in new]
+    search.wall = (
+        [*known, *(name for term in new for name in term.columns)],
+        np.concatenate([*([kept] if kept is not None else []), *made], axis=2),
+    )
+    return search.wall
+
+
 def _bordered(search: Search, material: Material, terms: Sequence[Term]) -> tuple[Evidence, Evidence]:
     """Return raw and prewhitened evidence with the terms' columns joined to all others."""
     series = material.series
-    every = [*search.library.all_terms, *terms]
-    channels = {name for term in every for name in term.entry.effect.channels if name}
-    made = made_channels(series, channels, search.library.placebos)
-    rows = series.rows(material.turn, made)
-    names = [name for term in every for name in term.columns]
+    names, wall = _wall(search, material, terms)
     fresh = [name for term in terms for name in term.columns]
+    places = [names.index(name) for name in fresh]
+    residual = series["residual"].reshape(len(series.tt2000), -1, 1)
     grams = [np.zeros((len(search.raw), len(names) + 1, len(fresh))) for _ in range(2)]
     day = (series.tt2000 - series.tt2000[0]) // DAY
     for part in _runs(day):
-        piece = _cut(rows, part)
-        columns = np.concatenate([design(every, piece), piece.residual[:, :, None]], axis=2)
-        stamps = series.tt2000[part]
+        weight, stamps, block = series["weight"][part], series.tt2000[part], series.block[part]
+        used = np.where((weight > 0)[:, None, None], np.nan_to_num(residual[part]), 0.0)
+        columns = np.concatenate([wall[part], used], axis=2)
         for gram, values in zip(
-            grams, (columns, prewhiten(columns, piece.weight, stamps, material.memory_s)), strict=True
+            grams, (columns, prewhiten(columns, weight, stamps, material.memory_s)), strict=True
         ):
-            _add(gram, values, piece.weight, series.block[part], len(fresh))
+            _add(gram, values, weight, block, places)
     changes = {
         name: told
         for option in search.accepted
@@ -157,23 +173,13 @@ def _runs(day: np.ndarray) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(edges) if b > a]
 
 
-def _cut(rows: Rows, part: slice) -> Rows:
-    return replace(
-        rows,
-        samples=rows.samples.isel(time=part),
-        residual=rows.residual[part],
-        directions={name: one[part] for name, one in rows.directions.items()},
-        weight=rows.weight[part],
-    )
-
-
-def _add(gram: Floats, values: Floats, weight: Floats, block: np.ndarray, fresh: int) -> None:
+def _add(gram: Floats, values: Floats, weight: Floats, block: np.ndarray, places: list[int]) -> None:
     """Add products of all columns with the fresh ones, block by block; the residual stands last."""
     root = np.sqrt(weight)[:, None, None]
     scaled = values * root
     for one in np.unique(block):
         flat = scaled[block == one].reshape(-1, values.shape[2])
-        gram[one] += flat.T @ flat[:, -1 - fresh : -1]
+        gram[one] += flat.T @ flat[:, places]
 
 
 def _joined(

@@ -133,11 +133,6 @@ def test_a_bias_is_found():
     assert abs(bias.value - BIAS_NT) < 3 * bias.sigma
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="retained is 0.024, because the bias is centred on the scale factor it is like; by the evidence "
-    "itself 0.007 of it is left, and nothing is said of that",
-)
 def test_a_bias_is_found_but_said_to_be_weakly_known():
     told = told_of("polar", 3)
     (one,) = told.effects
