@@ -76,10 +76,6 @@ def make_library(
     """
     library = Library(base=list(base), refined=_refined(model, base), placebos=dict(shifts))
     there = set(channels) | set(geometry)
-    library_own = known_effects()
-    mission_own = {
-        one.__name__ for label, one in known_effects(model.own).items() if library_own.get(label) is not one
-    }
     for label, kind in sorted(known_effects(model.own).items()):
         if label in TIMED or label in WIDE or label == "vector_sensor":
             continue
@@ -88,8 +84,6 @@ def make_library(
         except InflightError as error:
             library.unscorable.append({"name": label, "family": kind.family, "reason": error.message})
             continue
-        if kind.__name__ in mission_own and not options:
-            options = [{}]
         for given in options:
             _offer(library, mission, model, label, given, there, channels, periods)
     for term in fixed:

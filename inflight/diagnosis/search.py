@@ -17,7 +17,7 @@ from inflight.diagnosis.changes import Carriers, Change, drifts, episodes, steps
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
-from inflight.diagnosis.scoring import Index, Present, Scores, folds_of, hac_t, score
+from inflight.diagnosis.scoring import Present, Scores, folds_of, hac_t, score
 
 FORMS = ("raw", "within", "white")
 #: An effect of which the calibration leaves less than this part cannot be told from the calibration.
@@ -394,8 +394,3 @@ def _beats_placebo(scores: Scores, options: Sequence[Option]) -> Floats:
     best = placebos[int(np.argmin(scores.loss[:, placebos].sum(axis=0)))]
     floor = np.minimum(scores.loss[:, best], scores.loss0) if scores.gain[best] <= 0 else scores.loss[:, best]
     return hac_t(floor[:, None] - scores.loss, scores.active)
-
-
-def columns_of(evidence: Evidence, option: Option) -> Index:
-    """Return the indices of an option's columns."""
-    return evidence.index(option.columns)
