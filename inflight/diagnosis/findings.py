@@ -11,14 +11,12 @@ from inflight.diagnosis.estimates import Estimate, estimate, mimics, sandwich, w
 from inflight.diagnosis.lags import LagProfile, profile
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
-from inflight.diagnosis.rounds import Standing
+from inflight.diagnosis.rounds import WEAK, Standing
 from inflight.diagnosis.scoring import fit, folds_of
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.effects.coefficients import coefficient_unit
 from inflight.time import to_utc
 
-#: An effect of which the calibration takes over all but this part is known through a magnifying glass only.
-WEAK = 0.02
 #: Rows of the candidate table.
 _TABLE = 40
 #: Blocks named that separate rivals.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.diagnosis.estimates import estimate
 from inflight.diagnosis.scoring import fit, half_inverse, projected
 from inflight.diagnosis.search import FORMS, Option, Round, Search, Table
 
@@ -15,6 +16,10 @@ from inflight.diagnosis.search import FORMS, Option, Round, Search, Table
 _RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02
 #: A rival that reproduces this part of an effect's square holds it as a special case.
 _CONTAINED = 0.9999
+#: An effect of which the calibration and the rest of the model take over all but this part is weakly known.
+WEAK = 0.02
+#: Held-out gain from which an addition may make others weakly known.
+_GREAT = 0.1
 #: Exchanges of an effect for a better one at most: a search must end.
 _EXCHANGES = 3
 
@@ -69,6 +74,7 @@ def run(search: Search, most: int | None = None, refiner: Refiner | None = None)
             return table
         option, form = found
         place = table.options.index(option)
+        before = {one: estimate(search, one).retained for one in search.accepted}
         search.add(option)
         _note(search, "add", option, table, place, form)
         if refiner is not None and (better := refiner(option)) is not option:
@@ -76,7 +82,22 @@ def run(search: Search, most: int | None = None, refiner: Refiner | None = None)
             search.add(better)
             search.rounds[-1] = replace(search.rounds[-1], name=better.name)
         _drop_idle(search)
+        if table.scores[form].gain[place] < _GREAT and _swallowed(search, before):
+            search.accepted = list(before)
+            search.banned.add(option.mechanism)
+            _note(search, "undo", option, table, place, form)
     return search.table()
+
+
+def _swallowed(search: Search, before: dict[Option, float]) -> bool:
+    """Return True when an effect that stood by itself no longer does beside what was added.
+
+    A wide form can hold what is left of several causes and, for a small gain, take them over.
+    """
+    return any(
+        before.get(option, 0.0) >= WEAK and estimate(search, option).retained < WEAK
+        for option in search.accepted
+    )
 
 
 def winner(table: Table, search: Search) -> tuple[Option, str] | None:

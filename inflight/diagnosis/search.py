@@ -61,7 +61,7 @@ class Rules:
     blocks: int = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Option:
     """Something that can be added to the model: a candidate of the library, or a change in time."""
 
@@ -158,6 +158,8 @@ class Search:
     rounds: list[Round] = field(default_factory=list)
     forms: dict[str, Evidence] = field(default_factory=dict)
     carriers: Carriers = field(default_factory=Carriers)
+    #: Mechanisms that were taken back: what they added was others'.
+    banned: set[str] = field(default_factory=set)
     #: Columns on the coarse series, when more were joined to the evidence: names and (sample, row, column).
     wall: tuple[list[str], Floats] | None = None
 
@@ -269,7 +271,9 @@ class Search:
     def table(self, without: Option | None = None) -> Table:
         """Score everything that is not in the model (an effect of it left out, when one is named)."""
         taken = {name for option in self.accepted if option is not without for name in option.columns}
-        main = [option for option in self.options if not set(option.columns) & taken]
+        main = [
+            one for one in self.options if not set(one.columns) & taken and one.mechanism not in self.banned
+        ]
         signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}
         ratios: dict[str, tuple[Floats, Floats]] = {}

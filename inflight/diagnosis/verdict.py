@@ -5,11 +5,11 @@ from __future__ import annotations
 from functools import partial
 
 from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect, Signature, Verdict
-from inflight.diagnosis.findings import WEAK, candidates, confusion, effect, lag_profile, refined, unscorable
+from inflight.diagnosis.findings import candidates, confusion, effect, lag_profile, refined, unscorable
 from inflight.diagnosis.left import structure_of
 from inflight.diagnosis.material import Material, effective_blocks, held_out, left_of, native_rms
 from inflight.diagnosis.refine import refine
-from inflight.diagnosis.rounds import Standing, run, settle
+from inflight.diagnosis.rounds import WEAK, Standing, run, settle
 from inflight.diagnosis.search import Search, Table
 from inflight.diagnosis.second import look_again
 from inflight.diagnosis.unknown import Unknown, known_periods, look_at
