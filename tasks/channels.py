@@ -81,7 +81,7 @@ class ChannelReader:
         for need in self.needs:
             by_dataset.setdefault(need.dataset, []).append(need)
         out: dict[str, Floats] = {}
-        for dataset, needs in by_dataset.items():
+        for needs in by_dataset.values():
             there = self.index.get(needs[0], day)
             data = self.cat.read(there, [need.channel for need in needs]) if there is not None else None
             for need in needs:
@@ -95,7 +95,6 @@ class ChannelReader:
                 if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
                     cadence = max(cadence, self.cadence_ns + 1)
                 out[need.name] = channel_on(data[need.channel].values, data["tt2000"].values, edges, cadence)
-            del dataset
         return out
 
 
@@ -144,13 +143,13 @@ class DerivedChannels:
             return part.of(whole, step)[-bins:] if not part.is_plain else whole
         shift = round(self.shifts[f"{part.channel}~{part.placebo}"] / step)
         need = bins + int(np.ceil(part.history_s / step))
-        return part.of(self._wrapped(place, part.channel, bins, shift, need), step)[-bins:]
+        return part.of(self._wrapped(place, part.channel, shift, need), step)[-bins:]
 
     def _before(self, place: int) -> list[np.datetime64]:
         adjacent = place > 0 and self.days[place] - self.days[place - 1] == _DAY
         return [self.days[place - 1]] if adjacent else []
 
-    def _wrapped(self, place: int, channel: str, bins: int, shift: int, need: int) -> Floats:
+    def _wrapped(self, place: int, channel: str, shift: int, need: int) -> Floats:
         """Return `need` bins of a channel, `shift` bins before the day's own, around the span's end."""
         pieces: list[Floats] = []
         at, left = place, shift + need
@@ -161,7 +160,6 @@ class DerivedChannels:
             at = (at - 1) % len(self.days)
         whole = np.concatenate(pieces)
         end = len(whole) - shift
-        del bins
         return whole[end - need : end]
 
     def _filled(self, day: np.datetime64, channel: str) -> Floats:

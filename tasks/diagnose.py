@@ -319,7 +319,7 @@ def _of(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dic
 def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
     """Return a search over the evidence, nothing taken yet."""
     raw = made.loaded.raw
-    days = _groups(raw.start, raw.end, DAY)
+    days = _groups(raw.start, DAY)
     rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)
     return Search(
         raw,
@@ -333,10 +333,9 @@ def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
     )
 
 
-def _groups(start: Any, end: Any, width: int) -> list[list[int]]:
+def _groups(start: Any, width: int) -> list[list[int]]:
     """Return blocks by consecutive spans of a length, from the first block's start."""
     place = (start - start[0]) // width
-    del end
     return [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
 
 
@@ -360,7 +359,7 @@ def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
     ]
     if own and not any(timed.time == "block" for timed in own):
         return [list(range(len(raw)))]
-    groups = _groups(raw.start, raw.end, settings.interval_days * DAY)
+    groups = _groups(raw.start, settings.interval_days * DAY)
     # A short rest joins the interval before it.
     if len(groups) > 1 and len(groups[-1]) < 0.5 * len(groups[0]):
         rest = groups.pop()

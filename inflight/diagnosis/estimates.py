@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.evidence import Evidence
-from inflight.diagnosis.scoring import Index, Present, half_inverse, projected
+from inflight.diagnosis.scoring import Present, half_inverse, projected
 from inflight.diagnosis.search import Option, Search
 
 #: Reach of the scores' correlation, in blocks.
@@ -59,8 +58,7 @@ def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floa
     # By chance few blocks look anticorrelated; that is no knowledge.
     meat = _at_least(meat, own)
     free = max(count - p.size / 3.0, 2.0)
-    prior = np.diag(np.where(present.precision > 0, present.precision, 0.0))
-    return value, inverse @ (meat * count / free + prior * 0.0) @ inverse
+    return value, inverse @ (meat * count / free) @ inverse
 
 
 def _at_least(meat: Floats, own: Floats) -> Floats:
@@ -172,8 +170,3 @@ def within_and_raw(search: Search, option: Option) -> float | None:
         return None
     inverse = _inverse(both[np.ix_(seen, seen)])
     return float(difference[seen] @ inverse @ difference[seen] / seen.sum())
-
-
-def fitted_columns(search: Search, options: Sequence[Option]) -> Index:
-    """Return indices of several options' columns in the raw form."""
-    return np.concatenate([search.forms["raw"].index(option.columns) for option in options])

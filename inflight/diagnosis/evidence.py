@@ -211,7 +211,7 @@ class Evidence:
         out[:, :, dead] = 0.0
         return replace(self, names=names_left, gram=out, scale=self.scale[kept])
 
-    def as_dataset(self, day: bool = True) -> xr.Dataset:
+    def as_dataset(self) -> xr.Dataset:
         """Return the blocks as a Dataset for a store: packed upper triangles."""
         return xr.Dataset(
             {
