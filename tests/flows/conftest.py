@@ -21,9 +21,12 @@ def embedded():
         yield
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def shared_cluster():
-    """Let every run of the session use the same Dask processes, as a team with a scheduler does."""
+    """Let every run of a file use the same Dask processes, as a team with a scheduler does.
+
+    A file, not the session: other folders' tests that start processes of their own follow in this process.
+    """
     from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
 
     with dask_client(2) as client, pytest.MonkeyPatch.context() as patch:
