@@ -15,13 +15,13 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.changes import Carriers, drifts, episodes, steps
 from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.rivalry import promised_t
 from inflight.diagnosis.scoring import (
     Index,
     Present,
     activity,
     folds_of,
     grouped,
-    hac_t,
     half_inverse,
     projected,
     score,
@@ -97,7 +97,7 @@ def score_many(
     """
     total = evidence.total
     loss0 = np.zeros((len(evidence), y.size))
-    gained = np.zeros((len(evidence), len(candidates), y.size))
+    gained, promised = np.zeros((2, len(evidence), len(candidates), y.size))
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
         train = total - held
         blocks = _turned(evidence.gram[fold], present, train)
@@ -108,13 +108,16 @@ def score_many(
             right = train[columns[:, :, None], y]
             gamma = -np.matmul(half, np.matmul(half.transpose(0, 2, 1), right))
             own = blocks[:, columns[:, :, None], columns[:, None, :]]
-            across = 2.0 * blocks[:, columns[:, :, None], y] + np.matmul(own, gamma)
-            gained[np.ix_(fold, positions)] = -np.sum(across * gamma, axis=2)
+            square = np.sum(np.matmul(own, gamma) * gamma, axis=2)
+            linear = np.sum(blocks[:, columns[:, :, None], y] * gamma, axis=2)
+            gained[np.ix_(fold, positions)] = -2.0 * linear - square
+            promised[np.ix_(fold, positions)] = square
     whole = loss0.sum(axis=0)
     gain = gained.sum(axis=0) / np.where(whole > 0, whole, 1.0)
     active = np.broadcast_to(activity(evidence, candidates)[:, :, None], gained.shape)
     flat = (len(evidence), -1)
-    return gain, hac_t(gained.reshape(flat), active.reshape(flat)).reshape(gain.shape)
+    t = promised_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
+    return gain, t.reshape(gain.shape)
 
 
 def _turned(blocks: Floats, present: Present, train: Floats) -> Floats:

@@ -17,7 +17,7 @@ from inflight.diagnosis.findings import lag_profile
 from inflight.diagnosis.left import made_channels
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
-from inflight.diagnosis.scoring import hac_t
+from inflight.diagnosis.rivalry import hac_t
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.second import MOST_ROWS, join_terms
 from inflight.model import make_effect

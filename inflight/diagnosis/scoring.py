@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.diagnosis.evidence import Evidence, solve_scaled
+from inflight.diagnosis.rivalry import Fits, hac_t, promised_t
 
 Index = npt.NDArray[np.int64]
 #: Directions of a candidate that keep less than this of their own variance beside its others are dropped.
@@ -55,8 +56,12 @@ class Scores:
         In-sample values, scaled.
     explained : ndarray, shape (candidate,)
         In-sample sum of squares explained, nT^2.
+    promised : ndarray, shape (block, candidate)
+        What each block's gain would be if the effect fitted to the other folds were true, nT^2.
     active : ndarray of bool, shape (block, candidate)
         Blocks in which anything of it is left beside the calibration.
+    fits : Fits
+        What was fitted to the other folds, to set two candidates against each other.
     """
 
     loss0: Floats
@@ -65,14 +70,42 @@ class Scores:
     t: Floats
     gamma: list[Floats]
     explained: Floats
+    promised: Floats
     active: npt.NDArray[np.bool_]
+    fits: Fits
 
     def behind(self, one: int, other: int) -> float:
         """Return the t by which one candidate leaves more than another, where either tells anything."""
         if one == other:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
-        return float(hac_t(difference, self.active[:, [one]] | self.active[:, [other]])[0])
+        active = self.active[:, [one]] | self.active[:, [other]]
+        apart = self.fits.apart(one, other)
+        if apart is None:
+            return float(hac_t(difference, active)[0])
+        return float(promised_t(difference, apart[:, None], active)[0])
+
+    def joined(self, found: Scores, seen: bool) -> Scores:
+        """Return these scores with further candidates behind; all zero when this form does not see them.
+
+        Their folds may be others: what they gain is set against the same loss as everybody's.
+        """
+
+        def more(values: Floats) -> Floats:
+            return values if seen else np.zeros_like(values)
+
+        gained = more(found.loss0[:, None] - found.loss)
+        return Scores(
+            self.loss0,
+            np.concatenate([self.loss, self.loss0[:, None] - gained], axis=1),
+            np.concatenate([self.gain, more(found.gain)]),
+            np.concatenate([self.t, more(found.t)]),
+            [*self.gamma, *found.gamma],
+            np.concatenate([self.explained, more(found.explained)]),
+            np.concatenate([self.promised, more(found.promised)], axis=1),
+            np.concatenate([self.active, found.active], axis=1),
+            self.fits,
+        )
 
 
 def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[Index]:
@@ -81,31 +114,6 @@ def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[
     if interleaved:
         return [np.arange(fold, blocks, count) for fold in range(min(count, blocks))]
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
-
-
-def hac_t(difference: Floats, active: npt.NDArray[np.bool_] | None = None) -> Floats:
-    """Return mean over standard error of series; (series,), errors with Bartlett's kernel over blocks.
-
-    Parameters
-    ----------
-    difference : ndarray, shape (block, series)
-    active : ndarray of bool, shape (block, series), optional
-        Blocks that tell anything: an effect that lasts a week is judged by that week.
-    """
-    used = np.ones(difference.shape, dtype=bool) if active is None else active
-    count = np.maximum(used.sum(axis=0), 1)
-    summed = np.where(used, difference, 0.0).sum(axis=0)
-    centred = np.where(used, difference - summed / count, 0.0)
-    variance = np.sum(centred**2, axis=0)
-    reach = max(1, int(4.0 * (len(difference) / 100.0) ** (2.0 / 9.0)))
-    total = variance.copy()
-    for lag in range(1, min(reach, len(difference) - 1) + 1):
-        weight = 1.0 - lag / (reach + 1.0)
-        total += 2.0 * weight * np.sum(centred[lag:] * centred[:-lag], axis=0)
-    # Few blocks can look anticorrelated by chance; that must not make them more certain.
-    total = np.maximum(total, variance)
-    error = np.sqrt(total * count / np.maximum(count - 1, 1))
-    return np.where((error > 0) & (count > 2), summed / np.where(error > 0, error, 1.0), 0.0)
 
 
 def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
@@ -183,13 +191,14 @@ def score(
     """
     total = evidence.total
     loss0 = np.zeros(len(evidence))
-    loss = np.zeros((len(evidence), len(candidates)))
+    loss, promised = np.zeros((2, len(evidence), len(candidates)))
+    fits = Fits(evidence, p := present.columns, list(candidates))
     groups = grouped(candidates)
-    p = present.columns
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
         blocks = evidence.gram[fold]
         train = total - held
         own = present.solve(train)
+        fits.begin(fold, own)
         base = _quadratic(blocks, p, own[:, y], y)
         loss0[fold] = base
         for positions, columns in groups:
@@ -201,12 +210,16 @@ def score(
                 right = right - across @ own[:, y]
             half = half_inverse(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
-            loss[np.ix_(fold, positions)] = base[:, None] + _change(blocks, p, own, columns, gamma, y)
+            fits.keep(positions, gamma)
+            change, square = _change(blocks, p, own, columns, gamma, y)
+            loss[np.ix_(fold, positions)] = base[:, None] + change
+            promised[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
     active = activity(evidence, candidates)
-    return Scores(loss0, loss, gain, hac_t(loss0[:, None] - loss, active), gamma_all, explained, active)
+    t = promised_t(loss0[:, None] - loss, promised, active)
+    return Scores(loss0, loss, gain, t, gamma_all, explained, promised, active, fits)
 
 
 def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
@@ -218,13 +231,15 @@ def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
     return np.asarray(out)
 
 
-def _change(blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int) -> Floats:
-    """Return by how much candidates change the held-out sum of squares; (block, candidate)."""
+def _change(
+    blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
+) -> tuple[Floats, Floats]:
+    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate)."""
     linear = np.sum(blocks[:, columns, y] * gamma, axis=2)
     inner = blocks[:, columns[:, :, None], columns[:, None, :]]
     square = np.sum(np.matmul(inner, gamma[:, :, None])[:, :, :, 0] * gamma, axis=2)
     if not present.size:
-        return np.asarray(2.0 * linear + square)
+        return np.asarray(2.0 * linear + square), square
     # The model's own columns give way: their change is minus the candidate's projection on them.
     beta = -np.einsum("pck,ck->cp", own[:, columns], gamma)
     own_y = own[:, y]
@@ -232,7 +247,7 @@ def _change(blocks: Floats, present: Index, own: Floats, columns: Index, gamma: 
     across = np.matmul(gamma[:, None, :], blocks[:, columns[:, :, None], present])[:, :, 0, :]
     linear = linear - across @ own_y + (blocks[:, present, y] - model @ own_y) @ beta.T
     square = square + 2.0 * np.sum(across * beta, axis=2) + np.sum(np.matmul(beta, model) * beta, axis=2)
-    return np.asarray(2.0 * linear + square)
+    return np.asarray(2.0 * linear + square), square
 
 
 def block_scores(evidence: Evidence, present: Present, y: int) -> Floats:

@@ -17,7 +17,8 @@ from inflight.diagnosis.changes import Carriers, Change, drifts, episodes, steps
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
-from inflight.diagnosis.scoring import Present, Scores, folds_of, hac_t, score
+from inflight.diagnosis.rivalry import promised_t
+from inflight.diagnosis.scoring import Present, Scores, folds_of, score
 
 FORMS = ("raw", "within", "white")
 #: An effect of which the calibration leaves less than this part cannot be told from the calibration.
@@ -367,24 +368,13 @@ def _with_changes(
     own: tuple[Floats, Floats],
 ) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
     """Return the scores with those of changes behind; only the raw form can see most of them."""
-    more = len(found.gain)
     out, out_ratios = {}, {}
     for form, one in scores.items():
         seen = form == "raw"
-        # Their folds are others: what they gain is set against the same loss as everybody's.
-        gained = (found.loss0[:, None] - found.loss) if seen else np.zeros((len(one.loss0), more))
-        out[form] = Scores(
-            one.loss0,
-            np.concatenate([one.loss, one.loss0[:, None] - gained], axis=1),
-            np.concatenate([one.gain, found.gain if seen else np.zeros(more)]),
-            np.concatenate([one.t, found.t if seen else np.zeros(more)]),
-            [*one.gamma, *found.gamma],
-            np.concatenate([one.explained, found.explained if seen else np.zeros(more)]),
-            np.concatenate([one.active, found.active], axis=1),
-        )
+        out[form] = one.joined(found, seen)
         observed, flipped = ratios[form]
         out_ratios[form] = (
-            np.concatenate([observed, own[0] if seen else np.zeros(more)]),
+            np.concatenate([observed, own[0] if seen else np.zeros_like(own[0])]),
             np.concatenate([flipped, own[1] if seen else np.zeros_like(own[1])], axis=1),
         )
     return out, out_ratios
@@ -396,5 +386,8 @@ def _beats_placebo(scores: Scores, options: Sequence[Option]) -> Floats:
     if not placebos:
         return np.full(len(options), np.inf)
     best = placebos[int(np.argmin(scores.loss[:, placebos].sum(axis=0)))]
-    floor = np.minimum(scores.loss[:, best], scores.loss0) if scores.gain[best] <= 0 else scores.loss[:, best]
-    return hac_t(floor[:, None] - scores.loss, scores.active)
+    if scores.gain[best] <= 0:
+        return scores.t
+    # A placebo has nothing to do with an effect: what sets them apart is what each of them contributes.
+    apart = scores.promised + scores.promised[:, [best]]
+    return promised_t(scores.loss[:, [best]] - scores.loss, apart, scores.active)

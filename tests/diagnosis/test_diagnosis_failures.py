@@ -60,11 +60,6 @@ def test_a_hysteresis_that_the_library_has_not_is_not_called_a_battery():
     assert not (told.verdict == "FOUND" and "battery" in families(told))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="FOUND, nothing left: boom_temperature with a lag of 1100 s (retained 0.06) and a field that "
-    "follows the Sun's direction, which is not there",
-)
 def test_a_hysteresis_that_the_library_has_not_is_not_found_under_other_names():
     told = told_of("polar", 1, *PLAYS)
     assert told.verdict != "FOUND" or families(told) <= {"temperature", "hysteresis"}

@@ -5,13 +5,13 @@ import pytest
 from row_cases import row_case
 
 from inflight.diagnosis.nulls import score_many
+from inflight.diagnosis.rivalry import promised_t
 from inflight.diagnosis.scoring import (
     Present,
     activity,
     block_scores,
     fit,
     folds_of,
-    hac_t,
     half_inverse,
     score,
 )
@@ -43,6 +43,25 @@ def refitted(case, present, precision, candidate, folds):
     return loss
 
 
+def contributed(case, present, precision, candidate, folds, beside=None):
+    """Sums of squares of what a candidate changes of the prediction of rows held out; (block,).
+
+    Beside another candidate: of what sets the two predictions apart.
+    """
+    out = np.zeros(20)
+    y = case.of("residual")
+    for fold in folds:
+        rest = np.setdiff1d(np.arange(20), fold)
+        predicted = []
+        for names in ((*present, *candidate), (*present, *(beside or ()))):
+            columns = case.of(*names)
+            known = np.append(precision, np.zeros(len(names) - len(present)))
+            flat = columns[rest].reshape(y[rest].size, columns.shape[2])
+            predicted.append(columns[fold] @ solved(flat, y[rest].ravel(), known))
+        out[fold] = np.sum((predicted[0] - predicted[1]) ** 2, axis=1)
+    return out
+
+
 def scored(case, present, precision, folds):
     evidence = case.evidence
     held = Present(evidence.index(present), np.array(precision, dtype=float))
@@ -61,8 +80,22 @@ def test_held_out_losses_are_those_of_refits_of_the_rows(present, interleaved):
         expected = refitted(case, names, precision, candidate, folds)
         np.testing.assert_allclose(found.loss[:, place], expected, rtol=1e-9)
         assert found.gain[place] == pytest.approx(1.0 - expected.sum() / without.sum(), abs=1e-9)
-        t = hac_t((without - expected)[:, None])[0]
+        change = contributed(case, names, precision, candidate, folds)
+        np.testing.assert_allclose(found.promised[:, place], change, rtol=1e-8)
+        used = np.ones((20, 1), dtype=bool)
+        t = promised_t((without - expected)[:, None], change[:, None], used)[0]
         assert found.t[place] == pytest.approx(t, rel=1e-6)
+
+
+@pytest.mark.parametrize("present", PRESENTS)
+def test_what_sets_two_candidates_apart_is_what_sets_their_predictions_of_rows_apart(present):
+    names, precision = PRESENTS[present]
+    case, folds = row_case(2), folds_of(20)
+    found = scored(case, names, precision, folds)
+    expected = contributed(case, names, precision, CANDIDATES[0], folds, beside=CANDIDATES[3])
+    np.testing.assert_allclose(found.fits.apart(0, 3), expected, rtol=1e-8)
+    np.testing.assert_allclose(found.fits.apart(3, 0), expected, rtol=1e-8)
+    assert found.behind(3, 0) == pytest.approx(-found.behind(0, 3), rel=1e-9)
 
 
 @pytest.mark.parametrize("present", PRESENTS)
@@ -136,46 +169,6 @@ def test_the_half_inverse_is_one_where_the_matrix_has_an_inverse():
     half = half_inverse(twins)
     back = np.matmul(twins, np.matmul(half, np.matmul(half.transpose(0, 2, 1), twins)))
     np.testing.assert_allclose(back, twins, rtol=1e-6)
-
-
-def bartlett_t(series):
-    """Mean over its error by the textbook: sums of autocovariances with falling weights."""
-    n, mean = len(series), np.mean(series)
-    reach = max(1, int(4 * (n / 100) ** (2 / 9)))
-    covariance = [np.sum((series[k:] - mean) * (series[: n - k] - mean)) / n for k in range(reach + 1)]
-    long_run = covariance[0] + 2 * sum((1 - k / (reach + 1)) * covariance[k] for k in range(1, reach + 1))
-    return mean / np.sqrt(max(long_run, covariance[0]) / (n - 1))
-
-
-@pytest.mark.parametrize("memory", [0.0, 0.7, -0.4])
-def test_the_t_of_a_series_knows_of_its_correlation(memory):
-    g = np.random.default_rng(3)
-    series = np.zeros((200, 4))
-    for k in range(1, 200):
-        series[k] = memory * series[k - 1] + g.normal(0.1, 1.0, 4)
-    np.testing.assert_allclose(hac_t(series), [bartlett_t(one) for one in series.T], rtol=1e-10)
-
-
-def test_blocks_that_tell_nothing_do_not_dilute_a_t():
-    g = np.random.default_rng(4)
-    series, used = np.zeros((60, 1)), np.zeros((60, 1), dtype=bool)
-    used[20:35] = True
-    series[used] = g.normal(1.0, 1.0, 15)
-    inside = bartlett_of_part(series[20:35, 0], 60)
-    assert hac_t(series, used)[0] == pytest.approx(inside, rel=1e-9)
-    assert hac_t(series, used)[0] != pytest.approx(hac_t(series)[0], rel=1e-3)
-
-
-def bartlett_of_part(series, blocks):
-    n, mean = len(series), np.mean(series)
-    reach = max(1, int(4 * (blocks / 100) ** (2 / 9)))
-    sums = [np.sum((series[k:] - mean) * (series[: n - k] - mean)) for k in range(reach + 1)]
-    whole = sums[0] + 2 * sum((1 - k / (reach + 1)) * sums[k] for k in range(1, reach + 1))
-    return n * mean / np.sqrt(max(whole, sums[0]) * n / (n - 1))
-
-
-def test_two_blocks_have_no_t():
-    assert hac_t(np.array([[1.0], [2.0]]))[0] == 0.0
 
 
 def test_a_block_is_active_when_a_part_of_a_column_is_left_in_it():

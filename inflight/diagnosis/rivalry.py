@@ -1,0 +1,128 @@
+"""How sure a gain is: whether each block gains what the other blocks promise.
+
+Blocks differ in what they can tell: a storm's hours tell of a clock, an eclipse season of the arrays. A
+gain that lies in few blocks looks like scatter to a plain mean over its error. A true effect foretells
+where its gain must lie, so each block's gain is held against what the others' make of its promise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr, stdtrit
+
+from inflight.arrays import Floats
+from inflight.diagnosis.evidence import Evidence
+
+Index = npt.NDArray[np.int64]
+#: Probability beyond which a t of three lies when there are many blocks: few are held to the same.
+_BEYOND = float(ndtr(-3.0))
+
+
+def hac_t(difference: Floats, active: npt.NDArray[np.bool_] | None = None) -> Floats:
+    """Return mean over standard error of series; (series,), errors with Bartlett's kernel over blocks.
+
+    Parameters
+    ----------
+    difference : ndarray, shape (block, series)
+    active : ndarray of bool, shape (block, series), optional
+        Blocks that tell anything: an effect that lasts a week is judged by that week.
+    """
+    used = np.ones(difference.shape, dtype=bool) if active is None else active
+    count = np.maximum(used.sum(axis=0), 1)
+    summed = np.where(used, difference, 0.0).sum(axis=0)
+    centred = np.where(used, difference - summed / count, 0.0)
+    error = np.sqrt(_long_run(centred) * count / np.maximum(count - 1, 1))
+    return np.where((error > 0) & (count > 2), summed / np.where(error > 0, error, 1.0), 0.0)
+
+
+def promised_t(gained: Floats, promised: Floats, active: npt.NDArray[np.bool_]) -> Floats:
+    """Return total gain over its error, by what each block gains beside its part of the promise; (series,).
+
+    With promises e_b and gains d_b, block b alone misses by d_b - e_b sum'(d) / sum'(e), the sums over all
+    other blocks; the error is the root of the sum of their squares, with Bartlett's kernel over neighbours.
+    As many blocks as (sum e)^2 / sum e^2 bear the gain out: with few, t is lowered so that three lies at the
+    same probability of Student's distribution.
+
+    Parameters
+    ----------
+    gained, promised : ndarray, shape (block, series)
+        Held-out gain, and the square of what the effect fitted elsewhere contributes.
+    active : ndarray of bool, shape (block, series)
+        Blocks that tell anything.
+    """
+    count = active.sum(axis=0)
+    gains = np.where(active, gained, 0.0)
+    whole = np.sum(gains, axis=0)
+    part = np.where(active, promised, 0.0)
+    foretold = np.sum(part, axis=0)
+    # Nothing foretold, nothing gained: each block then promises the same.
+    part = np.where(foretold > 0, part, active)
+    share = part / np.maximum(np.sum(part, axis=0), 1e-300)
+    missed = (gains - whole * share) / np.maximum(1.0 - share, 1e-12)
+    error = np.sqrt(_long_run(missed))
+    freedom = 1.0 / np.maximum(np.sum(share**2, axis=0), 1e-300) - 1.0
+    few = np.where(freedom > 0.1, -3.0 / stdtrit(np.maximum(freedom, 0.1), _BEYOND), 0.0)
+    return np.where((error > 0) & (count > 2), few * whole / np.where(error > 0, error, 1.0), 0.0)
+
+
+def _long_run(series: Floats) -> Floats:
+    """Return the sum of squares with Bartlett's weights of neighbours' products; (series,)."""
+    variance = np.sum(series**2, axis=0)
+    reach = max(1, int(4.0 * (len(series) / 100.0) ** (2.0 / 9.0)))
+    total = variance.copy()
+    for lag in range(1, min(reach, len(series) - 1) + 1):
+        weight = 1.0 - lag / (reach + 1.0)
+        total += 2.0 * weight * np.sum(series[lag:] * series[:-lag], axis=0)
+    # Few blocks can look anticorrelated by chance; that must not make them more certain.
+    return np.asarray(np.maximum(total, variance))
+
+
+@dataclass
+class Fits:
+    """What was fitted to all folds but one, fold after fold, to set candidates against each other.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    present : ndarray of int
+        Columns of the model.
+    candidates : list of ndarray of int
+        Columns of each candidate.
+    """
+
+    evidence: Evidence
+    present: Index
+    candidates: list[Index]
+    folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
+
+    def begin(self, fold: Index, own: Floats) -> None:
+        """Begin a fold: its blocks, and the projection (present, column) of the others."""
+        self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
+
+    def keep(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
+        """Keep the values (candidate, k) of some candidates in the fold begun last."""
+        fitted = self.folds[-1][2]
+        for place, values in zip(positions, gamma, strict=True):
+            fitted[int(place)] = values
+
+    def apart(self, one: int, other: int) -> Floats | None:
+        """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
+
+        When one of the two is the truth, it is what each block is expected to prefer it by.
+        """
+        if max(one, other) >= len(self.candidates):
+            return None
+        first, second = self.candidates[one], self.candidates[other]
+        columns = np.concatenate([self.present, first, second])
+        out = np.zeros(len(self.evidence))
+        for fold, own, fitted in self.folds:
+            own_one = own[:, first] @ fitted[one]
+            own_other = own[:, second] @ fitted[other]
+            values = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
+            blocks = self.evidence.gram[fold[:, None, None], columns[:, None], columns]
+            out[fold] = np.einsum("i,bij,j->b", values, blocks, values)
+        return np.maximum(out, 0.0)
