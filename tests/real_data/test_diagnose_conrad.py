@@ -141,10 +141,6 @@ def test_a_step_is_found_at_its_hour(say, record, direction):
         assert abs(-found.value - 0.15) < 3.0 * found.sigma
 
 
-@pytest.mark.xfail(
-    reason="the gain of a clock fault lies in a storm's few hours, which its t over blocks takes for scatter",
-    strict=False,
-)
 def test_a_step_of_a_clock_is_found(say):
     said = say(clock="[{offset: 0 s}, {since: 2024-05-11T00:00:00Z, offset: 500 ms}]")
     found = said.effect("clock")

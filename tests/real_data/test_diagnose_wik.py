@@ -41,10 +41,6 @@ def test_the_month_not_fitted_is_never_worse(known):
     assert known[1].ratio <= 1.0
 
 
-@pytest.mark.xfail(
-    reason="an eddy current is named: its columns are rates over one noisy step of the readings",
-    strict=False,
-)
 def test_what_is_said_of_the_rate_of_the_field_is_a_clock(known):
     """The dIdD's |B| is its own F: a delay that differs by axis cannot be. A regression of one's own on dF/dt
     gives -5.1 to -6.9 s in five parts of the month; the delays by axis change threefold with activity.
@@ -52,10 +48,6 @@ def test_what_is_said_of_the_rate_of_the_field_is_a_clock(known):
     assert "clock" in known[1].families
 
 
-@pytest.mark.xfail(
-    reason="a step inside a calibration interval shows in few blocks, whose t stays below three",
-    strict=False,
-)
 def test_a_step_of_one_nanotesla_is_found(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wik-with-step")
     shutil.copytree(FOLDER, folder / "data", copy_function=shutil.copyfile)
