@@ -200,7 +200,7 @@ class Mission(Strict):
             raise MissionError(
                 "\n".join(_describe(tree, item) for item in error.errors()),
                 file=source,
-                remedy="missions/template.yaml shows every key",
+                remedy="'inflight new template' writes a mission that shows every key",
             ) from None
         mission._text = text
         return mission
@@ -246,7 +246,9 @@ def _load_yaml(text: str, source: str) -> Any:
         ) from None
     if not isinstance(tree, Mapping):
         raise MissionError(
-            "line 1: the file holds no keys", file=source, remedy="start from missions/template.yaml"
+            "line 1: the file holds no keys",
+            file=source,
+            remedy="start from what 'inflight new template' writes",
         )
     return tree
 

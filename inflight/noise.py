@@ -18,6 +18,7 @@ from scipy import signal
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
+from inflight.time import SECOND
 
 #: The white level is read above this part of the Nyquist frequency.
 _BAND = 0.1
@@ -105,6 +106,27 @@ def joined_floor(floors: Sequence[NoiseFloor]) -> NoiseFloor:
         sigma = float(np.sqrt(np.sum((weight * own) ** 2)))
     low, high = np.sqrt(np.maximum([variance - _WIDE * sigma, variance + _WIDE * sigma], 0.0))
     return NoiseFloor(float(np.sqrt(variance)), float(low), float(high), sum(f.samples for f in known))
+
+
+def level_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDArray[np.int64]) -> NoiseFloor:
+    """Return the white level of a residual of one or several rows a sample, all rows together.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (sample, row)
+        nT.
+    good : ndarray of bool, shape (sample,)
+    stamps : ndarray of int64, shape (sample,)
+        TT2000, at any spacing: gaps stay gaps.
+    """
+    step = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    place = np.rint((stamps - stamps[0]) / (step * SECOND)).astype(np.int64)
+    found = []
+    for row in residual.T:
+        even = np.full(int(place[-1]) + 1, np.nan)
+        even[place[good]] = row[good]
+        found.append(noise_floor(even, step))
+    return joined_floor(found)
 
 
 def _without_outliers(values: Floats) -> Floats:

@@ -27,7 +27,7 @@ from inflight.diagnosis.series import Features, Series, features_of, pack_blocks
 from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.noise import NoiseFloor, joined_floor, noise_floor
+from inflight.noise import NoiseFloor, joined_floor, level_of_rows
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
@@ -248,14 +248,7 @@ def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
 
 def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
     """Return the white level of a day's residual, all rows together, as sums of squares over its samples."""
-    step = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
-    place = np.rint((stamps - stamps[0]) / (step * SECOND)).astype(np.int64)
-    found = []
-    for row in residual.T:
-        even = np.full(int(place[-1]) + 1, np.nan)
-        even[place[good]] = row[good]
-        found.append(noise_floor(even, step))
-    level = joined_floor(found)
+    level = level_of_rows(residual, good, stamps)
     if not np.isfinite(level.level_nT):
         return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
     return {

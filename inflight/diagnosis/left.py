@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -15,12 +16,15 @@ from inflight.diagnosis.evidence import Evidence, solve_scaled
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.search import Search
 from inflight.diagnosis.series import Series
-from inflight.time import SECOND
+from inflight.noise import NoiseFloor, joined_floor, level_of_rows
+from inflight.time import DAY, SECOND
 
 #: Lags of the residual's covariance that tell structure from noise, in rows of the series.
 _LAGS = 6
 #: Structure counts when it is this many sigma from nothing and this part of the noise floor.
 _CLEAR_T, _CLEAR_PART = 3.0, 0.2
+#: The series holds every native sample when there are not more than so many times as many.
+_EVERY = 1.2
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,31 @@ def structure_of(series: Series, residual: Floats) -> Structure:
     mean = float(each @ share)
     error = float(np.sqrt(np.sum(share**2 * (each - mean) ** 2) * used.sum() / (used.sum() - 1)))
     return Structure(float(np.sqrt(max(mean, 0.0))), mean / error if error > 0 else 0.0)
+
+
+def floor_left(series: Series, residual: Floats, samples: float, floor: NoiseFloor) -> NoiseFloor:
+    """Return the noise floor of what is left: that of the native samples, or a clearly lower one.
+
+    A cause that is as fast as the samples, a switch without a rise time, looks like noise until it is taken
+    off. It shows where the series holds every sample.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (sample, row)
+        What is left of the series, nT.
+    samples : float
+        Native samples of the span.
+    floor : NoiseFloor
+        Of the native samples, nothing taken off.
+    """
+    good = series["weight"] > 0
+    if samples > _EVERY * good.sum():
+        return floor
+    days = (series.tt2000 - series.tt2000[0]) // DAY
+    edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))
+    parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if good[a:b].any()]
+    found = joined_floor([level_of_rows(residual[at], good[at], series.tt2000[at]) for at in parts])
+    return found if found.high_nT < floor.low_nT else floor
 
 
 def residual_left(

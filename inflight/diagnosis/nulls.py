@@ -57,7 +57,7 @@ def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[in
 
 def replace_residual(search: Search, residual: int) -> Search:
     """Return a search of another residual of the same evidence, nothing taken."""
-    return replace(search, residual=residual, accepted=[], rounds=[], forms={})
+    return replace(search, residual=residual, accepted=[], rounds=[], forms={}, banned=set(), dropped=set())
 
 
 def suspects(search: Search, residuals: Sequence[int]) -> list[int]:

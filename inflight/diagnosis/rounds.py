@@ -82,6 +82,8 @@ def run(search: Search, most: int | None = None, refiner: Refiner | None = None)
             search.add(better)
             search.rounds[-1] = replace(search.rounds[-1], name=better.name)
         _drop_idle(search)
+        if option.mechanism not in {one.mechanism for one in search.accepted}:
+            search.banned.add(option.mechanism)
         if table.scores[form].gain[place] < _GREAT and _swallowed(search, before):
             search.accepted = list(before)
             search.banned.add(option.mechanism)
@@ -172,12 +174,14 @@ def _drop_idle(search: Search) -> bool:
     dropped = False
     while len(search.accepted) > 1:
         worths = [search.worth(option) for option in search.accepted]
-        place = int(np.argmin([t for _, t in worths]))
+        place = int(np.argmin([search.rules.standing(worth) for worth in worths]))
         gain, t = worths[place]
-        if t >= search.rules.keep_t and gain >= search.rules.keep_gain:
+        if search.rules.standing(worths[place]) >= 1.0:
             return dropped
         option, dropped = search.accepted[place], True
         search.drop(option)
+        # One chance to come back, when others are there: more would go round in circles.
+        (search.banned if option.mechanism in search.dropped else search.dropped).add(option.mechanism)
         search.rounds.append(
             Round(len(search.rounds) + 1, "drop", option.name, option.family, gain, t, 1.0, "raw")
         )

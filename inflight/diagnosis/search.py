@@ -61,6 +61,11 @@ class Rules:
     rounds: int = 8
     blocks: int = 20
 
+    def standing(self, worth: tuple[float, float]) -> float:
+        """Return how far (gain, t) of an effect are above what keeps it: it stays from 1 on."""
+        gain, t = worth
+        return min(gain / self.keep_gain, t / self.keep_t)
+
 
 @dataclass(frozen=True, eq=False)
 class Option:
@@ -159,8 +164,9 @@ class Search:
     rounds: list[Round] = field(default_factory=list)
     forms: dict[str, Evidence] = field(default_factory=dict)
     carriers: Carriers = field(default_factory=Carriers)
-    #: Mechanisms that were taken back: what they added was others'.
+    #: Mechanisms that were taken back: what they added was others'; and those that were dropped once.
     banned: set[str] = field(default_factory=set)
+    dropped: set[str] = field(default_factory=set)
     #: Columns on the coarse series, when more were joined to the evidence: names and (sample, row, column).
     wall: tuple[list[str], Floats] | None = None
 
@@ -349,16 +355,16 @@ class Search:
 
     def worth(self, option: Option) -> tuple[float, float]:
         """Return held-out gain and t of an effect of the model against the model without it, best form."""
-        best = (-np.inf, -np.inf)
+        found: list[tuple[float, float]] = []
         for form, evidence in self.forms.items():
             if option.change is not None and form == "within":
                 continue
             small = evidence.select([*self._model_columns(option), *option.columns])
             folds = folds_of(len(small), option.interleaved)
             y = small.residuals[self.residual]
-            found = score(small, self._present_in(small, option), [small.index(option.columns)], y, folds)
-            best = max(best, (float(found.t[0]), float(found.gain[0])))
-        return best[1], best[0]
+            one = score(small, self._present_in(small, option), [small.index(option.columns)], y, folds)
+            found.append((float(one.gain[0]), float(one.t[0])))
+        return max(found, key=self.rules.standing)
 
 
 def _with_changes(

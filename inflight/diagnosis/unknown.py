@@ -10,11 +10,12 @@ from inflight.arrays import Floats
 from inflight.diagnosis.diagnosis import Signature
 from inflight.diagnosis.estimates import detectable
 from inflight.diagnosis.findings import axis
-from inflight.diagnosis.left import Structure
+from inflight.diagnosis.left import Structure, floor_left
 from inflight.diagnosis.material import Material
 from inflight.diagnosis.scoring import fit
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.signature import Periodogram, describe, periodogram, strongest_line
+from inflight.noise import NoiseFloor
 from inflight.time import SECOND
 
 #: A line that explains less than this part of the residual's square is no effect worth a name.
@@ -37,12 +38,15 @@ class Unknown:
         None when nothing is there.
     noise : float
         Noise floor, nT; of a record without one, the residual's own size.
+    floor : NoiseFloor
+        Of what is left, with its interval.
     """
 
     structure: Structure
     has_line: bool
     signature: Signature | None
     noise: float
+    floor: NoiseFloor
 
     @property
     def is_there(self) -> bool:
@@ -57,14 +61,15 @@ class Unknown:
 
 def look_at(search: Search, material: Material, last: Table, left: Floats, structure: Structure) -> Unknown:
     """Describe what is left: a line, else what the best rejected candidate hints at, else its size."""
-    floor = material.floor.level_nT
-    if not floor > 0:
+    floor = floor_left(material.series, left, material.sums.get("count", 0.0), material.floor)
+    noise = floor.level_nT
+    if not noise > 0:
         good = material.series["weight"] > 0
-        floor = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else float("nan")
+        noise = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else float("nan")
     line = _line(material, left)
+    found = Unknown(structure, line is not None, line, noise, floor)
     if line is not None:
-        return Unknown(structure, True, line, floor)
-    found = Unknown(structure, False, None, floor)
+        return found
     return replace(found, signature=_hinted(search, last, structure)) if found.is_there else found
 
 

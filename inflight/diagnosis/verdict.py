@@ -73,9 +73,9 @@ def _sizes(search: Search, material: Material, before: float, unknown: Unknown) 
         "held_out_before_nT": before,
         "held_out_after_nT": held_out(search, material),
         # A record without a fast part, filtered or rounded away, tells no floor.
-        "noise_floor_nT": material.floor.level_nT or float("nan"),
-        "noise_floor_low_nT": material.floor.low_nT,
-        "noise_floor_high_nT": material.floor.high_nT,
+        "noise_floor_nT": unknown.floor.level_nT or float("nan"),
+        "noise_floor_low_nT": unknown.floor.low_nT,
+        "noise_floor_high_nT": unknown.floor.high_nT,
         "structure_nT": unknown.structure.rms_nT,
         "structure_t": unknown.structure.t,
     }
