@@ -27,7 +27,6 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
     """Return an effect of the model with its values, errors and standing."""
     option = standing.option
     found = estimate(search, option)
-    lag, sigma = _lag(search, option)
     terms = [material.terms[key] for key in option.terms]
     coefficients = _coefficients(material, option, terms, found)
     rivals = tuple(rival.mechanism for rival, _ in standing.rivals)
@@ -43,8 +42,8 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
         standing.t,
         standing.p,
         found.retained,
-        lag,
-        sigma,
+        option.lag_s,
+        _lag_error(search, option),
         standing.placebo_t,
         within_and_raw(search, option),
         found.rms,
@@ -87,12 +86,10 @@ def _term_of(material: Material, option: Option, terms: list[Term], column: str)
     return None, ""
 
 
-def _lag(search: Search, option: Option) -> tuple[float, float | None]:
-    """Return the refined lag of a response and its error; a lag of the bank is only the nearest one."""
+def _lag_error(search: Search, option: Option) -> float | None:
+    """Return the error of a response's lag; None when its mechanism has no bank of lags."""
     found = lag_profile(search, option)
-    if found is None:
-        return option.lag_s, None
-    return found.best, found.sigma
+    return None if found is None else found.sigma
 
 
 def lag_profile(search: Search, option: Option) -> LagProfile | None:

@@ -81,12 +81,13 @@ def _with_response(search: Search, material: Material, option: Option) -> Option
     """Return an effect of a channel that acts through a slow response, when that explains clearly more."""
     source = search.library.terms[option.terms[0]]
     channel = source.entry.effect.given.get("channel")
-    if not isinstance(channel, str) or channel not in material.series.channels or not parse(channel).is_plain:
+    parts = parse(channel).parts if isinstance(channel, str) else ()
+    if len(parts) != 1 or parts[0].channel not in material.series.channels or parts[0].width:
         return option
     trials = Trials(search, material, option)
 
     def term(lag: float, key: str) -> Term:
-        given = {"channel": f"{channel}@lag={lag:g}s"}
+        given = {"channel": f"{parts[0].channel}@lag={lag:g}s"}
         return like(search, material, source, key, given, source.parameters)
 
     def left(lag: float) -> Floats:
@@ -94,9 +95,12 @@ def _with_response(search: Search, material: Material, option: Option) -> Option
 
     lags = np.geomspace(_SHORTEST * material.series.step_s, _LONGEST, _RESPONSES)
     best = _least(lags, left, (0.7, 1.43))
-    plain, slow = trials.left([source]), left(best)
-    gained = plain - slow
-    if float(hac_t(gained[:, None])[0]) < search.rules.t or gained.sum() < search.rules.gain * plain.sum():
+    if option.lag_s and abs(best - option.lag_s) <= _NEAR * option.lag_s:
+        return option
+    now, slow = trials.left([source]), left(best)
+    gained = now - slow
+    worth = float(hac_t(gained[:, None])[0]) > search.rules.t and gained.sum() > search.rules.gain * now.sum()
+    if not (worth or (option.lag_s and gained.sum() > 0)):
         return option
     return _joined(search, material, option, term(best, f"{option.mechanism}@lag={best:g}s"), best)
 

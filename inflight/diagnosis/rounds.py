@@ -56,7 +56,9 @@ _FEW, _PART = 12, 0.3
 Refiner = Callable[[Option], Option]
 
 
-def run(search: Search, most: int | None = None, refiner: Refiner | None = None) -> Table:
+def run(
+    search: Search, most: int | None = None, refiner: Refiner | None = None, shapes_first: bool = False
+) -> Table:
     """Add and drop until nothing more is justified; return the last table of scores.
 
     Parameters
@@ -65,11 +67,13 @@ def run(search: Search, most: int | None = None, refiner: Refiner | None = None)
         Returns an accepted option in its best form (a lag, a width), before the next one is sought.
     most : int, optional
         Additions at most; the rules' own number when absent.
+    shapes_first : bool
+        What explains most goes first, though it names no cause.
     """
     most = search.rules.rounds if most is None else most
     for _ in range(most):
         table = search.table()
-        found = winner(table, search)
+        found = winner(table, search, shapes_first)
         if found is None:
             return table
         option, form = found
@@ -91,6 +95,14 @@ def run(search: Search, most: int | None = None, refiner: Refiner | None = None)
     return search.table()
 
 
+def polish(search: Search, refiner: Refiner) -> None:
+    """Refine everything once more: what was taken early was refined while the others were missing."""
+    for option in list(search.accepted):
+        better = refiner(option)
+        if better is not option:
+            search.accepted[search.accepted.index(option)] = better
+
+
 def _swallowed(search: Search, before: dict[Option, float]) -> bool:
     """Return True when an effect that stood by itself no longer does beside what was added.
 
@@ -102,7 +114,7 @@ def _swallowed(search: Search, before: dict[Option, float]) -> bool:
     )
 
 
-def winner(table: Table, search: Search) -> tuple[Option, str] | None:
+def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Option, str] | None:
     """Return what to add next and the form that shows it, or None when nothing is beyond doubt.
 
     One that names a cause goes before one that describes a shape (see `_named`), and of the same
@@ -115,7 +127,7 @@ def winner(table: Table, search: Search) -> tuple[Option, str] | None:
             continue
         scores = table.scores[form]
         loss = scores.loss
-        named = _named(table, places.tolist(), scores.gain)
+        named = places.tolist() if shapes_first else _named(table, places.tolist(), scores.gain)
         first = min(named, key=lambda place: float(loss[:, place].sum()))
         same = [
             place

@@ -9,11 +9,14 @@ from inflight.diagnosis.findings import candidates, confusion, effect, lag_profi
 from inflight.diagnosis.left import structure_of
 from inflight.diagnosis.material import Material, effective_blocks, held_out, left_of, native_rms
 from inflight.diagnosis.refine import refine
-from inflight.diagnosis.rounds import WEAK, Standing, run, settle
+from inflight.diagnosis.rounds import WEAK, Refiner, Standing, polish, run, settle
 from inflight.diagnosis.search import Search, Table
 from inflight.diagnosis.second import look_again
 from inflight.diagnosis.unknown import Unknown, known_periods, look_at
 from inflight.diagnosis.words import sentence, stopped
+
+#: A search that leaves no more than so many times as much explains as much.
+_AS_MUCH = 1.003
 
 __all__ = ["Material", "conclude", "held_out", "known_periods", "lag_profile"]
 
@@ -23,7 +26,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     first = search.table()
     before = held_out(search, material)
     last = _rounds(search, material, first) if search.rules.rounds else first
-    standings = settle(search)
+    standings = sorted(settle(search), key=lambda one: -one.gain)
     if standings:
         last = search.table()
     effects = tuple(effect(search, material, one) for one in standings)
@@ -82,16 +85,39 @@ def _sizes(search: Search, material: Material, before: float, unknown: Unknown) 
 
 
 def _rounds(search: Search, material: Material, first: Table) -> Table:
-    """Run the rounds, and once more with products of channels when something is left."""
+    """Run the rounds, again with products when something is left, and from shapes if need be."""
     refiner = partial(refine, search, material)
     last = run(search, refiner=refiner)
     left = left_of(search, material)
     seen = look_at(search, material, last, left, structure_of(material.series, left))
-    if len(search.accepted) >= search.rules.rounds or not (seen.is_sure or search.accepted):
-        return last
-    if not look_again(search, material, [first, last], seen.is_sure):
-        return last
-    return run(search, refiner=refiner)
+    more = len(search.accepted) < search.rules.rounds and (seen.is_sure or search.accepted)
+    if more and look_again(search, material, [first, last], seen.is_sure):
+        last = run(search, refiner=refiner)
+    if _stands_in(search):
+        last = _from_shapes(search, material, last, refiner)
+    polish(search, refiner)
+    return search.table() if search.accepted else last
+
+
+def _stands_in(search: Search) -> bool:
+    """Return True when named causes were taken and yet shapes that name none had to complete them.
+
+    Either both are there, or the named ones together stand in for something that no effect here describes.
+    """
+    shapes = [one for one in search.accepted if one.agnostic or one.family == "unknown"]
+    return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
+
+
+def _from_shapes(search: Search, material: Material, last: Table, refiner: Refiner) -> Table:
+    """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
+    before = held_out(search, material)
+    kept = search.accepted, search.rounds, search.banned, search.dropped
+    search.accepted, search.rounds, search.banned, search.dropped = [], [], set(), set()
+    other = run(search, refiner=refiner, shapes_first=True)
+    if len(search.accepted) < len(kept[0]) and held_out(search, material) <= _AS_MUCH * before:
+        return other
+    search.accepted, search.rounds, search.banned, search.dropped = kept
+    return last
 
 
 def _verdict(effects: tuple[FoundEffect, ...], standings: list[Standing], remaining: Verdict) -> Verdict:
