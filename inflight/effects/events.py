@@ -1,4 +1,4 @@
-"""What happened once: steps and episodes of an offset, a bias, a scale, or a clock.
+"""What happened once: steps and episodes of an offset, a scale, an angle, a bias, or a clock.
 
 A step holds from option ``at`` on, an episode from ``from`` until ``to``; UTC, half-open. Any parameter
 of any effect may also change at events, by ``time: event`` in the model; these are for the search, and
@@ -16,7 +16,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
 from inflight.effects.scalar_sensor import ScalarBias, TimeShift
-from inflight.effects.vector_sensor import VECTOR_ROLES
+from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES, sheared, unsheared
 from inflight.errors import ModelError
 from inflight.mission import Mission
 from inflight.sensors import Sensor
@@ -102,12 +102,15 @@ class BiasStep(_Dated, ScalarBias):
         return np.where(self.inside(samples), super().correct(reading, samples, values, sensor), reading)
 
 
-class ScaleStep(_Dated):
-    """Scale factors that change at one moment: the corrected reading is ``1 + change`` of it from then."""
+class ScaleEpisode(_Dated):
+    """Scale factors that differ for a while: the corrected reading is ``1 + change`` of it within the span.
+
+    The factor multiplies the reading less `about`, the nominal offset.
+    """
 
     family = "sensor"
     acts_on = VECTOR_ROLES
-    options: ClassVar[tuple[str, ...]] = ("at",)
+    options: ClassVar[tuple[str, ...]] = ("from", "to")
     change = Parameter("1", AXES, step=1e-6, sigma=1e-3)
     about = Parameter("nT", AXES)
 
@@ -115,7 +118,7 @@ class ScaleStep(_Dated):
         return np.where(self.inside(samples)[:, None], 1.0 + values["change"], 1.0)
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading with the scale of before; (time, axis) nT."""
+        """Return the reading with the scale of outside the span; (time, axis) nT."""
         about = values["about"]
         return np.asarray(about + (reading - about) * self._factor(samples, values))
 
@@ -123,3 +126,40 @@ class ScaleStep(_Dated):
         """Return the reading as the sensor gives it; (time, axis) nT."""
         about = values["about"]
         return np.asarray(about + (reading - about) / self._factor(samples, values))
+
+
+class ScaleStep(ScaleEpisode):
+    """Scale factors that change at one moment: the corrected reading is ``1 + change`` of it from then."""
+
+    options = ("at",)
+
+
+class AngleEpisode(_Dated):
+    """Misalignment angles that differ for a while: ``a = a0 + change`` within the span.
+
+    To first order in the change d of an angle, which is small: ``cos(a0 + d) - cos(a0) = -d`` (Yin
+    2010, eq. 2.5). `about` is the nominal offset.
+    """
+
+    family = "sensor"
+    acts_on = VECTOR_ROLES
+    options: ClassVar[tuple[str, ...]] = ("from", "to")
+    change = Parameter("deg", ANGLES, step=1e-4, sigma=0.1)
+    about = Parameter("nT", AXES)
+
+    def _change(self, samples: xr.Dataset, values: Values) -> Floats:
+        return np.where(self.inside(samples)[:, None], values["change"], 0.0)
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading of a sensor with the angles of outside the span; (time, axis) nT."""
+        return sheared(reading, values["about"], self._change(samples, values))
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading with the changed angles; (time, axis) nT."""
+        return unsheared(reading, values["about"], self._change(samples, values))
+
+
+class AngleStep(AngleEpisode):
+    """Misalignment angles that change at one moment: ``a = a0 + change`` from then."""
+
+    options = ("at",)

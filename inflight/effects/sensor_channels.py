@@ -10,7 +10,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
 from inflight.effects.families import channels_of_kind, options_of_channels
-from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES
+from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES, sheared, unsheared
 from inflight.mission import Mission
 from inflight.sensors import Sensor
 
@@ -95,29 +95,17 @@ class ChannelAngle(Effect):
     reference = Parameter("1")
     about = Parameter("nT", AXES)
 
-    def _shear(self, samples: xr.Dataset, values: Values) -> tuple[Floats, Floats, Floats]:
+    def _change(self, samples: xr.Dataset, values: Values) -> Floats:
         change = self.drive(samples, "coefficient", about=values["reference"][..., 0])
-        xy, xz, yz = -np.deg2rad(change[:, None] * values["coefficient"]).T
-        return xy, xz, yz
+        return np.asarray(change[:, None] * values["coefficient"])
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of a sensor with the reference's angles; (time, axis) nT."""
-        xy, xz, yz = self._shear(samples, values)
-        out = np.array(reading)
-        _, ey, ez = (reading - values["about"]).T
-        out[:, 0] += xy * ey + xz * ez
-        out[:, 1] += yz * ez
-        return out
+        return sheared(reading, values["about"], self._change(samples, values))
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading with the channel's angles: back substitution; (time, axis) nT."""
-        xy, xz, yz = self._shear(samples, values)
-        about = np.broadcast_to(values["about"], reading.shape)
-        out = np.array(reading)
-        ez = out[:, 2] - about[:, 2]
-        out[:, 1] -= yz * ez
-        out[:, 0] -= xy * (out[:, 1] - about[:, 1]) + xz * ez
-        return out
+        return unsheared(reading, values["about"], self._change(samples, values))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:

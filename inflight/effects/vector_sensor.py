@@ -54,6 +54,40 @@ class VectorSensor(Effect):
         return raw + values["offset"]
 
 
+def sheared(reading: Floats, about: Floats, change: Floats) -> Floats:
+    """Return the reading of a sensor whose misalignment angles are smaller by a change.
+
+    To first order in the change d of an angle next to 90 deg: ``cos(a + d) - cos(a) = -d`` (Yin 2010,
+    eq. 2.5).
+
+    Parameters
+    ----------
+    reading : ndarray, shape (time, 3)
+        nT, sensor axes.
+    about : ndarray, shape (3,) or (time, 3)
+        Nominal offset, nT: what the angles do not act on.
+    change : ndarray, shape (time, 3)
+        Of the angles xy, xz, yz; deg.
+    """
+    xy, xz, yz = -np.deg2rad(change).T
+    out = np.array(reading)
+    _, ey, ez = (reading - about).T
+    out[:, 0] += xy * ey + xz * ez
+    out[:, 1] += yz * ez
+    return out
+
+
+def unsheared(reading: Floats, about: Floats, change: Floats) -> Floats:
+    """Return what `sheared` made the reading from: back substitution; shapes and units as there."""
+    xy, xz, yz = -np.deg2rad(change).T
+    zero = np.broadcast_to(about, reading.shape)
+    out = np.array(reading)
+    ez = out[:, 2] - zero[:, 2]
+    out[:, 1] -= yz * ez
+    out[:, 0] -= xy * (out[:, 1] - zero[:, 1]) + xz * ez
+    return out
+
+
 class Nonlinearity(Effect):
     """Quadratic and cubic deviation of each axis from a straight line.
 

@@ -169,6 +169,41 @@ def test_a_clock_episode_shifts_within_its_span_only():
     assert (moved[inside] == everywhere[inside]).all()
 
 
+@pytest.mark.parametrize(
+    ("kind", "name", "change"), [("angle", "misalignment", 0.002), ("scale", "scale_factor", 2e-5)]
+)
+def test_a_step_of_the_sensors_own_parameters_is_the_equation_with_others_from_then(kind, name, change):
+    truth = true_samples(0)
+    nine = {
+        "misalignment": [90.0, 90.0, 90.0],
+        "scale_factor": [1.0, 1.0, 1.0],
+        "offset": [20.0, -30.0, 10.0],
+    }
+    moved = {**nine, name: [value + change * (1 + axis) for axis, value in enumerate(nine[name])]}
+    step = {"sensor": "fgm", "change": [change, 2 * change, 3 * change], "about": nine["offset"]}
+    span = {"from": "2004-05-01T00:03:20Z", "to": "2004-05-01T00:05:00Z"}
+    before, after, stepped, passing = (
+        model_of(*entries).disturb(truth)["vector"].values
+        for entries in (
+            [{"effect": "vector_sensor", "sensor": "fgm", **nine}],
+            [{"effect": "vector_sensor", "sensor": "fgm", **moved}],
+            [
+                {"effect": f"{kind}_step", "at": span["from"], **step},
+                {"effect": "vector_sensor", "sensor": "fgm", **nine},
+            ],
+            [
+                {"effect": f"{kind}_episode", **span, **step},
+                {"effect": "vector_sensor", "sensor": "fgm", **nine},
+            ],
+        )
+    )
+    assert np.abs(after - before).max() > 0.5
+    assert (stepped[:200] == before[:200]).all()
+    assert np.abs(stepped[200:] - after[200:]).max() < 1e-3
+    assert (passing[:300] == stepped[:300]).all()
+    assert (passing[300:] == before[300:]).all()
+
+
 def test_a_tone_runs_on_over_years():
     period = 37.3
     late = true_samples(0).assign(tt2000=true_samples(0)["tt2000"] + 373 * 10**6 * SECOND)
