@@ -40,7 +40,10 @@ AGNOSTIC = frozenset(
     }
 )
 #: Effects that the pass does not try by themselves: they need a time, which the search over blocks finds.
-TIMED = frozenset({"offset_step", "offset_episode", "bias_step", "clock_step", "clock_episode", "scale_step"})
+TIMED = frozenset(
+    {"bias_step"}
+    | {f"{kind}_{form}" for kind in ("offset", "scale", "angle", "clock") for form in ("step", "episode")}
+)
 #: Effects of so many columns that a single channel would outweigh all others; a user adds them by name.
 WIDE = frozenset({"function_of_channel", "function_of_two", "tolles_lawson"})
 
