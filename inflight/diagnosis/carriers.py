@@ -22,4 +22,5 @@ def carriers_of(library: Library) -> Carriers:
         scale=columns(VectorSensor, "scale_factor"),
         clock=columns(TimeShift, "seconds"),
         bias=columns(ScalarBias, "bias"),
+        angle=columns(VectorSensor, "misalignment"),
     )

@@ -1,4 +1,4 @@
-"""Effects bound to a time: steps and episodes of an offset, a bias or a clock, and slow drifts.
+"""Effects bound to a time: steps of a sensor's parameters, a bias or a clock, episodes, and slow drifts.
 
 They need no columns of their own in the pass: a parameter that changes from block to block is its
 column times a function of the block.
@@ -6,7 +6,7 @@ column times a function of the block.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,11 @@ from inflight.time import to_utc
 MOST_EDGES = 48
 #: Episodes that are scored in full, of those a scan over all pairs of edges finds best.
 _EPISODES = 3
+#: Columns looked at together: what two changes have in common is nobody's question.
+_BATCH = 36
 _DAY_NS = 86_400_000_000_000
+#: Drifts there are.
+DRIFTS = ("scale_drift", "offset_drift", "angle_drift")
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,8 @@ class Change:
         When it begins, and ends when it does, TT2000; empty for drifts.
     unit : str
         What the coefficient is multiplied by, such as ``/d``.
+    sharpness : int
+        How far off the times of `at` may be, ns: blocks are no finer.
     """
 
     name: str
@@ -44,6 +50,12 @@ class Change:
     functions: Mapping[str, tuple[str, Floats]]
     at: tuple[int, ...] = ()
     unit: str = ""
+    sharpness: int = 0
+
+    @property
+    def interleaved(self) -> bool:
+        """True when blocks around those held out must be among the fitted: an episode lies in few blocks."""
+        return len(self.at) == 2
 
 
 @dataclass(frozen=True)
@@ -54,19 +66,33 @@ class Carriers:
     scale: tuple[str, ...] = ()
     clock: tuple[str, ...] = ()
     bias: tuple[str, ...] = ()
+    angle: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
         """All of them."""
-        return [*self.offset, *self.scale, *self.clock, *self.bias]
+        return [*self.offset, *self.scale, *self.angle, *self.clock, *self.bias]
+
+    @property
+    def kinds(self) -> dict[str, tuple[str, tuple[str, ...]]]:
+        """What may change at a moment, those there are: kind -> (family, columns)."""
+        every = {
+            "offset": ("offset_step", self.offset),
+            "scale": ("sensor", self.scale),
+            "angle": ("sensor", self.angle),
+            "bias": ("bias", self.bias),
+            "clock": ("clock", self.clock),
+        }
+        return {kind: told for kind, told in every.items() if told[1]}
 
 
 def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
-    """Return drifts of scale factors and offsets, straight in time; factors in days from the middle."""
+    """Return drifts of the sensor's parameters, straight in time; factors in days from the middle."""
     middle = evidence.start / 2 + evidence.end / 2
     days = (middle - middle.mean()) / _DAY_NS
     found = []
-    for name, columns in (("scale_drift", carriers.scale), ("offset_drift", carriers.offset)):
+    for name in DRIFTS:
+        columns = getattr(carriers, name.removesuffix("_drift"))
         if columns and np.ptp(days) > 0:
             functions = {f"{name}.{column}": (column, days) for column in columns}
             found.append(Change(name, name, "ageing", functions, unit="/d"))
@@ -76,23 +102,38 @@ def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
 def steps(evidence: Evidence, carriers: Carriers) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
-    for edge in _edges(len(evidence)):
+    edges = _edges(len(evidence))
+    for place, edge in enumerate(edges):
         after = (np.arange(len(evidence)) >= edge).astype(np.float64)
-        when = int(evidence.start[edge])
-        for name, family, columns in _kinds(carriers):
+        when, sharp = int(evidence.start[edge]), _sharpness(evidence, edges, place)
+        for name, (family, columns) in carriers.kinds.items():
             label = f"{name}_step@{to_utc(when).astype('datetime64[s]')}"
             functions = {f"{label}.{column}": (column, after) for column in columns}
-            found.append(Change(label, f"{name}_step", family, functions, (when,)))
+            found.append(Change(label, f"{name}_step", family, functions, (when,), sharpness=sharp))
     return found
 
 
-def _kinds(carriers: Carriers) -> list[tuple[str, str, tuple[str, ...]]]:
-    kinds = [
-        ("offset", "offset_step", carriers.offset),
-        ("bias", "bias", carriers.bias),
-        ("clock", "clock", carriers.clock),
-    ]
-    return [kind for kind in kinds if kind[2]]
+def batches(changes: Sequence[Change]) -> Iterator[list[Change]]:
+    """Yield changes some at a time, those of a batch held out in the same way."""
+    for interleaved in (False, True):
+        batch: list[Change] = []
+        for change in (one for one in changes if one.interleaved is interleaved):
+            batch.append(change)
+            if sum(len(one.functions) for one in batch) >= _BATCH:
+                yield batch
+                batch = []
+        if batch:
+            yield batch
+
+
+def _sharpness(evidence: Evidence, edges: Sequence[int], place: int) -> int:
+    """Return how far a step may be from the edge tried, ns: a block, or half way to the next edge tried."""
+    starts = [*evidence.start.tolist(), int(evidence.end[-1])]
+    edge = edges[place]
+    blocks = max(starts[edge] - starts[edge - 1], starts[edge + 1] - starts[edge])
+    tried = [0, *edges, len(evidence)]
+    around = (starts[tried[place]], starts[edge], starts[tried[place + 2]])
+    return int(max(blocks, max(np.diff(around)) // 2))
 
 
 def _edges(blocks: int) -> Sequence[int]:
@@ -111,7 +152,8 @@ def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int)
         Before and after the calibration was absorbed; the scan takes blocks as independent.
     """
     found = []
-    for name, family, columns in _kinds(carriers):
+    lengths = np.diff([*evidence.start.tolist(), int(evidence.end[-1])])
+    for name, (family, columns) in carriers.kinds.items():
         if len(columns) != 1 or len(evidence) < 6:
             continue
         column = int(absorbed.index(columns)[0])
@@ -122,7 +164,8 @@ def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int)
             begin, end = (to_utc(one).astype("datetime64[s]") for one in when)
             label = f"{name}_episode@{begin}/{end}"
             functions = {f"{label}.{columns[0]}": (columns[0], inside)}
-            found.append(Change(label, f"{name}_episode", family, functions, when))
+            sharp = int(lengths[max(first - 1, 0) : last + 1].max())
+            found.append(Change(label, f"{name}_episode", family, functions, when, sharpness=sharp))
     return found
 
 

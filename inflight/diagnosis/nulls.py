@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.changes import Carriers, drifts, episodes, steps
+from inflight.diagnosis.changes import Carriers, batches, drifts, episodes, steps
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.rivalry import promised_t
 from inflight.diagnosis.scoring import (
@@ -163,12 +163,13 @@ def _timed(search: Search, residuals: Sequence[int]) -> Floats:
     """Return which residuals a drift or a step may be added to; (residual,) of bool."""
     small, base, refined = _small(search, residuals)
     found = drifts(small, search.carriers) + steps(small, search.carriers)
-    if not found:
-        return np.zeros(len(residuals), dtype=bool)
-    functions = {name: told for change in found for name, told in change.functions.items()}
-    wide, present = _absorbed(search, small.expand(functions), base, refined)
-    columns = [wide.index(list(change.functions)) for change in found]
-    return _reached(search, wide, present, columns, np.array(wide.residuals, dtype=np.int64))
+    reached = np.zeros(len(residuals), dtype=bool)
+    for batch in batches(found):
+        functions = {name: told for change in batch for name, told in change.functions.items()}
+        wide, present = _absorbed(search, small.expand(functions), base, refined)
+        columns = [wide.index(list(change.functions)) for change in batch]
+        reached |= _reached(search, wide, present, columns, np.array(wide.residuals, dtype=np.int64))
+    return reached
 
 
 def _episode(search: Search, residual: int) -> bool:

@@ -7,13 +7,13 @@ slow can pass for an effect; ``white``, where each row has lost what the one bef
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.changes import Carriers, Change, drifts, episodes, steps
+from inflight.diagnosis.changes import Carriers, Change, batches, drifts, episodes, steps
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
@@ -84,8 +84,8 @@ class Option:
 
     @property
     def interleaved(self) -> bool:
-        """True when blocks around those held out must be among the fitted: an episode lies in few blocks."""
-        return self.change is not None and len(self.change.at) == 2
+        """True when blocks around those held out must be among the fitted (see `Change`)."""
+        return self.change is not None and self.change.interleaved
 
 
 @dataclass
@@ -284,53 +284,45 @@ class Search:
         signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}
         ratios: dict[str, tuple[Floats, Floats]] = {}
-        timed = self._changes(without)
         for form, evidence in self.forms.items():
             present, y = self.present(form, without), self.y(form)
             columns = [evidence.index(option.columns) for option in main]
             scores[form] = score(evidence, present, columns, y, folds_of(len(evidence)))
             ratios[form] = flip_ratios(evidence, present, columns, y, signs, units)
-        options = main
-        if timed is not None:
-            more, own, own_present = timed
-            y = own.residuals[self.residual]
-            for interleaved in (False, True):
-                group = [option for option in more if option.interleaved is interleaved]
-                if not group:
-                    continue
-                columns = [own.index(option.columns) for option in group]
-                found = score(own, own_present, columns, y, folds_of(len(own), interleaved))
-                flipped = flip_ratios(own, own_present, columns, y, signs, units)
-                scores, ratios = _with_changes(scores, ratios, found, flipped)
-                options = options + group
+        options = list(main)
+        timed = []
+        for more, own, own_present in self._changes(without):
+            y, columns = own.residuals[self.residual], [own.index(option.columns) for option in more]
+            found = score(own, own_present, columns, y, folds_of(len(own), more[0].interleaved))
+            timed.append((found, flip_ratios(own, own_present, columns, y, signs, units)))
+            options += more
+        scores, ratios = _with_changes(scores, ratios, timed)
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
         real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
         p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
         return Table(options, scores, p, {form: _beats_placebo(one, options) for form, one in scores.items()})
 
-    def _changes(self, without: Option | None) -> tuple[list[Option], Evidence, Present] | None:
-        """Return the options bound to a time, with the evidence of their columns alone."""
+    def _changes(self, without: Option | None) -> Iterator[tuple[list[Option], Evidence, Present]]:
+        """Yield options bound to a time, some at a time with the evidence of their columns alone."""
         base, sigma = self._base()
-        kept = [name for name in self.carriers.names if name not in base]
         own = self._model_columns(without)
-        small = self.raw.select(list(dict.fromkeys([*base, *own, *kept])))
-        precision = self.precision(small, base, sigma)
-        absorbed = self.forms["raw"]
-        found = drifts(small, self.carriers) + steps(small, self.carriers)
-        found += episodes(small, absorbed, self._outside(base), self.y())
+        found = drifts(self.raw, self.carriers) + steps(self.raw, self.carriers)
+        found += episodes(self.raw, self.forms["raw"], self._outside(base), self.y())
         taken = {option.name for option in self.accepted if option is not without}
-        found = [change for change in found if change.name not in taken]
-        if not found:
-            return None
-        functions = {name: told for change in found for name, told in change.functions.items()}
-        wide = small.expand(functions).absorbed(base, self.intervals, precision)
-        present = self._present_in(wide, without)
-        options = [
-            Option(one.name, one.mechanism, one.family, tuple(one.functions), change=one) for one in found
-        ]
-        live = np.diagonal(wide.total) > 0
-        options = [one for one in options if live[wide.index(one.columns)].any()]
-        return options, wide, present
+        for batch in batches([change for change in found if change.name not in taken]):
+            functions = {name: told for change in batch for name, told in change.functions.items()}
+            sources = [column for column, _ in functions.values()]
+            small = self.raw.select(list(dict.fromkeys([*base, *own, *sources])))
+            precision = self.precision(small, base, sigma)
+            wide = small.expand(functions).absorbed(base, self.intervals, precision)
+            live = np.diagonal(wide.total) > 0
+            options = [
+                Option(one.name, one.mechanism, one.family, tuple(one.functions), change=one)
+                for one in batch
+                if live[wide.index(list(one.functions))].any()
+            ]
+            if options:
+                yield options, wide, self._present_in(wide, without)
 
     def _outside(self, base: Sequence[str]) -> Carriers:
         """Carriers that the calibration does not absorb: their episodes can be scanned."""
@@ -370,18 +362,19 @@ class Search:
 def _with_changes(
     scores: Mapping[str, Scores],
     ratios: Mapping[str, tuple[Floats, Floats]],
-    found: Scores,
-    own: tuple[Floats, Floats],
+    timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
 ) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
     """Return the scores with those of changes behind; only the raw form can see most of them."""
     out, out_ratios = {}, {}
     for form, one in scores.items():
         seen = form == "raw"
-        out[form] = one.joined(found, seen)
-        observed, flipped = ratios[form]
+        for found, _ in timed:
+            one = one.joined(found, seen)  # noqa: PLW2901 (one form's scores grow)
+        own = [(observed * seen, flipped * seen) for _, (observed, flipped) in timed]
+        out[form] = one
         out_ratios[form] = (
-            np.concatenate([observed, own[0] if seen else np.zeros_like(own[0])]),
-            np.concatenate([flipped, own[1] if seen else np.zeros_like(own[1])], axis=1),
+            np.concatenate([ratios[form][0], *(observed for observed, _ in own)]),
+            np.concatenate([ratios[form][1], *(flipped for _, flipped in own)], axis=1),
         )
     return out, out_ratios
 

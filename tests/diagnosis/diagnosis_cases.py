@@ -410,6 +410,7 @@ def carriers_of(library: Library) -> Carriers:
         named("vector_sensor.scale_factor"),
         named("time_shift.seconds"),
         named("scalar_bias.bias"),
+        named("vector_sensor.misalignment"),
     )
 
 
