@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.derived import parse
+from inflight.derived import Derived, parse
 from inflight.diagnosis.findings import lag_profile
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
@@ -36,11 +36,11 @@ def refine(search: Search, material: Material, option: Option) -> Option:
 
     The new columns join the evidence, from the coarse series.
     """
-    if option.change is not None or len(option.channels) != 1 or len(material.series.tt2000) > MOST_ROWS:
+    if option.change is not None or not option.channels or len(material.series.tt2000) > MOST_ROWS:
         return option
     if option.mechanism.startswith("hysteresis("):
         return _with_width(search, material, option)
-    if option.mechanism.startswith("channel_field("):
+    if option.mechanism.startswith("channel_field(") and len(option.channels) == 1:
         return _with_lag(search, material, option)
     if len(option.terms) == 1:
         return _with_response(search, material, option)
@@ -78,31 +78,50 @@ def _nearer(search: Search, material: Material, option: Option, now: Option) -> 
 
 
 def _with_response(search: Search, material: Material, option: Option) -> Option:
-    """Return an effect of a channel that acts through a slow response, when that explains clearly more."""
-    source = search.library.terms[option.terms[0]]
-    channel = source.entry.effect.given.get("channel")
+    """Return an effect whose channel, or a factor of it, acts slowly, when that explains clearly more."""
+    made = option
+    channel = search.library.terms[option.terms[0]].entry.effect.given.get("channel")
     parts = parse(channel).parts if isinstance(channel, str) else ()
-    if len(parts) != 1 or parts[0].channel not in material.series.channels or parts[0].width:
+    if any(part.channel not in material.series.channels or part.width for part in parts):
         return option
+    for place in range(len(parts)):
+        made = _slower(search, material, option, made, place)
+    return made
+
+
+def _slower(search: Search, material: Material, option: Option, now: Option, place: int) -> Option:
+    """Return the option with the best lag of one factor of its channel; the present one if none is better."""
+    source = search.library.terms[now.terms[0]]
+    parts = list(parse(str(source.entry.effect.given["channel"])).parts)
+    old = parts[place].lag_s
     trials = Trials(search, material, option)
 
     def term(lag: float, key: str) -> Term:
-        given = {"channel": f"{parts[0].channel}@lag={lag:g}s"}
-        return like(search, material, source, key, given, source.parameters)
+        parts[place] = replace(parts[place], lag_s=lag, text="")
+        return like(search, material, source, key, {"channel": Derived(tuple(parts)).name}, source.parameters)
 
     def left(lag: float) -> Floats:
         return trials.left([term(lag, f"{option.mechanism}@trial")])
 
     lags = np.geomspace(_SHORTEST * material.series.step_s, _LONGEST, _RESPONSES)
     best = _least(lags, left, (0.7, 1.43))
-    if option.lag_s and abs(best - option.lag_s) <= _NEAR * option.lag_s:
-        return option
-    now, slow = trials.left([source]), left(best)
-    gained = now - slow
-    worth = float(hac_t(gained[:, None])[0]) > search.rules.t and gained.sum() > search.rules.gain * now.sum()
-    if not (worth or (option.lag_s and gained.sum() > 0)):
-        return option
-    return _joined(search, material, option, term(best, f"{option.mechanism}@lag={best:g}s"), best)
+    if old and abs(best - old) <= _NEAR * old:
+        return now
+    before, after = trials.left([source]), left(best)
+    gained = before - after
+    worth = (
+        float(hac_t(gained[:, None])[0]) > search.rules.t and gained.sum() > search.rules.gain * before.sum()
+    )
+    if not (worth or (old and gained.sum() > 0)):
+        return now
+    made = term(best, "")
+    name = str(made.entry.effect.given["channel"])
+    key = (
+        f"{option.mechanism}@lag={best:g}s"
+        if len(parts) == 1
+        else f"{type(made.entry.effect).label()}({name})"
+    )
+    return _joined(search, material, option, replace(made, key=key), best)
 
 
 def _with_width(search: Search, material: Material, option: Option) -> Option:

@@ -160,7 +160,7 @@ def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: fl
     ]
     if steady:
         return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
-    same = [place for place, other in enumerate(table.options) if other.mechanism == option.mechanism]
+    same = [place for place in places if table.options[place].mechanism == option.mechanism]
     return min(same, key=lambda place: float(scores.loss[:, place].sum()))
 
 

@@ -10,7 +10,7 @@ from inflight.diagnosis.left import structure_of
 from inflight.diagnosis.material import Material, effective_blocks, held_out, left_of, native_rms
 from inflight.diagnosis.refine import refine
 from inflight.diagnosis.rounds import WEAK, Refiner, Standing, polish, run, settle
-from inflight.diagnosis.search import Search, Table
+from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.second import look_again
 from inflight.diagnosis.unknown import Unknown, known_periods, look_at
 from inflight.diagnosis.words import sentence, stopped
@@ -44,6 +44,9 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         "residual": residual,
         "remaining": remaining,
         "blocks": blocks,
+        "outliers": material.outliers.as_json(),
+        "unscorable": unscorable(search),
+        "fewest": search.rules.blocks,
     }
     rivals, separating = confusion(search, standings)
     return Diagnosis(
@@ -52,7 +55,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         effects,
         rivals,
         separating,
-        unscorable(search),
+        told["unscorable"],
         own if verdict == "UNKNOWN_EFFECT" else None,
         {"verdict": remaining, "signature": signature},
         residual,
@@ -65,6 +68,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         {"name": material.model.name, "version": material.model.version},
         material.context,
         material.run,
+        told["outliers"],
     )
 
 
@@ -104,7 +108,7 @@ def _stands_in(search: Search) -> bool:
 
     Either both are there, or the named ones together stand in for something that no effect here describes.
     """
-    shapes = [one for one in search.accepted if one.agnostic or one.family == "unknown"]
+    shapes = [one for one in search.accepted if _is_shape(one)]
     return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
 
 
@@ -126,9 +130,13 @@ def _verdict(effects: tuple[FoundEffect, ...], standings: list[Standing], remain
         return remaining
     if any(one.rivals or one.retained < WEAK for one in effects):
         return "CONFOUNDED"
-    if all(one.option.agnostic or one.option.family == "unknown" for one in standings):
-        return "UNKNOWN_EFFECT"
-    return "FOUND"
+    # The largest of them first: where it names no cause, nor do the smaller ones name the cause of most.
+    return "UNKNOWN_EFFECT" if _is_shape(standings[0].option) else "FOUND"
+
+
+def _is_shape(option: Option) -> bool:
+    """Return True for what was taken for its shape and names no cause."""
+    return option.agnostic or option.family == "unknown"
 
 
 def _of_shape(effect: FoundEffect) -> Signature:
