@@ -47,6 +47,7 @@ class FoundEffect:
     rms_nT: float  # noqa: N815 (a unit)
     rivals: tuple[str, ...] = ()
     at: tuple[str, ...] = ()
+    at_sigma_s: float | None = None
     entries: tuple[Mapping[str, Any], ...] = ()
 
     def as_json(self) -> dict[str, Any]:

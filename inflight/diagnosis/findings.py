@@ -15,7 +15,7 @@ from inflight.diagnosis.rounds import WEAK, Standing
 from inflight.diagnosis.scoring import fit, folds_of
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.effects.coefficients import coefficient_unit
-from inflight.time import to_utc
+from inflight.time import SECOND, to_utc
 
 #: Rows of the candidate table.
 _TABLE = 40
@@ -28,7 +28,7 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
     option = standing.option
     found = estimate(search, option)
     terms = [material.terms[key] for key in option.terms]
-    coefficients = _coefficients(material, option, terms, found)
+    coefficients = _coefficients(search, material, option, terms, found)
     rivals = tuple(rival.mechanism for rival, _ in standing.rivals)
     if found.retained < WEAK:
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
@@ -51,6 +51,7 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
         tuple(f"{to_utc(when).astype('datetime64[s]')}Z" for when in option.change.at)
         if option.change
         else (),
+        option.change.sharpness / SECOND if option.change and option.change.at else None,
         tuple(term.entry.as_yaml() for term in terms),
     )
 
@@ -61,11 +62,11 @@ def axis(name: str) -> str:
 
 
 def _coefficients(
-    material: Material, option: Option, terms: list[Term], found: Estimate
+    search: Search, material: Material, option: Option, terms: list[Term], found: Estimate
 ) -> tuple[Coefficient, ...]:
     out = []
     for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True):
-        term, parameter = _term_of(material, option, terms, column)
+        term, parameter = _term_of(option, [*terms, *search.library.all_terms], column)
         unit, at = "", "difference"
         if term is not None:
             kind = term.entry.effect.parameters()[parameter]
@@ -78,9 +79,9 @@ def _coefficients(
     return tuple(out)
 
 
-def _term_of(material: Material, option: Option, terms: list[Term], column: str) -> tuple[Term | None, str]:
+def _term_of(option: Option, terms: list[Term], column: str) -> tuple[Term | None, str]:
     source = option.change.functions[column][0] if option.change is not None else column
-    for term in [*terms, *material.terms.values()]:
+    for term in terms:
         if source in term.columns:
             return term, source[len(term.key) + 1 :].split("[")[0]
     return None, ""

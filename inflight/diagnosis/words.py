@@ -7,6 +7,7 @@ from math import isfinite
 from typing import Any
 
 from inflight.diagnosis.diagnosis import FoundEffect, Signature
+from inflight.lines import told_period
 
 
 def sentence(told: Mapping[str, Any]) -> str:
@@ -47,7 +48,9 @@ def _of_effect(effect: FoundEffect) -> str:
     what = f"{_article(effect.family.replace('_', ' '))} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
     if effect.at:
-        cause += f" from {effect.at[0]}" + (f" to {effect.at[1]}" if len(effect.at) > 1 else "")
+        times = [one.rstrip("Z").removesuffix(":00").replace("T", " ") for one in effect.at]
+        cause += f" from {' to '.join(times)}"
+        cause += f" +- {told_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
     lag = f" with a lag of {effect.lag_s:.3g} s" if effect.lag_s > 0 else ""
     axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
     text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
