@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.diagnosis.bursts import MOST
 from inflight.diagnosis.candidates import make_library
 from inflight.diagnosis.carriers import carriers_of
 from inflight.diagnosis.diagnosis import Diagnosis
@@ -126,6 +127,13 @@ def prepare(
     dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
     run, blocks = _pass(cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell)
     loaded = load_evidence(cat, plan, blocks)
+    if loaded.outliers.share > MOST:
+        # So much of a span is no outlier: the evidence with it stands beside the one without.
+        plan = replace(plan, keep_bursts=True)
+        run, blocks = _pass(
+            cat, mission, plan, made.index, made.base, settings, context, f"{dataset}-bursts", client, tell
+        )
+        loaded = load_evidence(cat, plan, blocks)
     return Prepared(plan, made.used, made.survey, loaded, context, run, len(plan.blocks) - len(blocks))
 
 
@@ -382,4 +390,5 @@ def material_of(made: Prepared, mission: Mission) -> Material:
         made.context,
         made.run,
         made.plan.memory_s,
+        made.loaded.outliers,
     )

@@ -18,6 +18,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.comparison import filter_rows, rows_of
+from inflight.diagnosis.bursts import Outliers
 from inflight.diagnosis.coarse import coarsen
 from inflight.diagnosis.columns import Rows, design, turns_of
 from inflight.diagnosis.evidence import Evidence
@@ -34,7 +35,7 @@ from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 8
+EVIDENCE_VERSION = 9
 #: Days lose the bins without geometry when these are at most this part of them.
 _GEOMETRY_GAPS = 0.3
 #: Rows of the series are at least so far apart in long records, seconds.
@@ -42,7 +43,17 @@ _SERIES_S, _LONG_DAYS = 60.0, 100
 
 
 #: Sums over the native samples that the reports of blocks hold.
-SUMS = ("count", "square", "inside", "spikes", "floor_samples", "floor", "floor_low", "floor_high")
+SUMS = (
+    "count",
+    "square",
+    "inside",
+    "spikes",
+    "burst_samples",
+    "floor_samples",
+    "floor",
+    "floor_low",
+    "floor_high",
+)
 
 
 @dataclass(frozen=True)
@@ -68,6 +79,8 @@ class PassPlan:
     memory_s : float
         Correlation time of the prewhitened form.
     told : mapping of str to Told
+    keep_bursts : bool
+        Bursts are counted and stay in.
     """
 
     model: Model
@@ -81,6 +94,7 @@ class PassPlan:
     span: tuple[int, int]
     memory_s: float
     told: Mapping[str, Told]
+    keep_bursts: bool = False
 
     @property
     def scale(self) -> list[float]:
@@ -111,6 +125,7 @@ class PassPlan:
             "memory": self.memory_s,
             "span": self.span,
             "means": {name: one.mean for name, one in self.told.items()},
+            "keep_bursts": self.keep_bursts,
         }
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -182,7 +197,7 @@ def _day_evidence(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Evidence, Evidence, Rows, dict[str, float]]:
+) -> tuple[Evidence, Evidence, Rows, dict[str, Any]]:
     rows, sums, band_good = day_rows(cat, mission, made, index, derived, day)
     columns = design(made.library.all_terms, rows)
     if band_good is not None:
@@ -218,7 +233,7 @@ def day_rows(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Rows, dict[str, float], tuple[Any, Any] | None]:
+) -> tuple[Rows, dict[str, Any], tuple[Any, Any] | None]:
     """Return a day's rows on the library's cadence, sums over its native samples, and its band if any."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
@@ -229,7 +244,8 @@ def day_rows(
     variables = as_variables(mission, values, geometry if there else None)
     edges = derived.reader.edges(day)
     turn = turns_of(made.model, (start + end) // 2)
-    rows, sums = coarsen(samples, native, edges, variables, turn)
+    recorded = derived.reader.day(day)
+    rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
     rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
     sums |= _floor(native.residual, native.good, samples["tt2000"].values)
     band = (native.band, rows.weight > 0) if native.band is not None else None
@@ -299,7 +315,7 @@ def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, sampl
 
 @dataclass(frozen=True)
 class Loaded:
-    """The evidence of a span: raw, prewhitened, within-day when it was made apart, and the series."""
+    """The evidence of a span: raw, prewhitened, within-day when it was made apart, the series, outliers."""
 
     raw: Evidence
     white: Evidence
@@ -307,6 +323,7 @@ class Loaded:
     series: Series
     sums: Mapping[str, float]
     floor: NoiseFloor
+    outliers: Outliers
 
 
 def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
@@ -338,4 +355,5 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         Series.of(packed, starts, features),
         sums,
         _floor_of([day.report for day in ordered]),
+        Outliers.of([day.report for day in ordered], made.keep_bursts),
     )

@@ -1,4 +1,4 @@
-"""From native samples to the library's cadence: bins of good samples, spikes left out.
+"""From native samples to the library's cadence: bins of good samples, spikes and bursts left out.
 
 Means of bins keep every linear statement: the mean residual is the same function of the mean columns.
 """
@@ -6,6 +6,7 @@ Means of bins keep every linear statement: the mean residual is the same functio
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from scipy.ndimage import median_filter
 from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
 from inflight.comparison import Rows as NativeRows
+from inflight.diagnosis.bursts import bursts, is_signal, told_of
 from inflight.diagnosis.columns import Rows
 from inflight.time import GAP, SECOND, Int64
 
@@ -117,7 +119,9 @@ def coarsen(
     edges: Int64,
     channels: Mapping[str, xr.Variable],
     turn: Mapping[str, Floats],
-) -> tuple[Rows, dict[str, float]]:
+    recorded: Mapping[str, Floats] | None = None,
+    keep_bursts: bool = False,
+) -> tuple[Rows, dict[str, Any]]:
     """Put a day's rows on the library's bins.
 
     Parameters
@@ -131,18 +135,21 @@ def coarsen(
         Channels and geometry that stand on the bins already.
     turn : mapping
         See `inflight.diagnosis.columns.Rows`.
+    recorded : mapping of str to ndarray, optional
+        Every channel of the mission as it was recorded, on the bins: what goes with one is no outlier.
+    keep_bursts : bool
+        Count bursts and leave them in.
 
     Returns
     -------
     Rows, dict
         The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
-        the scatter within bins, nT^2, ``spikes``.
+        the scatter within bins, nT^2, ``spikes``; and of `inflight.diagnosis.bursts.told_of`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     usable = rows.good & np.isfinite(rows.residual).all(axis=1)
-    out = spikes(np.where(usable[:, None], rows.residual, np.nan))
-    if rows.band is not None:
-        out[:] = False  # what went through a filter has no single wild samples left
+    single, burst, told = _outliers(rows, usable, stamps, edges, recorded or {})
+    out = single if keep_bursts else single | burst
     good = usable & ~out
     residual, count = bin_means(rows.residual, stamps, edges, good)
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
@@ -172,6 +179,27 @@ def coarsen(
         "count": float(good.sum()),
         "square": square,
         "inside": max(inside, 0.0),
-        "spikes": float((usable & out).sum()),
-    }
+        "spikes": float((usable & single).sum()),
+    } | told
     return Rows(xr.Dataset(data), residual, directions, turn, weight), sums
+
+
+def _outliers(
+    rows: NativeRows,
+    usable: npt.NDArray[np.bool_],
+    stamps: Int64,
+    edges: Int64,
+    recorded: Mapping[str, Floats],
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+    """Return which samples are spikes and which in bursts; (time,), no sample in both, and words on these."""
+    none = np.zeros(len(stamps), dtype=bool)
+    if rows.band is not None:
+        # What went through a filter has no wild samples left.
+        return none, none, told_of([], stamps, none)
+    single = spikes(np.where(usable[:, None], rows.residual, np.nan))
+    every = bursts(rows.residual, stamps, usable & ~single)
+    wild = [one for one in every if not is_signal(one, every, rows, stamps, recorded, edges)]
+    burst = none.copy()
+    for one in wild:
+        burst[one.first : one.last] = True
+    return single & ~burst, burst, told_of(wild, stamps, usable)

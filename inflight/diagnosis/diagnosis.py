@@ -110,7 +110,10 @@ class Diagnosis:
     refined : tuple of dict
         Parameters of the model that the data moved within what was known of them.
     blocks : dict
-        Number and length of the blocks, and how many of them are independent.
+        Number and length of the blocks, how many of them are independent, and the few that hold nearly all
+        of the residual's square.
+    outliers : dict
+        Samples the evidence leaves out: how many, and when the first bursts of them were.
     """
 
     verdict: Verdict
@@ -131,6 +134,7 @@ class Diagnosis:
     model: dict[str, Any] = field(default_factory=dict)
     context: str = ""
     run: str = ""
+    outliers: dict[str, Any] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as the command line prints it: plain numbers, null where there is none."""

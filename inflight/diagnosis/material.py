@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.diagnosis.bursts import Outliers, utc_text
 from inflight.diagnosis.columns import turns_of
+from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.left import residual_left
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.scoring import Present, folds_of, score
@@ -19,6 +21,9 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor
 from inflight.time import SECOND
+
+#: Part of the residual's square that a few blocks may hold between them, and how many are few.
+_NEARLY_ALL, _FEW = 0.9, 12
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class Material:
         Of the search.
     memory_s : float
         Correlation time the prewhitened form assumes, s.
+    outliers : Outliers
+        What the pass left out.
     """
 
     mission: Mission
@@ -52,6 +59,7 @@ class Material:
     context: str = ""
     run: str = ""
     memory_s: float = 600.0
+    outliers: Outliers = field(default_factory=Outliers)
 
     @property
     def turn(self) -> dict[str, Floats]:
@@ -103,14 +111,33 @@ def effective_blocks(search: Search, material: Material, left: Floats) -> dict[s
     span = float(raw.end[-1] - raw.start[0]) / SECOND
     square = np.clip(evidence.gram[:, y, y], 0.0, None)
     telling = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
-    independent = min(float(used), span / max(2.0 * memory, 1e-9), telling)
+    by_length = min(float(used), span / max(2.0 * memory, 1e-9))
     return {
         "count": used,
         "length_s": length,
         "correlation_s": memory,
+        "by_length": by_length,
         "telling": telling,
-        "independent": independent,
+        "independent": min(by_length, telling),
+        "holding": _holding(raw, square),
     }
+
+
+def _holding(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
+    """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
+    order = np.argsort(-square)
+    whole = max(float(square.sum()), 1e-300)
+    most = int(np.searchsorted(np.cumsum(square[order]), _NEARLY_ALL * whole)) + 1
+    if most > _FEW:
+        return []
+    return [
+        {
+            "start": utc_text(int(evidence.start[place])),
+            "end": utc_text(int(evidence.end[place])),
+            "part": float(square[place] / whole),
+        }
+        for place in sorted(order[:most].tolist())
+    ]
 
 
 def _correlation_s(series: Series, residual: Floats) -> float:

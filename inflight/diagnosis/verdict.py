@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect, Signature, Verdict
 from inflight.diagnosis.findings import candidates, confusion, effect, lag_profile, refined, unscorable
@@ -38,7 +39,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     residual = _sizes(search, material, before, unknown)
     signature = unknown.signature if remaining == "UNKNOWN_EFFECT" else None
     own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _of_shape(effects[0])
-    told = {
+    told: dict[str, Any] = {
         "effects": effects,
         "signature": signature,
         "residual": residual,
