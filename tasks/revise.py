@@ -17,6 +17,7 @@ import numpy as np
 from inflight.catalog import Catalog
 from inflight.diagnosis.additions import Addition, Maker, held_at_nothing, values_of
 from inflight.diagnosis.carriers import carriers_of
+from inflight.diagnosis.changes import DRIFTS
 from inflight.diagnosis.diagnosis import Diagnosis
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.library import Library, Term
@@ -144,7 +145,7 @@ class Workbench:
 
     def candidates(self) -> list[str]:
         """Return the names of everything that `add` knows without a pass, in the library's order."""
-        kinds = [kind for kind in ("scale_drift", "offset_drift") if self._has_carrier(kind)]
+        kinds = [kind for kind in DRIFTS if self._has_carrier(kind)]
         return [one.name for one in self.made.plan.library.candidates if not one.placebo] + kinds
 
     def _has_carrier(self, drift: str) -> bool:

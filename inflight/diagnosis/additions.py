@@ -20,16 +20,19 @@ from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.lags import mixture
 from inflight.diagnosis.library import Candidate, Library, Term
 from inflight.diagnosis.refit import Column
-from inflight.effects.vector_sensor import VectorSensor
+from inflight.effects.vector_sensor import ANGLES, VectorSensor
 from inflight.errors import ModelError
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.sensors import sensors_of
 from inflight.time import DAY, to_utc
 
-#: Effects that say what changes at a moment, by the kind of what changes.
-STEPS = {"offset": "offset_step", "bias": "bias_step", "clock": "clock_step"}
-DRIFTS = ("scale_drift", "offset_drift")
+#: Parameters of a drift's effect and their neutral values, by what drifts.
+_DRIFTING: dict[str, tuple[str, list[float]]] = {
+    "scale": ("matrix", np.eye(3).ravel().tolist()),
+    "angle": ("matrix", np.eye(3).ravel().tolist()),
+    "offset": ("shift", [0.0, 0.0, 0.0]),
+}
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,7 @@ class Maker:
     # What is bound to a time.
 
     def drift(self, kind: str, name: str = "") -> Addition:
-        """Return a drift of the scale factors or the offsets, straight in time.
+        """Return a drift of the scale factors, the angles or the offsets, straight in time.
 
         It stands before the nine parameters, as an affine change of the reading that grows from
         nothing at the middle of the span: calibration intervals still have their own nine.
@@ -209,27 +212,29 @@ class Maker:
         ModelError
             When the comparison has no such parameters.
         """
-        columns = self.carriers.scale if kind == "scale_drift" else self.carriers.offset
+        what = kind.removesuffix("_drift")
+        columns = getattr(self.carriers, what)
         if not columns:
             raise ModelError(f"this comparison has nothing that '{kind}' could be of", remedy="try another")
         middle = self.raw.start / 2 + self.raw.end / 2
         origin = float(middle.mean())
         days = (middle - origin) / DAY
         term = self._carrier(columns[0])
-        entry = self._drifting(kind, name or self.free_name(kind), term, int(origin))
-        part = "matrix" if kind == "scale_drift" else "shift"
-        made, gains = [], {}
-        for axis, column in zip("xyz", columns, strict=True):
-            title = f"{entry.name}.{kind.removesuffix('_drift')}[{axis}]"
-            made.append(Column(title, ((column, 1.0),), days))
-            value = entry.name + (f".matrix[{axis}{axis}]*b" if part == "matrix" else f".shift[{axis}]*b")
-            gains[value] = ((title, self._per_reading(term, part, axis)),)
-        unit = "1/d" if part == "matrix" else "nT/d"
-        return Addition(kind, tuple(made), (entry,), (term,), gains=gains, unit=unit)
+        entry = self._drifting(what, name or self.free_name(kind), term, int(origin))
+        axes = ANGLES if what == "angle" else tuple("xyz")
+        titles = [f"{entry.name}.{what}[{axis}]" for axis in axes]
+        made = tuple(
+            Column(title, ((column, 1.0),), days) for title, column in zip(titles, columns, strict=True)
+        )
+        part = _DRIFTING[what][0]
+        turn = self._before_the_nine(what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
+        values = [f"{entry.name}.{part}[{2 * axis if what == 'scale' else axis}]*b" for axis in axes]
+        gains = {value: _weighted(titles, row) for value, row in zip(values, turn, strict=True)}
+        unit = {"scale": "1/d", "angle": "deg/d", "offset": "nT/d"}[what]
+        return Addition(kind, made, (entry,), (term,), gains=gains, unit=unit)
 
-    def _drifting(self, kind: str, name: str, term: Term, origin: int) -> ModelEffect:
-        part, size = ("matrix", 9) if kind == "scale_drift" else ("shift", 3)
-        unit = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0] if part == "matrix" else [0.0] * size
+    def _drifting(self, what: str, name: str, term: Term, origin: int) -> ModelEffect:
+        part, unit = _DRIFTING[what]
         timed = {
             "time": "linear",
             "t0": f"{to_utc(origin)}Z",
@@ -240,19 +245,30 @@ class Maker:
         told = {"effect": "affine", "name": name, "sensor": term.entry.sensor.name, part: timed}
         return make_effect(told, sensors_of(self.mission, self.model.comparison), mission=self.mission)
 
-    def _per_reading(self, term: Term, part: str, axis: str) -> float:
-        """Return what a unit of the sensor's own parameter is as a change of its reading."""
-        if part == "shift":
-            return 1.0 if term.entry.effect.label() == "affine" else -1.0
-        return 1.0 / float(term.entry.parameters["scale_factor"].value["xyz".index(axis), 0])
+    def _before_the_nine(self, what: str, term: Term) -> Floats:
+        """Return what changes of the sensor's own parameters are as changes of its reading; (3, 3).
+
+        Rows are those of the reading: relative ones of its axes, or of angles of its own next to 90 deg. A
+        change D of K (Yin 2010, eq. 2.5) is the reading's own change S before it, with ``K S = D``.
+        """
+        if what == "offset":
+            return np.eye(3) * (1.0 if term.entry.effect.label() == "affine" else -1.0)
+        own = term.entry.parameters
+        kx, ky, _ = own["scale_factor"].value[:, 0]
+        if what == "scale":
+            return np.diag(1.0 / own["scale_factor"].value[:, 0])
+        angles = np.deg2rad(own["misalignment"].value[:, 0])
+        xy, xz, yz = np.sin(angles)
+        across = -np.cos(angles[0]) * yz / (kx * ky)
+        return np.array([[xy / kx, 0.0, 0.0], [0.0, xz / kx, across], [0.0, 0.0, yz / ky]])
 
     def step(self, kind: str, at: Sequence[int], name: str = "") -> Addition:
-        """Return a step of an offset, a bias or a clock at a block's edge, or an episode between two.
+        """Return a step of a sensor's parameter at a block's edge, or an episode between two.
 
         Parameters
         ----------
         kind : str
-            ``offset``, ``bias`` or ``clock``.
+            ``offset``, ``scale``, ``angle``, ``bias`` or ``clock``.
         at : sequence of int
             TT2000: when it begins, and when it ends if it does.
 
@@ -283,18 +299,20 @@ class Maker:
         """Return the effects that say it; a bias that comes and goes is two steps."""
         sensors = sensors_of(self.mission, self.model.comparison)
         when = [f"{to_utc(one)}Z" for one in at]
-        if kind == "clock" and len(at) == 2:
-            told = [{"effect": "clock_episode", "name": title, "from": when[0], "to": when[1]}]
-        elif kind == "offset" and len(at) == 2:
-            told = [{"effect": "offset_episode", "name": title, "from": when[0], "to": when[1]}]
+        if kind != "bias" and len(at) == 2:
+            told = [{"effect": f"{kind}_episode", "name": title, "from": when[0], "to": when[1]}]
         else:
             names = [title, f"{title}_end"]
             told = [
-                {"effect": STEPS[kind], "name": name, "at": one}
+                {"effect": f"{kind}_step", "name": name, "at": one}
                 for name, one in zip(names, when, strict=False)
             ]
-        sensor = {"sensor": term.entry.sensor.name}
-        return tuple(make_effect(one | sensor, sensors, mission=self.mission) for one in told)
+        given: dict[str, Any] = {"sensor": term.entry.sensor.name}
+        if kind in ("scale", "angle"):
+            # The sensor's equation takes the offset off before it scales and turns.
+            offset = term.entry.parameters["offset"].value[:, 0].tolist()
+            given["about"] = {"value": offset, "free": False}
+        return tuple(make_effect(one | given, sensors, mission=self.mission) for one in told)
 
     def _gains(
         self, kind: str, values: Sequence[Sequence[str]], term: Term
@@ -307,14 +325,20 @@ class Maker:
             # Behind the sensor's equation a step of its offset is that step through K.
             affine = term.entry.effect.label() == "affine"
             turn = -np.eye(3) if affine else np.reshape(turns.get(term.entry.sensor.name, np.eye(3)), (3, 3))
+        elif kind in ("scale", "angle"):
+            turn = self._before_the_nine(kind, term)
         gains = {}
         for sign, names in zip((1.0, -1.0), values, strict=False):
             for row, name in enumerate(names):
-                gains[name] = tuple((one, sign * float(turn[row, place])) for place, one in enumerate(first))
+                gains[name] = _weighted(first, sign * turn[row])
         return gains
 
     def _carrier(self, column: str) -> Term:
         return next(term for term in self.library.all_terms if column in term.columns)
+
+
+def _weighted(names: Sequence[str], weights: Floats) -> tuple[tuple[str, float], ...]:
+    return tuple((name, float(weight)) for name, weight in zip(names, weights, strict=True))
 
 
 def _only(entry: ModelEffect) -> str:

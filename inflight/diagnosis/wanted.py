@@ -14,7 +14,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from inflight.derived import base_channels, parse
-from inflight.diagnosis.additions import DRIFTS, Addition, Maker
+from inflight.diagnosis.additions import Addition, Maker
+from inflight.diagnosis.changes import DRIFTS
 from inflight.diagnosis.lags import profile
 from inflight.diagnosis.library import Candidate, term_of
 from inflight.diagnosis.refit import Column, Ground
@@ -29,7 +30,11 @@ from inflight.sensors import sensors_of
 from inflight.time import SECOND, parse_duration, parse_utc, to_tt2000
 
 _LAG = re.compile(r"^(?P<mechanism>.+)@lag=(?P<lag>[^@]+)$")
-_TIMED = re.compile(r"^(?P<kind>offset|bias|clock)_(?:step|episode)@(?P<at>[^/]+)(?:/(?P<end>.+))?$")
+_TIMED = re.compile(
+    r"^(?P<kind>offset|scale|angle|bias|clock)_(?:step|episode)@(?P<at>[^/]+)(?:/(?P<end>.+))?$"
+)
+#: What changes at a moment.
+_KINDS = ("offset", "scale", "angle", "bias", "clock")
 #: Names listed in a remedy at most.
 _LISTED = 12
 
@@ -240,11 +245,11 @@ def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
     """Return the addition that an effect of a later version of the model is."""
     label = entry.effect.label()
     if label == "affine":
-        for key, kind in (("matrix", "scale_drift"), ("shift", "offset_drift")):
+        for key in ("matrix", "shift"):
             if entry.parameters[key].time == "linear":
-                return maker.drift(kind, entry.name)
+                return maker.drift(_drift_of(key, entry), entry.name)
     kind, _, form = label.partition("_")
-    if kind in ("offset", "bias", "clock") and form in ("step", "episode"):
+    if kind in _KINDS and form in ("step", "episode"):
         at = [
             _instant(entry.name, str(entry.effect.given[key]))
             for key in ("at", "from", "to")
@@ -256,6 +261,14 @@ def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
     if candidate is not None:
         return maker.of_candidate(candidate, entry.name, lag)
     return _apart(maker, entry)
+
+
+def _drift_of(part: str, entry: ModelEffect) -> str:
+    """Return which drift an affine change that grows with time is."""
+    if part == "shift":
+        return "offset_drift"
+    growth = np.reshape(entry.parameters[part].value[:, 1], (3, 3))
+    return "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
 
 
 # Lags.

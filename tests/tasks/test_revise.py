@@ -87,6 +87,31 @@ def scale_drift(day: str, reading: np.ndarray) -> np.ndarray:
     return reading * np.array([0.0, 2e-5, 0.0]) * (days_since_start(day) - 2)
 
 
+def scale_step(day: str, reading: np.ndarray) -> np.ndarray:
+    """The third day on, y reads 40 ppm more."""
+    return reading * np.array([0.0, 4e-5, 0.0]) * (days_since_start(day) >= 2)
+
+
+def angle_step(day: str, reading: np.ndarray) -> np.ndarray:
+    """The third day on, the angle of x and z is larger by 0.003 deg: x reads less of z."""
+    return sheared_by(0.003, reading) * (days_since_start(day) >= 2)
+
+
+def angle_episode(day: str, reading: np.ndarray) -> np.ndarray:
+    """The same for the second and third day."""
+    return sheared_by(0.003, reading) * ((days_since_start(day) >= 1) & (days_since_start(day) < 3))
+
+
+def angle_drift(day: str, reading: np.ndarray) -> np.ndarray:
+    """The same angle, growing by 0.001 deg/d."""
+    return sheared_by(0.001, reading) * (days_since_start(day) - 2)
+
+
+def sheared_by(degrees: float, reading: np.ndarray) -> np.ndarray:
+    """What a reading gains by a larger angle of x and z; (time, axis) nT."""
+    return np.deg2rad(degrees) * reading[:, [2]] * np.array([1.0, 0.0, 0.0])
+
+
 def bias_episode(day: str, reading: np.ndarray) -> np.ndarray:
     """The scalar sensor reads 0.6 nT more on the second and third day."""
     return 0.6 * ((days_since_start(day) >= 1) & (days_since_start(day) < 3))
@@ -161,6 +186,10 @@ def test_the_products_use_the_new_model_and_again_the_old_one(workspace, bench):
         (offset_step, nothing, "offset_step@2024-03-03", "offset_step"),
         (offset_drift, nothing, "offset_drift", "affine"),
         (scale_drift, nothing, "scale_drift", "affine"),
+        (scale_step, nothing, "scale_step@2024-03-03", "scale_step"),
+        (angle_step, nothing, "angle_step@2024-03-03", "angle_step"),
+        (angle_episode, nothing, "angle_episode@2024-03-02/2024-03-04", "angle_episode"),
+        (angle_drift, nothing, "angle_drift", "affine"),
         (nothing, bias_episode, "bias_episode@2024-03-02/2024-03-04", "bias_step"),
     ],
 )
@@ -171,7 +200,14 @@ def test_whatever_is_added_takes_the_products_to_the_noise(tmp_path, hidden, sca
     told = bench.add(name).as_json()
     assert told["error"]["held_out_nT"][0] > 1.5 * NOISE
     assert told["error"]["held_out_nT"][1] == pytest.approx(NOISE, rel=0.05)
-    assert current_model(cat, mission).model.effects[-1 if effect != "affine" else 0].effect.label() == effect
+    # What does more than add a field stands before the nine parameters.
+    first = effect.startswith(("affine", "scale", "angle"))
+    entry = current_model(cat, mission).model.effects[0 if first else -1]
+    assert entry.effect.label() == effect
+    if effect.startswith("angle"):
+        found = entry.parameters["change"]
+        assert np.all(np.abs(found.value[:, 0] - [0.0, 0.003, 0.0]) < 4 * found.sigma[:, 0])
+        assert found.sigma[1, 0] < 0.0003
     assert residual_of_products(made) == pytest.approx(NOISE, rel=0.05)
     again = Workbench(cat, mission)
     assert [one.name for one in again.additions] or effect == "bias_step"
