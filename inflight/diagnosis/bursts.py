@@ -26,6 +26,8 @@ MOST = 0.02
 #: Samples the scatter is the median of, odd; how far a sample must bend to be in a burst, in usual scatters;
 #: samples a record needs; bursts told of a block, and of a span.
 _AROUND, _WILD, _FEWEST, _TOLD, _NAMED = 11, 6.0, 100, 20, 12
+#: An instrument that is not wild itself is lively when it fluctuates so many times as much as usual.
+_LIVELY = 2.0
 
 
 class Burst(NamedTuple):
@@ -159,8 +161,8 @@ def is_signal(
 ) -> bool:
     """Return True when a burst is more than wild readings of one instrument.
 
-    Both instruments fluctuate by no less than their difference does: the field itself is lively. Or a
-    recorded channel does there what it does nowhere else: something was switched on.
+    Both instruments are livelier than usual, and their difference is not far beyond what they share: the
+    field itself is lively. Or a recorded channel does there what it does nowhere else: it was switched on.
 
     Parameters
     ----------
@@ -183,12 +185,13 @@ def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: Rows, stamps: I
         quiet[max(one.first - 2, 0) : one.last + 2] = False
     inside = np.zeros(len(stamps), dtype=bool)
     inside[burst.first : burst.last] = True
-    sizes = []
+    lively, sizes = True, []
     for values in (*pair, rows.residual):
         ripple = _ripple(values, stamps, rows.good)
-        excess = _median_square(ripple[inside]) - _median_square(ripple[quiet])
-        sizes.append(max(excess, 0.0))
-    return min(sizes[:-1]) > sizes[-1]
+        there, usual = _median_square(ripple[inside]), _median_square(ripple[quiet])
+        sizes.append(max(there - usual, 0.0))
+        lively &= there > _LIVELY**2 * usual
+    return lively and FAR**2 * min(sizes[:-1]) > sizes[-1]
 
 
 def _readings(rows: Rows) -> list[Floats]:

@@ -60,7 +60,13 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Signature:
-    """What an effect nobody knows looks like."""
+    """What an effect nobody knows looks like.
+
+    `amplitude_nT` and `amplitudes` (by axis, with sigma) of a period are half of peak to peak of the folded
+    curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
+    fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
+    bound it.
+    """
 
     period_s: float | None = None
     channel: str | None = None
@@ -72,6 +78,9 @@ class Signature:
     duty: float | None = None
     amplitudes: Mapping[str, Sequence[float]] = field(default_factory=dict)
     gain: float | None = None
+    steps: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    faster_than_s: float | None = None
+    periods_s: tuple[float, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name."""

@@ -20,7 +20,7 @@ from inflight.noise import NoiseFloor, joined_floor, level_of_rows
 from inflight.time import DAY, SECOND
 
 #: Lags of the residual's covariance that tell structure from noise, in rows of the series.
-_LAGS = 6
+LAGS = 6
 #: Structure counts when it is this many sigma from nothing and this part of the noise floor.
 _CLEAR_T, _CLEAR_PART = 3.0, 0.2
 #: The series holds every native sample when there are not more than so many times as many.
@@ -57,7 +57,7 @@ def structure_of(series: Series, residual: Floats) -> Structure:
     good = series["weight"] > 0
     blocks = int(series.block.max()) + 1 if series.block.size else 0
     total, count = np.zeros(blocks), np.zeros(blocks)
-    for lag in range(1, _LAGS + 1):
+    for lag in range(1, LAGS + 1):
         both = good[lag:] & good[:-lag] & (series.block[lag:] == series.block[:-lag])
         value = np.einsum("tr,tr->t", residual[lag:], residual[:-lag]) / residual.shape[1]
         total += np.bincount(series.block[lag:][both], weights=value[both], minlength=blocks)

@@ -167,8 +167,9 @@ def describe(
         place = int(np.argmax(of_axes / np.maximum(np.sqrt(np.mean(errors**2, axis=0)), 1e-12)))
         named, size = AXES[place], float(of_axes[place])
         shape, duty = shape_of(whole[:, place], errors[:, place])
+        steps = steps_of(whole, errors, place) if shape in ("square", "pulse") else {}
     else:
-        named, size = None, float(amplitude[main])
+        named, size, steps = None, float(amplitude[main]), {}
         shape, duty = shape_of(curve[:, main], sigma[:, main])
     span = seconds[-1] - seconds[0]
     strength = float(clear[main]) * np.sqrt(PHASES / 2.0)
@@ -184,6 +185,7 @@ def describe(
         period_sigma_s=float(period**2 / (np.pi * max(span, period)) * np.sqrt(6.0) / max(strength, 1.0)),
         duty=duty,
         amplitudes=amplitudes if named else {},
+        steps=steps,
     )
     return told, _explained(seconds, y, u @ seen, best) / max(float(y @ y), 1e-300)
 
@@ -252,3 +254,22 @@ def shape_of(curve: Floats, sigma: Floats) -> tuple[str, float | None]:
     if left < 0.15 * whole + noise**2 / curve.size:
         return ("square" if 0.25 <= duty <= 0.75 else "pulse"), duty
     return "other", duty
+
+
+def steps_of(curve: Floats, sigma: Floats, main: int) -> dict[str, tuple[float, float]]:
+    """Return what a switch adds along each axis while it is on, and its sigma; nT.
+
+    Parameters
+    ----------
+    curve, sigma : ndarray, shape (phase, axis)
+    main : int
+        The axis that tells when it is on: where the curve is above its middle.
+    """
+    low, high = np.quantile(curve[:, main], [0.1, 0.9])
+    on = curve[:, main] > 0.5 * (low + high)
+    if on.all() or not on.any():
+        return {}
+    # A phase in which it switches belongs to neither level: medians leave it out.
+    height = np.median(curve[on], axis=0) - np.median(curve[~on], axis=0)
+    error = np.sqrt(np.mean(sigma**2, axis=0) * (0.5 * np.pi) * (1.0 / on.sum() + 1.0 / (~on).sum()))
+    return {name: (float(height[at]), float(error[at])) for at, name in enumerate(AXES)}

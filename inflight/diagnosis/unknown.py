@@ -9,9 +9,10 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.diagnosis import Signature
 from inflight.diagnosis.estimates import detectable
+from inflight.diagnosis.fast import Fast, fast_part
 from inflight.diagnosis.findings import axis
 from inflight.diagnosis.left import Structure, floor_left
-from inflight.diagnosis.material import Material
+from inflight.diagnosis.material import Material, native_rms
 from inflight.diagnosis.scoring import fit
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.signature import Periodogram, describe, periodogram, strongest_line
@@ -23,6 +24,8 @@ _LEAST_PART = 0.01
 #: Lines beside a harmonic at so many turns of the Earth; resolutions within which they are the same; what a
 #: nominal period may be off by; and by how much the field must turn to have a period of its own.
 _SPLITS, _APART, _SHARP, _TURNING = 2, 1.5, 2e-4, 0.3
+#: A known period explains a band when it is within it or so many times beside it.
+_AROUND = 1.1
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class Unknown:
         Noise floor, nT; of a record without one, the residual's own size.
     floor : NoiseFloor
         Of what is left, with its interval.
+    has_band : bool
+        Most of what is missing is too fast for the search and stands in one band no known period explains.
     """
 
     structure: Structure
@@ -47,16 +52,19 @@ class Unknown:
     signature: Signature | None
     noise: float
     floor: NoiseFloor
+    has_band: bool = False
 
     @property
     def is_there(self) -> bool:
         """True when what is left may be more than noise."""
-        return self.has_line or self.structure.is_large(self.noise)
+        return self.has_line or self.has_band or self.structure.is_large(self.noise)
 
     @property
     def is_sure(self) -> bool:
         """True when what is left is more than noise beyond doubt."""
-        return self.has_line or (self.structure.is_sure and self.structure.is_large(self.noise))
+        return (
+            self.has_line or self.has_band or (self.structure.is_sure and self.structure.is_large(self.noise))
+        )
 
 
 def look_at(search: Search, material: Material, last: Table, left: Floats, structure: Structure) -> Unknown:
@@ -70,7 +78,32 @@ def look_at(search: Search, material: Material, last: Table, left: Floats, struc
     found = Unknown(structure, line is not None, line, noise, floor)
     if line is not None:
         return found
-    return replace(found, signature=_hinted(search, last, structure)) if found.is_there else found
+    size = native_rms(material, search, accepted=True)
+    fast = fast_part(material.series, left, size, floor.level_nT, structure)
+    found = replace(found, has_band=fast is not None and _is_news(material, fast))
+    if not found.is_there:
+        return found
+    told = _hinted(search, last, structure)
+    return replace(found, signature=told if fast is None else _fast(told, fast))
+
+
+def _is_news(material: Material, fast: Fast) -> bool:
+    """Return True when a band of periods was found and no known period lies in it."""
+    if fast.periods_s is None:
+        return False
+    short, long = fast.periods_s
+    return not any(short / _AROUND <= period <= long * _AROUND for period in known_periods(material))
+
+
+def _fast(hint: Signature, fast: Fast) -> Signature:
+    """Return the signature of what is fast; what the slow part hints at stays, but for its shape and size."""
+    return replace(
+        hint,
+        shape="fast",
+        amplitude_nT=fast.rms_nT,
+        faster_than_s=fast.faster_than_s,
+        periods_s=fast.periods_s,
+    )
 
 
 def _line(material: Material, left: Floats) -> Signature | None:

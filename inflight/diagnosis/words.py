@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isfinite
 from typing import Any
 
 from inflight.diagnosis.diagnosis import FoundEffect, Signature
 from inflight.lines import told_period
+
+#: Sigmas from which an axis is named; spans that are said; and the part of the smallest effect that as much
+#: structure left makes doubtful.
+_CLEAR, _SAID, _GOOD_PART = 3.0, 4, 0.5
+#: Mechanisms worth a word when the data could not have shown them.
+MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
 
 
 def sentence(told: Mapping[str, Any]) -> str:
@@ -17,23 +23,85 @@ def sentence(told: Mapping[str, Any]) -> str:
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
         f"noise floor {_size(residual['noise_floor_nT'])}"
     )
+    bursts = _of_outliers(told.get("outliers", {}))
     parts = [_of_effect(effect) for effect in told["effects"]]
     if parts:
         text = "; ".join(parts)
         text = f"{text[0].upper()}{text[1:]} ({sizes})."
         if told["remaining"] == "UNKNOWN_EFFECT":
             text += f" Something is left: {_of_signature(told['signature'])}."
-        return text
+            if _may_stand_in(told):
+                text += " The effects taken may stand in for the one cause that is missing."
+        return text + bursts
     return {
-        "NOTHING_LEFT": lambda: f"Nothing is left to explain: the residual is noise ({sizes}).",
-        "NOT_IDENTIFIABLE": lambda: (
-            "Something is there, but these data are too short to say what: "
-            f"{told['blocks']['independent']:.0f} independent blocks ({sizes})."
+        "NOTHING_LEFT": lambda: (
+            f"Nothing is left to explain: the residual is noise ({sizes}).{_unseen(told)}"
         ),
+        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not(told)} ({sizes}).",
         "UNKNOWN_EFFECT": lambda: (
             f"No effect of the library explains it: {_of_signature(told['signature'])} ({sizes})."
         ),
-    }[told["remaining"]]()
+    }[told["remaining"]]() + bursts
+
+
+def why_not(told: Mapping[str, Any]) -> str:
+    """Return why nothing can be said of what is there: a short span, few blocks that tell, little of it."""
+    blocks, fewest = told["blocks"], told.get("fewest", 0)
+    if blocks.get("by_length", blocks["independent"]) < fewest:
+        return f"these data are too short to say what: {blocks['independent']:.0f} independent blocks"
+    if blocks["independent"] < fewest:
+        holding = blocks.get("holding", [])
+        few = f"{len(holding)} of {blocks['count']}" if holding else "a few"
+        when = f": {_spans(holding)}" if holding else ""
+        return f"{few} blocks hold nearly all of the residual's square{when}"
+    return "its structure is not beyond doubt"
+
+
+def _spans(blocks: Sequence[Mapping[str, Any]]) -> str:
+    """Return when blocks are, adjacent ones as one span, the first few of them."""
+    spans: list[list[str]] = []
+    for one in blocks:
+        if spans and spans[-1][1] == one["start"]:
+            spans[-1][1] = one["end"]
+        else:
+            spans.append([one["start"], one["end"]])
+    said = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[:_SAID]]
+    return "; ".join(said) + ("; ..." if len(spans) > _SAID else "")
+
+
+def _minute(utc: str) -> str:
+    return utc[:16].replace("T", " ")
+
+
+def _of_outliers(outliers: Mapping[str, Any]) -> str:
+    """Return what is to be said of bursts; nothing when there were none."""
+    count = outliers.get("burst_count", 0)
+    if not count:
+        return ""
+    what = "A burst" if count == 1 else f"{count} bursts"
+    first = outliers["bursts"][0]
+    when = f"{'' if count == 1 else 'the first '}{_minute(first['start'])} to {_minute(first['end'])}"
+    size = f"{_percent(outliers['share'])} of the samples ({when})"
+    if outliers["kept"]:
+        return f" {what} of wild readings hold{'s' if count == 1 else ''} {size}, too many to be left out."
+    return f" {what} of wild readings, {size}, {'was' if count == 1 else 'were'} left out."
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g}%"
+
+
+def _may_stand_in(told: Mapping[str, Any]) -> bool:
+    """Return True when as much structure is left as a good part of the smallest effect taken."""
+    smallest = min(effect.rms_nT for effect in told["effects"])
+    return bool(told["residual"].get("structure_nT", 0.0) > _GOOD_PART * smallest)
+
+
+def _unseen(told: Mapping[str, Any]) -> str:
+    """Return which whole mechanisms these data cannot show, whether they are there or not."""
+    names = [str(one["name"]) for one in told.get("unscorable", ()) if str(one["name"]).isidentifier()]
+    names = [name.replace("_", " ") for name in names if name in MECHANISMS]
+    return f" These data could not have shown: {', '.join(names)}." if names else ""
 
 
 def _size(nanotesla: float) -> str:
@@ -63,11 +131,56 @@ def _of_signature(signature: Signature | None) -> str:
     if signature is None:
         return "structure without a clear shape"
     if signature.period_s:
-        where = f"on axis {signature.axis}" if signature.axis else "along the field"
-        text = f"it repeats every {signature.period_s:.5g} s {where}, {signature.amplitude_nT:.3g} nT"
-        return text + (
-            f", like a {signature.shape} wave" if signature.shape in ("sine", "square", "pulse") else ""
-        )
+        text = f"it repeats every {signature.period_s:.5g} s {_where(signature)}"
+        return text + _shape(signature)
+    if signature.faster_than_s:
+        return _of_fast(signature)
+    return _of_hint(signature)
+
+
+def _where(signature: Signature) -> str:
+    """Return the axes a period stands out on, the clearest first, with half of peak to peak on each."""
+    main = signature.axis
+    if main is None:
+        return f"along the field, {signature.amplitude_nT:.3g} nT, half of peak to peak"
+    others = [
+        name
+        for name, (size, sigma) in signature.amplitudes.items()
+        if name != main and size > _CLEAR * sigma > 0
+    ]
+    sizes = {name: signature.amplitudes[name][0] for name in others}
+    sizes = {main: float(signature.amplitude_nT or 0.0)} | sizes
+    said = [f"{name} ({size:.3g} nT)" for name, size in sizes.items()]
+    return f"on ax{'i' if len(said) == 1 else 'e'}s {' and '.join(said)}, half of peak to peak"
+
+
+def _shape(signature: Signature) -> str:
+    if signature.shape not in ("sine", "square", "pulse"):
+        return ""
+    text = f", like a {signature.shape} wave"
+    if signature.duty is None or not signature.steps:
+        return text
+    steps = [
+        f"{size:+.3g} nT on {name}"
+        for name, (size, sigma) in sorted(signature.steps.items(), key=lambda one: one[0] != signature.axis)
+        if name == signature.axis or abs(size) > _CLEAR * sigma > 0
+    ]
+    return f"{text}, on {signature.duty:.0%} of the time: {' and '.join(steps)}"
+
+
+def _of_fast(signature: Signature) -> str:
+    """Return what is said of something too fast for the search, and what the slow part looks like."""
+    if signature.periods_s is not None:
+        short, long = signature.periods_s
+        text = f"something with periods of {short:.3g} to {long:.3g} s, not steady enough for a line"
+    else:
+        text = f"something faster than {told_period(signature.faster_than_s or 0.0)}"
+    text += f", about {signature.amplitude_nT:.3g} nT rms"
+    slow = signature.channel or signature.gain
+    return f"{text}; its slow part: {_of_hint(signature)}" if slow else text
+
+
+def _of_hint(signature: Signature) -> str:
     if signature.channel:
         text = f"it looks most like something that follows {signature.channel}"
         return (
@@ -90,5 +203,5 @@ def stopped(told: Mapping[str, Any], rounds: int, most: int) -> str:
     if told["remaining"] == "NOTHING_LEFT":
         return "what is left is noise"
     if told["remaining"] == "NOT_IDENTIFIABLE":
-        return "too few independent blocks to tell causes apart"
+        return f"what is left cannot be told: {why_not(told)}"
     return "no candidate is beyond doubt: held-out gain, sign flips and placebos must all agree"
