@@ -31,7 +31,7 @@ _LIVELY = 2.0
 
 
 class Burst(NamedTuple):
-    """A burst: the samples from `first` to before `last`, and its scatter over the usual one."""
+    """A burst: the samples from `first` to before `last`, and its median scatter over the usual one."""
 
     first: int
     last: int
@@ -113,7 +113,7 @@ def bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> li
     times = (local / usual).max(axis=1)
     wild = np.asarray((size > _WILD * usual).any(axis=1))
     return [
-        Burst(int(place[first]), int(place[last - 1]) + 1, float(times[first:last].max()))
+        Burst(int(place[first]), int(place[last - 1]) + 1, float(np.median(times[first:last])))
         for first, last in _stretches(times > FAR, wild, stamps[place])
     ]
 

@@ -78,7 +78,7 @@ def _band(series: Series, left: Floats, missing: float) -> tuple[float, float] |
     inside = np.flatnonzero(bands == int(np.argmax(held)) + 1)
     if inside[0] < 3 * _SMOOTH // 2 or frequency[inside[-1]] > 4.0 * frequency[inside[0]]:
         return None
-    low, high = np.interp([0.1, 0.9], np.cumsum(excess[inside]) / excess[inside].sum(), frequency[inside])
+    low, high = np.interp([0.05, 0.95], np.cumsum(excess[inside]) / excess[inside].sum(), frequency[inside])
     return 1.0 / float(high), 1.0 / float(low)
 
 

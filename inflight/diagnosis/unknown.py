@@ -96,9 +96,9 @@ def _is_news(material: Material, fast: Fast) -> bool:
 
 
 def _fast(hint: Signature, fast: Fast) -> Signature:
-    """Return the signature of what is fast; what the slow part hints at stays, but for its shape and size."""
+    """Return the signature of what is fast; a channel that the slow part hints at stays beside it."""
     return replace(
-        hint,
+        hint if hint.channel else Signature(),
         shape="fast",
         amplitude_nT=fast.rms_nT,
         faster_than_s=fast.faster_than_s,

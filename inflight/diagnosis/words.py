@@ -9,8 +9,8 @@ from typing import Any
 from inflight.diagnosis.diagnosis import FoundEffect, Signature
 from inflight.lines import told_period
 
-#: Sigmas from which an axis is named; spans that are said; and the part of the smallest effect that as much
-#: structure left makes doubtful.
+#: Sigmas from which an axis is named; spans that are said; and the part of the smallest effect, or of the
+#: floor, that is a good part of it.
 _CLEAR, _SAID, _GOOD_PART = 3.0, 4, 0.5
 #: Mechanisms worth a word when the data could not have shown them.
 MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
@@ -34,14 +34,23 @@ def sentence(told: Mapping[str, Any]) -> str:
                 text += " The effects taken may stand in for the one cause that is missing."
         return text + bursts
     return {
-        "NOTHING_LEFT": lambda: (
-            f"Nothing is left to explain: the residual is noise ({sizes}).{_unseen(told)}"
-        ),
+        "NOTHING_LEFT": lambda: f"{_of_noise(residual)} ({sizes}).{_unseen(told)}",
         "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not(told)} ({sizes}).",
         "UNKNOWN_EFFECT": lambda: (
             f"No effect of the library explains it: {_of_signature(told['signature'])} ({sizes})."
         ),
     }[told["remaining"]]() + bursts
+
+
+def _of_noise(residual: Mapping[str, float]) -> str:
+    floor = residual["noise_floor_nT"]
+    more = residual["held_out_after_nT"] ** 2 - floor**2
+    if more > (_GOOD_PART * floor) ** 2:
+        return (
+            f"Nothing is left that has structure, and yet {more**0.5:.3g} nT rms beyond the white level: "
+            "wild readings, or something faster than the search"
+        )
+    return "Nothing is left to explain: the residual is noise"
 
 
 def why_not(told: Mapping[str, Any]) -> str:
@@ -176,8 +185,7 @@ def _of_fast(signature: Signature) -> str:
     else:
         text = f"something faster than {told_period(signature.faster_than_s or 0.0)}"
     text += f", about {signature.amplitude_nT:.3g} nT rms"
-    slow = signature.channel or signature.gain
-    return f"{text}; its slow part: {_of_hint(signature)}" if slow else text
+    return f"{text}; of its slow part, {_of_hint(signature)}" if signature.channel else text
 
 
 def _of_hint(signature: Signature) -> str:

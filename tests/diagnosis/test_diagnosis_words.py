@@ -1,0 +1,144 @@
+"""What a diagnosis says: why nothing can be told, what switches where, what was left out."""
+
+import pytest
+
+from inflight.diagnosis.diagnosis import FoundEffect, Signature
+from inflight.diagnosis.words import sentence, stopped
+
+SIZES = {"held_out_before_nT": 0.2, "held_out_after_nT": 0.2, "noise_floor_nT": 0.198, "structure_nT": 0.01}
+SWITCH = Signature(
+    period_s=2231.0,
+    axis="z",
+    shape="square",
+    amplitude_nT=0.201,
+    duty=0.3,
+    amplitudes={"x": (0.055, 0.007), "y": (0.024, 0.026), "z": (0.201, 0.005)},
+    steps={"x": (0.099, 0.004), "y": (0.01, 0.015), "z": (0.399, 0.003)},
+)
+
+
+def effect(rms):
+    return FoundEffect(
+        "solar", "solar", ("solar_current",), ("x",), (), 0.5, 9.0, 0.01, 0.9, 0.0, None, 9.0, None, rms
+    )
+
+
+def hour(place):
+    return f"2010-03-01T{place:02d}:00:00Z"
+
+
+def block(place, part=0.4):
+    return {"start": hour(place), "end": hour(place + 1), "part": part}
+
+
+def told(remaining, **more):
+    plain = {
+        "effects": (),
+        "signature": None,
+        "residual": SIZES,
+        "remaining": remaining,
+        "blocks": {"count": 90, "by_length": 90.0, "telling": 90.0, "independent": 90.0, "holding": []},
+        "outliers": {},
+        "unscorable": (),
+        "fewest": 20,
+    }
+    return plain | more
+
+
+def blocks(by_length, telling, holding=()):
+    return {
+        "count": 90,
+        "by_length": by_length,
+        "telling": telling,
+        "independent": min(by_length, telling),
+        "holding": list(holding),
+    }
+
+
+def test_a_short_span_is_said_to_be_short():
+    said = sentence(told("NOT_IDENTIFIABLE", blocks=blocks(8.0, 8.0)))
+    assert "too short to say what: 8 independent blocks" in said
+
+
+def test_a_long_span_of_which_few_blocks_tell_is_not_said_to_be_short_but_when_they_were():
+    holding = [block(4), block(5), block(9, 0.2)]
+    given = told("NOT_IDENTIFIABLE", blocks=blocks(90.0, 2.9, holding))
+    for said in (sentence(given), stopped(given, 0, 8)):
+        assert "short" not in said
+        assert "3 of 90 blocks hold nearly all of the residual's square" in said
+        assert "2010-03-01 04:00 to 2010-03-01 06:00; 2010-03-01 09:00 to 2010-03-01 10:00" in said
+
+
+def test_a_long_span_that_tells_evenly_is_told_of_doubt():
+    said = sentence(told("NOT_IDENTIFIABLE"))
+    assert "short" not in said
+    assert "not beyond doubt" in said
+
+
+def test_a_switch_is_said_with_every_axis_that_stands_out_its_steps_and_what_the_amplitude_is():
+    said = sentence(told("UNKNOWN_EFFECT", signature=SWITCH))
+    assert "axes z (0.201 nT) and x (0.055 nT), half of peak to peak" in said
+    assert "on 30% of the time: +0.399 nT on z and +0.099 nT on x" in said
+    assert " y" not in said
+
+
+def test_an_axis_below_three_sigma_is_not_named():
+    one = Signature(**(vars(SWITCH) | {"amplitudes": {"x": (0.055, 0.02), "z": (0.201, 0.005)}, "steps": {}}))
+    assert "on axis z (0.201 nT), half" in sentence(told("UNKNOWN_EFFECT", signature=one))
+
+
+def test_what_is_fast_is_not_called_slow():
+    one = Signature(shape="fast", amplitude_nT=0.173, faster_than_s=48.0)
+    said = sentence(told("UNKNOWN_EFFECT", signature=one))
+    assert "something faster than 48 s, about 0.173 nT rms" in said
+    assert "slow" not in said
+    banded = Signature(**(vars(one) | {"periods_s": (43.9, 47.6)}))
+    assert "periods of 43.9 to 47.6 s" in sentence(told("UNKNOWN_EFFECT", signature=banded))
+
+
+@pytest.mark.parametrize(("structure", "rms", "doubted"), [(0.04, 0.05, True), (0.01, 0.05, False)])
+def test_effects_beside_as_much_structure_may_stand_in_for_another(structure, rms, doubted):
+    given = told(
+        "UNKNOWN_EFFECT",
+        effects=(effect(0.3), effect(rms)),
+        signature=Signature(shape="wander", amplitude_nT=structure),
+        residual=SIZES | {"structure_nT": structure},
+    )
+    assert ("may stand in" in sentence(given)) is doubted
+
+
+def test_effects_that_leave_noise_are_not_doubted():
+    given = told("NOTHING_LEFT", effects=(effect(0.01),), residual=SIZES | {"structure_nT": 0.1})
+    assert "stand in" not in sentence(given)
+
+
+def test_nothing_left_says_what_could_not_have_been_seen():
+    unscorable = [{"name": name} for name in ("induced", "bias", "temperature(coil)", "channel_rate")]
+    said = sentence(told("NOTHING_LEFT", unscorable=unscorable))
+    assert "could not have shown: induced, bias." in said
+    assert "could not" not in sentence(told("NOTHING_LEFT"))
+
+
+@pytest.mark.parametrize(("floor", "noise"), [(0.198, True), (0.1, False), (float("nan"), True)])
+def test_a_residual_far_above_its_floor_is_not_called_noise(floor, noise):
+    said = sentence(told("NOTHING_LEFT", residual=SIZES | {"noise_floor_nT": floor}))
+    assert ("the residual is noise" in said) is noise
+    assert ("0.173 nT rms beyond" in said) is not noise
+
+
+OUT = {"burst_count": 12, "share": 0.0061, "kept": False, "bursts": [block(3)]}
+
+
+@pytest.mark.parametrize("remaining", ["NOTHING_LEFT", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT"])
+def test_bursts_are_said_whatever_the_verdict(remaining):
+    said = sentence(told(remaining, outliers=OUT))
+    assert "12 bursts of wild readings, 0.61% of the samples" in said
+    assert "(the first 2010-03-01 03:00 to 2010-03-01 04:00), were left out." in said
+    assert "bursts" in sentence(told(remaining, outliers=OUT, effects=(effect(0.1),)))
+    assert "burst" not in sentence(told(remaining, outliers=OUT | {"burst_count": 0, "bursts": []}))
+
+
+def test_bursts_that_were_kept_are_said_to_be_there():
+    said = sentence(told("NOTHING_LEFT", outliers=OUT | {"kept": True, "share": 0.04}))
+    assert "hold 4% of the samples" in said
+    assert "too many to be left out" in said
