@@ -211,6 +211,71 @@ class Evidence:
         out[:, :, dead] = 0.0
         return replace(self, names=names_left, gram=out, scale=self.scale[kept])
 
+    def bordered(self, names: Sequence[str], scale: Floats, across: Floats, inner: Floats) -> Evidence:
+        """Return the evidence with columns before its residuals.
+
+        Parameters
+        ----------
+        scale : ndarray, shape (new column,)
+        across : ndarray, shape (block, column, new column)
+            Their products with every column and residual there is.
+        inner : ndarray, shape (block, new column, new column)
+        """
+        width, count = len(self.names), len(names)
+        own, last = width - len(self.residuals), slice(width - len(self.residuals) + count, width + count)
+        out = np.empty((len(self), width + count, width + count))
+        first, fresh = slice(0, own), slice(own, own + count)
+        for to, source in ((first, slice(0, own)), (last, slice(own, width))):
+            out[:, to, first] = self.gram[:, source, :own]
+            out[:, to, last] = self.gram[:, source, own:]
+            out[:, to, fresh] = across[:, source]
+            out[:, fresh, to] = across[:, source].transpose(0, 2, 1)
+        out[:, fresh, fresh] = inner
+        return replace(
+            self,
+            names=(*self.names[:own], *names, *self.names[own:]),
+            gram=out,
+            scale=np.insert(self.scale, own, scale),
+        )
+
+    def absorbed_border(
+        self,
+        names: Sequence[str],
+        groups: Sequence[Sequence[int]],
+        precision: Floats,
+        across: Floats,
+        inner: Floats,
+    ) -> tuple[Floats, Floats]:
+        """Return what `absorbed` leaves of columns that are about to join, as `bordered` takes it.
+
+        Parameters
+        ----------
+        names, groups, precision
+            As of `absorbed`.
+        across, inner : ndarray
+            Products of the new columns with those there are, and with each other, nothing absorbed.
+        """
+        gone = self.index(names)
+        kept = np.setdiff1d(np.arange(len(self.names)), gone)
+        out, own = np.empty((len(self), kept.size, across.shape[2])), np.empty(inner.shape)
+        for group in groups:
+            place = np.asarray(group)
+            of_gone, others = self.gram[place][:, gone], across[place]
+            total = of_gone.sum(axis=0)
+            matrix = total[:, gone] + np.diag(precision)
+            turn = solve_scaled(matrix, total[:, kept])
+            fresh = solve_scaled(matrix, others[:, gone].sum(axis=0))
+            left = others[:, gone] - of_gone[:, :, gone] @ fresh
+            out[place] = others[:, kept] - turn.T @ left - of_gone[:, :, kept].transpose(0, 2, 1) @ fresh
+            shared = fresh.T @ (others[:, gone] - 0.5 * of_gone[:, :, gone] @ fresh)
+            own[place] = inner[place] - shared - shared.transpose(0, 2, 1)
+        before = np.diagonal(inner.sum(axis=0))
+        dead = np.diagonal(own.sum(axis=0)) <= _ROUNDING * before
+        out[:, :, dead] = 0.0
+        own[:, dead, :] = 0.0
+        own[:, :, dead] = 0.0
+        return out, own
+
     def as_dataset(self) -> xr.Dataset:
         """Return the blocks as a Dataset for a store: packed upper triangles."""
         return xr.Dataset(

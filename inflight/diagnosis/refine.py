@@ -17,7 +17,7 @@ from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
 from inflight.diagnosis.rivalry import hac_t
 from inflight.diagnosis.search import Option, Search
-from inflight.diagnosis.second import MOST_ROWS, join_terms
+from inflight.diagnosis.second import can_join, join_terms
 from inflight.diagnosis.trials import Trials, like
 
 #: A lag is refined when it is off by more than this part.
@@ -36,7 +36,7 @@ def refine(search: Search, material: Material, option: Option) -> Option:
 
     The new columns join the evidence, from the coarse series.
     """
-    if option.change is not None or not option.channels or len(material.series.tt2000) > MOST_ROWS:
+    if option.change is not None or not option.channels or not can_join(search, material):
         return option
     if option.mechanism.startswith("hysteresis("):
         return _with_width(search, material, option)

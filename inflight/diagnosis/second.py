@@ -8,7 +8,6 @@ products with every other column, and join the evidence as candidates like any o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -45,7 +44,7 @@ def look_again(search: Search, material: Material, tables: Sequence[Table], unex
         Something is left: all pairs of the most telling channels are tried. Else only pairs with a
         channel that was taken, because its field may depend on another channel.
     """
-    if len(material.series.tt2000) > MOST_ROWS:
+    if not can_join(search, material):
         return False
     known = {option.mechanism for option in search.options}
     terms = [
@@ -65,11 +64,29 @@ def look_again(search: Search, material: Material, tables: Sequence[Table], unex
 
 
 def join_terms(search: Search, material: Material, terms: Sequence[Term]) -> None:
-    """Join the columns of new terms to the evidence, with their products with every other column."""
-    search.raw, search.white = _bordered(search, material, terms)
+    """Join the columns of new terms to the evidence and its forms, with their products with all others."""
+    names = [name for term in terms for name in term.columns]
+    scale = np.array([one for term in terms for one in term.scale])
+    raw, white = _borders(search, material, terms)
+    base = [name for term in search.library.base for name in term.columns]
+    sigma = np.asarray([one for term in search.library.base for one in term.sigma])
+    precision = search.precision(search.raw, base, sigma)
+    for form, source, groups, border in (
+        ("raw", search.raw, search.intervals, raw),
+        ("within", search.raw, search.days, raw),
+        ("white", search.white, search.intervals, white),
+    ):
+        left = source.absorbed_border(base, groups, precision, *border)
+        search.forms[form] = search.forms[form].bordered(names, scale, *left)
+    search.raw = search.raw.bordered(names, scale, *raw)
+    search.white = search.white.bordered(names, scale, *white)
     for term in terms:
         search.library.terms[term.key] = material.terms[term.key] = term
-    search.absorb()
+
+
+def can_join(search: Search, material: Material) -> bool:
+    """Return True when columns can still be made: of long records the days' own equations are gone."""
+    return search.within is None and len(material.series.tt2000) <= MOST_ROWS
 
 
 def _pairs(
@@ -139,8 +156,12 @@ def _wall(search: Search, material: Material, terms: Sequence[Term]) -> tuple[li
     return search.wall
 
 
-def _bordered(search: Search, material: Material, terms: Sequence[Term]) -> tuple[Evidence, Evidence]:
-    """Return raw and prewhitened evidence with the terms' columns joined to all others."""
+#: Products of new columns with every column there is, and with each other; (block, ...) each.
+Border = tuple[Floats, Floats]
+
+
+def _borders(search: Search, material: Material, terms: Sequence[Term]) -> tuple[Border, Border]:
+    """Return the terms' products with all columns, raw and prewhitened."""
     series = material.series
     names, wall = _wall(search, material, terms)
     fresh = [name for term in terms for name in term.columns]
@@ -163,8 +184,8 @@ def _bordered(search: Search, material: Material, terms: Sequence[Term]) -> tupl
         for name, told in option.change.functions.items()
     }
     return (
-        _joined(search.raw, grams[0], names, terms, changes),
-        _joined(search.white, grams[1], names, terms, changes),
+        _border(search.raw, grams[0], names, terms, changes),
+        _border(search.white, grams[1], names, terms, changes),
     )
 
 
@@ -182,31 +203,20 @@ def _add(gram: Floats, values: Floats, weight: Floats, block: np.ndarray, places
         gram[one] += flat.T @ flat[:, places]
 
 
-def _joined(
+def _border(
     evidence: Evidence,
     gram: Floats,
     names: Sequence[str],
     terms: Sequence[Term],
     changes: dict[str, tuple[str, Floats]],
-) -> Evidence:
-    """Return the evidence with the fresh columns before its residuals."""
+) -> Border:
+    """Return the fresh columns' products with those of the evidence, changes in time among them."""
     fresh = [name for term in terms for name in term.columns]
-    scale = np.array([one for term in terms for one in term.scale])
     places = {name: place for place, name in enumerate([*names, "residual"])}
-    own = len(evidence.names) - len(evidence.residuals)
-    count, width = len(fresh), len(evidence.names)
-    across = np.zeros((len(evidence), width, count))
+    across = np.zeros((len(evidence), len(evidence.names), len(fresh)))
     for place, name in enumerate(evidence.names):
         source, factor = changes.get(name, (name, None))
         if source in places:
             piece = gram[:, places[source]]
             across[:, place] = piece if factor is None else piece * np.asarray(factor)[:, None]
-    inner = gram[:, [places[name] for name in fresh]]
-    order = [*range(own), *range(width, width + count), *range(own, width)]
-    whole = np.block([[evidence.gram, across], [across.transpose(0, 2, 1), inner]])
-    return replace(
-        evidence,
-        names=tuple([*evidence.names, *fresh][place] for place in order),
-        gram=whole[:, order][:, :, order],
-        scale=np.concatenate([evidence.scale, scale])[order],
-    )
+    return across, gram[:, [places[name] for name in fresh]]

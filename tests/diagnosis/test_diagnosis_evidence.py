@@ -184,3 +184,21 @@ def test_a_system_is_solved_in_units_of_its_diagonal_and_left_alone_where_it_is_
     np.testing.assert_allclose(found, truth, rtol=1e-9)
     many = solve_scaled(rows.T @ rows, rows.T @ np.stack([rows @ truth, -rows @ truth], axis=1))
     np.testing.assert_allclose(many, np.stack([truth, -truth], axis=1), rtol=1e-9)
+
+
+def test_columns_that_join_later_are_as_if_they_had_been_there():
+    evidence, fresh = row_case(1).evidence, ["z3", "z4"]
+    small = evidence.select([name for name in evidence.names if name not in (*fresh, "residual")])
+    places = evidence.index(fresh)
+    across = evidence.gram[:, evidence.index(small.names)][:, :, places]
+    inner = evidence.gram[:, places][:, :, places]
+    joined = small.bordered(fresh, evidence.scale[places], across, inner)
+    assert joined.names == evidence.names
+    np.testing.assert_array_equal(joined.gram, evidence.gram)
+    np.testing.assert_array_equal(joined.scale, evidence.scale)
+    told = (["n0", "n1", "n2"], [list(range(7)), list(range(7, 20))], np.array([0.0, 3.0, 0.0]))
+    whole = evidence.absorbed(*told)
+    left = small.absorbed_border(*told, across, inner)
+    late = small.absorbed(*told).bordered(fresh, evidence.scale[places], *left)
+    assert late.names == whole.names
+    np.testing.assert_allclose(late.gram, whole.gram, atol=1e-11)
