@@ -210,6 +210,19 @@ def test_a_span_of_two_days_has_a_page(place, tmp_path):
     assert made.diagnosis.verdict in told(made.path.read_text(encoding="utf-8"))[0]
 
 
+def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypatch):
+    """Both are made once: asking again makes neither anew."""
+    monkeypatch.setattr("inflight.tasks.diagnose.MOST", -1.0)
+    kept, again = (prepare(Catalog(place.root), place.mission(), None, None, SETTINGS) for _ in range(2))
+    assert kept.loaded.outliers.kept
+    assert kept.run
+    assert not again.run
+    monkeypatch.undo()
+    plain = prepare(Catalog(place.root), place.mission(), None, None, SETTINGS)
+    assert not plain.loaded.outliers.kept
+    assert not plain.run
+
+
 # Steps, cross-talk, trials.
 
 
