@@ -27,10 +27,11 @@ SAID = {
     "bias": "scalar_bias",
     "lit": "day_night",
     "step": "offset_step",
+    "misalignment": "angle_step",
     "eddy": "eddy",
 }
 #: Where the library calls a quantity otherwise.
-PARAMETERS = {"lit": "vector", "step": "vector", "eddy": "diagonal"}
+PARAMETERS = {"lit": "vector", "step": "vector", "eddy": "diagonal", "misalignment": "change"}
 
 
 def true_model(case: Case, mission: Mission, more: dict[str, Any] | None = None) -> Model:
@@ -47,7 +48,7 @@ def true_model(case: Case, mission: Mission, more: dict[str, Any] | None = None)
                     true = [1e3 * value for value in true]
                 entry[quantity]["value"] = true if len(true) > 1 else true[0]
     if more is not None:
-        first = more["effect"] in ("temperature", "nonlinearity")
+        first = more["effect"] in ("temperature", "nonlinearity", "angle_step")
         tree["effects"].insert(0 if first else len(tree["effects"]), more)
     return Model.parse(json.dumps(tree), mission)
 
@@ -84,12 +85,12 @@ def as_effect(case: Case, told: dict[str, Any]) -> dict[str, Any]:
         entry["channel"] = told["channels"][0]
     if effect == "torquer":
         entry["matrix"]["value"] = [1e3 * value for value in values]
-    if effect in ("temperature", "nonlinearity"):
+    if effect in ("temperature", "nonlinearity", "angle_step"):
         entry["about"] = fixed
     if effect == "temperature":
         mean = float(case.world.house["coil_temperature"].values.mean())
         entry["reference"] = {"value": mean, "free": False}
-    if effect == "offset_step":
+    if effect in ("offset_step", "angle_step"):
         entry["at"] = _utc(case, told["at_s"])
     extra = {"lag": f"{told['lag_s']} s"} if "lag_s" in told else {}
     return entry | extra | ({"width": told["width"]} if "width" in told else {})

@@ -33,6 +33,7 @@ def _alone() -> list[Scenario]:
         Scenario("clock_episode", ("clock_episode",), orbit="polar"),
         Scenario("scalar_bias", ("scalar_bias",), orbit="polar", days=40),
         Scenario("offset_step", ("offset_step",)),
+        Scenario("angle_step", ("angle_step",), orbit="polar"),
         Scenario("tone", ("tone",)),
         Scenario("hysteresis", ("hysteresis",), orbit="eclipses"),
     ]

@@ -8,6 +8,7 @@ from .scenarios import scenarios
 SEED = 1
 #: Cases that every test run makes; the others are marked slow and run with ``make cases``.
 QUICK = {
+    "angle_step",
     "battery",
     "clock_episode",
     "near_copies",

@@ -54,6 +54,7 @@ SAYABLE += (
     "clock_episode",
     "scalar_bias",
     "offset_step",
+    "angle_step",
     "eddy",
 )
 

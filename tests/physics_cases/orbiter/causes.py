@@ -240,6 +240,20 @@ def offset_step(world: World, rng: np.random.Generator) -> Cause:
     return Cause("offset step", ("offset_step",), (), after, coefficients=told, told={"at_s": float(at)})
 
 
+def angle_step(world: World, rng: np.random.Generator) -> Cause:
+    """Return misalignment angles that jump once: from then on x reads more of y and z, y more of z."""
+    amount, at = _axis(rng), rng.uniform(0.3, 0.7) * world.track.seconds[-1]
+    xy, xz, yz = np.deg2rad(amount)
+    _, by, bz = world.field.T
+    tilted = np.stack([xy * by + xz * bz, yz * bz, 0.0 * bz], axis=1)
+    after = (world.track.seconds >= at)[:, None] * tilted
+    told = tuple(
+        {"quantity": "misalignment", "axis": axis, "value": float(value), "unit": "deg", "at": "vector"}
+        for axis, value in zip(("xy", "xz", "yz"), amount, strict=True)
+    )
+    return Cause("angle step", ("sensor",), (), after, coefficients=told, told={"at_s": float(at)})
+
+
 def day_night(world: World, rng: np.random.Generator) -> Cause:
     """Return a field that is there in sunlight."""
     axis = _axis(rng)
@@ -327,6 +341,7 @@ CAUSES: dict[str, Maker] = {
     "clock_episode": clock_episode,
     "scalar_bias": scalar_bias,
     "offset_step": offset_step,
+    "angle_step": angle_step,
     "tone": tone,
     "hysteresis": hysteresis,
     "slow": slowly_follows,
