@@ -1,0 +1,115 @@
+"""What changes at a moment: the right parameter is named, with a time that says how sharp it is."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from diagnosis_cases import DAY, POLAR, SECOND, STEP_S, case_of, flight_of, read
+
+from inflight.diagnosis.changes import Carriers, batches, drifts, episodes, steps
+from inflight.time import parse_utc, to_tt2000
+
+DAYS, BLOCK_DAYS = 14, 0.25
+#: No edge of a block: the search can only come near.
+AT_DAYS = 8.1
+ANGLE_DEG, SCALE, SHIFT_S = 0.002, 2e-5, 0.02
+
+
+def after(flight):
+    """1 from the moment on; (time,)."""
+    return (STEP_S * np.arange(flight.tt2000.size) >= AT_DAYS * 86_400) * 1.0
+
+
+@lru_cache(maxsize=1)
+def stepped():
+    """Residuals of a step of one angle, of one scale factor, and of the clock."""
+    flight = flight_of(POLAR, DAYS)
+    step = after(flight)[:, None]
+    field = flight["field"]
+    angle = np.deg2rad(ANGLE_DEG) * field[:, [2]] * np.array([1.0, 0.0, 0.0])
+    scale = SCALE * field * np.array([0.0, 0.0, 1.0])
+    strength = np.linalg.norm(field, axis=1)
+    clock = SHIFT_S * np.gradient(strength, STEP_S) * step[:, 0]
+    hidden = [read(flight, 1, angle * step), read(flight, 2, scale * step), read(flight, 3, 0.0, -clock)]
+    return case_of(flight, hidden, block_days=BLOCK_DAYS, channels=("heater_current", "boom_temperature"))
+
+
+@lru_cache(maxsize=3)
+def told_of(residual):
+    return stepped().diagnose(residual, draws=500)
+
+
+def only_effect(residual):
+    told = told_of(residual)
+    assert len(told.effects) == 1, told.sentence
+    return told.effects[0]
+
+
+def test_a_step_of_an_angle_is_found_as_such_and_not_as_a_clock():
+    told, effect = told_of(0), only_effect(0)
+    assert effect.name.startswith("angle_step@"), told.sentence
+    assert effect.family == "sensor"
+    assert effect.axes == ("xz",)
+    for one in effect.coefficients:
+        truth = ANGLE_DEG if one.name == "misalignment[xz]" else 0.0
+        # The moment is between two edges of blocks: a little of the step is missing.
+        assert abs(one.value - truth) < 4 * one.sigma + 0.02 * ANGLE_DEG
+        assert (one.unit, one.at) == ("deg", "fgm")
+
+
+def test_a_step_of_a_scale_is_none_of_an_angle():
+    effect = only_effect(1)
+    assert effect.name.startswith("scale_step@")
+    found = {one.name: one for one in effect.coefficients}
+    assert -found["scale_factor[z]"].value == pytest.approx(SCALE, rel=0.1)
+    assert found["scale_factor[z]"].unit == "1"
+
+
+def test_a_step_of_the_clock_is_still_one():
+    effect = only_effect(2)
+    assert effect.name.startswith("clock_step@")
+    assert abs(effect.coefficients[0].value) == pytest.approx(SHIFT_S, rel=0.1)
+
+
+@pytest.mark.parametrize("residual", [0, 1, 2])
+def test_the_moment_is_told_with_how_sharp_it_is(residual):
+    case, effect = stepped(), only_effect(residual)
+    truth = int(case.flight.tt2000[0]) + int(AT_DAYS * DAY)
+    off = abs(int(to_tt2000(parse_utc(effect.at[0]))) - truth) / SECOND
+    assert off <= effect.at_sigma_s
+    # Two blocks at most: every edge but few is tried.
+    assert effect.at_sigma_s <= 2 * BLOCK_DAYS * 86_400
+    told = told_of(residual)
+    assert f"{effect.at[0][:16].replace('T', ' ')} +- 6 h" in told.sentence
+    assert told.as_json()["effects"][0]["at_sigma_s"] == pytest.approx(BLOCK_DAYS * 86_400)
+
+
+def test_a_drift_has_no_moment():
+    search = stepped().search()
+    made = {one.name: one for one in drifts(search.raw, search.carriers)}
+    assert set(made) == {"scale_drift", "offset_drift", "angle_drift"}
+    assert all(one.at == () for one in made.values())
+    assert all(len(one.functions) == 3 for one in made.values())
+
+
+def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
+    search = stepped().search()
+    found = drifts(search.raw, search.carriers) + steps(search.raw, search.carriers)
+    lone = Carriers(clock=search.carriers.clock)
+    found += episodes(search.raw, search.forms["raw"], lone, search.y())
+    parts = list(batches(found))
+    assert sorted(one.name for part in parts for one in part) == sorted(one.name for one in found)
+    assert all(len({one.interleaved for one in part}) == 1 for part in parts)
+    assert len(parts) > 3
+
+
+def test_a_batch_scores_what_all_changes_together_score(monkeypatch):
+    apart = stepped().search(draws=50).table()
+    monkeypatch.setattr("inflight.diagnosis.changes._BATCH", 10_000)
+    whole = stepped().search(draws=50).table()
+    assert {one.name for one in apart.options} == {one.name for one in whole.options}
+    place = {one.name: at for at, one in enumerate(whole.options)}
+    order = [place[one.name] for one in apart.options]
+    for form, scores in apart.scores.items():
+        np.testing.assert_allclose(scores.gain, whole.scores[form].gain[order], rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(apart.p[form], whole.p[form][order])
