@@ -161,6 +161,7 @@ def _ledger(
         "model": f"{found.model.get('name')} version {found.model.get('version')}",
         "blocks": f"{found.blocks['count']} of {found.blocks['length_s'] / 3600.0:.3g} h, "
         f"{found.blocks['independent']:.0f} of them independent",
+        "samples left out": _left_out(found.outliers),
         "cadence of the search": f"{material.cadence_s:g} s",
         "settings": ", ".join(f"{name}={value}" for name, value in settings.model_dump().items()),
         "rules": f"t > {rules.t:g}, gain > {rules.gain:g}, family-wise p < {rules.p:g}, "
@@ -178,3 +179,19 @@ def _ledger(
     )
     text = [ledger_table(found.rounds), facts_list(listed), f'<p class="quiet">{escape(note)}</p>']
     return "Ledger", text, []
+
+
+def _left_out(outliers: Mapping[str, Any]) -> str:
+    """Return how many samples are not in the evidence, and when the first bursts of them were."""
+    if not outliers:
+        return "none"
+    text = f"{outliers['samples']}, {outliers['spikes']} of them single"
+    if not outliers["burst_count"]:
+        return text
+    kept = ", kept because they hold too much of the span" if outliers["kept"] else ""
+    told = [
+        f"{one['start']} to {one['end']} ({one['times_usual']:.0f} times the usual scatter)"
+        for one in outliers["bursts"]
+    ]
+    more = "; ..." if len(told) < outliers["burst_count"] else ""
+    return f"{text}; {outliers['burst_count']} bursts{kept}: {'; '.join(told)}{more}"

@@ -90,13 +90,19 @@ def _signature(found: Diagnosis) -> list[str]:
         ("period", f"{told_period(left.period_s)}" if left.period_s else ""),
         ("axis", left.axis or ""),
         ("shape", left.shape or ""),
-        ("amplitude", f"{left.amplitude_nT:.3g} nT" if left.amplitude_nT else ""),
+        ("half of peak to peak" if left.period_s else "amplitude", _nanotesla(left.amplitude_nT)),
+        *((f"step on {name}", f"{size:+.3g} ± {sigma:.2g} nT") for name, (size, sigma) in left.steps.items()),
+        ("periods", " to ".join(told_period(one) for one in left.periods_s or ())),
         ("channel", left.channel or ""),
         ("lag", told_period(left.lag_s) if left.lag_s else ""),
         ("duty", f"{left.duty:.2f}" if left.duty is not None else ""),
     ]
     said = ", ".join(f"{name} {value}" for name, value in parts if value)
     return [f"<p><b>Signature of what is left:</b> {escape(said)}</p>"]
+
+
+def _nanotesla(size: float | None) -> str:
+    return f"{size:.3g} nT" if size else ""
 
 
 def _telling(coefficients: Sequence[Coefficient]) -> list[Coefficient]:
