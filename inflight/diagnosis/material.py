@@ -119,11 +119,11 @@ def effective_blocks(search: Search, material: Material, left: Floats) -> dict[s
         "by_length": by_length,
         "telling": telling,
         "independent": min(by_length, telling),
-        "holding": _holding(raw, square),
+        "holding": holding(raw, square),
     }
 
 
-def _holding(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
+def holding(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)

@@ -1,9 +1,13 @@
 """What a diagnosis says: why nothing can be told, what switches where, what was left out."""
 
+import numpy as np
 import pytest
 
 from inflight.diagnosis.diagnosis import FoundEffect, Signature
+from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.material import holding
 from inflight.diagnosis.words import sentence, stopped
+from inflight.time import SECOND
 
 SIZES = {"held_out_before_nT": 0.2, "held_out_after_nT": 0.2, "noise_floor_nT": 0.198, "structure_nT": 0.01}
 SWITCH = Signature(
@@ -67,6 +71,17 @@ def test_a_long_span_of_which_few_blocks_tell_is_not_said_to_be_short_but_when_t
         assert "short" not in said
         assert "3 of 90 blocks hold nearly all of the residual's square" in said
         assert "2010-03-01 04:00 to 2010-03-01 06:00; 2010-03-01 09:00 to 2010-03-01 10:00" in said
+
+
+def test_the_blocks_that_hold_nearly_all_are_the_fewest_in_order_of_time():
+    hours = 700_000_000 * SECOND + 3600 * SECOND * np.arange(91)
+    evidence = Evidence(("residual",), np.ones((90, 1, 1)), hours[:-1], hours[1:], np.ones(90), np.ones(1))
+    square = np.full(90, 0.1)
+    assert holding(evidence, square) == []
+    square[[40, 12]] = 300.0, 400.0
+    found = holding(evidence, square)
+    assert [one["part"] for one in found] == pytest.approx([400 / square.sum(), 300 / square.sum()])
+    assert found[0]["start"] < found[0]["end"] < found[1]["start"]
 
 
 def test_a_long_span_that_tells_evenly_is_told_of_doubt():
