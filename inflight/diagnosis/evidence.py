@@ -171,7 +171,7 @@ class Evidence:
             raise CalibrationError("blocks overlap", remedy="add each block once")
         return replace(
             self,
-            gram=np.concatenate([one.gram for one in every])[order],
+            gram=_in_order([one.gram for one in every], order),
             start=start[order],
             end=end,
             count=np.concatenate([one.count for one in every])[order],
@@ -197,10 +197,10 @@ class Evidence:
         out = np.empty((len(self), kept.size, kept.size))
         before = np.diagonal(self.total)[kept]
         for group in groups:
-            blocks = self.gram[np.asarray(group)]
-            total = blocks[:, gone].sum(axis=0)
+            total = self.gram[np.ix_(np.asarray(group), gone)].sum(axis=0)
             turn = solve_scaled(total[:, gone] + np.diag(precision), total[:, kept])
-            for place, gram in zip(group, blocks, strict=True):
+            for place in group:
+                gram = self.gram[place]
                 cross = turn.T @ (gram[np.ix_(gone, kept)] - 0.5 * gram[np.ix_(gone, gone)] @ turn)
                 out[place] = gram[np.ix_(kept, kept)] - cross - cross.T
         names_left = tuple(self.names[index] for index in kept)
@@ -260,7 +260,7 @@ class Evidence:
         out, own = np.empty((len(self), kept.size, across.shape[2])), np.empty(inner.shape)
         for group in groups:
             place = np.asarray(group)
-            of_gone, others = self.gram[place][:, gone], across[place]
+            of_gone, others = self.gram[np.ix_(place, gone)], across[place]
             total = of_gone.sum(axis=0)
             matrix = total[:, gone] + np.diag(precision)
             turn = solve_scaled(matrix, total[:, kept])
@@ -298,6 +298,17 @@ class Evidence:
             dataset["count"].values,
             scale,
         )
+
+
+def _in_order(pieces: Sequence[Floats], order: npt.NDArray[np.int64]) -> Floats:
+    """Return the pieces as one array in an order; of gigabytes only one copy is made."""
+    place = np.argsort(order, kind="stable")
+    out = np.empty((order.size, *pieces[0].shape[1:]))
+    at = 0
+    for piece in pieces:
+        out[place[at : at + len(piece)]] = piece
+        at += len(piece)
+    return out
 
 
 def solve_scaled(matrix: Floats, right: Floats, least: float = 1e-12) -> Floats:

@@ -75,8 +75,10 @@ def run(
         table = search.table()
         found = winner(table, search, shapes_first)
         if found is None:
-            return table
+            return table.light()
         option, form = found
+        # What was fitted to folds holds on to the evidence, which grows when the option is refined.
+        table = table.light()
         place = table.options.index(option)
         before = {one: estimate(search, one).retained for one in search.accepted}
         search.add(option)
@@ -92,7 +94,7 @@ def run(
             search.accepted = list(before)
             search.banned.add(option.mechanism)
             _note(search, "undo", option, table, place, form)
-    return search.table()
+    return search.table().light()
 
 
 def polish(search: Search, refiner: Refiner) -> None:

@@ -7,7 +7,7 @@ Lovell); all candidates at once, grouped by their number of columns.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -84,6 +84,10 @@ class Scores:
         if apart is None:
             return float(hac_t(difference, active)[0])
         return float(promised_t(difference, apart[:, None], active)[0])
+
+    def light(self) -> Scores:
+        """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
+        return replace(self, fits=Fits(self.fits.evidence.select([]), self.fits.present[:0], []))
 
     def joined(self, found: Scores, seen: bool) -> Scores:
         """Return these scores with further candidates behind; all zero when this form does not see them.

@@ -8,7 +8,7 @@ slow can pass for an effect; ``white``, where each row has lost what the one bef
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -96,6 +96,10 @@ class Table:
     scores: dict[str, Scores]
     p: dict[str, Floats]
     beats_placebo: dict[str, Floats]
+
+    def light(self) -> Table:
+        """Return the table without what was fitted to folds, which holds on to gigabytes of evidence."""
+        return replace(self, scores={form: one.light() for form, one in self.scores.items()})
 
     def passing(self, rules: Rules) -> dict[str, np.ndarray]:
         """Return, a form, which options may be added."""
@@ -278,8 +282,11 @@ class Search:
     def table(self, without: Option | None = None) -> Table:
         """Score everything that is not in the model (an effect of it left out, when one is named)."""
         taken = {name for option in self.accepted if option is not without for name in option.columns}
+        itself = without.name if without is not None else ""
         main = [
-            one for one in self.options if not set(one.columns) & taken and one.mechanism not in self.banned
+            one
+            for one in self.options
+            if not set(one.columns) & taken and (one.mechanism not in self.banned or one.name == itself)
         ]
         signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}

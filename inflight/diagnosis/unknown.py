@@ -24,6 +24,8 @@ _LEAST_PART = 0.01
 #: Lines beside a harmonic at so many turns of the Earth; resolutions within which they are the same; what a
 #: nominal period may be off by; and by how much the field must turn to have a period of its own.
 _SPLITS, _APART, _SHARP, _TURNING = 2, 1.5, 2e-4, 0.3
+#: Structure below this part of the noise does not make a residual coloured, however sure it is.
+_WHITE = 0.1
 #: A known period explains a band when it is within it or so many times beside it.
 _AROUND = 1.1
 
@@ -56,8 +58,9 @@ class Unknown:
 
     @property
     def is_there(self) -> bool:
-        """True when what is left may be more than noise."""
-        return self.has_line or self.has_band or self.structure.is_large(self.noise)
+        """True when what is left may be more than noise: large, or not white beyond doubt."""
+        coloured = self.structure.is_sure and self.structure.rms_nT > _WHITE * self.noise
+        return self.has_line or self.has_band or self.structure.is_large(self.noise) or coloured
 
     @property
     def is_sure(self) -> bool:

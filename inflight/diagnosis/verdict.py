@@ -24,12 +24,12 @@ __all__ = ["Material", "conclude", "held_out", "known_periods", "lag_profile"]
 
 def conclude(search: Search, material: Material) -> Diagnosis:
     """Run the rounds and say what they mean."""
-    first = search.table()
+    first = search.table().light()
     before = held_out(search, material)
     last = _rounds(search, material, first) if search.rules.rounds else first
     standings = sorted(settle(search), key=lambda one: -one.gain)
     if standings:
-        last = search.table()
+        last = search.table().light()
     effects = tuple(effect(search, material, one) for one in standings)
     left = left_of(search, material)
     blocks = effective_blocks(search, material, left)
@@ -101,7 +101,7 @@ def _rounds(search: Search, material: Material, first: Table) -> Table:
     if _stands_in(search):
         last = _from_shapes(search, material, last, refiner)
     polish(search, refiner)
-    return search.table() if search.accepted else last
+    return search.table().light() if search.accepted else last
 
 
 def _stands_in(search: Search) -> bool:
