@@ -22,7 +22,7 @@ from inflight.diagnosis.diagnosis import Diagnosis
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.library import Library, Term
 from inflight.diagnosis.refit import Fitted, Ground, variance_of
-from inflight.diagnosis.search import Option, Search
+from inflight.diagnosis.search import Search
 from inflight.diagnosis.verdict import conclude
 from inflight.diagnosis.wanted import best_lag, find_wanted, known_addition
 from inflight.effects.naming import did_you_mean
@@ -364,9 +364,12 @@ class Workbench:
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""
         found = self.diagnose()
+        # Lags, widths and products that the search made have their columns in its evidence.
+        self.made = replace(self.made, loaded=replace(self.made.loaded, raw=self._search.raw))
+        self.__dict__.pop("_whole", None)
         steps = []
-        for option, effect in zip(self._search.accepted, found.effects, strict=True):
-            addition = self._of_option(option, effect.lag_s)
+        for option in self._search.accepted:
+            addition = self.maker.of_option(option)
             message = f"auto: add {addition.name}"
             steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
         return found, steps
@@ -379,14 +382,6 @@ class Workbench:
         for name in ("_search", "_whole"):
             self.__dict__.pop(name, None)
         self._restore()
-
-    def _of_option(self, option: Option, lag_s: float) -> Addition:
-        if option.change is None:
-            candidates = {one.name: one for one in self.made.plan.library.candidates}
-            return self.maker.of_candidate(candidates[option.name], lag_s=lag_s)
-        if not option.change.at:
-            return self.maker.drift(option.name)
-        return self.maker.step(option.name.split("_")[0], option.change.at)
 
 
 def _ground_of(made: Prepared, settings: DiagnoseSettings) -> Ground:

@@ -20,6 +20,7 @@ from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.lags import mixture
 from inflight.diagnosis.library import Candidate, Library, Term
 from inflight.diagnosis.refit import Column
+from inflight.diagnosis.search import Option
 from inflight.effects.vector_sensor import ANGLES, VectorSensor
 from inflight.errors import ModelError
 from inflight.mission import Mission
@@ -172,6 +173,28 @@ class Maker:
         names = names_of(term.entry, term.parameters)
         columns = [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
         return Addition(name or term.entry.name, tuple(columns), (term.entry,), (term,))
+
+    def of_option(self, option: Option) -> Addition:
+        """Return the addition of what a search took."""
+        if option.change is not None:
+            if not option.change.at:
+                return self.drift(option.name)
+            return self.step(option.name.split("_")[0], option.change.at)
+        candidates = {one.name: one for one in self.library.candidates}
+        if option.name in candidates:
+            return self.of_candidate(candidates[option.name])
+        return self.of_terms(option.name, [self.library.terms[key] for key in option.terms])
+
+    def of_terms(self, name: str, terms: Sequence[Term]) -> Addition:
+        """Return the addition of what a search made of a candidate: a lag, a width, a product of its own."""
+        columns: list[Column] = []
+        entries: list[ModelEffect] = []
+        for place, term in enumerate(terms):
+            title = self.title(term.entry) + (f"_{place + 1}" if place else "")
+            entries.append(self.entry(term.entry, title))
+            names = names_of(entries[-1], term.parameters)
+            columns += [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
+        return Addition(name, tuple(columns), tuple(entries), tuple(terms))
 
     def entry(self, origin: ModelEffect, name: str, lag_s: float | None = None) -> ModelEffect:
         """Return an effect like another, with its own name and whole units, at values that do nothing."""

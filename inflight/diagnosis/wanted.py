@@ -33,6 +33,8 @@ _LAG = re.compile(r"^(?P<mechanism>.+)@lag=(?P<lag>[^@]+)$")
 _TIMED = re.compile(
     r"^(?P<kind>offset|scale|angle|bias|clock)_(?:step|episode)@(?P<at>[^/]+)(?:/(?P<end>.+))?$"
 )
+#: An effect of a channel as a search names it: of a product, with a lag or a width of its own.
+_MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|width)=(?P<size>[^@]+))?$")
 #: What changes at a moment.
 _KINDS = ("offset", "scale", "angle", "bias", "clock")
 #: Names listed in a remedy at most.
@@ -84,7 +86,7 @@ def find_wanted(maker: Maker, effect: str | Mapping[str, Any]) -> Wanted:
         return Wanted(maker.step(timed["kind"], [_edge(maker, one) for one in at]), {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
-        return Wanted(_of_entry(maker, {"effect": given}), {}, maker)
+        return Wanted(_of_entry(maker, _made(given)), {}, maker)
     if lag is not None:
         return Wanted(maker.of_candidate(candidate, lag_s=lag), {}, maker)
     bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
@@ -124,9 +126,23 @@ def _candidate(maker: Maker, name: str) -> tuple[Candidate | None, float | None]
     if len(alike) > 1:
         listed = ", ".join(alike[:_LISTED])
         raise ModelError(f"{name!r} may be {len(alike)} things", remedy=f"name one of {listed}")
-    if name in known_effects(maker.model.own):
+    made = _MADE.match(name)
+    if (made["effect"] if made else name) in known_effects(maker.model.own):
         return None, None
     raise _unknown(maker, name, told)
+
+
+def _made(name: str) -> dict[str, Any]:
+    """Return the entry of an effect as a search names it; its channel carries the lag."""
+    match = _MADE.match(name)
+    if match is None:
+        return {"effect": name}
+    entry = {"effect": match["effect"], "channel": match["channel"]}
+    if match["form"] == "lag":
+        entry["channel"] += f"@lag={match['size']}"
+    elif match["form"]:
+        entry[match["form"]] = match["size"]
+    return entry
 
 
 def _unknown(maker: Maker, name: str, mechanisms: Sequence[str]) -> ModelError:

@@ -319,6 +319,31 @@ def test_auto_saves_a_version_an_effect_and_says_why_it_stopped(workspace):
 
 
 @pytest.mark.parametrize(
+    ("name", "channel"),
+    [
+        ("channel_rate(heater_current)@lag=300s", "heater_current@lag=300s"),
+        ("channel_field(heater_current*boom_temperature)", "heater_current*boom_temperature"),
+        ("channel_field(heater_current@lag=90s*boom_temperature)", "heater_current@lag=90s*boom_temperature"),
+    ],
+)
+def test_an_effect_is_added_by_the_name_a_search_gave_it(workspace, name, channel):
+    bench = Workbench(Catalog(workspace.root), workspace.mission(), fresh=True)
+    bench.add(name)
+    assert bench.current.model.effects[-1].effect.given["channel"] == channel
+
+
+def test_auto_saves_a_lag_that_only_the_search_made(tmp_path):
+    """The bank has 240 and 1000 s; the model gets the lag itself, and explains what the search explained."""
+    workspace = make_heated_workspace(tmp_path / "lagged", lagged)
+    cat = Catalog(workspace.root)
+    found, steps = Workbench(cat, workspace.mission()).auto()
+    (effect,) = found.effects
+    assert effect.lag_s == pytest.approx(400, rel=0.05)
+    assert [step.effect for step in steps] == [f"auto: add {effect.name}"]
+    assert steps[-1].held_out[1] == pytest.approx(found.residual["held_out_after_nT"], rel=0.01)
+
+
+@pytest.mark.parametrize(
     ("name", "meant"),
     [
         ("heater_curent", "did you mean 'heater_current'"),
