@@ -23,6 +23,7 @@ from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.library import Library, Term
 from inflight.diagnosis.refit import Fitted, Ground, variance_of
 from inflight.diagnosis.search import Search
+from inflight.diagnosis.timed_additions import addition_of
 from inflight.diagnosis.verdict import conclude
 from inflight.diagnosis.wanted import best_lag, find_wanted, known_addition
 from inflight.effects.naming import did_you_mean
@@ -369,7 +370,7 @@ class Workbench:
         self.__dict__.pop("_whole", None)
         steps = []
         for option in self._search.accepted:
-            addition = self.maker.of_option(option)
+            addition = addition_of(self.maker, option)
             message = f"auto: add {addition.name}"
             steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
         return found, steps

@@ -23,7 +23,7 @@ _EPISODES = 3
 _BATCH = 36
 _DAY_NS = 86_400_000_000_000
 #: Drifts there are.
-DRIFTS = ("scale_drift", "offset_drift", "angle_drift")
+DRIFTS = ("scale_drift", "offset_drift", "angle_drift", "clock_drift", "bias_drift")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Carriers:
 
 
 def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
-    """Return drifts of the sensor's parameters, straight in time; factors in days from the middle."""
+    """Return drifts of everything that may drift, straight in time; factors in days from the middle."""
     middle = evidence.start / 2 + evidence.end / 2
     days = (middle - middle.mean()) / _DAY_NS
     found = []
@@ -95,7 +95,8 @@ def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
         columns = getattr(carriers, name.removesuffix("_drift"))
         if columns and np.ptp(days) > 0:
             functions = {f"{name}.{column}": (column, days) for column in columns}
-            found.append(Change(name, name, "ageing", functions, unit="/d"))
+            family = name.removesuffix("_drift") if name in ("clock_drift", "bias_drift") else "ageing"
+            found.append(Change(name, name, family, functions, unit="/d"))
     return found
 
 

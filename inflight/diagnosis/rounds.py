@@ -281,8 +281,8 @@ def _still(last: Table, rival: Option, form: str) -> float:
 
 def _same_cause(one: Option, other: Option) -> bool:
     same = one.channels == other.channels and one.family == other.family
-    # The family of the sensor's own parameters holds several: a scale that steps is no angle that does.
-    same &= bool(one.channels) or one.family != "sensor"
+    # These families hold several parameters: a scale that steps or drifts is no angle that does.
+    same &= bool(one.channels) or one.family not in ("sensor", "ageing")
     return same or one.mechanism == other.mechanism
 
 

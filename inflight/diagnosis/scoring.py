@@ -85,6 +85,17 @@ class Scores:
             return float(hac_t(difference, active)[0])
         return float(promised_t(difference, apart[:, None], active)[0])
 
+    def beats(self, placebos: Sequence[int]) -> Floats:
+        """Return by which t each candidate leaves less than the best placebo; inf when there is none."""
+        if not placebos:
+            return np.full(self.gain.size, np.inf)
+        best = placebos[int(np.argmin(self.loss[:, placebos].sum(axis=0)))]
+        if self.gain[best] <= 0:
+            return self.t
+        # A placebo has nothing to do with an effect: what sets them apart is what each of them contributes.
+        apart = self.promised + self.promised[:, [best]]
+        return promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
+
     def light(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
         return replace(self, fits=Fits(self.fits.evidence.select([]), self.fits.present[:0], []))

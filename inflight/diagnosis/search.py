@@ -17,7 +17,6 @@ from inflight.diagnosis.changes import Carriers, Change, batches, drifts, episod
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
-from inflight.diagnosis.rivalry import promised_t
 from inflight.diagnosis.scoring import Present, Scores, folds_of, score
 
 FORMS = ("raw", "within", "white")
@@ -307,7 +306,8 @@ class Search:
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
         real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
         p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
-        return Table(options, scores, p, {form: _beats_placebo(one, options) for form, one in scores.items()})
+        placebos = [place for place, option in enumerate(options) if option.placebo]
+        return Table(options, scores, p, {form: one.beats(placebos) for form, one in scores.items()})
 
     def _changes(self, without: Option | None) -> Iterator[tuple[list[Option], Evidence, Present]]:
         """Yield options bound to a time, some at a time with the evidence of their columns alone."""
@@ -315,8 +315,11 @@ class Search:
         own = self._model_columns(without)
         found = drifts(self.raw, self.carriers) + steps(self.raw, self.carriers)
         found += episodes(self.raw, self.forms["raw"], self._outside(base), self.y())
-        taken = {option.name for option in self.accepted if option is not without}
-        for batch in batches([change for change in found if change.name not in taken]):
+        gone = {option.name for option in self.accepted} | {
+            change.name for change in found if change.mechanism in self.banned
+        }
+        itself = without.name if without is not None else ""
+        for batch in batches([one for one in found if one.name not in gone or one.name == itself]):
             functions = {name: told for change in batch for name, told in change.functions.items()}
             sources = [column for column, _ in functions.values()]
             small = self.raw.select(list(dict.fromkeys([*base, *own, *sources])))
@@ -384,16 +387,3 @@ def _with_changes(
             np.concatenate([ratios[form][1], *(flipped for _, flipped in own)], axis=1),
         )
     return out, out_ratios
-
-
-def _beats_placebo(scores: Scores, options: Sequence[Option]) -> Floats:
-    """Return by which t each option leaves less than the best placebo; inf when there is none."""
-    placebos = [place for place, option in enumerate(options) if option.placebo]
-    if not placebos:
-        return np.full(len(options), np.inf)
-    best = placebos[int(np.argmin(scores.loss[:, placebos].sum(axis=0)))]
-    if scores.gain[best] <= 0:
-        return scores.t
-    # A placebo has nothing to do with an effect: what sets them apart is what each of them contributes.
-    apart = scores.promised + scores.promised[:, [best]]
-    return promised_t(scores.loss[:, [best]] - scores.loss, apart, scores.active)

@@ -20,6 +20,7 @@ from inflight.diagnosis.lags import profile
 from inflight.diagnosis.library import Candidate, term_of
 from inflight.diagnosis.refit import Column, Ground
 from inflight.diagnosis.scoring import fit, folds_of
+from inflight.diagnosis.timed_additions import drift_of, step_of
 from inflight.effects import known_effects
 from inflight.effects.families import channels_of
 from inflight.effects.naming import did_you_mean
@@ -80,10 +81,10 @@ def find_wanted(maker: Maker, effect: str | Mapping[str, Any]) -> Wanted:
     if not isinstance(given, str):
         return Wanted(_of_entry(maker, given), {}, maker)
     if given in DRIFTS:
-        return Wanted(maker.drift(given), {}, maker)
+        return Wanted(drift_of(maker, given), {}, maker)
     if timed := _TIMED.match(given):
         at = [_instant(given, timed[key]) for key in ("at", "end") if timed[key]]
-        return Wanted(maker.step(timed["kind"], [_edge(maker, one) for one in at]), {}, maker)
+        return Wanted(step_of(maker, timed["kind"], [_edge(maker, one) for one in at]), {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
         return Wanted(_of_entry(maker, _made(given)), {}, maker)
@@ -263,7 +264,14 @@ def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
     if label == "affine":
         for key in ("matrix", "shift"):
             if entry.parameters[key].time == "linear":
-                return maker.drift(_drift_of(key, entry), entry.name)
+                return drift_of(maker, _which_drift(key, entry), entry.name)
+    for key, kind in (("seconds", "clock_drift"), ("bias", "bias_drift")):
+        if (
+            key in entry.parameters
+            and entry.parameters[key].time == "linear"
+            and not entry.parameters[key].free
+        ):
+            return drift_of(maker, kind, entry.name)
     kind, _, form = label.partition("_")
     if kind in _KINDS and form in ("step", "episode"):
         at = [
@@ -272,14 +280,14 @@ def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
             if key in entry.effect.given
         ]
         if all(_edge(maker, one) == one for one in at) and getattr(maker.carriers, kind):
-            return maker.step(kind, at, entry.name)
+            return step_of(maker, kind, at, entry.name)
     candidate, lag = _matching(maker, entry)
     if candidate is not None:
         return maker.of_candidate(candidate, entry.name, lag)
     return _apart(maker, entry)
 
 
-def _drift_of(part: str, entry: ModelEffect) -> str:
+def _which_drift(part: str, entry: ModelEffect) -> str:
     """Return which drift an affine change that grows with time is."""
     if part == "shift":
         return "offset_drift"

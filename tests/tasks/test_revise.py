@@ -117,6 +117,17 @@ def bias_episode(day: str, reading: np.ndarray) -> np.ndarray:
     return 0.6 * ((days_since_start(day) >= 1) & (days_since_start(day) < 3))
 
 
+def bias_drift(day: str, reading: np.ndarray) -> np.ndarray:
+    """The scalar sensor's bias grows by 0.4 nT/d."""
+    return 0.4 * (days_since_start(day) - 2)
+
+
+def clock_drift(day: str, reading: np.ndarray) -> np.ndarray:
+    """The scalar sensor's clock is slow by 0.3 s more each day: it reads an earlier field."""
+    rate = np.gradient(np.ravel(reading), 60.0)
+    return np.reshape(-0.3 * rate * (days_since_start(day)[:, 0] - 2), reading.shape)
+
+
 @pytest.fixture(scope="module")
 def heated(tmp_path_factory) -> Workspace:
     """A workspace with a heater's field hidden, and evidence of its library; copied, never changed."""
@@ -190,6 +201,8 @@ def test_the_products_use_the_new_model_and_again_the_old_one(workspace, bench):
         (angle_step, nothing, "angle_step@2024-03-03", "angle_step"),
         (angle_episode, nothing, "angle_episode@2024-03-02/2024-03-04", "angle_episode"),
         (angle_drift, nothing, "angle_drift", "affine"),
+        (nothing, bias_drift, "bias_drift", "scalar_bias"),
+        (nothing, clock_drift, "clock_drift", "time_shift"),
         (nothing, bias_episode, "bias_episode@2024-03-02/2024-03-04", "bias_step"),
     ],
 )
