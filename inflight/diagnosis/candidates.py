@@ -159,8 +159,7 @@ def _expand(
         "mechanism": mechanism,
         "family": family,
         "channels": base,
-        # Beyond the first degree, or order, of a series it is the shape that is fitted.
-        "agnostic": label in AGNOSTIC or int(options.get("degree", 1)) > 1,
+        "agnostic": label in AGNOSTIC,
     }
     lone = options.get("channel", "")
     if label in OF_THERMAL and lone in channels and channels[lone].kind not in THERMAL:
