@@ -129,6 +129,8 @@ GEOMETRY = {
     "sunlit": "1",
     "sun_direction": "1",
 }
+#: Those that a slow response or a play may be made of: positions alone tell them.
+SLOW_GEOMETRY = ("sunlit", "latitude")
 #: Two positions this far apart in time tell the orbit's plane, seconds: further than their rounding matters.
 _PLANE_STEP = 60.0
 #: An orbit inclined by less has no node: its phase counts from the vernal equinox. Sine of the angle.

@@ -13,6 +13,7 @@ from inflight.catalog import Catalog
 from inflight.derived import Part, parse, product
 from inflight.diagnosis.coarse import channel_on, grid
 from inflight.diagnosis.library import Told
+from inflight.geometry import add_geometry
 from inflight.mission import Mission
 from inflight.tasks.needs import channel_homes
 from inflight.tasks.samples import ArchiveIndex, Need
@@ -98,6 +99,21 @@ class ChannelReader:
         return out
 
 
+def orbit_of(mission: Mission, reader: ChannelReader, day: np.datetime64) -> dict[str, xr.Variable]:
+    """Return stamps, position and attitude on a day's bins, by their kinds; those there are."""
+    read = reader.day(day)
+    edges = reader.edges(day)
+    data: dict[str, xr.Variable] = {"tt2000": xr.Variable("time", edges[:-1] + np.diff(edges) // 2)}
+    for kind in ("position", "attitude"):
+        for instrument, name, channel in mission.channel_instruments():
+            home = name if name in read else f"{instrument}.{name}"
+            if channel.kind == kind and kind not in data and home in read:
+                width = "axis" if kind == "position" else "quaternion"
+                attrs = {"units": channel.unit, "frame": channel.frame or "", "kind": kind}
+                data[kind] = xr.Variable(("time", width), read[home], attrs)
+    return data
+
+
 @dataclass
 class DerivedChannels:
     """Makes the channels the library's terms ask for, one day after the other.
@@ -137,6 +153,9 @@ class DerivedChannels:
         place = list(self.days).index(day)
         bins = self.reader.edges(day).size - 1
         step = self.reader.cadence_ns / SECOND
+        if part.channel in geometry:
+            earlier = [self._told_by_orbit(one, part.channel) for one in self._before(place)]
+            return part.of(np.concatenate([*earlier, geometry[part.channel]]), step)[-bins:]
         if not part.placebo:
             history = self._before(place) if not part.is_plain else []
             whole = np.concatenate([self._filled(one, part.channel) for one in [*history, day]])
@@ -144,6 +163,10 @@ class DerivedChannels:
         shift = round(self.shifts[f"{part.channel}~{part.placebo}"] / step)
         need = bins + int(np.ceil(part.history_s / step))
         return part.of(self._wrapped(place, part.channel, shift, need), step)[-bins:]
+
+    def _told_by_orbit(self, day: np.datetime64, name: str) -> Floats:
+        found = add_geometry(xr.Dataset(orbit_of(self.reader.mission, self.reader, day)))
+        return np.asarray(found[name].values, dtype=np.float64)
 
     def _before(self, place: int) -> list[np.datetime64]:
         adjacent = place > 0 and self.days[place] - self.days[place - 1] == _DAY

@@ -104,7 +104,10 @@ def diagnose(
     """
     settings = settings or DiagnoseSettings()
     made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
-    return conclude(search_of(made, settings), material_of(made, mission))
+    search, material = search_of(made, settings), material_of(made, mission)
+    # Columns that join make new evidence, gigabytes of it: nothing here may hold on to the old one.
+    del made
+    return conclude(search, material)
 
 
 def prepare(

@@ -30,12 +30,12 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
 from inflight.tasks.calibrate import Job, Outcome, make_days
-from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables
+from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 9
+EVIDENCE_VERSION = 10
 #: Days lose the bins without geometry when these are at most this part of them.
 _GEOMETRY_GAPS = 0.3
 #: Rows of the series are at least so far apart in long records, seconds.
@@ -293,21 +293,12 @@ def _floor_of(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
 
 def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
     """Return what position and attitude say of a day's bins."""
-    read = reader.day(day)
-    edges = reader.edges(day)
-    data: dict[str, xr.Variable] = {"tt2000": xr.Variable("time", edges[:-1] + np.diff(edges) // 2)}
-    for kind in ("position", "attitude"):
-        for instrument, name, channel in mission.channel_instruments():
-            home = name if name in read else f"{instrument}.{name}"
-            if channel.kind == kind and kind not in data and home in read:
-                width = "axis" if kind == "position" else "quaternion"
-                attrs = {"units": channel.unit, "frame": channel.frame or "", "kind": kind}
-                data[kind] = xr.Variable(("time", width), read[home], attrs)
+    data = orbit_of(mission, reader, day)
+    bins = data["tt2000"].size
     for role in ("vector", "outboard"):
         if role in samples:
             attrs = {"orientation": samples[role].attrs.get("orientation", (0.0, 0.0, 0.0, 1.0))}
-            blank = np.zeros((edges.size - 1, 3))
-            data[role] = xr.Variable(("time", "axis"), blank, attrs)
+            data[role] = xr.Variable(("time", "axis"), np.zeros((bins, 3)), attrs)
             break
     found = add_geometry(xr.Dataset(data))
     return found.drop_vars([name for name in ("position", "attitude", "vector", "outboard") if name in found])

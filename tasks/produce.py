@@ -20,7 +20,7 @@ from inflight.tasks.samples import load_samples
 from inflight.time import day_bounds
 
 #: Bumped by hand when the numbers of the products change.
-PRODUCT_VERSION = 1
+PRODUCT_VERSION = 2
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
 #: Stored steps of product variables: a tenth of a picotesla, a micro-degree.

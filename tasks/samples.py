@@ -14,7 +14,7 @@ from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.derived import Part, parse, product
 from inflight.errors import SamplesError
-from inflight.geometry import GEOMETRY, add_geometry
+from inflight.geometry import GEOMETRY, SLOW_GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.needs import (
@@ -252,7 +252,7 @@ def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
 
 def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
     """Return sunlight or latitude at the positions' own stamps; (time,)."""
-    if part.channel not in ("sunlit", "latitude"):
+    if part.channel not in SLOW_GEOMETRY:
         raise SamplesError(
             f"'{part.channel}' has no slow response here",
             channel=part.name,

@@ -28,6 +28,8 @@ FEW_LAGS = (0.0, 240.0)
 THERMAL = frozenset({"temperature", "other", "voltage"})
 #: Effects that only such channels are tried with.
 OF_THERMAL = frozenset({"channel_scale", "channel_angle", "hysteresis"})
+#: Effects that are tried with every lag: a field behind its channel, a body that warms after an eclipse.
+SLOW = frozenset({"channel_field", "day_night"})
 #: Effects that describe a shape in some coordinate and name no cause: taken when nothing else explains.
 AGNOSTIC = frozenset(
     {
@@ -165,7 +167,7 @@ def _expand(
     if label in OF_THERMAL and lone in channels and channels[lone].kind not in THERMAL:
         return
     given = {"effect": label, "sensor": entry.sensor.name, **options}
-    if label == "channel_field" and lone in channels:
+    if label in SLOW and (lone in channels or not lone):
         for lag in LAGS:
             made = _made(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:

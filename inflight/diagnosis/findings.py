@@ -89,6 +89,8 @@ def _term_of(option: Option, terms: list[Term], column: str) -> tuple[Term | Non
 
 def _lag_error(search: Search, option: Option) -> float | None:
     """Return the error of a response's lag; None when its mechanism has no bank of lags."""
+    if option.lag_sigma_s is not None or not option.lag_s:
+        return option.lag_sigma_s
     found = lag_profile(search, option)
     return None if found is None else found.sigma
 

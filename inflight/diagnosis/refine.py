@@ -12,18 +12,18 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.derived import Derived, parse
-from inflight.diagnosis.findings import lag_profile
+from inflight.diagnosis.candidates import SLOW
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
 from inflight.diagnosis.rivalry import hac_t
+from inflight.diagnosis.scoring import folds_of
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.second import can_join, join_terms
 from inflight.diagnosis.trials import Trials, like
+from inflight.geometry import GEOMETRY, SLOW_GEOMETRY
 
 #: A lag is refined when it is off by more than this part.
 _NEAR = 0.02
-#: Profiles of a lag at most: each new column makes the next one sharper.
-_TURNS = 3
 #: Widths tried, as parts of the channel's range, and lags from this part of a row's spacing up to this, s.
 _WIDTHS = np.geomspace(0.02, 0.9, 16)
 _SHORTEST, _LONGEST, _RESPONSES = 0.5, 8000.0, 12
@@ -40,7 +40,7 @@ def refine(search: Search, material: Material, option: Option) -> Option:
         return option
     if option.mechanism.startswith("hysteresis("):
         return _with_width(search, material, option)
-    if option.mechanism.startswith("channel_field(") and len(option.channels) == 1:
+    if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:
         return _with_lag(search, material, option)
     if len(option.terms) == 1:
         return _with_response(search, material, option)
@@ -48,51 +48,66 @@ def refine(search: Search, material: Material, option: Option) -> Option:
 
 
 def _with_lag(search: Search, material: Material, option: Option) -> Option:
-    made = option
-    for _ in range(_TURNS):
-        # The profile between two lags of the bank is a mixture's; a column of the lag itself makes it exact.
-        better = _nearer(search, material, option, made)
-        if better is made:
-            break
-        made = better
-    return made
-
-
-def _nearer(search: Search, material: Material, option: Option, now: Option) -> Option:
-    """Return the option with a lag nearer to the best one; the present one when it is near enough."""
-    found = lag_profile(search, option)
-    if found is None:
-        return now
-    smallest = float(found.lags[found.lags > 0][0])
-    best = found.best if found.best >= smallest else 0.0
-    if abs(best - now.lag_s) <= _NEAR * max(best, now.lag_s) or (best == 0.0 and now.lag_s == 0.0):
-        return now
-    if best == 0.0:
-        plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
-        return plain[0] if plain else now
-    lag = float(f"{best:.4g}")
-    key = f"{option.mechanism}@lag={lag:g}s"
+    """Return the option with the lag that explains most; without one when that is not clearly more."""
     source = search.library.terms[option.terms[0]]
-    term = like(search, material, source, key, {"lag": f"{lag:g} s"}, ("coefficient",))
-    return _joined(search, material, option, term, lag)
+    trials = Trials(search, material, option)
+
+    def term(lag: float, key: str = "trial") -> Term:
+        given = {"lag": f"{lag:g} s"} if lag else {}
+        return like(search, material, source, key, given, source.parameters)
+
+    def left(lag: float) -> Floats:
+        return trials.left([term(lag)])
+
+    best, sigma = _best_lag(search, material, left)
+    if float(hac_t((left(0.0) - left(best))[:, None])[0]) < search.rules.t:
+        plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
+        return plain[0] if plain else option
+    if abs(best - option.lag_s) <= _NEAR * best:
+        return option
+    return _joined(search, material, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
+
+
+def _best_lag(
+    search: Search, material: Material, left: Callable[[float], Floats]
+) -> tuple[float, float | None]:
+    """Return the lag that leaves least, s, and its error by leaving out folds of blocks."""
+    lags = np.geomspace(_SHORTEST * material.series.step_s, _LONGEST, _RESPONSES)
+    best = _least(lags, left, (0.7, 1.43))
+    beside = best * np.array([0.9, 1.0, 1.0 / 0.9])
+    each = np.stack([left(float(one)) for one in beside])
+    total = each.sum(axis=1)
+    folds = folds_of(each.shape[1])
+    others = [_vertex(np.log(beside), total - each[:, fold].sum(axis=1)) for fold in folds]
+    if not np.all(np.isfinite(others)):
+        return best, None
+    count = len(others)
+    error = float(np.sqrt((count - 1) / count * np.sum((np.array(others) - np.mean(others)) ** 2)))
+    return best, best * error
 
 
 def _with_response(search: Search, material: Material, option: Option) -> Option:
     """Return an effect whose channel, or a factor of it, acts slowly, when that explains clearly more."""
     made = option
-    channel = search.library.terms[option.terms[0]].entry.effect.given.get("channel")
-    parts = parse(channel).parts if isinstance(channel, str) else ()
+    parts = _channel_of(search.library.terms[option.terms[0]]).parts
     if any(part.channel not in material.series.channels or part.width for part in parts):
         return option
-    for place in range(len(parts)):
-        made = _slower(search, material, option, made, place)
+    for place, part in enumerate(parts):
+        if part.channel not in GEOMETRY or part.channel in SLOW_GEOMETRY:
+            made = _slower(search, material, option, made, place)
     return made
+
+
+def _channel_of(term: Term) -> Derived:
+    """Return the one channel an effect follows, as option `channel` may name it; without parts if none."""
+    channel = term.entry.effect.given.get("channel")
+    return parse(channel) if isinstance(channel, str) else Derived(())
 
 
 def _slower(search: Search, material: Material, option: Option, now: Option, place: int) -> Option:
     """Return the option with the best lag of one factor of its channel; the present one if none is better."""
     source = search.library.terms[now.terms[0]]
-    parts = list(parse(str(source.entry.effect.given["channel"])).parts)
+    parts = list(_channel_of(source).parts)
     old = parts[place].lag_s
     trials = Trials(search, material, option)
 
@@ -103,8 +118,7 @@ def _slower(search: Search, material: Material, option: Option, now: Option, pla
     def left(lag: float) -> Floats:
         return trials.left([term(lag, f"{option.mechanism}@trial")])
 
-    lags = np.geomspace(_SHORTEST * material.series.step_s, _LONGEST, _RESPONSES)
-    best = _least(lags, left, (0.7, 1.43))
+    best, sigma = _best_lag(search, material, left)
     if old and abs(best - old) <= _NEAR * old:
         return now
     before, after = trials.left([source]), left(best)
@@ -115,13 +129,13 @@ def _slower(search: Search, material: Material, option: Option, now: Option, pla
     if not (worth or (old and gained.sum() > 0)):
         return now
     made = term(best, "")
-    name = str(made.entry.effect.given["channel"])
+    name = made.entry.effect.channels[0]
     key = (
         f"{option.mechanism}@lag={best:g}s"
         if len(parts) == 1
         else f"{type(made.entry.effect).label()}({name})"
     )
-    return _joined(search, material, option, replace(made, key=key), best)
+    return _joined(search, material, option, replace(made, key=key), best, sigma)
 
 
 def _with_width(search: Search, material: Material, option: Option) -> Option:
@@ -152,11 +166,12 @@ def _with_width(search: Search, material: Material, option: Option) -> Option:
 
 
 def _least(grid: Floats, left: Callable[[float], Floats], around: tuple[float, float]) -> float:
-    """Return where least is left: on the whole grid, then on a finer one around the best; four digits."""
+    """Return where least is left: on the whole grid, then twice on finer ones around it; four digits."""
     best = 0.0
-    for _ in range(2):
+    for part in (1.0, 0.25, 0.0):
         best = _lowest(grid, np.array([left(float(one)).sum() for one in grid]))
-        grid = best * np.geomspace(*around, 7)
+        if part:
+            grid = best * np.geomspace(*around, 7) ** part
     return float(f"{best:.4g}")
 
 
@@ -166,13 +181,28 @@ def _lowest(grid: Floats, sums: Floats) -> float:
     if at in (0, len(sums) - 1):
         return float(grid[at])
     x = np.log(grid[at - 1 : at + 2])
-    a, b, _ = np.polyfit(x - x[1], sums[at - 1 : at + 2], 2)
-    return float(np.exp(np.clip(x[1] - b / (2.0 * a), x[0], x[2]))) if a > 0 else float(grid[at])
+    found = _vertex(x, sums[at - 1 : at + 2])
+    return float(np.exp(np.clip(found, x[0], x[2]))) if np.isfinite(found) else float(grid[at])
 
 
-def _joined(search: Search, material: Material, option: Option, term: Term, lag: float) -> Option:
+def _vertex(x: Floats, y: Floats) -> float:
+    """Return where the parabola through three points is least; NaN when it opens downward."""
+    a, b, _ = np.polyfit(x - x[1], y, 2)
+    return float(x[1] - b / (2.0 * a)) if a > 0 else float("nan")
+
+
+def _joined(
+    search: Search,
+    material: Material,
+    option: Option,
+    term: Term,
+    lag: float,
+    sigma: float | None = None,
+) -> Option:
     """Return the option with another term, its columns in the evidence and it among the candidates."""
-    made = replace(option, name=term.key, terms=(term.key,), columns=tuple(term.columns), lag_s=lag)
+    made = replace(
+        option, name=term.key, terms=(term.key,), columns=tuple(term.columns), lag_s=lag, lag_sigma_s=sigma
+    )
     if term.key not in search.library.terms:
         join_terms(search, material, [term])
     search.options.append(made)

@@ -80,6 +80,7 @@ class Option:
     agnostic: bool = False
     placebo: bool = False
     change: Change | None = None
+    lag_sigma_s: float | None = None
 
     @property
     def interleaved(self) -> bool:
@@ -171,7 +172,7 @@ class Search:
     banned: set[str] = field(default_factory=set)
     dropped: set[str] = field(default_factory=set)
     #: Columns on the coarse series, when more were joined to the evidence: names and (sample, row, column).
-    wall: tuple[list[str], Floats] | None = None
+    wall: tuple[list[str], list[np.ndarray]] = field(default_factory=lambda: ([], []))
 
     def __post_init__(self) -> None:
         self.options = [
@@ -252,9 +253,9 @@ class Search:
         names, sigma = self._base()
         precision = self.precision(self.raw, names, sigma)
         self.forms = {
-            "raw": self.raw.absorbed(names, self.intervals, precision),
-            "within": self.within or self.raw.absorbed(names, self.days, precision),
-            "white": self.white.absorbed(names, self.intervals, precision),
+            "raw": self.raw.absorbed(names, self.intervals, precision, np.float32),
+            "within": self.within or self.raw.absorbed(names, self.days, precision, np.float32),
+            "white": self.white.absorbed(names, self.intervals, precision, np.float32),
         }
 
     def y(self, form: str = "raw") -> int:

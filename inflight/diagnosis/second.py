@@ -138,21 +138,18 @@ def _product(material: Material, one: str, other: str) -> Term | None:
     return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
 
 
-def _wall(search: Search, material: Material, terms: Sequence[Term]) -> tuple[list[str], Floats]:
-    """Return the columns of all terms on the coarse series, (sample, row, column) float32, and their names.
+def _wall(search: Search, material: Material, terms: Sequence[Term]) -> tuple[list[str], list[np.ndarray]]:
+    """Return the names of the columns of all terms, and pieces of them on the coarse series.
 
-    They are kept: each further column costs its own making only.
+    Pieces are (sample, row, column) float32. They are kept: each further column costs its own making only.
     """
     series = material.series
-    known, kept = search.wall if search.wall is not None else ([], None)
+    known, kept = search.wall
     new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known)]
     channels = {name for term in new for name in term.entry.effect.channels if name}
     rows = series.rows(material.turn, made_channels(series, channels, search.library.placebos))
     made = [design([term], rows).astype(np.float32) for term in new]
-    search.wall = (
-        [*known, *(name for term in new for name in term.columns)],
-        np.concatenate([*([kept] if kept is not None else []), *made], axis=2),
-    )
+    search.wall = [*known, *(name for term in new for name in term.columns)], [*kept, *made]
     return search.wall
 
 
@@ -172,7 +169,7 @@ def _borders(search: Search, material: Material, terms: Sequence[Term]) -> tuple
     for part in _runs(day):
         weight, stamps, block = series["weight"][part], series.tt2000[part], series.block[part]
         used = np.where((weight > 0)[:, None, None], np.nan_to_num(residual[part]), 0.0)
-        columns = np.concatenate([wall[part], used], axis=2)
+        columns = np.concatenate([*(piece[part] for piece in wall), used], axis=2)
         for gram, values in zip(
             grams, (columns, prewhiten(columns, weight, stamps, material.memory_s)), strict=True
         ):

@@ -24,6 +24,8 @@ _LEAST_PART = 0.01
 #: Lines beside a harmonic at so many turns of the Earth; resolutions within which they are the same; what a
 #: nominal period may be off by; and by how much the field must turn to have a period of its own.
 _SPLITS, _APART, _SHARP, _TURNING = 2, 1.5, 2e-4, 0.3
+#: Harmonics of a known period that are no news: beyond, any period is near one of a day's.
+_HARMONICS = 30
 #: Structure below this part of the noise does not make a residual coloured, however sure it is.
 _WHITE = 0.1
 #: A known period explains a band when it is within it or so many times beside it.
@@ -136,7 +138,7 @@ def _is_known(material: Material, period: float) -> bool:
         for split in range(-_SPLITS, _SPLITS + 1):
             offset = frequency - split / 86_400.0
             harmonic = round(offset * known)
-            if harmonic >= 1 and abs(offset - harmonic / known) < _APART * max(
+            if 1 <= harmonic <= _HARMONICS and abs(offset - harmonic / known) < _APART * max(
                 1.0 / span, _SHARP * frequency
             ):
                 return True

@@ -137,4 +137,5 @@ def _symmetric(parts: Floats, field: Floats) -> Floats:
 
 def _field_rate(samples: xr.Dataset) -> Floats:
     """Return dB/dt of the best present field; (time, axis) nT/s."""
-    return slope(best_field(samples), samples["tt2000"].values)
+    # The reading is found from the field by repetition, which a finer form would make diverge earlier.
+    return slope(best_field(samples), samples["tt2000"].values, order=2)

@@ -30,6 +30,7 @@ def _alone() -> list[Scenario]:
         Scenario("sun_angle", ("sun_angle",), days=40),
         Scenario("eddy", ("eddy",), orbit="polar"),
         Scenario("clock", ("clock",), orbit="polar"),
+        Scenario("clock_drift", ("clock_drift",), orbit="polar"),
         Scenario("clock_episode", ("clock_episode",), orbit="polar"),
         Scenario("scalar_bias", ("scalar_bias",), orbit="polar", days=40),
         Scenario("offset_step", ("offset_step",)),
@@ -52,6 +53,7 @@ def _beyond() -> list[Scenario]:
     """Return effects that no library of plain channels holds."""
     beyond = (FOUND, CONFOUNDED, UNKNOWN_EFFECT)
     return [
+        Scenario("eclipse_warmth", ("eclipse_warmth",), orbit="eclipses"),
         Scenario("slow_response", ("slow",), orbit="eclipses"),
         Scenario("product", ("product",), verdicts=beyond),
         Scenario("unrecorded_switch", ("switch",), verdicts=(UNKNOWN_EFFECT,), size=(4.0, 20.0)),

@@ -214,6 +214,14 @@ def clock(world: World, rng: np.random.Generator) -> Cause:
     return Cause("clock shift", ("clock",), shift=np.full(world.rate.size, early), coefficients=told)
 
 
+def clock_drift(world: World, rng: np.random.Generator) -> Cause:
+    """Return a scalar sensor whose clock goes wrong at a steady rate, right in the middle of the span."""
+    t = world.track.seconds / 86_400.0
+    rate = float(rng.choice([-1, 1]))
+    told = ({"quantity": "seconds", "axis": "", "value": rate, "unit": "s/d", "at": "scalar"},)
+    return Cause("clock drift", ("clock",), shift=rate * (t - t.mean()), coefficients=told)
+
+
 def clock_episode(world: World, rng: np.random.Generator) -> Cause:
     """Return a scalar sensor that is early for four days."""
     t = world.track.seconds / 86_400.0
@@ -259,6 +267,14 @@ def day_night(world: World, rng: np.random.Generator) -> Cause:
     axis = _axis(rng)
     lit = world.track.sunlit[:, None] * axis
     return Cause("day field", ("day_night",), ("sunlit",), lit, coefficients=_coefficients("lit", axis, "nT"))
+
+
+def eclipse_warmth(world: World, rng: np.random.Generator) -> Cause:
+    """Return a field that comes and goes with sunlight, slowly, as a body warms and cools."""
+    axis, tau = _axis(rng), float(np.exp(rng.uniform(np.log(200.0), np.log(2000.0))))
+    lit = low_pass(world.track.sunlit.astype(np.float64), tau, world.track.step)[:, None] * axis
+    told = _coefficients("lit", axis, "nT")
+    return Cause("slow day field", ("day_night",), ("sunlit",), lit, coefficients=told, told={"lag_s": tau})
 
 
 def sun_angle(world: World, rng: np.random.Generator) -> Cause:
@@ -333,11 +349,13 @@ CAUSES: dict[str, Maker] = {
     "camera": follows("camera_current"),
     "other_current": other_current,
     "day_night": day_night,
+    "eclipse_warmth": eclipse_warmth,
     "sun_angle": sun_angle,
     "induced": induced,
     "remanent": remanent,
     "eddy": eddy,
     "clock": clock,
+    "clock_drift": clock_drift,
     "clock_episode": clock_episode,
     "scalar_bias": scalar_bias,
     "offset_step": offset_step,
