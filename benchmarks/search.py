@@ -42,6 +42,7 @@ def synthetic(blocks: int = BLOCKS, candidates: int = CANDIDATES) -> Made:
         rows = generator.normal(size=(ROWS, width))
         rows[:, -1] += 0.2 * rows[:, 2]
         gram[block] = rows.T @ rows
+    gram = gram.astype(np.float32)  # as the forms of a search hold them
     names = (*(f"c{place}" for place in range(width - 1)), "residual")
     start = np.arange(blocks, dtype=np.int64) * 15 * DAY
     evidence = Evidence(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
