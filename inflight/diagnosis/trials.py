@@ -9,6 +9,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.columns import Rows, design
+from inflight.diagnosis.evidence import solve_scaled
 from inflight.diagnosis.left import made_channels
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
@@ -39,7 +40,7 @@ class Trials:
     def left(self, terms: Sequence[Term]) -> Floats:
         """Return what the terms together leave in each block; (block,) nT^2."""
         columns = np.concatenate([self.model, *(self._columns(term) for term in terms)], axis=1)
-        value = np.linalg.lstsq(columns.T @ columns, columns.T @ self.y, rcond=1e-12)[0]
+        value = solve_scaled(columns.T @ columns, columns.T @ self.y)
         rest = self.y - columns @ value
         return np.asarray(
             np.bincount(self.block, weights=rest**2, minlength=len(self.search.raw)), dtype=np.float64
