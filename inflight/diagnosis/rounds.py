@@ -75,6 +75,7 @@ def run(
         table = search.table()
         found = winner(table, search, shapes_first)
         if found is None:
+            search.ran_out = False
             return table.light()
         option, form = found
         # What was fitted to folds holds on to the evidence, which grows when the option is refined.
@@ -94,6 +95,7 @@ def run(
             search.accepted = list(before)
             search.banned.add(option.mechanism)
             _note(search, "undo", option, table, place, form)
+    search.ran_out = True
     return search.table().light()
 
 

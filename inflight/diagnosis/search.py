@@ -171,6 +171,8 @@ class Search:
     #: Mechanisms that were taken back: what they added was others'; and those that were dropped once.
     banned: set[str] = field(default_factory=set)
     dropped: set[str] = field(default_factory=set)
+    #: The rounds ended because there were as many as the rules allow.
+    ran_out: bool = False
     #: Columns on the coarse series, when more were joined to the evidence: names and (sample, row, column).
     wall: tuple[list[str], list[np.ndarray]] = field(default_factory=lambda: ([], []))
 

@@ -64,7 +64,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         candidates(search, first, last),
         refined(search),
         blocks,
-        stopped(told, len(search.rounds), search.rules.rounds),
+        stopped(told, search.rules.rounds, search.ran_out),
         material.model.comparison,
         {"name": material.model.name, "version": material.model.version},
         material.context,

@@ -202,11 +202,11 @@ def _of_hint(signature: Signature) -> str:
     return f"slow structure of {signature.amplitude_nT:.3g} nT without a shape"
 
 
-def stopped(told: Mapping[str, Any], rounds: int, most: int) -> str:
+def stopped(told: Mapping[str, Any], most: int, ran_out: bool) -> str:
     """Return why the rounds ended."""
     if most == 0:
         return "no rounds were asked for"
-    if rounds >= most:
+    if ran_out:
         return f"the limit of {most} additions was reached; raise it to go on"
     if told["remaining"] == "NOTHING_LEFT":
         return "what is left is noise"

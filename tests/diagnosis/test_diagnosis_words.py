@@ -67,7 +67,7 @@ def test_a_short_span_is_said_to_be_short():
 def test_a_long_span_of_which_few_blocks_tell_is_not_said_to_be_short_but_when_they_were():
     holding = [block(4), block(5), block(9, 0.2)]
     given = told("NOT_IDENTIFIABLE", blocks=blocks(90.0, 2.9, holding))
-    for said in (sentence(given), stopped(given, 0, 8)):
+    for said in (sentence(given), stopped(given, 8, False)):
         assert "short" not in said
         assert "3 of 90 blocks hold nearly all of the residual's square" in said
         assert "2010-03-01 04:00 to 2010-03-01 06:00; 2010-03-01 09:00 to 2010-03-01 10:00" in said
