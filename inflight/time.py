@@ -93,6 +93,11 @@ def to_utc(tt2000: npt.ArrayLike) -> Datetimes:
     return np.where(missing, np.datetime64("NaT", "ns"), stamps)
 
 
+def utc_text(tt2000: int) -> str:
+    """Return a TT2000 as UTC to the second, such as ``2005-01-07T12:00:00Z``."""
+    return f"{to_utc(tt2000).astype('datetime64[s]')}Z"
+
+
 def in_leap_second(tt2000: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Return True where a TT2000 lies inside an inserted second (23:59:60)."""
     ticks = np.asarray(tt2000, dtype=np.int64)

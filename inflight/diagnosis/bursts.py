@@ -17,7 +17,7 @@ from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
 from inflight.comparison import Rows
-from inflight.time import SECOND, Int64, to_utc
+from inflight.time import SECOND, Int64, utc_text
 
 #: A burst scatters this many times as much as usual; so much livelier is a channel that makes one.
 FAR = 10.0
@@ -86,11 +86,6 @@ class Outliers:
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name, and `samples`, all that was left out."""
         return {"samples": self.spikes + (0 if self.kept else self.burst_samples), **vars(self)}
-
-
-def utc_text(tt2000: int) -> str:
-    """Return a TT2000 as UTC to the second."""
-    return f"{to_utc(tt2000).astype('datetime64[s]')}Z"
 
 
 def bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> list[Burst]:

@@ -15,7 +15,7 @@ from inflight.diagnosis.rounds import WEAK, Standing
 from inflight.diagnosis.scoring import fit, folds_of
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.effects.coefficients import coefficient_unit
-from inflight.time import SECOND, to_utc
+from inflight.time import SECOND, utc_text
 
 #: Rows of the candidate table.
 _TABLE = 40
@@ -48,9 +48,7 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
         within_and_raw(search, option),
         found.rms,
         rivals,
-        tuple(f"{to_utc(when).astype('datetime64[s]')}Z" for when in option.change.at)
-        if option.change
-        else (),
+        tuple(utc_text(when) for when in option.change.at) if option.change else (),
         option.change.sharpness / SECOND if option.change and option.change.at else None,
         tuple(term.entry.as_yaml() for term in terms),
     )
@@ -162,8 +160,8 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
     return [
         {
             "rivals": [option.name, rival.name],
-            "start": f"{to_utc(int(evidence.start[place])).astype('datetime64[s]')}Z",
-            "end": f"{to_utc(int(evidence.end[place])).astype('datetime64[s]')}Z",
+            "start": utc_text(int(evidence.start[place])),
+            "end": utc_text(int(evidence.end[place])),
             "difference_nT": float(rms[place]),
         }
         for place in best

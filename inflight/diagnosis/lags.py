@@ -111,10 +111,15 @@ def profile(
     whole = explained(total)
     others = [_peak(grid, explained(total - evidence.gram[fold].sum(axis=0))) for fold in folds]
     best = _peak(grid, whole)
-    count = len(others)
-    sigma = float(np.sqrt((count - 1) / count * np.sum((np.array(others) - np.mean(others)) ** 2)))
+    sigma = jackknife(others)
     base = float(projected(total, present)[y, y])
     return LagProfile(grid, base - whole, best, sigma)
+
+
+def jackknife(others: Sequence[float]) -> float:
+    """Return the standard error of a value from those found with one part left out each time."""
+    count = len(others)
+    return float(np.sqrt((count - 1) / count * np.sum((np.array(others) - np.mean(others)) ** 2)))
 
 
 def _peak(grid: Floats, explained: Floats) -> float:

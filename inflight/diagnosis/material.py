@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.bursts import Outliers, utc_text
+from inflight.diagnosis.bursts import Outliers
 from inflight.diagnosis.columns import turns_of
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.left import residual_left
@@ -20,7 +20,7 @@ from inflight.diagnosis.series import Series
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor
-from inflight.time import SECOND
+from inflight.time import SECOND, utc_text
 
 #: Part of the residual's square that a few blocks may hold between them, and how many are few.
 _NEARLY_ALL, _FEW = 0.9, 12

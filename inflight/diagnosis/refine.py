@@ -13,6 +13,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.derived import Derived, parse
 from inflight.diagnosis.candidates import SLOW
+from inflight.diagnosis.lags import jackknife
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
 from inflight.diagnosis.rivalry import hac_t
@@ -81,9 +82,7 @@ def _best_lag(
     others = [_vertex(np.log(beside), total - each[:, fold].sum(axis=1)) for fold in folds]
     if not np.all(np.isfinite(others)):
         return best, None
-    count = len(others)
-    error = float(np.sqrt((count - 1) / count * np.sum((np.array(others) - np.mean(others)) ** 2)))
-    return best, best * error
+    return best, best * jackknife(others)
 
 
 def _with_response(search: Search, material: Material, option: Option) -> Option:

@@ -60,7 +60,7 @@ class Scores:
         What each block's gain would be if the effect fitted to the other folds were true, nT^2.
     active : ndarray of bool, shape (block, candidate)
         Blocks in which anything of it is left beside the calibration.
-    fits : Fits
+    fits : Fits, optional
         What was fitted to the other folds, to set two candidates against each other.
     """
 
@@ -72,7 +72,7 @@ class Scores:
     explained: Floats
     promised: Floats
     active: npt.NDArray[np.bool_]
-    fits: Fits
+    fits: Fits | None
 
     def behind(self, one: int, other: int) -> float:
         """Return the t by which one candidate leaves more than another, where either tells anything."""
@@ -80,7 +80,7 @@ class Scores:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
         active = self.active[:, [one]] | self.active[:, [other]]
-        apart = self.fits.apart(one, other)
+        apart = self.fits.apart(one, other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
         return float(promised_t(difference, apart[:, None], active)[0])
@@ -98,7 +98,7 @@ class Scores:
 
     def light(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
-        return replace(self, fits=Fits(self.fits.evidence.select([]), self.fits.present[:0], []))
+        return replace(self, fits=None)
 
     def joined(self, found: Scores, seen: bool) -> Scores:
         """Return these scores with further candidates behind; all zero when this form does not see them.

@@ -215,7 +215,7 @@ class Search:
 
     def _seen(self, option: Option) -> bool:
         """Return True when an effect of its usual size would stand out of what the calibration leaves."""
-        base, _ = self._base()
+        base, _ = self.base()
         form = self.forms["raw"]
         own_base = self.raw.index(base if option.channels else [])
         whole = np.diag(self.raw.centred(self.raw.index(option.columns), own_base))
@@ -231,7 +231,8 @@ class Search:
 
     # The calibration and the model's own parameters.
 
-    def _base(self) -> tuple[list[str], Floats]:
+    def base(self) -> tuple[list[str], Floats]:
+        """Return the calibration's own columns and what is known of them beforehand, standard deviations."""
         names = [name for term in self.library.base for name in term.columns]
         sigma = [s for term in self.library.base for s in term.sigma]
         return names, np.asarray(sigma)
@@ -244,7 +245,7 @@ class Search:
 
     def _variance(self) -> float:
         """Return the variance of a row that the calibration alone leaves, the quietest half of the blocks."""
-        names, _ = self._base()
+        names, _ = self.base()
         free = self.white.absorbed(names, [range(len(self.white))], np.zeros(len(names)))
         y = free.residuals[self.residual]
         each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
@@ -252,12 +253,20 @@ class Search:
 
     def absorb(self) -> None:
         """Make the three forms anew from the evidence."""
-        names, sigma = self._base()
+        names, sigma = self.base()
         precision = self.precision(self.raw, names, sigma)
         self.forms = {
-            "raw": self.raw.absorbed(names, self.intervals, precision, np.float32),
-            "within": self.within or self.raw.absorbed(names, self.days, precision, np.float32),
-            "white": self.white.absorbed(names, self.intervals, precision, np.float32),
+            form: (self.within if form == "within" else None)
+            or source.absorbed(names, groups, precision, np.float32)
+            for form, (source, groups) in self.sources().items()
+        }
+
+    def sources(self) -> dict[str, tuple[Evidence, Sequence[Sequence[int]]]]:
+        """Return what each form is absorbed from, and the blocks of each of its intervals."""
+        return {
+            "raw": (self.raw, self.intervals),
+            "within": (self.raw, self.days),
+            "white": (self.white, self.intervals),
         }
 
     def y(self, form: str = "raw") -> int:
@@ -314,13 +323,12 @@ class Search:
 
     def _changes(self, without: Option | None) -> Iterator[tuple[list[Option], Evidence, Present]]:
         """Yield options bound to a time, some at a time with the evidence of their columns alone."""
-        base, sigma = self._base()
+        base, sigma = self.base()
         own = self._model_columns(without)
         found = drifts(self.raw, self.carriers) + steps(self.raw, self.carriers)
         found += episodes(self.raw, self.forms["raw"], self._outside(base), self.y())
-        gone = {option.name for option in self.accepted} | {
-            change.name for change in found if change.mechanism in self.banned
-        }
+        banned = {change.name for change in found if change.mechanism in self.banned}
+        gone = banned | {option.name for option in self.accepted}
         itself = without.name if without is not None else ""
         for batch in batches([one for one in found if one.name not in gone or one.name == itself]):
             functions = {name: told for change in batch for name, told in change.functions.items()}

@@ -68,15 +68,10 @@ def join_terms(search: Search, material: Material, terms: Sequence[Term]) -> Non
     names = [name for term in terms for name in term.columns]
     scale = np.array([one for term in terms for one in term.scale])
     raw, white = _borders(search, material, terms)
-    base = [name for term in search.library.base for name in term.columns]
-    sigma = np.asarray([one for term in search.library.base for one in term.sigma])
+    base, sigma = search.base()
     precision = search.precision(search.raw, base, sigma)
-    for form, source, groups, border in (
-        ("raw", search.raw, search.intervals, raw),
-        ("within", search.raw, search.days, raw),
-        ("white", search.white, search.intervals, white),
-    ):
-        left = source.absorbed_border(base, groups, precision, *border)
+    for form, (source, groups) in search.sources().items():
+        left = source.absorbed_border(base, groups, precision, *(white if form == "white" else raw))
         search.forms[form] = search.forms[form].bordered(names, scale, *left)
     search.raw = search.raw.bordered(names, scale, *raw)
     search.white = search.white.bordered(names, scale, *white)

@@ -101,7 +101,7 @@ def _rounds(search: Search, material: Material, first: Table) -> Table:
     if _stands_in(search):
         last = _from_shapes(search, material, last, refiner)
     polish(search, refiner)
-    return search.table().light() if search.accepted else last
+    return last
 
 
 def _stands_in(search: Search) -> bool:
@@ -116,12 +116,12 @@ def _stands_in(search: Search) -> bool:
 def _from_shapes(search: Search, material: Material, last: Table, refiner: Refiner) -> Table:
     """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
     before = held_out(search, material)
-    kept = search.accepted, search.rounds, search.banned, search.dropped
+    kept = search.accepted, search.rounds, search.banned, search.dropped, search.ran_out
     search.accepted, search.rounds, search.banned, search.dropped = [], [], set(), set()
     other = run(search, refiner=refiner, shapes_first=True)
     if len(search.accepted) < len(kept[0]) and held_out(search, material) <= _AS_MUCH * before:
         return other
-    search.accepted, search.rounds, search.banned, search.dropped = kept
+    search.accepted, search.rounds, search.banned, search.dropped, search.ran_out = kept
     return last
 
 
