@@ -103,6 +103,7 @@ def _print_next(console: Console, workspace: Workspace, seconds: float) -> None:
         (f"{program} catalog list -w {root}", "what there is"),
         (f"{program} catalog show l2/field -w {root}", "day by day"),
         (f"{program} compare -w {root} --open", "the page with the plots"),
+        (f"{program} diagnose -w {root}", "which physical effect is missing"),
         (f"{program} reprocess -w {root}", "again: finds nothing to do"),
         (f"{program} new template my-mission", "begin with measurements of your own"),
     ):
