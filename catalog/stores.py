@@ -107,7 +107,9 @@ class Store:
             for name in names
         }
         own = self.day_attributes[index] if self.day_attributes else {}
-        return xr.Dataset(data, attrs={**self.attributes, **own}).set_coords(self.coordinates & set(names))
+        # Made with its coordinates at once: xarray looks at every variable again when they join later.
+        coordinates = {name: data.pop(name) for name in names if name in self.coordinates}
+        return xr.Dataset(data, coordinates, {**self.attributes, **own})
 
     def attributes_on(self, name: str, index: int) -> dict[str, Any]:
         """Return a variable's attributes on day `index` of the store."""

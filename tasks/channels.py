@@ -133,6 +133,7 @@ class DerivedChannels:
     days: Sequence[np.datetime64]
     told: Mapping[str, Told]
     shifts: Mapping[str, float]
+    _by_orbit: dict[np.datetime64, xr.Dataset] = field(default_factory=dict, init=False, repr=False)
 
     def on(
         self, day: np.datetime64, names: Sequence[str], geometry: Mapping[str, Floats]
@@ -165,8 +166,11 @@ class DerivedChannels:
         return part.of(self._wrapped(place, part.channel, shift, need), step)[-bins:]
 
     def _told_by_orbit(self, day: np.datetime64, name: str) -> Floats:
-        found = add_geometry(xr.Dataset(orbit_of(self.reader.mission, self.reader, day)))
-        return np.asarray(found[name].values, dtype=np.float64)
+        if day not in self._by_orbit:
+            while len(self._by_orbit) >= _KEPT:
+                self._by_orbit.pop(next(iter(self._by_orbit)))
+            self._by_orbit[day] = add_geometry(xr.Dataset(orbit_of(self.reader.mission, self.reader, day)))
+        return np.asarray(self._by_orbit[day][name].values, dtype=np.float64)
 
     def _before(self, place: int) -> list[np.datetime64]:
         adjacent = place > 0 and self.days[place] - self.days[place - 1] == _DAY

@@ -35,7 +35,7 @@ from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 10
+EVIDENCE_VERSION = 11
 #: Days lose the bins without geometry when these are at most this part of them.
 _GEOMETRY_GAPS = 0.3
 #: Rows of the series are at least so far apart in long records, seconds.

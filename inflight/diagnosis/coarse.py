@@ -39,16 +39,27 @@ def bin_means(
     values: Floats, stamps: Int64, edges: Int64, good: npt.NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
     """Return means (bin, ...) and counts (bin,) of the good samples in each bin; NaN where there is none."""
-    place = np.searchsorted(edges, stamps, side="right") - 1
-    used = good & (place >= 0) & (place < edges.size - 1)
-    count = np.bincount(place[used], minlength=edges.size - 1).astype(np.float64)
-    flat = values[used].reshape(int(used.sum()), -1)
-    total = np.stack(
-        [np.bincount(place[used], weights=column, minlength=edges.size - 1) for column in flat.T], axis=-1
-    )
+    # Stamps rise, so that a bin is a run of samples: sums of runs cost one look at the values.
+    starts = np.searchsorted(stamps, edges)
+    inside = slice(int(starts[0]), int(starts[-1]))
+    used = good[inside]
+    count, flat = used.astype(np.float64), values[inside].reshape(used.size, -1)
+    if not used.all():
+        flat = np.where(used[:, None], flat, 0.0)
+    total = _sums_of_runs(flat, starts - starts[0])
+    number = _sums_of_runs(count[:, None], starts - starts[0])
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = total / count[:, None]
-    return mean.reshape(edges.size - 1, *values.shape[1:]), count
+        mean = total / number
+    return mean.reshape(edges.size - 1, *values.shape[1:]), number[:, 0]
+
+
+def _sums_of_runs(values: Floats, starts: Int64) -> Floats:
+    """Return the sums of rows (time, column) from each start to the next; (run, column), 0 for none."""
+    out = np.zeros((starts.size - 1, values.shape[1]))
+    filled = np.flatnonzero(np.diff(starts))
+    if filled.size:
+        out[filled] = np.add.reduceat(values, starts[filled], axis=0)
+    return out
 
 
 def spikes(residual: Floats) -> npt.NDArray[np.bool_]:

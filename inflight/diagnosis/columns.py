@@ -99,7 +99,8 @@ def term_columns(term: Term, rows: Rows) -> Floats:
                 out.append(_additive(term, rows, values, name, index, step))
             else:
                 out.append(_differenced(term, rows, values, name, index, step))
-    return np.stack(out, axis=-1)
+    # Columns lie one after another: each is written, and later multiplied, as one run of memory.
+    return np.moveaxis(np.stack(out), 0, -1)
 
 
 def _changed(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:
@@ -151,7 +152,11 @@ def design(terms: Sequence[Term], rows: Rows) -> Floats:
         return np.zeros((*rows.residual.shape, 0))
     # Effects only look variables up: a thousand columns would spend their time in a Dataset's indexing.
     light = replace(rows, samples=cast("xr.Dataset", Samples.of(rows.samples)))
-    found = np.concatenate([term_columns(term, light) for term in terms], axis=-1)
-    found[~np.isfinite(found)] = 0.0
-    found[rows.weight <= 0] = 0.0
-    return found
+    found = np.concatenate([np.moveaxis(term_columns(term, light), -1, 0) for term in terms])
+    unused = rows.weight <= 0
+    if unused.any():
+        found[:, unused] = 0.0
+    for column in found:
+        if not np.isfinite(column.sum()):
+            column[~np.isfinite(column)] = 0.0
+    return np.moveaxis(found, 0, -1)

@@ -37,8 +37,11 @@ def prewhiten(values: Floats, weight: Floats, stamps: npt.NDArray[np.int64], mem
     follows = (step <= GAP * usual) & (weight[1:] > 0) & (weight[:-1] > 0)
     phi = np.where(follows, np.exp(-step / memory_s), 0.0)
     shape = (-1,) + (1,) * (values.ndim - 1)
-    out = np.zeros_like(values)
-    out[1:] = np.where(follows.reshape(shape), values[1:] - phi.reshape(shape) * values[:-1], 0.0)
+    out = np.empty_like(values)
+    out[0] = 0.0
+    np.multiply(values[:-1], -phi.reshape(shape), out=out[1:])
+    out[1:] += values[1:]
+    out[1:][~follows] = 0.0
     return out
 
 
@@ -55,11 +58,15 @@ def gram_of(columns: Floats, residuals: Floats, weight: Floats, parts: Sequence[
     """
     width = columns.shape[-1] + residuals.shape[-1]
     out = np.zeros((len(parts), width, width))
-    root = root_weights(weight)[:, None, None]
+    root = root_weights(weight)[:, None]
+    kinds = columns.shape[-1]
     for index, part in enumerate(parts):
-        both = np.concatenate([columns[part], residuals[part]], axis=-1) * root[part]
-        flat = both.reshape(-1, width)
-        out[index] = flat.T @ flat
+        # One run of memory a column, whatever the order the columns come in.
+        flat = np.empty((width, *root[part].shape[:1], columns.shape[1]))
+        np.multiply(np.moveaxis(columns[part], -1, 0), root[part], out=flat[:kinds])
+        np.multiply(np.moveaxis(residuals[part], -1, 0), root[part], out=flat[kinds:])
+        flat = flat.reshape(width, -1)
+        out[index] = flat @ flat.T
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import xarray as xr
@@ -53,10 +54,22 @@ class _ParametersOf:
 
 
 def _collected(effect: Effect | None, kind: type[Effect]) -> dict[str, Parameter]:
-    found: dict[str, Parameter] = {}
-    for base in reversed(kind.__mro__):
-        found |= {key: value for key, value in vars(base).items() if isinstance(value, Parameter)}
-    return found | (effect.sized if effect is not None else {})
+    return dict(_of_class(kind)) | (effect.sized if effect is not None else {})
+
+
+def _of_class(kind: type[Effect]) -> dict[str, Parameter]:
+    """Return the parameters a class and its bases state; a pass asks for them hundreds of times a day."""
+    if kind not in _stated:
+        _stated[kind] = {
+            key: value
+            for base in reversed(kind.__mro__)
+            for key, value in vars(base).items()
+            if isinstance(value, Parameter)
+        }
+    return _stated[kind]
+
+
+_stated: WeakKeyDictionary[type, dict[str, Parameter]] = WeakKeyDictionary()
 
 
 class Effect:
