@@ -57,6 +57,14 @@ class Change:
         """True when blocks around those held out must be among the fitted: an episode lies in few blocks."""
         return len(self.at) == 2
 
+    def is_like(self, other: Change) -> bool:
+        """Return True for the same change at times that blocks do not tell apart."""
+        if self.mechanism != other.mechanism or len(self.at) != len(other.at) or not self.at:
+            return False
+        return all(
+            abs(a - b) <= self.sharpness + other.sharpness for a, b in zip(self.at, other.at, strict=True)
+        )
+
 
 @dataclass(frozen=True)
 class Carriers:

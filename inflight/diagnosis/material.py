@@ -106,7 +106,7 @@ def effective_blocks(search: Search, material: Material, left: Floats) -> dict[s
     """
     raw, evidence, y = search.raw, search.forms["raw"], search.y()
     length = float(np.median(raw.end - raw.start)) / SECOND
-    memory = _correlation_s(material.series, left)
+    memory = correlation_s(material.series, left)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
     square = np.clip(evidence.gram[:, y, y], 0.0, None)
@@ -140,7 +140,7 @@ def holding(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
     ]
 
 
-def _correlation_s(series: Series, residual: Floats) -> float:
+def correlation_s(series: Series, residual: Floats) -> float:
     """Return the residual's integrated correlation time, s, summed up to its first zero."""
     good = series["weight"] > 0
     y = np.where(good[:, None], residual, 0.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr, stdtr, stdtrit
 
 from inflight.arrays import Floats
 from inflight.diagnosis.evidence import Evidence
@@ -54,6 +54,25 @@ def promised_t(gained: Floats, promised: Floats, active: npt.NDArray[np.bool_]) 
     active : ndarray of bool, shape (block, series)
         Blocks that tell anything.
     """
+    t, freedom = _promised(gained, promised, active)
+    few = np.where(freedom > 0.1, -3.0 / stdtrit(np.maximum(freedom, 0.1), _BEYOND), 0.0)
+    return np.asarray(few * t)
+
+
+def promised_p(gained: Floats, promised: Floats, active: npt.NDArray[np.bool_]) -> Floats:
+    """Return the probability that chance gains so much where it is promised (Student); (series,).
+
+    Parameters
+    ----------
+    gained, promised, active : ndarray, shape (block, series)
+        As in `promised_t`.
+    """
+    t, freedom = _promised(gained, promised, active)
+    return np.where(freedom > 0.1, stdtr(np.maximum(freedom, 0.1), -t), 1.0)
+
+
+def _promised(gained: Floats, promised: Floats, active: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return total gain over its error and the degrees of freedom of that error; (series,) each."""
     count = active.sum(axis=0)
     gains = np.where(active, gained, 0.0)
     whole = np.sum(gains, axis=0)
@@ -65,8 +84,7 @@ def promised_t(gained: Floats, promised: Floats, active: npt.NDArray[np.bool_]) 
     missed = (gains - whole * share) / np.maximum(1.0 - share, 1e-12)
     error = np.sqrt(_long_run(missed))
     freedom = 1.0 / np.maximum(np.sum(share**2, axis=0), 1e-300) - 1.0
-    few = np.where(freedom > 0.1, -3.0 / stdtrit(np.maximum(freedom, 0.1), _BEYOND), 0.0)
-    return np.where((error > 0) & (count > 2), few * whole / np.where(error > 0, error, 1.0), 0.0)
+    return np.where((error > 0) & (count > 2), whole / np.where(error > 0, error, 1.0), 0.0), freedom
 
 
 def _long_run(series: Floats) -> Floats:

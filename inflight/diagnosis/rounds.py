@@ -56,8 +56,16 @@ _FEW, _PART = 12, 0.3
 Refiner = Callable[[Option], Option]
 
 
+#: Returns a table with p-values of what flips of signs cannot be sure of.
+Closer = Callable[[Table], Table]
+
+
 def run(
-    search: Search, most: int | None = None, refiner: Refiner | None = None, shapes_first: bool = False
+    search: Search,
+    most: int | None = None,
+    refiner: Refiner | None = None,
+    shapes_first: bool = False,
+    closer: Closer | None = None,
 ) -> Table:
     """Add and drop until nothing more is justified; return the last table of scores.
 
@@ -69,11 +77,16 @@ def run(
         Additions at most; the rules' own number when absent.
     shapes_first : bool
         What explains most goes first, though it names no cause.
+    closer : callable, optional
+        Asked when nothing passes: returns the table with surer p-values.
     """
     most = search.rules.rounds if most is None else most
     for _ in range(most):
         table = search.table()
         found = winner(table, search, shapes_first)
+        if found is None and closer is not None:
+            table = closer(table)
+            found = winner(table, search, shapes_first)
         if found is None:
             search.ran_out = False
             return table.light()
@@ -359,7 +372,12 @@ def standing(search: Search, option: Option, table: Table, last: Table | None = 
         option,
         float(scores.gain[place]),
         float(scores.t[place]),
-        float(min(table.p[one][place] for one in table.p)),
+        float(
+            min(
+                [table.p[one][place] for one in table.p]
+                + [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
+            )
+        ),
         float(table.beats_placebo[form][place]),
         form,
         tuple(sorted(rivals.values(), key=lambda pair: pair[1])),

@@ -328,6 +328,8 @@ class Search:
         found = drifts(self.raw, self.carriers) + steps(self.raw, self.carriers)
         found += episodes(self.raw, self.forms["raw"], self._outside(base), self.y())
         banned = {change.name for change in found if change.mechanism in self.banned}
+        taken = [option.change for option in self.accepted if option.change and option is not without]
+        banned |= {change.name for change in found if any(change.is_like(one) for one in taken)}
         gone = banned | {option.name for option in self.accepted}
         itself = without.name if without is not None else ""
         for batch in batches([one for one in found if one.name not in gone or one.name == itself]):

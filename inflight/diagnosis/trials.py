@@ -46,6 +46,33 @@ class Trials:
             np.bincount(self.block, weights=rest**2, minlength=len(self.search.raw)), dtype=np.float64
         )
 
+    def contribution(self, option: Option, terms: Sequence[Term]) -> tuple[Floats, Floats]:
+        """Return the residual beside the rest of the model, without and with an option; (row,) nT, weighted.
+
+        Parameters
+        ----------
+        option : Option
+            Of the library, or a change in time: then `terms` are those whose columns change.
+        """
+        flat = self._flat(terms, self._rows(terms))
+        if option.change is not None:
+            names = [name for term in terms for name in term.columns]
+            flat = np.stack(
+                [
+                    flat[:, names.index(column)] * np.asarray(factor)[self.block]
+                    for column, factor in option.change.functions.values()
+                ],
+                axis=1,
+            )
+        own = self._absorbed(flat)
+        if self.model.shape[1]:
+            inner = self.model.T @ self.model
+            own -= self.model @ solve_scaled(inner, self.model.T @ own)
+            before = self.y - self.model @ solve_scaled(inner, self.model.T @ self.y)
+        else:
+            before = self.y
+        return before, before - own @ solve_scaled(own.T @ own, own.T @ before)
+
     def _columns(self, term: Term) -> Floats:
         if term.key not in self.material.terms:
             return self._absorbed(self._flat([term], self._rows([term])))

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from inflight.diagnosis.closer import look_closer
 from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect, Signature, Verdict
 from inflight.diagnosis.findings import candidates, confusion, effect, lag_profile, refined, unscorable
 from inflight.diagnosis.left import structure_of
 from inflight.diagnosis.material import Material, effective_blocks, held_out, left_of, native_rms
 from inflight.diagnosis.refine import refine
-from inflight.diagnosis.rounds import WEAK, Refiner, Standing, polish, run, settle
+from inflight.diagnosis.rounds import WEAK, Standing, polish, run, settle
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.second import look_again
 from inflight.diagnosis.unknown import Unknown, known_periods, look_at
@@ -91,15 +93,15 @@ def _sizes(search: Search, material: Material, before: float, unknown: Unknown) 
 
 def _rounds(search: Search, material: Material, first: Table) -> Table:
     """Run the rounds, again with products when something is left, and from shapes if need be."""
-    refiner = partial(refine, search, material)
-    last = run(search, refiner=refiner)
+    refiner, closer = partial(refine, search, material), partial(look_closer, search, material)
+    last = run(search, refiner=refiner, closer=closer)
     left = left_of(search, material)
     seen = look_at(search, material, last, left, structure_of(material.series, left))
     more = len(search.accepted) < search.rules.rounds and (seen.is_sure or search.accepted)
     if more and look_again(search, material, [first, last], seen.is_sure):
-        last = run(search, refiner=refiner)
+        last = run(search, refiner=refiner, closer=closer)
     if _stands_in(search):
-        last = _from_shapes(search, material, last, refiner)
+        last = _from_shapes(search, material, last, partial(run, search, refiner=refiner, closer=closer))
     polish(search, refiner)
     return last
 
@@ -113,12 +115,12 @@ def _stands_in(search: Search) -> bool:
     return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
 
 
-def _from_shapes(search: Search, material: Material, last: Table, refiner: Refiner) -> Table:
+def _from_shapes(search: Search, material: Material, last: Table, again: Callable[..., Table]) -> Table:
     """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
     before = held_out(search, material)
     kept = search.accepted, search.rounds, search.banned, search.dropped, search.ran_out
     search.accepted, search.rounds, search.banned, search.dropped = [], [], set(), set()
-    other = run(search, refiner=refiner, shapes_first=True)
+    other = again(shapes_first=True)
     if len(search.accepted) < len(kept[0]) and held_out(search, material) <= _AS_MUCH * before:
         return other
     search.accepted, search.rounds, search.banned, search.dropped, search.ran_out = kept
