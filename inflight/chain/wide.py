@@ -1,0 +1,137 @@
+"""Wide normal equations of a day: the nine parameters and everything else a model lets data refine.
+
+The nine are linearised at the day's own fit, all others at the model's values. Rows are means over bins,
+which keep every linear statement: the mean residual is the same function of the mean columns.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.calibration.equations import RESIDUAL
+from inflight.calibration.sensor import PARTS, vector_sensor_of
+from inflight.comparison import rows_of
+from inflight.diagnosis.coarse import bin_means, coarsen, grid
+from inflight.diagnosis.columns import design, turns_of
+from inflight.diagnosis.gram import gram_of
+from inflight.diagnosis.library import Term, term_of
+from inflight.model import Model
+from inflight.time import SECOND
+
+#: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
+BIN_S = 10.0
+#: Variables of samples that are no channel.
+_NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
+
+
+def terms_of(model: Model) -> tuple[Term, ...]:
+    """Return the terms of everything a model lets data move: the nine first, then constants with a sigma.
+
+    Columns are called as the model calls its values.
+    """
+    own = vector_sensor_of(model)
+    sigma = [float(one) for part in PARTS for one in own.parameters[part].sigma[:, 0]]
+    terms = [Term(own.name, own, PARTS, tuple(sigma))]
+    for entry in model.effects:
+        if entry is not own:
+            term = term_of(entry, entry.name, free_only=True)
+            terms += [term] if term.parameters else []
+    return tuple(terms)
+
+
+def with_nine(model: Model, value: Floats) -> Model:
+    """Return the model with nine values (9,), physical units, in its vector sensor."""
+    own = vector_sensor_of(model)
+    named = [name for part in PARTS for name in own.parameters[part].columns]
+    return model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {}))
+
+
+def wide_equations(
+    model: Model,
+    samples: xr.Dataset,
+    nine: Floats,
+    span: tuple[int, int],
+    attributes: dict[str, Any],
+    bin_s: float = BIN_S,
+) -> NormalEquations:
+    """Return the wide equations of one block.
+
+    Parameters
+    ----------
+    model : Model
+        With values of everything but the nine.
+    samples : xarray.Dataset
+        Aligned raw samples with the channels of the model.
+    nine : ndarray, shape (9,)
+        The block's own fit, physical units.
+    span : tuple of int
+        TT2000, half-open.
+    attributes : dict
+        Comparison, model, cadence_ns and filter, as `NormalEquations` holds them.
+    bin_s : float
+        Seconds.
+
+    Returns
+    -------
+    NormalEquations
+        One block; nT^2, columns scaled by the step of their parameters.
+    """
+    fitted = with_nine(model, nine)
+    terms = terms_of(fitted)
+    rows = rows_of(fitted, samples)
+    edges = grid(*span, round(bin_s * SECOND))
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    used = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
+    binned, _ = coarsen(
+        samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
+    )
+    columns = design(terms, binned)
+    every = slice(0, len(binned.weight))
+    gram = gram_of(columns, binned.residual[:, :, None], binned.weight, [every])
+    return _packed(terms, gram, float(binned.weight.sum()), span, attributes)
+
+
+def _channels(
+    samples: xr.Dataset, names: set[str], stamps: np.ndarray, edges: np.ndarray
+) -> dict[str, xr.Variable]:
+    """Return channels on the bins: means of what there is."""
+    out = {}
+    for name in sorted(names & set(map(str, samples.variables))):
+        variable = samples[name]
+        values = np.asarray(variable.values, dtype=np.float64)
+        known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        out[name] = xr.Variable(variable.dims, bin_means(values, stamps, edges, known)[0], variable.attrs)
+    return out
+
+
+def _packed(
+    terms: tuple[Term, ...], gram: Floats, count: float, span: tuple[int, int], attributes: dict[str, Any]
+) -> NormalEquations:
+    names = [name for term in terms for name in term.columns]
+    scale = np.array([*(size for term in terms for size in term.scale), 1.0])
+    value = np.concatenate([_values(term) for term in terms] + [np.zeros(1)])
+    row = ("block", "column", "other")
+    return NormalEquations(
+        xr.Dataset(
+            {
+                "gram": (row, gram, {"units": "nT2"}),
+                "scatter": (row, np.zeros_like(gram), {"units": "nT4"}),
+                "reference": (("block", "column"), value[None]),
+                "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+                "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+                "count": ("block", np.array([count])),
+                "scale": ("column", scale),
+            },
+            coords={"column": [*names, RESIDUAL], "other": [*names, RESIDUAL]},
+            attrs=attributes,
+        )
+    )
+
+
+def _values(term: Term) -> Floats:
+    return np.concatenate([term.entry.parameters[name].value[:, 0] for name in term.parameters])
