@@ -273,6 +273,25 @@ class Expansion:
             units.append(np.ones(trend.count) if trend.at else np.eye(trend.count)[0])
         return cls(trends, tuple(columns), functions, _block_diagonal(parts), bases, _stacked(units))
 
+    def turn(self, blocks: int, parameters: int) -> tuple[Floats, np.ndarray]:
+        """Return what turns [parameters | residual] into [functions | residual], and the functions' owners.
+
+        Returns
+        -------
+        turn : ndarray, shape (block, function + 1, parameter + 1)
+        owners : ndarray of int, shape (function,)
+            Which parameter each function belongs to.
+        """
+        width = len(self.columns)
+        turn = np.zeros((blocks, width + 1, parameters + 1))
+        owners, at = np.empty(width, dtype=np.int64), 0
+        for index, basis in enumerate(self.bases):
+            place = slice(at, at + basis.shape[1])
+            turn[:, place, index] = basis @ self.back[place, place]
+            owners[place], at = index, place.stop
+        turn[:, -1, -1] = 1.0
+        return turn, owners
+
 
 def _orthonormal(basis: Floats, name: str) -> Floats:
     """Return what makes the columns of a basis (block, function) orthogonal with unit rms."""
