@@ -62,9 +62,7 @@ def sphere() -> tuple[Floats, Floats]:
     return np.concatenate([axes, corners]), np.repeat([1 / 15, 3 / 40], [6, 8])
 
 
-def table_jumps(
-    table: xr.Dataset, strength: float = STRENGTH, directions: Floats | None = None
-) -> Jumps:
+def table_jumps(table: xr.Dataset, strength: float = STRENGTH, directions: Floats | None = None) -> Jumps:
     """Return the steps at the boundaries of a table of nine parameters.
 
     Parameters

@@ -14,6 +14,7 @@ from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance
 from inflight.estimators.trend_equations import (
     TREND_KINDS,
+    at_one_reference,
     check_names,
     make_trend,
     middles,
@@ -142,16 +143,17 @@ def compare_trends(
         raise CalibrationError(
             f"{len(equations)} blocks make no {folds} folds of two or more", remedy="use fewer folds"
         )
-    common = equations.at(equations.reference)
+    common = at_one_reference(equations)
     maker = _Maker(list(names), t0, knots, int(middles(common)[0]))
     weight = _shared_weight(common, maker, kinds, prior_sigma)
     count = common.dataset["count"].values * weight
     held = {kind: _held_out(common, maker, kind, prior_sigma, weight, folds) for kind in kinds}
-    whole = {kind: float(sums.sum() / count.sum()) for kind, sums in held.items()}
+    whole = {kind: float(one.sums.sum() / count.sum()) for kind, one in held.items()}
     best = min(whole, key=lambda kind: whole[kind])
     rivals = []
     for kind in sorted(whole, key=lambda kind: whole[kind]):
-        behind, sigma = _difference(held[kind] - held[best], count, folds)
+        behind = whole[kind] - whole[best]
+        sigma = _sigma_behind(common, held[kind], held[best]) / float(count.sum()) if behind > 0 else 0.0
         size = maker.coefficients(kind)
         tied = kind == best or behind < _TIED * sigma
         rivals.append(Rival(kind, size, float(np.sqrt(whole[kind])), behind, sigma, tied))
@@ -198,6 +200,20 @@ def _shared_weight(
     return outlier_weights(min(distances, key=lambda one: float(np.median(one))))
 
 
+@dataclass(frozen=True)
+class _HeldOut:
+    """What one kind foretells of the blocks that it was not fitted to.
+
+    `sums` (block,) squared residuals; `value` (block, parameter) what was foretold; `scores`
+    (block, parameter), scaled, there; `training` the variance of the sums' total by the fits' own errors.
+    """
+
+    sums: Floats
+    value: Floats
+    scores: Floats
+    training: float
+
+
 def _held_out(
     equations: NormalEquations,
     maker: _Maker,
@@ -205,35 +221,67 @@ def _held_out(
     prior_sigma: Floats,
     weight: Floats,
     folds: int,
-) -> Floats:
-    """Return each block's weighted sum of squares at the trend that the other folds fit; (block,)."""
-    sums = np.zeros(len(equations))
+) -> _HeldOut:
+    value = np.zeros((len(equations), len(equations.columns)))
+    fits = []
     every = np.arange(len(equations))
     for held, (fitted, left) in zip(np.array_split(every, folds), equations.split(folds), strict=True):
         fit = maker.fit(fitted, kind, prior_sigma, np.delete(weight, held))
-        sums[held] = weight[held] * squares_at(left, _foretold(fit, middles(left)))
-    return sums
+        value[held] = _foretold(fit, middles(left))
+        fits.append((held, fit))
+    sums, scores = squares_at(equations, value)
+    sums, scores = weight * sums, weight[:, None] * scores
+    training = sum(_training(equations, scores, held, fit) for held, fit in fits)
+    return _HeldOut(sums, value, scores, training)
+
+
+def _training(equations: NormalEquations, scores: Floats, held: np.ndarray, fit: TrendFit) -> float:
+    """Return the variance of a fold's sum of squares by the errors of the fit that foretold it."""
+    times = _inside(fit, middles(equations)[held])
+    scale = equations.dataset["scale"].values[:-1]
+    slope = 2.0 * scores[held] / scale
+    gradient = np.einsum("tp,tpi->i", slope, fit.slopes(times))
+    return float(gradient @ fit.whole_covariance @ gradient)
+
+
+def _inside(fit: TrendFit, times: Int64) -> Int64:
+    """Return times, those before the origin of a logarithm moved to its first day."""
+    starts = [trend.t0 + trend.per for trend in fit.trends.values() if trend.time == "log"]
+    return np.maximum(times, max(starts)) if starts else times
 
 
 def _foretold(fit: TrendFit, times: Int64) -> Floats:
-    """Return the parameters at times, a logarithm held at its earliest day where times lie before its origin."""
-    starts = [trend.t0 + trend.per for trend in fit.trends.values() if trend.time == "log"]
-    return fit.at(np.maximum(times, max(starts)) if starts else times)[0]
+    return fit.at(_inside(fit, times))[0]
 
 
-def squares_at(equations: NormalEquations, value: Floats) -> Floats:
-    """Return each block's sum of squared residuals at its parameters (block, column); (block,), nT^2."""
+def squares_at(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:
+    """Return what the blocks leave at parameters of their own.
+
+    Parameters
+    ----------
+    value : ndarray, shape (block, parameter)
+        Physical units.
+
+    Returns
+    -------
+    sums : ndarray, shape (block,)
+        Sum of squared residuals, nT^2.
+    scores : ndarray, shape (block, parameter)
+        Half its slope, nT^2 per scaled unit.
+    """
     data = equations.dataset
     change = (value - data["reference"].values[:, :-1]) / data["scale"].values[:-1]
     turned = np.concatenate([change, np.ones((len(change), 1))], axis=1)
-    return np.asarray(np.einsum("bi,bij,bj->b", turned, data["gram"].values, turned))
+    slopes = np.einsum("bij,bj->bi", data["gram"].values, turned)
+    return np.einsum("bi,bi->b", turned, slopes), slopes[:, :-1]
 
 
-def _difference(sums: Floats, count: Floats, folds: int) -> tuple[float, float]:
-    """Return a mean difference and its standard deviation: the larger of that over blocks and over folds."""
-    mean = float(sums.sum() / count.sum())
-    left = sums - mean * count
-    blocks = float(np.sqrt(long_run_covariance(left[:, None])[0, 0])) / float(count.sum())
-    parts = np.array([part.sum() for part in np.array_split(left, folds)])
-    of_folds = float(np.sqrt(np.sum(parts**2) * folds / (folds - 1))) / float(count.sum())
-    return mean, max(blocks, of_folds)
+def _sigma_behind(equations: NormalEquations, one: _HeldOut, best: _HeldOut) -> float:
+    """Return the standard deviation of the difference of two kinds' sums of squares.
+
+    With D the difference of what they foretell, a block's sums differ by ``D A D + 2 s D``: the scores s at
+    the best kind are noise, correlated from block to block; the errors of the fits come on top.
+    """
+    apart = (one.value - best.value) / equations.dataset["scale"].values[:-1]
+    noise = 2.0 * np.einsum("bi,bi->b", best.scores, apart)
+    return float(np.sqrt(long_run_covariance(noise[:, None])[0, 0] + one.training + best.training))

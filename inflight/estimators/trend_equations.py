@@ -29,6 +29,12 @@ def middles(equations: NormalEquations) -> Int64:
     return np.asarray(data["start"].values // 2 + data["end"].values // 2)
 
 
+def at_one_reference(equations: NormalEquations) -> NormalEquations:
+    """Return the equations with the residuals of all blocks referred to the first one's reference."""
+    apart = np.ptp(equations.dataset["reference"].values, axis=0).any()
+    return equations.at(equations.reference) if apart else equations
+
+
 def make_trend(kind: str, times: Int64, t0: int | None = None, per: int = DAY, knots: int = 5) -> Dependence:
     """Return a kind of trend for a span of times.
 

@@ -10,11 +10,13 @@ from scipy import optimize
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
+from inflight.calibration.scalar import shift_reference
 from inflight.calibration.solution import residual_sum
 from inflight.errors import CalibrationError
 from inflight.estimators.days import mjd_of, tt2000_of
-from inflight.estimators.trend_equations import make_trend, middles, weighted
-from inflight.estimators.trends import Expansion, Origin, TrendFit, fit_trends, sandwich, with_origin
+from inflight.estimators.trend_equations import at_one_reference, make_trend, middles, weighted
+from inflight.estimators.trend_functions import Expansion
+from inflight.estimators.trends import Origin, TrendFit, fit_trends, sandwich, with_origin
 from inflight.model.dependence import Dependence
 
 #: 95 % of a chi square with one degree of freedom.
@@ -56,19 +58,22 @@ def fit_origin(
     if not logs:
         raise CalibrationError("no trend is a logarithm", remedy="leave the origin alone")
     given = fit_trends(equations, trends, prior_sigma, weight, units)
-    common = weighted(equations.at(equations.reference), given.weight)
+    common = weighted(at_one_reference(equations), given.weight)
     profile = _Profile(common, dict(trends), logs, prior_sigma, given.rms**2)
     grid = profile.grid()
     best = profile.lowest(grid)
     fitted = fit_trends(equations, profile.moved(best), prior_sigma, given.weight, units)
-    covariance, sigma, inflation = _with_unknown_origin(common, fitted, logs, prior_sigma)
+    covariance, inflation = _with_unknown_origin(common, fitted, prior_sigma)
+    sigma, shared = float(np.sqrt(covariance[-1, -1])), covariance[:-1, -1]
     limit = profile.total(best) + _LIMIT * inflation * fitted.rms**2
     far, near = profile.crossings(best, grid, limit)
     determined = bool(np.isfinite(far)) and grid[0] < best < 0.99 * grid[-1]
-    origin = Origin(profile.first - best, sigma, profile.first - far, profile.first - near, determined)
+    origin = Origin(
+        profile.first - best, sigma, profile.first - far, profile.first - near, determined, shared
+    )
     if not determined:
         return with_origin(given, origin)
-    return with_origin(replace(fitted, covariance=covariance), origin)
+    return with_origin(replace(fitted, covariance=covariance[:-1, :-1]), origin)
 
 
 @dataclass(frozen=True)
@@ -110,7 +115,10 @@ class _Profile:
         at = int(np.argmin([self.total(distance) for distance in grid]))
         bounds = np.log(grid[max(at - 1, 0)]), np.log(grid[min(at + 1, grid.size - 1)])
         found = optimize.minimize_scalar(
-            lambda log: self.total(float(np.exp(log))), bounds=bounds, method="bounded", options={"xatol": 1e-6}
+            lambda log: self.total(float(np.exp(log))),
+            bounds=bounds,
+            method="bounded",
+            options={"xatol": 1e-6},
         )
         return float(np.exp(found.x))
 
@@ -134,7 +142,8 @@ class _Profile:
 
 
 def _expansion(equations: NormalEquations, trends: Mapping[str, Dependence]) -> Expansion:
-    return Expansion.of(equations, {name: trends.get(name, Dependence()) for name in equations.columns})
+    every = {name: trends.get(name, Dependence()) for name in equations.columns}
+    return Expansion.of(middles(equations), every)
 
 
 def profile_sum(
@@ -155,51 +164,31 @@ def profile_sum(
 
 
 def _with_unknown_origin(
-    equations: NormalEquations, fit: TrendFit, logs: list[str], prior_sigma: Floats
-) -> tuple[Floats, float, float]:
-    """Return the coefficients' covariance with the origin (days) as an unknown, its sigma and inflation.
+    equations: NormalEquations, fit: TrendFit, prior_sigma: Floats
+) -> tuple[Floats, float]:
+    """Return the covariance of coefficients and origin (days), and the inflation of the origin's variance.
 
-    The inflation is how much larger the origin's variance is than for white residuals.
-
-    d/dt0 of ``b ln((t - t0)/per)`` is ``-b / (t - t0)``: one more column, the sum over the logarithms.
+    The inflation is against white residuals.
     """
     data = equations.dataset
-    times = middles(equations)
-    scale = data["scale"].values[:-1]
-    expansion = _expansion(equations, fit.trends)
-    turn = np.zeros((len(equations), fit.value.size + 2, scale.size + 1))
-    at = 0
-    for index, (name, basis) in enumerate(zip(fit.trends, expansion.bases, strict=True)):
-        turn[:, at : at + basis.shape[1], index] = basis / scale[index]
-        at += basis.shape[1]
-        if name in logs:
-            growth, trend = fit.value[fit.place(name)][1], fit.trends[name]
-            turn[:, -2, index] = -growth / (mjd_of(times) - float(mjd_of(trend.t0))) / scale[index]
-    turn[:, -1, -1] = 1.0
-    gram = turn @ data["gram"].values @ turn.transpose(0, 2, 1)
-    size = np.sqrt(np.diag(gram.sum(axis=0)))
+    place_of_one = np.zeros((len(equations), fit.value.size + 2, len(fit.trends) + 1))
+    unknown = replace(fit, origin=Origin(0.0, 1.0, 0.0, 0.0, True, np.zeros(fit.value.size)))
+    slopes = unknown.slopes(middles(equations)) / data["scale"].values[None, :-1, None]
+    place_of_one[:, :-1, :-1] = slopes.transpose(0, 2, 1)
+    place_of_one[:, -1, -1] = 1.0
+    moved = equations.dataset["gram"].values
+    here = (fit.at(middles(equations))[0] - data["reference"].values[:, :-1]) / data["scale"].values[:-1]
+    at_fit = np.array([shift_reference(one, step) for one, step in zip(moved, here, strict=True)])
+    gram = place_of_one @ at_fit @ place_of_one.transpose(0, 2, 1)
+    size = np.append(np.sqrt(np.diag(gram[:, :-1, :-1].sum(axis=0))), 1.0)
     size = np.where(size > 0, size, 1.0)
-    gram = gram / np.outer(size, size) * size[-1] ** 2
-    unit = size[:-1] / size[-1]
-    change = np.append(fit.value - expansion.unit @ equations.reference, 0.0) * unit
-    change[:-1] -= _constants(expansion, equations) * unit[:-1]
-    variance = fit.rms**2
-    wide = np.full(change.size, 1e6)
-    owners = [column.split("*")[0] for column in fit.columns]
-    wide[:-1] = [1e6 if prior_sigma[equations.columns.index(owner)] > 0 else 0.0 for owner in owners]
-    covariance = sandwich(gram, change, variance, wide * np.sqrt(variance)) / np.outer(unit, unit)
-    free = np.flatnonzero(wide > 0)
-    white = np.linalg.inv(gram[:, :-1, :-1].sum(axis=0)[np.ix_(free, free)] / variance)
-    plain = white[-1, -1] / unit[-1] ** 2
-    inflation = max(float(covariance[-1, -1] / plain), 1.0) if plain > 0 else 1.0
-    return covariance[:-1, :-1], float(np.sqrt(covariance[-1, -1])), inflation
-
-
-def _constants(expansion: Expansion, equations: NormalEquations) -> Floats:
-    """Return what the coefficients of constants refer to; (coefficient,)."""
-    out, at = [], 0
-    for index, basis in enumerate(expansion.bases):
-        whole = basis.shape[1] == 1
-        out += [equations.reference[index] if whole else 0.0] + [0.0] * (basis.shape[1] - 1)
-        at += basis.shape[1]
-    return np.array(out)
+    gram, unit = gram / np.outer(size, size), size[:-1]
+    owners = [equations.columns.index(column.split("*")[0]) for column in fit.columns]
+    fixed = np.append(prior_sigma[owners] <= 0, False)
+    # The prior has had its say in the fit; here the data speak alone.
+    wide = np.where(fixed, 0.0, 1e6 * fit.rms)
+    covariance = sandwich(gram, np.zeros(unit.size), fit.rms**2, wide) / np.outer(unit, unit)
+    free = np.flatnonzero(~fixed)
+    white = np.linalg.pinv(gram[:, :-1, :-1].sum(axis=0)[np.ix_(free, free)], hermitian=True)
+    plain = white[-1, -1] * fit.rms**2 / unit[-1] ** 2
+    return covariance, max(float(covariance[-1, -1] / plain), 1.0) if plain > 0 else 1.0

@@ -17,8 +17,17 @@ from inflight.calibration import NormalEquations
 from inflight.calibration.solution import residual_sum
 from inflight.effects.base import Parameter
 from inflight.errors import CalibrationError
+from inflight.estimators.days import mjd_of
 from inflight.estimators.longrun import long_run_covariance
-from inflight.estimators.trend_equations import check_names, middles, outlier_weights, own_wish, weighted
+from inflight.estimators.trend_equations import (
+    at_one_reference,
+    check_names,
+    middles,
+    outlier_weights,
+    own_wish,
+    weighted,
+)
+from inflight.estimators.trend_functions import Expansion
 from inflight.model.dependence import Dependence
 from inflight.model.timed import TimedValue, component_names
 from inflight.time import Int64
@@ -39,6 +48,8 @@ class Origin:
         95 % interval of the profile; minus infinity where a straight line would do as well.
     determined : bool
         False when the interval has no lower end: then the trend keeps the origin it was given.
+    shared : ndarray, shape (column,)
+        Covariance of the origin with the coefficients.
     """
 
     mjd: float
@@ -46,6 +57,7 @@ class Origin:
     low: float
     high: float
     determined: bool
+    shared: Floats
 
     def told(self) -> str:
         """Say it in a sentence."""
@@ -110,15 +122,41 @@ class TrendFit:
 
     def at(self, times: Int64) -> tuple[Floats, Floats]:
         """Return values and standard deviations at TT2000 times; (time, parameter) each, physical units."""
-        values, sigmas = [], []
-        for name, trend in self.trends.items():
-            basis, place = trend.basis(times, name), self.place(name)
-            values.append(basis @ self.value[place])
-            sigmas.append(np.sqrt(np.einsum("ti,ij,tj->t", basis, self.covariance[place, place], basis)))
-        return np.stack(values, axis=1), np.stack(sigmas, axis=1)
+        places = [(trend.basis(times, name), self.place(name)) for name, trend in self.trends.items()]
+        value = np.stack([basis @ self.value[place] for basis, place in places], axis=1)
+        slope, covariance = self.slopes(times), self.whole_covariance
+        variance = np.einsum("tpi,ij,tpj->tp", slope, covariance, slope, optimize=True)
+        return value, np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def whole_covariance(self) -> Floats:
+        """Covariance of the coefficients, and of the origin (days) behind them where it was fitted."""
+        found = self.origin
+        if found is None or not found.determined:
+            return self.covariance
+        edge = found.shared[:, None]
+        return np.block([[self.covariance, edge], [edge.T, np.array([[found.sigma**2]])]])
+
+    def slopes(self, times: Int64) -> Floats:
+        """Return what the parameters change by for one unit of each unknown of `whole_covariance`.
+
+        d/dt0 of ``b ln((t - t0)/per)`` is ``-b / (t - t0)``.
+
+        Returns
+        -------
+        ndarray, shape (time, parameter, unknown)
+        """
+        unknowns = len(self.whole_covariance)
+        out = np.zeros((times.size, len(self.trends), unknowns))
+        for index, (name, trend) in enumerate(self.trends.items()):
+            place = self.place(name)
+            out[:, index, place] = trend.basis(times, name)
+            if trend.time == "log" and unknowns > self.value.size:
+                out[:, index, -1] = -self.value[place][1] / (mjd_of(times) - float(mjd_of(trend.t0)))
+        return out
 
     def table(self) -> xr.Dataset:
-        """Return the coefficients: dims parameter (a coefficient each), other; one interval, `start` to `end`.
+        """Return the coefficients: dims parameter (one a coefficient), other; valid from `start` to `end`.
 
         The attributes hold the origin where it was fitted.
         """
@@ -141,7 +179,7 @@ class TrendFit:
         )
 
     def _time_of(self, column: str) -> str:
-        return self.trends[column.split("*")[0]].time
+        return self.trends[column.split("*", maxsplit=1)[0]].time
 
     def as_timed(self, key: str, parameter: Parameter, *, free: bool = False) -> TimedValue:
         """Return a parameter of a model, ready for its YAML (`TimedValue.as_yaml`).
@@ -209,8 +247,8 @@ def fit_trends(
     check_names(equations, list(trends))
     every = {name: trends.get(name, Dependence()) for name in equations.columns}
     # A trend's origin or knots lie anywhere; blocks at one reference make it one linear problem.
-    common = equations.at(equations.reference)
-    expansion = Expansion.of(common, every)
+    common = at_one_reference(equations)
+    expansion = Expansion.of(middles(common), every)
     turns = 1 if weight is not None else _TURNS
     held = np.ones(len(common)) if weight is None else weight
     for turn in range(turns):
@@ -233,103 +271,6 @@ def fit_trends(
 
 
 @dataclass(frozen=True)
-class Expansion:
-    """Functions of time of every parameter, orthonormal over the blocks, and how to return from them.
-
-    Attributes
-    ----------
-    functions : mapping
-        As `NormalEquations.expand` takes them; empty for constants.
-    back : ndarray, shape (coefficient, expanded column)
-        Coefficients of the trends from those of the orthonormal functions.
-    bases : list of ndarray, shape (block, coefficient)
-        Trends at the middles of the blocks.
-    unit : ndarray, shape (coefficient, parameter)
-        Coefficients of a trend that is 1 at all times, for parameters that are expanded.
-    """
-
-    trends: dict[str, Dependence]
-    columns: tuple[str, ...]
-    functions: dict[str, dict[str, np.ndarray]]
-    back: Floats
-    bases: list[Floats]
-    unit: Floats
-
-    @classmethod
-    def of(cls, equations: NormalEquations, trends: dict[str, Dependence]) -> Expansion:
-        times = middles(equations)
-        columns, functions, parts, bases, units = [], {}, [], [], []
-        for name, trend in trends.items():
-            basis = trend.basis(times, name)
-            columns += [f"{name}{suffix}" for suffix in trend.suffixes]
-            bases.append(basis)
-            if trend.count == 1:
-                parts.append(np.eye(1))
-                units.append(np.zeros(1))
-                continue
-            inverse = _orthonormal(basis, name)
-            functions[name] = _as_functions(times, basis @ inverse)
-            parts.append(inverse)
-            units.append(np.ones(trend.count) if trend.at else np.eye(trend.count)[0])
-        return cls(trends, tuple(columns), functions, _block_diagonal(parts), bases, _stacked(units))
-
-    def turn(self, blocks: int, parameters: int) -> tuple[Floats, np.ndarray]:
-        """Return what turns [parameters | residual] into [functions | residual], and the functions' owners.
-
-        Returns
-        -------
-        turn : ndarray, shape (block, function + 1, parameter + 1)
-        owners : ndarray of int, shape (function,)
-            Which parameter each function belongs to.
-        """
-        width = len(self.columns)
-        turn = np.zeros((blocks, width + 1, parameters + 1))
-        owners, at = np.empty(width, dtype=np.int64), 0
-        for index, basis in enumerate(self.bases):
-            place = slice(at, at + basis.shape[1])
-            turn[:, place, index] = basis @ self.back[place, place]
-            owners[place], at = index, place.stop
-        turn[:, -1, -1] = 1.0
-        return turn, owners
-
-
-def _orthonormal(basis: Floats, name: str) -> Floats:
-    """Return what makes the columns of a basis (block, function) orthogonal with unit rms."""
-    size = np.sqrt(np.mean(basis**2, axis=0))
-    triangle = np.linalg.qr(basis / size, mode="r")
-    own = np.abs(np.diag(triangle))
-    if len(basis) < basis.shape[1] or own.min() < 1e-9 * own.max():
-        raise CalibrationError(
-            f"{len(basis)} blocks do not tell the {basis.shape[1]} coefficients of the trend of '{name}'",
-            remedy="use a simpler trend, or a longer span",
-        )
-    return np.asarray(np.linalg.inv(triangle) * np.sqrt(len(basis)) / size[:, None])
-
-
-def _as_functions(times: Int64, values: Floats) -> dict[str, np.ndarray]:
-    """Return functions of time that give the values at the middles of the blocks, which is all that is asked."""
-    return {f"q{k}": values[:, k] for k in range(values.shape[1])}
-
-
-def _block_diagonal(parts: list[Floats]) -> Floats:
-    out = np.zeros((sum(part.shape[0] for part in parts),) * 2)
-    at = 0
-    for part in parts:
-        out[at : at + len(part), at : at + len(part)] = part
-        at += len(part)
-    return out
-
-
-def _stacked(units: list[Floats]) -> Floats:
-    out = np.zeros((sum(unit.size for unit in units), len(units)))
-    at = 0
-    for index, unit in enumerate(units):
-        out[at : at + unit.size, index] = unit
-        at += unit.size
-    return out
-
-
-@dataclass(frozen=True)
 class Solved:
     """One weighted fit, in coefficients of the trends; see `TrendFit`."""
 
@@ -349,9 +290,10 @@ class Solved:
 
 
 def _solve(equations: NormalEquations, expansion: Expansion, prior_sigma: Floats) -> Solved:
+    # Only the values at the blocks' middles are ever asked for.
     functions = {
-        name: {key: (lambda _, v=values: v) for key, values in parts.items()}
-        for name, parts in expansion.functions.items()
+        name: {f"q{k}": (lambda _, v=values[:, k]: v) for k in range(values.shape[1])}
+        for name, values in expansion.functions.items()
     }
     expanded = equations.expand(functions)
     owners = [column.split("*")[0] for column in expanded.columns]
