@@ -12,6 +12,7 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance, memory_of
+from inflight.estimators.robust_fit import robust_fit
 
 #: Least part of a window's days that have a value, and how far their mean time may lie from the middle, in
 #: windows: at the ends of a mission and beside a long gap a mean is that of another time.
@@ -123,8 +124,8 @@ class Slope:
         Unit a day.
     value, sigma_value : float
         At `mjd`, the mean day.
-    memory : float
-        Correlation of neighbouring days that is in the sigma.
+    memory : int
+        Steps after which the values have forgotten themselves; the sigma has it.
     days, outlying : int
     """
 
@@ -133,7 +134,7 @@ class Slope:
     value: float
     sigma_value: float
     mjd: float
-    memory: float
+    memory: int
     days: int
     outlying: int
     unit: str = ""
@@ -177,37 +178,22 @@ def slope_of(
     t, y, own = mjd[use], value[use], sigma[use]
     centre, span = float(t.mean()), max(float(np.ptp(t)), 1.0)
     turns = [2 * np.pi * (t - centre) / period for period in periods]
-    columns = [(t - centre) / span, np.ones_like(t), *(wave(turn) for turn in turns for wave in (np.cos, np.sin))]
+    columns = [
+        (t - centre) / span,
+        np.ones_like(t),
+        *(wave(turn) for turn in turns for wave in (np.cos, np.sin)),
+    ]
     rows = np.stack(columns, axis=1)
-    found, weight, robust = _robust(rows, y, own)
-    bread = np.linalg.inv((rows * weight[:, None]).T @ rows)
-    scores = rows * (weight * (y - rows @ found))[:, None]
-    covariance = bread @ long_run_covariance(scores, unknowns) @ bread
-    memory = float(memory_of((y - rows @ found)[:, None])[0])
-    errors = np.sqrt(np.diag(covariance))
+    fit = robust_fit(rows, y, own**2, unknowns)
+    errors = np.sqrt(np.diag(fit.covariance))
     return Slope(
-        float(found[0]) / span,
+        float(fit.value[0]) / span,
         float(errors[0]) / span,
-        float(found[1]),
+        float(fit.value[1]),
         float(errors[1]),
         centre,
-        memory,
+        int(memory_of(fit.left[:, None])[0]),
         int(use.sum()),
-        int(np.sum(robust < 0.2)),
+        fit.outlying,
         unit,
     )
-
-
-def _robust(rows: Floats, y: Floats, own: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return coefficients, weights and the robust part of these (1 to 0) of a fit by biweights."""
-    robust = np.ones(y.size)
-    wander = 0.0
-    for _ in range(10):
-        weight = robust / (own**2 + wander)
-        root = np.sqrt(weight)
-        found = np.linalg.lstsq(rows * root[:, None], y * root)[0]
-        left = y - rows @ found
-        usual = TO_SIGMA * float(np.median(np.abs(left)))
-        wander = max(usual**2 - float(np.median(own)) ** 2, 0.0)
-        robust = np.clip(1.0 - (left / (BIWEIGHT_WIDTH * np.sqrt(own**2 + wander))) ** 2, 0.0, 1.0) ** 2
-    return np.asarray(found), weight, robust

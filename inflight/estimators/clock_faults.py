@@ -145,7 +145,9 @@ def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple
     taken = np.concatenate([[0], np.cumsum(~free)])
     for length in range(1, min(longest, z.size // 2) + 1):
         score = (sums[length:] - sums[:-length]) / np.sqrt(length)
-        whole = (taken[length:] == taken[:-length]) & (days[length - 1 :] - days[: z.size - length + 1] < longest)
+        whole = (taken[length:] == taken[:-length]) & (
+            days[length - 1 :] - days[: z.size - length + 1] < longest
+        )
         score = np.where(whole, score, 0.0)
         at = int(np.argmax(np.abs(score)))
         if best is None or abs(score[at]) > abs(best[2]):

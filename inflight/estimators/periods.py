@@ -7,12 +7,12 @@ its peaks; false alarms come from simulated series of that noise on the same day
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from scipy import optimize, signal
+from scipy import optimize
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
@@ -27,6 +27,8 @@ _OVERSAMPLING, _FEWEST = 2, 30
 FALSE_ALARM = 0.01
 #: Frequencies further above the background than this are no part of it; turns of leaving them out.
 _LINE, _TURNS = 6.0, 3
+#: Peaks told at most.
+_MOST = 12
 
 
 @dataclass(frozen=True)
@@ -151,19 +153,16 @@ def parameter_spectrum(
     power = waves.power(y[:, None])[0]
     noise = _Noise.fit(waves, power)
     draws = np.random.default_rng(seed)
-    highest = np.array(
-        [_highest(waves, one) for one in waves.power(noise.series(waves, draws, trials))]
-    )
+    highest = np.array([_highest(waves, one) for one in waves.power(noise.series(waves, draws, trials))])
     # The largest of M exponential numbers; M from the median of the trials.
     effective = np.log(2.0) * np.exp(np.median(highest))
     known = KNOWN_PERIODS if known is None else known
     span = float(np.ptp(t))
-    named = _named(waves, y, noise, known, float(effective), span)
-    ratio = power / noise.power(waves.frequency)
-    limit = float(-np.log1p(-((1.0 - FALSE_ALARM) ** (1.0 / effective))) if effective > 1 else 4.6)
+    named = _named(waves, y, noise, known, span)
+    limit = float(-np.log1p(-((1.0 - FALSE_ALARM) ** (1.0 / effective)))) if effective > 1 else 4.6
     back = np.sqrt(2.0 * noise.power(waves.frequency) / weight.sum())
     amplitude = np.sqrt(2.0 * power / weight.sum())
-    peaks = _peaks(waves.frequency, amplitude, back, ratio, float(effective), known, span)
+    peaks = _peaks(waves, y, noise, float(effective), known, span)
     return ParameterSpectrum(
         waves.frequency, amplitude, back, back * np.sqrt(limit), noise.memory, span, peaks, named, unit
     )
@@ -274,57 +273,92 @@ def _chance(ratio: float, effective: float) -> float:
 
 
 def _peaks(
-    frequency: Floats,
-    amplitude: Floats,
-    back: Floats,
-    ratio: Floats,
-    effective: float,
-    known: Mapping[str, float],
-    span: float,
+    waves: _Waves, y: Floats, noise: _Noise, effective: float, known: Mapping[str, float], span: float
 ) -> tuple[Peak, ...]:
-    padded = np.concatenate([[0.0], ratio, [0.0]])
-    index = signal.find_peaks(padded, distance=_OVERSAMPLING)[0] - 1
-    found = []
-    for at in sorted(index, key=lambda i: -ratio[i]):
-        chance = _chance(float(ratio[at]), effective)
-        if chance > FALSE_ALARM:
+    """Take the highest peak and its wave out of the series, again and again: its side lobes go with it."""
+    frequencies: list[float] = []
+    left = y
+    while len(frequencies) < _MOST:
+        power = waves.power(left[:, None])[0]
+        ratio = power / noise.power(waves.frequency)
+        at = int(np.argmax(ratio))
+        if _chance(float(ratio[at]), effective) > FALSE_ALARM:
             break
-        near = [name for name, days in known.items() if abs(1.0 / days - frequency[at]) < 0.5 / span]
-        label = " or ".join(near)
-        sigma = float(back[at]) / np.sqrt(2.0)
-        found.append(Peak(1.0 / float(frequency[at]), float(amplitude[at]), sigma, chance, label))
-    return tuple(found)
+        frequencies.append(_finest(waves, left, float(waves.frequency[at])))
+        left = y - _rows(waves, frequencies) @ _fit(waves, y, frequencies)[0]
+    value, inverse = _fit(waves, y, frequencies)
+    found = []
+    for place, frequency in enumerate(frequencies):
+        size, sigma, _ = _wave(value, inverse, place, noise, frequency)
+        near = [name for name, days in known.items() if abs(1.0 / days - frequency) < 0.5 / span]
+        chance = _chance(0.5 * (size / sigma) ** 2, effective)
+        found.append(Peak(1.0 / frequency, size, sigma, chance, " or ".join(near)))
+    return tuple(sorted(found, key=lambda one: -one.amplitude))
+
+
+def _finest(waves: _Waves, y: Floats, frequency: float) -> float:
+    """Return the frequency near a given one whose wave takes most out of the series."""
+
+    def left(one: float) -> float:
+        rows = _rows(waves, [one])
+        return float(np.sum(waves.weight * (y - rows @ _fit(waves, y, [one])[0]) ** 2))
+
+    step = float(waves.frequency[0]) / 2
+    bounds = (max(frequency - step, step / 2), frequency + step)
+    return float(optimize.minimize_scalar(left, bounds=bounds, method="bounded").x)
+
+
+def _rows(waves: _Waves, frequencies: Sequence[float]) -> Floats:
+    """Return a constant, a straight line and a pair of waves a frequency; (day, 2 + 2 frequencies)."""
+    away = waves.days - waves.days.mean()
+    turns = [2 * np.pi * away * frequency for frequency in frequencies]
+    columns = [
+        np.ones_like(away),
+        away / np.ptp(away),
+        *(f(turn) for turn in turns for f in (np.cos, np.sin)),
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _fit(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> tuple[Floats, Floats]:
+    """Fit line and waves together; coefficients, and their covariance for the stated weights."""
+    rows, root = _rows(waves, frequencies), np.sqrt(waves.weight)
+    value = np.linalg.lstsq(rows * root[:, None], y * root)[0]
+    return np.asarray(value), np.linalg.inv((rows * waves.weight[:, None]).T @ rows)
+
+
+def _wave(
+    value: Floats, inverse: Floats, place: int, noise: _Noise, frequency: float
+) -> tuple[float, float, float]:
+    """Return amplitude, its standard deviation and the phase (rad) of one of several waves."""
+    at = slice(2 + 2 * place, 4 + 2 * place)
+    wave = value[at]
+    size = float(np.hypot(*wave))
+    along = wave / max(size, 1e-300)
+    # White noise of the stated weights has the power 2.
+    mean = float(noise.power(np.array([frequency]))[0])
+    sigma = float(np.sqrt(along @ inverse[at, at] @ along * mean / 2.0))
+    return size, sigma, float(np.arctan2(wave[1], wave[0]))
 
 
 def _named(
-    waves: _Waves, y: Floats, noise: _Noise, known: Mapping[str, float], effective: float, span: float
+    waves: _Waves, y: Floats, noise: _Noise, known: Mapping[str, float], span: float
 ) -> tuple[NamedPeriod, ...]:
     """Fit all resolved periods together with a straight line."""
     why = {name: _unresolved(name, known, span) for name in known}
     told = [name for name in known if not why[name]]
-    away = waves.days - waves.days.mean()
-    turns = [2 * np.pi * away / known[name] for name in told]
-    columns = [np.ones_like(away), away / span, *(f(turn) for turn in turns for f in (np.cos, np.sin))]
-    rows, root = np.stack(columns, axis=1), np.sqrt(waves.weight)
-    value = np.linalg.lstsq(rows * root[:, None], y * root)[0]
-    inverse = np.linalg.inv((rows * waves.weight[:, None]).T @ rows)
+    value, inverse = _fit(waves, y, [1.0 / known[name] for name in told])
     found = []
     for name, days in known.items():
         if why[name]:
             nan = float("nan")
             found.append(NamedPeriod(name, days, nan, nan, nan, nan, False, why[name]))
             continue
-        at = 2 + 2 * told.index(name)
-        wave = value[at : at + 2]
-        size = float(np.hypot(*wave))
-        mean = float(noise.power(np.array([1.0 / days]))[0])
-        along = wave / max(size, 1e-300)
-        # White noise of the stated weights has the power 2.
-        sigma = float(np.sqrt(along @ inverse[at : at + 2, at : at + 2] @ along * mean / 2.0))
-        maximum = float(waves.days.mean() + days * np.arctan2(wave[1], wave[0]) / (2 * np.pi))
-        ratio = 0.5 * (size / sigma) ** 2
+        size, sigma, phase = _wave(value, inverse, told.index(name), noise, 1.0 / days)
+        maximum = float(waves.days.mean() + days * phase / (2 * np.pi))
         # A period that was named beforehand is one frequency, not all of them.
-        found.append(NamedPeriod(name, days, size, sigma, maximum, _chance(ratio, 1.0), True))
+        chance = _chance(0.5 * (size / sigma) ** 2, 1.0)
+        found.append(NamedPeriod(name, days, size, sigma, maximum, chance, True))
     return tuple(found)
 
 

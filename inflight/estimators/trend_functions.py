@@ -53,6 +53,11 @@ class Expansion:
             units.append(np.ones(trend.count) if trend.at else np.eye(trend.count)[0])
         return cls(trends, tuple(columns), functions, _block_diagonal(parts), bases, _stacked(units))
 
+    @property
+    def functions_each(self) -> float:
+        """Functions of time of each parameter, on average."""
+        return len(self.columns) / max(len(self.trends), 1)
+
     def turn(self, blocks: int, parameters: int) -> tuple[Floats, np.ndarray]:
         """Return what turns [parameters | residual] into [functions | residual], and the functions' owners.
 

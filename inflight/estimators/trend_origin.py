@@ -187,7 +187,8 @@ def _with_unknown_origin(
     fixed = np.append(prior_sigma[owners] <= 0, False)
     # The prior has had its say in the fit; here the data speak alone.
     wide = np.where(fixed, 0.0, 1e6 * fit.rms)
-    covariance = sandwich(gram, np.zeros(unit.size), fit.rms**2, wide) / np.outer(unit, unit)
+    functions = len(fit.columns) / len(fit.trends) + 1.0 / len(fit.trends)
+    covariance = sandwich(gram, np.zeros(unit.size), fit.rms**2, wide, functions) / np.outer(unit, unit)
     free = np.flatnonzero(~fixed)
     white = np.linalg.pinv(gram[:, :-1, :-1].sum(axis=0)[np.ix_(free, free)], hermitian=True)
     plain = white[-1, -1] * fit.rms**2 / unit[-1] ** 2

@@ -302,7 +302,8 @@ def _solve(equations: NormalEquations, expansion: Expansion, prior_sigma: Floats
     value, _ = expanded.physical(solution)
     data = expanded.dataset
     scale, gram = data["scale"].values[:-1], data["gram"].values
-    covariance = sandwich(gram, solution.value, solution.variance, sigma / scale) * np.outer(scale, scale)
+    covariance = sandwich(gram, solution.value, solution.variance, sigma / scale, expansion.functions_each)
+    covariance *= np.outer(scale, scale)
     back = expansion.back
     total = residual_sum(gram.sum(axis=0), solution.value)
     return Solved(
@@ -323,7 +324,9 @@ def _determined(expansion: Expansion, of_functions: np.ndarray) -> np.ndarray:
     return out
 
 
-def sandwich(gram: Floats, change: Floats, variance: float, prior_sigma: Floats) -> Floats:
+def sandwich(
+    gram: Floats, change: Floats, variance: float, prior_sigma: Floats, functions: float = 1.0
+) -> Floats:
     """Return the covariance of a fit from the scatter of its blocks' scores, correlated in time.
 
     Parameters
@@ -336,6 +339,8 @@ def sandwich(gram: Floats, change: Floats, variance: float, prior_sigma: Floats)
         Residual variance.
     prior_sigma : ndarray, shape (column,)
         Scaled; 0 for what is fixed.
+    functions : float
+        Functions of time of each parameter, on average.
     """
     scores = gram[:, :-1, -1] + gram[:, :-1, :-1] @ change
     matrix = gram[:, :-1, :-1].sum(axis=0) / variance
@@ -344,7 +349,7 @@ def sandwich(gram: Floats, change: Floats, variance: float, prior_sigma: Floats)
     # In units of the prior's sigma: the columns differ by many orders.
     bread = np.linalg.inv(matrix[grid] * np.outer(unit, unit) + np.eye(free.size))
     influence = (scores[:, free] * unit / variance) @ bread
-    spread = long_run_covariance(influence, free.size) + bread @ bread
+    spread = long_run_covariance(influence, functions) + bread @ bread
     out = np.zeros_like(matrix)
     out[grid] = spread * np.outer(unit, unit)
     return out

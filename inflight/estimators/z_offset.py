@@ -17,13 +17,12 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance
+from inflight.estimators.robust_fit import robust_fit
 
 #: Spans of a day whose means are nearly independent: 20 minutes.
 SUB_BLOCKS = 72
 #: Fewest samples of a sub-block's worth a day, and fewest days of a regression.
 _FEWEST_SAMPLES, _FEWEST_DAYS = 300, 5
-#: Turns of a robust regression.
-_TURNS = 10
 #: Statistics of a day whose errors belong together, as in `covariance`.
 STATISTICS = ("mean", "variance", "slope")
 
@@ -167,29 +166,17 @@ def spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> SpreadL
     own = statistics["covariance"].values[known, 1, 1]
     # d(Z0^2) = 2 Z0 dZ0: days of large offset know their square less well.
     variance = own + (2 * 0.66 * offset[known] * sigma[known]) ** 2
-    value, weight, scale = _robust_line(rows, spread, variance)
-    left = spread - rows @ value
-    bread = np.linalg.inv((rows * weight[:, None]).T @ rows)
-    scores = rows * (weight * left)[:, None]
-    covariance = bread @ long_run_covariance(scores, 2) @ bread
-    lost = int(np.sum(weight * (variance + scale**2) < 0.2))
+    fit = robust_fit(rows, spread, variance, 2.0)
     geometry = float(statistics["geometry"].values[known].mean())
-    return SpreadLaw(float(value[0]), float(value[1]), covariance, geometry, scale, int(known.sum()), lost)
-
-
-def _robust_line(rows: Floats, right: Floats, variance: Floats) -> tuple[Floats, Floats, float]:
-    """Return coefficients, weights and the scatter beyond the stated variances, by biweights."""
-    weight = 1.0 / np.maximum(variance, 1e-12 * max(float(variance.max()), 1e-30))
-    scale = 0.0
-    value = np.zeros(rows.shape[1])
-    for _ in range(_TURNS):
-        value = np.linalg.lstsq(rows * np.sqrt(weight)[:, None], right * np.sqrt(weight))[0]
-        left = right - rows @ value
-        usual = TO_SIGMA * float(np.median(np.abs(left)))
-        scale = float(np.sqrt(max(usual**2 - float(np.median(variance)), 0.0)))
-        sigma = np.sqrt(variance + scale**2)
-        weight = np.clip(1.0 - (left / (BIWEIGHT_WIDTH * sigma)) ** 2, 0.0, 1.0) ** 2 / sigma**2
-    return np.asarray(value), np.asarray(weight), scale
+    return SpreadLaw(
+        float(fit.value[0]),
+        float(fit.value[1]),
+        fit.covariance,
+        geometry,
+        fit.scatter,
+        int(known.sum()),
+        fit.outlying,
+    )
 
 
 @dataclass(frozen=True)
