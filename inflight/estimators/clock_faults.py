@@ -80,8 +80,9 @@ class ClockFaults:
 def clock_faults(mjd: Floats, shift: Floats, sigma: Floats, longest: int = LONGEST) -> ClockFaults:
     """Find spans of days whose time shift stands out from what it is around them.
 
-    Every span of 1 to `longest` days is held against the median of the days around; the most significant is
-    taken, its days are left out, and so on, while noise would make one like it in one mission of a hundred.
+    Every span of 1 to `longest` days is held against the median of the days around, and its significance
+    against that of all spans of its length; the most significant is taken, its days are left out, and so on,
+    while noise would make one like it in one mission of a hundred.
 
     Parameters
     ----------
@@ -148,7 +149,9 @@ def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple
         whole = (taken[length:] == taken[:-length]) & (
             days[length - 1 :] - days[: z.size - length + 1] < longest
         )
-        score = np.where(whole, score, 0.0)
+        # Shifts that wander make long spans scatter more than their days do.
+        usual = TO_SIGMA * float(np.median(np.abs(score[whole]))) if whole.any() else 1.0
+        score = np.where(whole, score / max(usual, 1.0), 0.0)
         at = int(np.argmax(np.abs(score)))
         if best is None or abs(score[at]) > abs(best[2]):
             best = (at, at + length - 1, float(score[at]))

@@ -75,8 +75,9 @@ class Distribution:
         """Say how much was distributed."""
         share = float(np.mean(self.done))
         return (
-            f"{self.rms:.3f} nT rms of the residual were distributed along the field on {100 * share:.1f} % of "
-            f"the samples; {self.rms_left:.3f} nT are left, faster than {self.period:g} s"
+            f"{self.rms:.3f} nT rms of the residual were distributed along the field on "
+            f"{100 * share:.1f} % of the samples; {self.rms_left:.3f} nT are left, "
+            f"faster than {self.period:g} s"
         )
 
     def table(self) -> xr.Dataset:
@@ -170,7 +171,7 @@ def _filtered(place: Int64, residual: Floats, use: np.ndarray, period: float) ->
     count = int(place[-1] - place[0]) // bins + 1
     cell = (place - place[0]) // bins
     weight = np.bincount(cell[use], minlength=count).astype(np.float64)
-    total = np.bincount(cell[use], weights=residual[use], minlength=count)
+    total = np.bincount(cell[use], weights=residual[use], minlength=count).astype(np.float64)
     smooth = whittaker(total, weight, period / bins, bins)
     centre = np.arange(count) * bins + 0.5 * (bins - 1)
     at = (place - place[0]).astype(np.float64)
@@ -209,7 +210,7 @@ def whittaker(total: Floats, weight: Floats, period: float, full: float = 1.0) -
 
 @lru_cache(maxsize=8)
 def edge_gain(period: int) -> Floats:
-    """Return the standard deviation of the filtered unit white noise at so many steps from an end; (step,)."""
+    """Return the standard deviation of filtered unit white noise at so many steps from an end; (step,)."""
     size = 6 * period
     unit = np.eye(size)
     columns = np.stack([whittaker(one, np.ones(size), period) for one in unit], axis=1)

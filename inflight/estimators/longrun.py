@@ -24,7 +24,7 @@ def autocorrelation(series: Floats, lags: int) -> Floats:
     size = 1 << (2 * len(series) - 1).bit_length()
     spectrum = np.fft.rfft(centred, size, axis=0)
     products = np.fft.irfft(np.abs(spectrum) ** 2, size, axis=0)[: lags + 1]
-    return np.divide(products, products[0], out=np.zeros_like(products), where=products[0] > 0)
+    return np.asarray(np.divide(products, products[0], out=np.zeros_like(products), where=products[0] > 0))
 
 
 def memory_of(series: Floats) -> npt.NDArray[np.int64]:

@@ -89,7 +89,7 @@ class ParameterSpectrum:
     def told(self) -> list[str]:
         """Say each named period in a sentence."""
         return [
-            f"{one.name}: {one.amplitude:.3g} +- {one.sigma:.2g} {self.unit} (false alarm {one.false_alarm:.2g})"
+            f"{one.name}: {one.amplitude:.3g} +- {one.sigma:.2g} {self.unit}, chance {one.false_alarm:.2g}"
             if one.resolved
             else f"{one.name}: not resolved, {one.why}"
             for one in self.named
@@ -195,8 +195,8 @@ class _Waves:
         line, _ = np.linalg.qr(np.stack([root, root * (days - days.mean())], axis=1))
         turn = 2 * np.pi * frequency[:, None] * (days - days.mean())
         cosine, sine = root * np.cos(turn), root * np.sin(turn)
-        for wave in (cosine, sine):
-            wave -= (wave @ line) @ line.T
+        cosine -= (cosine @ line) @ line.T
+        sine -= (sine @ line) @ line.T
         cosine /= np.linalg.norm(cosine, axis=1)[:, None]
         sine -= np.sum(sine * cosine, axis=1)[:, None] * cosine
         sine /= np.linalg.norm(sine, axis=1)[:, None]
@@ -323,8 +323,9 @@ def _rows(waves: _Waves, frequencies: Sequence[float]) -> Floats:
 def _fit(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> tuple[Floats, Floats]:
     """Fit line and waves together; coefficients, and their covariance for the stated weights."""
     rows, root = _rows(waves, frequencies), np.sqrt(waves.weight)
-    value = np.linalg.lstsq(rows * root[:, None], y * root)[0]
-    return np.asarray(value), np.linalg.inv((rows * waves.weight[:, None]).T @ rows)
+    value: Floats = np.asarray(np.linalg.lstsq(rows * root[:, None], y * root)[0], dtype=np.float64)
+    inverse: Floats = np.asarray(np.linalg.inv((rows * waves.weight[:, None]).T @ rows), dtype=np.float64)
+    return value, inverse
 
 
 def _wave(
