@@ -1,7 +1,7 @@
 """How a value may depend on time: the functions of time its coefficients multiply.
 
-``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010,
-section 3.2); ``event``: one value for each interval between the times ``at``; ``spline``: values at the
+``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``parabola``: ``a + b x + c x^2`` with
+``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value for each interval between the times ``at``; ``spline``: values at the
 times ``at``, with lines or a natural cubic between them, and the outer ones held beyond; ``block``: one
 value a calibration interval, held in a table.
 """
@@ -25,7 +25,9 @@ from inflight.time import DAY, parse_duration, parse_utc, to_tt2000, to_utc
 if TYPE_CHECKING:
     from inflight.mission import Event
 
-TIMES = ("constant", "linear", "log", "block", "event", "spline")
+TIMES = ("constant", "linear", "parabola", "log", "block", "event", "spline")
+#: Functions of the time since `t0`: their first coefficient is a value, the others its growth.
+TRENDS = ("linear", "parabola", "log")
 INTERPOLATIONS = ("cubic", "linear")
 #: Keys of a parameter's entry that say how it depends on time.
 KEYS = ("t0", "per", "at", "events", "interpolation")
@@ -56,19 +58,20 @@ class Dependence:
     @property
     def count(self) -> int:
         """Number of coefficients of each component."""
-        return {"linear": 2, "log": 2, "event": len(self.at) + 1, "spline": len(self.at)}.get(self.time, 1)
+        counts = {"linear": 2, "parabola": 3, "log": 2, "event": len(self.at) + 1, "spline": len(self.at)}
+        return counts.get(self.time, 1)
 
     @property
     def suffixes(self) -> list[str]:
-        """What coefficients add to a component's name: nothing, ``*b``, ``*e0``, ``*k0``."""
+        """What coefficients add to a component's name: nothing, ``*b``, ``*c``, ``*e0``, ``*k0``."""
         if self.time in ("event", "spline"):
             return [f"*{self.time[0] if self.time == 'event' else 'k'}{i}" for i in range(self.count)]
-        return ["", "*b"][: self.count]
+        return ["", "*b", "*c"][: self.count]
 
     @property
     def is_trend(self) -> bool:
-        """True when only the first coefficient is a value and the second its growth."""
-        return self.time in ("linear", "log")
+        """True when only the first coefficient is a value and the others are its growth."""
+        return self.time in TRENDS
 
     def basis(self, tt2000: npt.ArrayLike, key: str = "value") -> Floats:
         """Return the functions of time; (..., coefficient).
@@ -104,7 +107,7 @@ class Dependence:
                     remedy="use time: constant there, or an earlier t0",
                 )
             elapsed = np.log(elapsed)
-        return np.stack([np.ones_like(elapsed), elapsed], axis=-1)
+        return np.stack([elapsed**power for power in range(self.count)], axis=-1)
 
     def _spline(self, t: npt.NDArray[np.int64]) -> Floats:
         # Days since the first knot keep the polynomials' numbers small.
@@ -151,13 +154,13 @@ def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event]
             f"'{key}': time {time!r} is unknown{did_you_mean(time, TIMES)}",
             remedy=f"one of {', '.join(TIMES)}",
         )
-    wanted = {"linear": ("t0", "per"), "log": ("t0", "per"), "event": ("at", "events")}
-    wanted |= {"spline": ("at", "interpolation")}
+    wanted = {trend: ("t0", "per") for trend in TRENDS}
+    wanted |= {"event": ("at", "events"), "spline": ("at", "interpolation")}
     if stray := [name for name in KEYS if name in entry and name not in wanted.get(time, ())]:
         raise ModelError(
             f"'{key}' has time '{time}', which has no '{stray[0]}'", remedy="take it out, or change 'time'"
         )
-    if time in ("linear", "log"):
+    if time in TRENDS:
         return _parse_trend(key, time, entry)
     if time in ("event", "spline"):
         return _parse_dated(key, time, entry, events)

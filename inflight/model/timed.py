@@ -30,7 +30,7 @@ class TimedValue:
     parameter : Parameter
         What the effect says of it, in the unit the model states.
     time : str
-        constant, linear, log, block, event or spline: see `inflight.model.dependence`.
+        constant, linear, parabola, log, block, event or spline: see `inflight.model.dependence`.
     value, sigma : ndarray, shape (component, coefficient)
         Value and standard deviation; for block, those known beforehand.
     free : bool
@@ -71,7 +71,8 @@ class TimedValue:
     def columns(self) -> list[str]:
         """Names of the coefficients, component by component; as `value` flattened.
 
-        ``effect.parameter[axis]``; a trend's growth adds ``*b``, the values of intervals between events
+        ``effect.parameter[axis]``; a trend's growth adds ``*b`` (a parabola's
+        ``*b, *c``), the values of intervals between events
         ``*e0, *e1, ...``, those of a spline's knots ``*k0, *k1, ...``.
         """
         names = component_names(self.key, self.parameter)

@@ -1,0 +1,199 @@
+"""How daily parameters behave over a mission: running means with gaps, and slow trends (Yin 2010, ch. 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
+from inflight.errors import CalibrationError
+from inflight.estimators.longrun import long_run_covariance, memory_of
+from inflight.estimators.robust_fit import robust_fit
+
+#: Least part of a window's days that have a value, and how far their mean time may lie from the middle, in
+#: windows: at the ends of a mission and beside a long gap a mean is that of another time.
+COVERAGE, _LEAN = 0.6, 0.05
+_FEWEST = 5
+
+
+@dataclass(frozen=True)
+class RunningMean:
+    """Centred running mean of a daily parameter; all (day,).
+
+    Attributes
+    ----------
+    mjd, value, sigma : ndarray
+        NaN where the window holds too few days, or leans to one side.
+    coverage : ndarray
+        Part of the window's days that have a value.
+    window : float
+        Days.
+    """
+
+    mjd: Floats
+    value: Floats
+    sigma: Floats
+    coverage: Floats
+    window: float
+    unit: str = ""
+
+    def table(self) -> xr.Dataset:
+        """Return the means: dim interval (a day each)."""
+        return xr.Dataset(
+            {
+                "value": ("interval", self.value, {"units": self.unit}),
+                "sigma": ("interval", self.sigma, {"units": self.unit}),
+                "coverage": ("interval", self.coverage),
+                "mjd": ("interval", self.mjd, {"units": "d"}),
+            },
+            attrs={"window_days": self.window, "units": self.unit},
+        )
+
+
+def running_mean(
+    mjd: Floats, value: Floats, window: float, *, coverage: float = COVERAGE, unit: str = ""
+) -> RunningMean:
+    """Return the mean of the days within half a window on either side, each day alike.
+
+    Days count alike, whatever their sigma, so that a window of one turn of local time (260.5 d) removes
+    what repeats with it. The uncertainty is that of a mean of correlated days, from the scatter about the
+    running mean and its memory.
+
+    Parameters
+    ----------
+    mjd : ndarray, shape (day,)
+        Middles of the days, rising.
+    value : ndarray, shape (day,)
+        NaN in gaps.
+    window : float
+        Days.
+    coverage : float
+        Least part of the window's days that must have a value.
+
+    Raises
+    ------
+    CalibrationError
+        When no window has enough days.
+    """
+    known = np.isfinite(value)
+    sums = np.concatenate([[0.0], np.cumsum(np.where(known, value, 0.0))])
+    times = np.concatenate([[0.0], np.cumsum(np.where(known, mjd - mjd[0], 0.0))])
+    counts = np.concatenate([[0], np.cumsum(known)])
+    low = np.searchsorted(mjd, mjd - window / 2, side="left")
+    high = np.searchsorted(mjd, mjd + window / 2, side="right")
+    count = counts[high] - counts[low]
+    share = np.minimum(count / max(2 * np.floor(window / 2) + 1, 1.0), 1.0)
+    safe = np.maximum(count, 1)
+    mean = (sums[high] - sums[low]) / safe
+    lean = (times[high] - times[low]) / safe - (mjd - mjd[0])
+    defined = (share >= coverage) & (np.abs(lean) <= _LEAN * window)
+    if not defined.any():
+        raise CalibrationError(
+            f"no window of {window:g} days has {100 * coverage:.0f} % of its days, evenly on both sides",
+            remedy="use a shorter window, or a longer span",
+        )
+    left = np.where(defined & known, value - mean, np.nan)
+    sigma = np.sqrt(_variance_of_day(left) / safe)
+    nan = np.nan
+    return RunningMean(
+        mjd, np.where(defined, mean, nan), np.where(defined, sigma, nan), share, float(window), unit
+    )
+
+
+def _variance_of_day(left: Floats) -> float:
+    """Return the long-run variance of a day: what n days' mean has is this over n."""
+    known = left[np.isfinite(left)]
+    if known.size < _FEWEST:
+        return float("nan")
+    spread = TO_SIGMA * float(np.median(np.abs(known - np.median(known))))
+    held = np.clip(known, -BIWEIGHT_WIDTH * spread, BIWEIGHT_WIDTH * spread) if spread > 0 else known
+    return float(long_run_covariance(held[:, None])[0, 0]) / known.size
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A straight line through a daily parameter, with waves of given periods beside it.
+
+    Attributes
+    ----------
+    slope, sigma : float
+        Unit a day.
+    value, sigma_value : float
+        At `mjd`, the mean day.
+    memory : int
+        Steps after which the values have forgotten themselves; the sigma has it.
+    days, outlying : int
+    """
+
+    slope: float
+    sigma: float
+    value: float
+    sigma_value: float
+    mjd: float
+    memory: int
+    days: int
+    outlying: int
+    unit: str = ""
+
+    def table(self) -> xr.Dataset:
+        """Return slope and value: dim parameter."""
+        return xr.Dataset(
+            {
+                "value": ("parameter", np.array([self.slope, self.value])),
+                "sigma": ("parameter", np.array([self.sigma, self.sigma_value])),
+                "units": ("parameter", np.array([f"{self.unit}/d", self.unit])),
+            },
+            coords={"parameter": ["slope", "value"]},
+            attrs={"mjd": self.mjd, "days": self.days, "memory": self.memory},
+        )
+
+
+def slope_of(
+    mjd: Floats, value: Floats, sigma: Floats, periods: Sequence[float] = (), unit: str = ""
+) -> Slope:
+    """Fit a straight line robustly; its uncertainty knows the correlation of days.
+
+    Parameters
+    ----------
+    mjd, value, sigma : ndarray, shape (day,)
+        Days, values (NaN in gaps), standard deviations.
+    periods : sequence of float
+        Days; waves fitted beside the line, such as those that `parameter_spectrum` resolves.
+
+    Raises
+    ------
+    CalibrationError
+        When fewer days than unknowns and five have a value.
+    """
+    use = np.isfinite(value) & np.isfinite(sigma) & (sigma > 0)
+    unknowns = 2 + 2 * len(periods)
+    if use.sum() < unknowns + _FEWEST:
+        raise CalibrationError(
+            f"{int(use.sum())} days with a value for {unknowns} unknowns", remedy="use a longer span"
+        )
+    t, y, own = mjd[use], value[use], sigma[use]
+    centre, span = float(t.mean()), max(float(np.ptp(t)), 1.0)
+    turns = [2 * np.pi * (t - centre) / period for period in periods]
+    columns = [
+        (t - centre) / span,
+        np.ones_like(t),
+        *(wave(turn) for turn in turns for wave in (np.cos, np.sin)),
+    ]
+    rows = np.stack(columns, axis=1)
+    fit = robust_fit(rows, y, own**2, unknowns)
+    errors = np.sqrt(np.diag(fit.covariance))
+    return Slope(
+        float(fit.value[0]) / span,
+        float(errors[0]) / span,
+        float(fit.value[1]),
+        float(errors[1]),
+        centre,
+        int(memory_of(fit.left[:, None])[0]),
+        int(use.sum()),
+        fit.outlying,
+        unit,
+    )

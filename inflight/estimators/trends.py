@@ -1,0 +1,360 @@
+"""Continuous parameters: one trend in time for a whole mission, without a jump (Yin 2010, ch. 3).
+
+A trend is fitted to the summed normal equations of all blocks, or to a table of daily or 15-day values,
+whose covariances make normal equations of it: one way for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.calibration.solution import residual_sum
+from inflight.effects.base import Parameter
+from inflight.errors import CalibrationError
+from inflight.estimators.days import mjd_of
+from inflight.estimators.longrun import long_run_covariance
+from inflight.estimators.trend_equations import (
+    at_one_reference,
+    check_names,
+    middles,
+    outlier_weights,
+    own_wish,
+    weighted,
+)
+from inflight.estimators.trend_functions import Expansion
+from inflight.model.dependence import Dependence
+from inflight.model.timed import TimedValue, component_names
+from inflight.time import Int64
+
+#: Turns of weights and fit.
+_TURNS = 4
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Origin of a logarithm of time, fitted; days are MJD of 2000-01-01 (UTC).
+
+    Attributes
+    ----------
+    mjd, sigma : float
+        Best value and its standard deviation (Gauss-Newton, between blocks).
+    low, high : float
+        95 % interval of the profile; minus infinity where a straight line would do as well.
+    determined : bool
+        False when the interval has no lower end: then the trend keeps the origin it was given.
+    shared : ndarray, shape (column,)
+        Covariance of the origin with the coefficients.
+    """
+
+    mjd: float
+    sigma: float
+    low: float
+    high: float
+    determined: bool
+    shared: Floats
+
+    def told(self) -> str:
+        """Say it in a sentence."""
+        if not self.determined:
+            return "the origin of the logarithm is NOT DETERMINED: its interval has no lower end"
+        return f"origin MJD {self.mjd:.1f} +- {self.sigma:.1f} (95 %: {self.low:.1f} to {self.high:.1f})"
+
+
+@dataclass(frozen=True)
+class TrendFit:
+    """Trends of some parameters, fitted together with all others held constant.
+
+    Attributes
+    ----------
+    trends : mapping of str to Dependence
+        For every parameter of the equations, how it depends on time; constant unless asked for.
+    columns : tuple of str
+        Coefficients, parameter by parameter: ``parameter``, ``parameter*b``, ...
+    value, covariance : ndarray, shape (column,), (column, column)
+        Physical units; the covariance is the sandwich of the blocks' scores with their correlation in time.
+    determined : ndarray of bool, shape (column,)
+        The data tell it from all others.
+    weight : ndarray, shape (block,)
+        1, less for outlying blocks.
+    rms : float
+        Weighted rms residual: nT, or stated sigmas for a table.
+    blocks : int
+        Number of blocks.
+    span : tuple of int
+        TT2000, half-open.
+    units : mapping of str to str
+        Unit of each parameter.
+    origin : Origin, optional
+        Present when the origin was fitted.
+    """
+
+    trends: dict[str, Dependence]
+    columns: tuple[str, ...]
+    value: Floats
+    covariance: Floats
+    determined: np.ndarray
+    weight: Floats
+    rms: float
+    blocks: int
+    span: tuple[int, int]
+    units: dict[str, str]
+    origin: Origin | None = None
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations of the coefficients; (column,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def place(self, parameter: str) -> slice:
+        """Return where a parameter's coefficients stand among the columns."""
+        begin = 0
+        for name, trend in self.trends.items():
+            if name == parameter:
+                return slice(begin, begin + trend.count)
+            begin += trend.count
+        raise CalibrationError(f"no parameter {parameter!r}", remedy=f"one of {', '.join(self.trends)}")
+
+    def at(self, times: Int64) -> tuple[Floats, Floats]:
+        """Return values and standard deviations at TT2000 times; (time, parameter) each, physical units."""
+        places = [(trend.basis(times, name), self.place(name)) for name, trend in self.trends.items()]
+        value = np.stack([basis @ self.value[place] for basis, place in places], axis=1)
+        slope, covariance = self.slopes(times), self.whole_covariance
+        variance = np.einsum("tpi,ij,tpj->tp", slope, covariance, slope, optimize=True)
+        return value, np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def whole_covariance(self) -> Floats:
+        """Covariance of the coefficients, and of the origin (days) behind them where it was fitted."""
+        found = self.origin
+        if found is None or not found.determined:
+            return self.covariance
+        edge = found.shared[:, None]
+        return np.block([[self.covariance, edge], [edge.T, np.array([[found.sigma**2]])]])
+
+    def slopes(self, times: Int64) -> Floats:
+        """Return what the parameters change by for one unit of each unknown of `whole_covariance`.
+
+        d/dt0 of ``b ln((t - t0)/per)`` is ``-b / (t - t0)``.
+
+        Returns
+        -------
+        ndarray, shape (time, parameter, unknown)
+        """
+        unknowns = len(self.whole_covariance)
+        out = np.zeros((times.size, len(self.trends), unknowns))
+        for index, (name, trend) in enumerate(self.trends.items()):
+            place = self.place(name)
+            out[:, index, place] = trend.basis(times, name)
+            if trend.time == "log" and unknowns > self.value.size:
+                out[:, index, -1] = -self.value[place][1] / (mjd_of(times) - float(mjd_of(trend.t0)))
+        return out
+
+    def table(self) -> xr.Dataset:
+        """Return the coefficients: dims parameter (one a coefficient), other; valid from `start` to `end`.
+
+        The attributes hold the origin where it was fitted.
+        """
+        units = [self.units.get(column.split("*")[0], "") for column in self.columns]
+        found = self.origin
+        attributes = {} if found is None else {"origin": found.told(), "origin_mjd": found.mjd}
+        return xr.Dataset(
+            {
+                "value": ("parameter", self.value),
+                "sigma": ("parameter", self.sigma),
+                "covariance": (("parameter", "other"), self.covariance),
+                "determined": ("parameter", self.determined),
+                "units": ("parameter", np.array(units, dtype="U16")),
+                "time": ("parameter", np.array([self._time_of(column) for column in self.columns])),
+                "start": ((), np.int64(self.span[0]), {"scale": "TT2000"}),
+                "end": ((), np.int64(self.span[1]), {"scale": "TT2000"}),
+            },
+            coords={"parameter": list(self.columns), "other": list(self.columns)},
+            attrs={**attributes, "rms": self.rms, "blocks": self.blocks},
+        )
+
+    def _time_of(self, column: str) -> str:
+        return self.trends[column.split("*", maxsplit=1)[0]].time
+
+    def as_timed(self, key: str, parameter: Parameter, *, free: bool = False) -> TimedValue:
+        """Return a parameter of a model, ready for its YAML (`TimedValue.as_yaml`).
+
+        Parameters
+        ----------
+        key : str
+            ``effect.parameter``, such as ``vector_sensor.scale_factor``; all its components have one trend.
+        parameter : Parameter
+            What the effect says of it.
+        free : bool
+            Whether later fits may move it.
+
+        Raises
+        ------
+        CalibrationError
+            When components follow different trends.
+        """
+        names = component_names(key, parameter)
+        first = self.trends[names[0]] if names[0] in self.trends else Dependence()
+        if any(self.trends.get(name) != first for name in names):
+            raise CalibrationError(f"components of '{key}' follow different trends", remedy="fit one for all")
+        places = [self.place(name) for name in names]
+        return TimedValue(
+            parameter,
+            first.time,
+            np.array([self.value[place] for place in places]),
+            np.array([self.sigma[place] for place in places]),
+            free=free,
+            t0=first.t0,
+            per=first.per,
+            key=key,
+            moments=first.at,
+            interpolation=first.interpolation,
+        )
+
+
+def fit_trends(
+    equations: NormalEquations,
+    trends: Mapping[str, Dependence],
+    prior_sigma: Floats,
+    weight: Floats | None = None,
+    units: Mapping[str, str] | None = None,
+) -> TrendFit:
+    """Fit trends to the summed equations of all blocks.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of days, or of a table (`inflight.estimators.trend_equations.equations_of_table`).
+    trends : mapping of str to Dependence
+        Parameters that depend on time; the others are constant over the span.
+    prior_sigma : ndarray, shape (column,)
+        What is known beforehand of each parameter around its reference, physical units; every function of
+        time may move it by as much. 0 fixes a parameter.
+    weight : ndarray, shape (block,), optional
+        Weights; from the blocks themselves when absent: blocks that want parameters far from the
+        trend's, as measured by all blocks' own scatter, lose their say.
+
+    Raises
+    ------
+    CalibrationError
+        When there are fewer blocks than coefficients of a trend, or a name is unknown.
+    """
+    check_names(equations, list(trends))
+    every = {name: trends.get(name, Dependence()) for name in equations.columns}
+    # A trend's origin or knots lie anywhere; blocks at one reference make it one linear problem.
+    common = at_one_reference(equations)
+    expansion = Expansion.of(middles(common), every)
+    turns = 1 if weight is not None else _TURNS
+    held = np.ones(len(common)) if weight is None else weight
+    for turn in range(turns):
+        found = _solve(weighted(common, held), expansion, prior_sigma)
+        if turn < turns - 1:
+            held = outlier_weights(own_wish(common, found.parameters(expansion), prior_sigma))
+    start, end = (int(common.dataset[name].values[i]) for name, i in (("start", 0), ("end", -1)))
+    return TrendFit(
+        every,
+        expansion.columns,
+        found.value,
+        found.covariance,
+        found.determined,
+        held,
+        found.rms,
+        len(common),
+        (start, end),
+        dict(units or {}),
+    )
+
+
+@dataclass(frozen=True)
+class Solved:
+    """One weighted fit, in coefficients of the trends; see `TrendFit`."""
+
+    value: Floats
+    covariance: Floats
+    determined: np.ndarray
+    rms: float
+    total: float
+
+    def parameters(self, expansion: Expansion) -> Floats:
+        """Return the parameters at the blocks; (block, parameter)."""
+        out, at = [], 0
+        for basis in expansion.bases:
+            out.append(basis @ self.value[at : at + basis.shape[1]])
+            at += basis.shape[1]
+        return np.stack(out, axis=1)
+
+
+def _solve(equations: NormalEquations, expansion: Expansion, prior_sigma: Floats) -> Solved:
+    # Only the values at the blocks' middles are ever asked for.
+    functions = {
+        name: {f"q{k}": (lambda _, v=values[:, k]: v) for k in range(values.shape[1])}
+        for name, values in expansion.functions.items()
+    }
+    expanded = equations.expand(functions)
+    owners = [column.split("*")[0] for column in expanded.columns]
+    sigma = np.array([prior_sigma[equations.columns.index(owner)] for owner in owners])
+    solution = expanded.solve(sigma)
+    value, _ = expanded.physical(solution)
+    data = expanded.dataset
+    scale, gram = data["scale"].values[:-1], data["gram"].values
+    covariance = sandwich(gram, solution.value, solution.variance, sigma / scale, expansion.functions_each)
+    covariance *= np.outer(scale, scale)
+    back = expansion.back
+    total = residual_sum(gram.sum(axis=0), solution.value)
+    return Solved(
+        back @ value + expansion.unit @ equations.reference,
+        back @ covariance @ back.T,
+        _determined(expansion, solution.determined),
+        float(np.sqrt(total / max(float(data["count"].values.sum()), 1.0))),
+        total,
+    )
+
+
+def _determined(expansion: Expansion, of_functions: np.ndarray) -> np.ndarray:
+    """Return which coefficients are determined: all those of a trend whose every function is."""
+    out, at = np.empty(of_functions.size, dtype=bool), 0
+    for basis in expansion.bases:
+        out[at : at + basis.shape[1]] = of_functions[at : at + basis.shape[1]].all()
+        at += basis.shape[1]
+    return out
+
+
+def sandwich(
+    gram: Floats, change: Floats, variance: float, prior_sigma: Floats, functions: float = 1.0
+) -> Floats:
+    """Return the covariance of a fit from the scatter of its blocks' scores, correlated in time.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (block, column + 1, column + 1)
+        Weighted [X | y] of the blocks, scaled.
+    change : ndarray, shape (column,)
+        The fit, scaled.
+    variance : float
+        Residual variance.
+    prior_sigma : ndarray, shape (column,)
+        Scaled; 0 for what is fixed.
+    functions : float
+        Functions of time of each parameter, on average.
+    """
+    scores = gram[:, :-1, -1] + gram[:, :-1, :-1] @ change
+    matrix = gram[:, :-1, :-1].sum(axis=0) / variance
+    free = np.flatnonzero(prior_sigma > 0)
+    grid, unit = np.ix_(free, free), prior_sigma[free]
+    # In units of the prior's sigma: the columns differ by many orders.
+    bread = np.linalg.inv(matrix[grid] * np.outer(unit, unit) + np.eye(free.size))
+    influence = (scores[:, free] * unit / variance) @ bread
+    spread = long_run_covariance(influence, functions) + bread @ bread
+    out = np.zeros_like(matrix)
+    out[grid] = spread * np.outer(unit, unit)
+    return out
+
+
+def with_origin(fit: TrendFit, origin: Origin) -> TrendFit:
+    """Return a fit that tells the origin of its logarithm."""
+    return replace(fit, origin=origin)
