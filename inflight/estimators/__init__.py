@@ -1,0 +1,1 @@
+"""Estimators of what a mission's effects are: pure functions from arrays to values with uncertainties."""

@@ -1,0 +1,419 @@
+"""Fast changes of a housekeeping current, found from the current alone.
+
+A current that a switch or a regulator changes within seconds tells its stray field from everything
+that follows the orbit (Yin 2010, section 3.4.1). A *step* is a run of readings that change faster
+than their surroundings, by far more than the channel's own noise and quantisation, between two
+levels that are straight lines before and after. A kink, where only the slope changes, is no step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.ndimage import median_filter
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import TO_SIGMA
+from inflight.errors import SamplesError
+from inflight.time import SECOND, Int64
+
+#: Changes between neighbours, and sizes, count from this many sigma on: with 86 400 readings a day
+#: and Gaussian noise one false alarm in 10^10 days.
+SIGNIFICANCE = 8.0
+#: A transition ends where the reading is within this many sigma of the level, or this part of the size.
+_SETTLED, _REST = 3.0, 0.02
+#: Rounds in which ends of the transition and levels are fitted in turn.
+_ROUNDS = 3
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class CurrentSteps:
+    """Steps of one channel in order of time; arrays of shape (step,).
+
+    Attributes
+    ----------
+    time : ndarray of int64
+        TT2000 at which half of the change was passed.
+    start, end : ndarray of int64
+        TT2000 of the last reading on the old level and of the first on the new.
+    before, after : ndarray
+        Levels, extrapolated to `time`, in the channel's unit.
+    sigma : ndarray
+        Standard deviation of ``after - before``.
+    noise, resolution : float
+        White noise of a reading and its smallest step, channel's unit.
+    cadence : float
+        Usual seconds between readings.
+    unit : str
+    """
+
+    time: Int64
+    start: Int64
+    end: Int64
+    before: Floats
+    after: Floats
+    sigma: Floats
+    noise: float
+    resolution: float
+    cadence: float
+    unit: str = "A"
+
+    @property
+    def size(self) -> Floats:
+        """Change of the current, negative for a drop."""
+        return self.after - self.before
+
+    @property
+    def direction(self) -> npt.NDArray[np.int64]:
+        """-1 for a drop, 1 for a rise."""
+        return np.sign(self.size).astype(np.int64)
+
+    @property
+    def duration(self) -> Floats:
+        """Seconds from the last reading on the old level to the first on the new."""
+        return (self.end - self.start) / SECOND
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> CurrentSteps:
+        """Return some of the steps; `chosen` has shape (step,)."""
+        kept = {
+            one.name: getattr(self, one.name)[chosen]
+            if isinstance(getattr(self, one.name), np.ndarray)
+            else getattr(self, one.name)
+            for one in fields(self)
+        }
+        return CurrentSteps(**kept)
+
+    def table(self) -> xr.Dataset:
+        """Return the steps with `value` (the change) and `sigma` along ``step``."""
+        times = {name: ("step", getattr(self, name), {"scale": "TT2000"}) for name in ("time", "start", "end")}
+        numbers = {
+            name: ("step", getattr(self, name), {"units": self.unit})
+            for name in ("before", "after", "sigma")
+        }
+        return xr.Dataset(
+            times
+            | numbers
+            | {
+                "value": ("step", self.size, {"units": self.unit}),
+                "duration": ("step", self.duration, {"units": "s"}),
+                "direction": ("step", self.direction),
+            },
+            attrs={"noise": self.noise, "resolution": self.resolution, "cadence_s": self.cadence},
+        )
+
+
+def find_steps(
+    stamps: Int64,
+    current: Floats,
+    *,
+    unit: str = "A",
+    longest: float = 60.0,
+    window: float = 60.0,
+    significance: float = SIGNIFICANCE,
+    smallest: float = 0.0,
+    resolution: float | None = None,
+) -> CurrentSteps:
+    """Find the fast drops and rises of a current.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (reading,)
+        TT2000, rising; any cadence, gaps allowed.
+    current : ndarray, shape (reading,)
+        NaN where it is missing.
+    unit : str
+        Of the current.
+    longest : float
+        Slower changes are no steps, s; also the longest gap a step may lie in.
+    window : float
+        The levels are lines through the readings of this many seconds before and after.
+    significance : float
+        Least size of a change and of a step in standard deviations.
+    smallest : float
+        Least size of a step in the current's unit.
+    resolution : float, optional
+        Smallest step of the delivered numbers; from the readings when absent.
+
+    Returns
+    -------
+    CurrentSteps
+        None at all for a current that never changes.
+
+    Raises
+    ------
+    SamplesError
+        Shapes that differ, times that do not rise, or too few readings.
+    """
+    times, values = _readings(stamps, current, resolution)
+    seconds = (times - times[0]) / SECOND
+    apart = np.diff(seconds)
+    cadence = float(np.median(apart))
+    noise, smallest_step = noise_of(values, resolution)
+    change = _own_change(values, apart, longest, cadence)
+    # Two readings differ by the noise of both; rounding adds a uniform error to each.
+    limit = significance * np.sqrt(2.0) * noise
+    runs = _runs(change, apart, limit, longest)
+    fitted = [
+        one
+        for index, run in enumerate(runs)
+        if (one := _fit_step(seconds, values, _around(runs, index, seconds.size), run, noise, longest, window))
+    ]
+    least = [max(significance * one.sigma, smallest) for one in fitted]
+    kept = [
+        one
+        for one, needed in zip(fitted, least, strict=True)
+        if abs(one.after - one.before) >= needed and one.last - one.first <= longest
+    ]
+    ticks = [[round(t * SECOND) for t in (one.middle, one.first, one.last)] for one in kept]
+    when = times[0] + np.array(ticks, dtype=np.int64).reshape(-1, 3)
+    levels = np.array([[one.before, one.after, one.sigma] for one in kept]).reshape(-1, 3)
+    return CurrentSteps(
+        *(when[:, i] for i in range(3)), *(levels[:, i] for i in range(3)), noise, smallest_step, cadence, unit
+    )
+
+
+def noise_of(values: Floats, resolution: float | None = None) -> tuple[float, float]:
+    """Return white noise and smallest step of readings, in their unit.
+
+    The noise is that of second differences, which a drift does not reach, by the median of their
+    sizes; rounding to a step q leaves at least ``q / sqrt(12)``.
+
+    Parameters
+    ----------
+    values : ndarray, shape (reading,)
+        Finite.
+    resolution : float, optional
+        The smallest step where it is known. Else it is the smallest change seen, unless that is more
+        than a third of the range: two or three levels are those of a switch, not of a converter.
+    """
+    span = float(np.ptp(values)) if values.size else 0.0
+    if resolution is None:
+        sizes = np.abs(np.diff(values))
+        # Decimal readings differ by rounding errors of their binary form too: those are no steps.
+        least = float(sizes[sizes > 1e-9 * max(float(np.abs(values).max(initial=0.0)), 1e-30)].min(initial=span))
+        resolution = least if least < span / 3.0 else 0.0
+    spread = TO_SIGMA * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0) if values.size > 2 else 0.0
+    # A switch without noise still has the rounding of its binary form.
+    return max(spread, resolution / np.sqrt(12.0), 1e-9 * span), resolution
+
+
+def _readings(stamps: Int64, current: Floats, resolution: float | None) -> tuple[Int64, Floats]:
+    times, values = np.asarray(stamps, dtype=np.int64), np.asarray(current, dtype=np.float64)
+    if times.shape != values.shape or times.ndim != 1:
+        raise SamplesError(
+            f"times have shape {times.shape}, the current {values.shape}", remedy="give one current a call"
+        )
+    good = np.isfinite(values)
+    times, values = times[good], values[good]
+    if times.size < 2 * _FEWEST + 2:
+        raise SamplesError(
+            f"{times.size} readings of the current found, at least {2 * _FEWEST + 2} needed",
+            remedy="take a longer span",
+        )
+    if np.any(np.diff(times) <= 0):
+        raise SamplesError("times of the current do not rise", remedy="sort them and drop duplicates")
+    kept = ~_spikes(values, SIGNIFICANCE * np.sqrt(2.0) * noise_of(values, resolution)[0])
+    return times[kept], values[kept]
+
+
+def _spikes(values: Floats, limit: float) -> npt.NDArray[np.bool_]:
+    """Return single readings that leave their neighbours' level and come back to it."""
+    ahead, behind = np.diff(values)[:-1], np.diff(values)[1:]
+    out_and_back = np.minimum(np.abs(ahead), np.abs(behind))
+    alone = (out_and_back > limit) & (np.abs(ahead + behind) < 0.5 * out_and_back)
+    return np.concatenate([[False], alone, [False]])
+
+
+def _own_change(values: Floats, apart: Floats, longest: float, cadence: float) -> Floats:
+    """Return changes between neighbours less what the slope around them makes; (reading - 1,).
+
+    The slope is a running median over more than twice the longest transition: it follows a kink at
+    once and a step not at all.
+    """
+    rate = np.diff(values) / apart
+    size = 2 * int(np.ceil(longest / cadence)) + 1
+    return np.asarray(np.diff(values) - median_filter(rate, min(size, rate.size), mode="nearest") * apart)
+
+
+def _runs(change: Floats, apart: Floats, limit: float, longest: float) -> list[tuple[int, int]]:
+    """Return first and last reading of each run of fast changes of one sign; one slow change may be inside."""
+    fast = np.flatnonzero((np.abs(change) > limit) & (apart <= longest))
+    runs: list[tuple[int, int]] = []
+    for index in fast:
+        near = runs and index - runs[-1][1] < 2 and change[index] * change[runs[-1][1] - 1] > 0
+        if near:
+            runs[-1] = (runs[-1][0], int(index) + 1)
+        else:
+            runs.append((int(index), int(index) + 1))
+    return runs
+
+
+def _around(runs: list[tuple[int, int]], index: int, count: int) -> tuple[int, int]:
+    """Return the readings, half-open, that belong to a run alone: from the end of the last to the next's start."""
+    low = runs[index - 1][1] if index else 0
+    high = runs[index + 1][0] + 1 if index + 1 < len(runs) else count
+    return low, high
+
+
+@dataclass(frozen=True)
+class _Step:
+    first: float
+    middle: float
+    last: float
+    before: float
+    after: float
+    sigma: float
+
+
+def _fit_step(
+    seconds: Floats,
+    values: Floats,
+    allowed: tuple[int, int],
+    run: tuple[int, int],
+    noise: float,
+    longest: float,
+    window: float,
+) -> _Step | None:
+    """Fit lines before and after a run, widening the transition until both hold; None for no step."""
+    first, last = run
+    for _ in range(_ROUNDS):
+        middle = 0.5 * (seconds[first] + seconds[last])
+        sides = _sides(seconds, allowed, (first, last), window)
+        old, new = (_Line.through(seconds[part] - middle, values[part], noise) for part in sides)
+        if old is None or new is None:
+            return None
+        rest = max(_SETTLED * noise, _REST * abs(new.level - old.level))
+        wider = _widened(seconds - middle, values, allowed, run, (old, new), rest)
+        if wider == (first, last):
+            break
+        first, last = wider
+        if seconds[last] - seconds[first] > longest:
+            return None
+    sigma = float(np.hypot(old.sigma, new.sigma))
+    reach = 0.5 * (seconds[last] - seconds[first])
+    # Lines that meet inside the transition are a kink.
+    if abs(new.level - old.level) <= abs(new.slope - old.slope) * reach + SIGNIFICANCE * sigma:
+        return None
+    half = _half_passed(seconds, values, (first, last), 0.5 * (old.level + new.level))
+    shift = half - middle
+    return _Step(
+        float(seconds[first]),
+        half,
+        float(seconds[last]),
+        old.level + old.slope * shift,
+        new.level + new.slope * shift,
+        sigma,
+    )
+
+
+def _sides(
+    seconds: Floats, allowed: tuple[int, int], run: tuple[int, int], window: float
+) -> tuple[slice, slice]:
+    begin = max(allowed[0], int(np.searchsorted(seconds, seconds[run[0]] - window)))
+    stop = min(allowed[1], int(np.searchsorted(seconds, seconds[run[1]] + window, side="right")))
+    return slice(begin, run[0] + 1), slice(run[1], stop)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A level with a slope: `level` at time 0 and its standard deviation."""
+
+    level: float
+    slope: float
+    sigma: float
+
+    @classmethod
+    def through(cls, seconds: Floats, values: Floats, noise: float) -> _Line | None:
+        if seconds.size < _FEWEST:
+            return None
+        shapes = np.column_stack([np.ones_like(seconds), seconds])
+        inverse = np.linalg.inv(shapes.T @ shapes)
+        fit = inverse @ (shapes.T @ values)
+        left = float(np.sum((values - shapes @ fit) ** 2)) / max(seconds.size - 2, 1)
+        return cls(float(fit[0]), float(fit[1]), float(np.sqrt(max(left, noise**2) * inverse[0, 0])))
+
+
+def _widened(
+    seconds: Floats,
+    values: Floats,
+    allowed: tuple[int, int],
+    run: tuple[int, int],
+    lines: tuple[_Line, _Line],
+    rest: float,
+) -> tuple[int, int]:
+    """Return the run from the last reading on the old line to the first on the new one."""
+    off = [np.abs(values - line.level - line.slope * seconds) > rest for line in lines]
+    first, last = run
+    while first > allowed[0] and off[0][first]:
+        first -= 1
+    while last < allowed[1] - 1 and off[1][last]:
+        last += 1
+    return first, last
+
+
+def _half_passed(seconds: Floats, values: Floats, run: tuple[int, int], level: float) -> float:
+    """Return when the readings pass a level, between the two readings around it."""
+    part = slice(run[0], run[1] + 1)
+    above = values[part] > level
+    change = np.flatnonzero(above[1:] != above[:-1])
+    if not change.size:
+        return float(0.5 * (seconds[run[0]] + seconds[run[1]]))
+    low = run[0] + int(change[0])
+    share = (level - values[low]) / (values[low + 1] - values[low])
+    return float(seconds[low] + share * (seconds[low + 1] - seconds[low]))
+
+
+def find_excursions(
+    stamps: Int64,
+    current: Floats,
+    *,
+    unit: str = "A",
+    longest: float = 1200.0,
+    significance: float = SIGNIFICANCE,
+    smallest: float = 0.0,
+    resolution: float | None = None,
+) -> CurrentSteps:
+    """Find the times when a current leaves its usual level and comes back, such as a dazzled camera's.
+
+    Parameters
+    ----------
+    stamps, current, unit, significance, smallest, resolution
+        As for `find_steps`.
+    longest : float
+        Longer departures are a new level, s. The usual level is a running median over three times that.
+
+    Returns
+    -------
+    CurrentSteps
+        `time` is where it was farthest away, `after` that reading and `before` the level then;
+        `start` and `end` are the readings around the part that was more than half as far.
+    """
+    times, values = _readings(stamps, current, resolution)
+    noise, smallest_step = noise_of(values, resolution)
+    seconds = (times - times[0]) / SECOND
+    cadence = float(np.median(np.diff(seconds)))
+    size = min(2 * round(1.5 * longest / cadence) + 1, values.size)
+    level = median_filter(values, size, mode="nearest")
+    away = np.abs(values - level) > _SETTLED * noise
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], away, [False]]).astype(np.int8)))
+    rows = []
+    for first, stop in edges.reshape(-1, 2):
+        departure = np.abs(values[first:stop] - level[first:stop])
+        far = int(first) + int(np.argmax(departure))
+        inside = 0 < first and stop < values.size and seconds[stop] - seconds[first - 1] <= longest
+        if inside and departure.max() >= max(significance * noise, smallest):
+            half = int(first) + np.flatnonzero(departure > 0.5 * departure.max())[[0, -1]] + [-1, 1]
+            rows.append((times[far], *times[half], level[far], values[far]))
+    when = np.array([row[:3] for row in rows], dtype=np.int64).reshape(-1, 3)
+    levels = np.array([row[3:] for row in rows], dtype=np.float64).reshape(-1, 2)
+    sigma = np.full(len(rows), noise)
+    return CurrentSteps(
+        *(when[:, i] for i in range(3)), levels[:, 0], levels[:, 1], sigma, noise, smallest_step, cadence, unit
+    )
