@@ -72,7 +72,7 @@ def gram_of(columns: Floats, observed: Floats, weight: Floats | None = None) -> 
 def grams_by_cluster(
     columns: Floats, observed: Floats, weight: Floats, cluster: npt.NDArray[np.int64]
 ) -> tuple[Floats, Floats]:
-    """Return the Gram matrix (cluster, column + 1, column + 1) and number of rows (cluster,) of each cluster."""
+    """Return Gram matrix (cluster, column + 1, column + 1) and number of rows (cluster,) of each cluster."""
     _, which = np.unique(cluster, return_inverse=True)
     rows = np.column_stack([columns, observed])
     gram = np.zeros((int(which.max(initial=-1)) + 1, rows.shape[1], rows.shape[1]))

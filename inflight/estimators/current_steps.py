@@ -16,18 +16,13 @@ import xarray as xr
 from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA
-from inflight.errors import SamplesError
+from inflight.estimators.readings import FEWEST, SIGNIFICANCE, noise_of, readings_of
 from inflight.time import SECOND, Int64
 
-#: Changes between neighbours, and sizes, count from this many sigma on: with 86 400 readings a day
-#: and Gaussian noise one false alarm in 10^10 days.
-SIGNIFICANCE = 8.0
 #: A transition ends where the reading is within this many sigma of the level, or this part of the size.
 _SETTLED, _REST = 3.0, 0.02
 #: Rounds in which ends of the transition and levels are fitted in turn.
-_ROUNDS = 3
-_FEWEST = 3
+_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -62,6 +57,16 @@ class CurrentSteps:
     cadence: float
     unit: str = "A"
 
+    @classmethod
+    def of_rows(
+        cls, times: Int64, levels: Floats, channel: tuple[float, float, float], unit: str
+    ) -> CurrentSteps:
+        """Return steps from rows of (time, start, end) and (before, after, sigma), both (step, 3).
+
+        `channel` is its noise, resolution and cadence.
+        """
+        return cls(*times.T, *levels.T, *channel, unit)  # type: ignore[call-arg]
+
     @property
     def size(self) -> Floats:
         """Change of the current, negative for a drop."""
@@ -92,10 +97,11 @@ class CurrentSteps:
 
     def table(self) -> xr.Dataset:
         """Return the steps with `value` (the change) and `sigma` along ``step``."""
-        times = {name: ("step", getattr(self, name), {"scale": "TT2000"}) for name in ("time", "start", "end")}
+        times = {
+            name: ("step", getattr(self, name), {"scale": "TT2000"}) for name in ("time", "start", "end")
+        }
         numbers = {
-            name: ("step", getattr(self, name), {"units": self.unit})
-            for name in ("before", "after", "sigma")
+            name: ("step", getattr(self, name), {"units": self.unit}) for name in ("before", "after", "sigma")
         }
         return xr.Dataset(
             times
@@ -151,7 +157,7 @@ def find_steps(
     SamplesError
         Shapes that differ, times that do not rise, or too few readings.
     """
-    times, values = _readings(stamps, current, resolution)
+    times, values = readings_of(stamps, current, resolution)
     seconds = (times - times[0]) / SECOND
     apart = np.diff(seconds)
     cadence = float(np.median(apart))
@@ -163,7 +169,9 @@ def find_steps(
     fitted = [
         one
         for index, run in enumerate(runs)
-        if (one := _fit_step(seconds, values, _around(runs, index, seconds.size), run, noise, longest, window))
+        if (
+            one := _fit_step(seconds, values, _around(runs, index, seconds.size), run, noise, longest, window)
+        )
     ]
     least = [max(significance * one.sigma, smallest) for one in fitted]
     kept = [
@@ -174,61 +182,7 @@ def find_steps(
     ticks = [[round(t * SECOND) for t in (one.middle, one.first, one.last)] for one in kept]
     when = times[0] + np.array(ticks, dtype=np.int64).reshape(-1, 3)
     levels = np.array([[one.before, one.after, one.sigma] for one in kept]).reshape(-1, 3)
-    return CurrentSteps(
-        *(when[:, i] for i in range(3)), *(levels[:, i] for i in range(3)), noise, smallest_step, cadence, unit
-    )
-
-
-def noise_of(values: Floats, resolution: float | None = None) -> tuple[float, float]:
-    """Return white noise and smallest step of readings, in their unit.
-
-    The noise is that of second differences, which a drift does not reach, by the median of their
-    sizes; rounding to a step q leaves at least ``q / sqrt(12)``.
-
-    Parameters
-    ----------
-    values : ndarray, shape (reading,)
-        Finite.
-    resolution : float, optional
-        The smallest step where it is known. Else it is the smallest change seen, unless that is more
-        than a third of the range: two or three levels are those of a switch, not of a converter.
-    """
-    span = float(np.ptp(values)) if values.size else 0.0
-    if resolution is None:
-        sizes = np.abs(np.diff(values))
-        # Decimal readings differ by rounding errors of their binary form too: those are no steps.
-        least = float(sizes[sizes > 1e-9 * max(float(np.abs(values).max(initial=0.0)), 1e-30)].min(initial=span))
-        resolution = least if least < span / 3.0 else 0.0
-    spread = TO_SIGMA * float(np.median(np.abs(np.diff(values, 2)))) / np.sqrt(6.0) if values.size > 2 else 0.0
-    # A switch without noise still has the rounding of its binary form.
-    return max(spread, resolution / np.sqrt(12.0), 1e-9 * span), resolution
-
-
-def _readings(stamps: Int64, current: Floats, resolution: float | None) -> tuple[Int64, Floats]:
-    times, values = np.asarray(stamps, dtype=np.int64), np.asarray(current, dtype=np.float64)
-    if times.shape != values.shape or times.ndim != 1:
-        raise SamplesError(
-            f"times have shape {times.shape}, the current {values.shape}", remedy="give one current a call"
-        )
-    good = np.isfinite(values)
-    times, values = times[good], values[good]
-    if times.size < 2 * _FEWEST + 2:
-        raise SamplesError(
-            f"{times.size} readings of the current found, at least {2 * _FEWEST + 2} needed",
-            remedy="take a longer span",
-        )
-    if np.any(np.diff(times) <= 0):
-        raise SamplesError("times of the current do not rise", remedy="sort them and drop duplicates")
-    kept = ~_spikes(values, SIGNIFICANCE * np.sqrt(2.0) * noise_of(values, resolution)[0])
-    return times[kept], values[kept]
-
-
-def _spikes(values: Floats, limit: float) -> npt.NDArray[np.bool_]:
-    """Return single readings that leave their neighbours' level and come back to it."""
-    ahead, behind = np.diff(values)[:-1], np.diff(values)[1:]
-    out_and_back = np.minimum(np.abs(ahead), np.abs(behind))
-    alone = (out_and_back > limit) & (np.abs(ahead + behind) < 0.5 * out_and_back)
-    return np.concatenate([[False], alone, [False]])
+    return CurrentSteps.of_rows(when, levels, (noise, smallest_step, cadence), unit)
 
 
 def _own_change(values: Floats, apart: Floats, longest: float, cadence: float) -> Floats:
@@ -243,7 +197,7 @@ def _own_change(values: Floats, apart: Floats, longest: float, cadence: float) -
 
 
 def _runs(change: Floats, apart: Floats, limit: float, longest: float) -> list[tuple[int, int]]:
-    """Return first and last reading of each run of fast changes of one sign; one slow change may be inside."""
+    """Return first and last reading of runs of fast changes of one sign; one slow change may be inside."""
     fast = np.flatnonzero((np.abs(change) > limit) & (apart <= longest))
     runs: list[tuple[int, int]] = []
     for index in fast:
@@ -256,7 +210,7 @@ def _runs(change: Floats, apart: Floats, limit: float, longest: float) -> list[t
 
 
 def _around(runs: list[tuple[int, int]], index: int, count: int) -> tuple[int, int]:
-    """Return the readings, half-open, that belong to a run alone: from the end of the last to the next's start."""
+    """Return the readings, half-open, that are a run's own: from the end of the last to the next's start."""
     low = runs[index - 1][1] if index else 0
     high = runs[index + 1][0] + 1 if index + 1 < len(runs) else count
     return low, high
@@ -285,17 +239,18 @@ def _fit_step(
     first, last = run
     for _ in range(_ROUNDS):
         middle = 0.5 * (seconds[first] + seconds[last])
-        sides = _sides(seconds, allowed, (first, last), window)
-        old, new = (_Line.through(seconds[part] - middle, values[part], noise) for part in sides)
-        if old is None or new is None:
+        before, after = _sides(seconds, allowed, (first, last), window)
+        old = _Line.through(seconds[before] - middle, values[before], noise)
+        new = _Line.through(seconds[after] - middle, values[after], noise)
+        if old is None or new is None or seconds[last] - seconds[first] > longest:
             return None
         rest = max(_SETTLED * noise, _REST * abs(new.level - old.level))
         wider = _widened(seconds - middle, values, allowed, run, (old, new), rest)
         if wider == (first, last):
             break
         first, last = wider
-        if seconds[last] - seconds[first] > longest:
-            return None
+    else:
+        return None
     sigma = float(np.hypot(old.sigma, new.sigma))
     reach = 0.5 * (seconds[last] - seconds[first])
     # Lines that meet inside the transition are a kink.
@@ -331,7 +286,7 @@ class _Line:
 
     @classmethod
     def through(cls, seconds: Floats, values: Floats, noise: float) -> _Line | None:
-        if seconds.size < _FEWEST:
+        if seconds.size < FEWEST:
             return None
         shapes = np.column_stack([np.ones_like(seconds), seconds])
         inverse = np.linalg.inv(shapes.T @ shapes)
@@ -368,52 +323,3 @@ def _half_passed(seconds: Floats, values: Floats, run: tuple[int, int], level: f
     low = run[0] + int(change[0])
     share = (level - values[low]) / (values[low + 1] - values[low])
     return float(seconds[low] + share * (seconds[low + 1] - seconds[low]))
-
-
-def find_excursions(
-    stamps: Int64,
-    current: Floats,
-    *,
-    unit: str = "A",
-    longest: float = 1200.0,
-    significance: float = SIGNIFICANCE,
-    smallest: float = 0.0,
-    resolution: float | None = None,
-) -> CurrentSteps:
-    """Find the times when a current leaves its usual level and comes back, such as a dazzled camera's.
-
-    Parameters
-    ----------
-    stamps, current, unit, significance, smallest, resolution
-        As for `find_steps`.
-    longest : float
-        Longer departures are a new level, s. The usual level is a running median over three times that.
-
-    Returns
-    -------
-    CurrentSteps
-        `time` is where it was farthest away, `after` that reading and `before` the level then;
-        `start` and `end` are the readings around the part that was more than half as far.
-    """
-    times, values = _readings(stamps, current, resolution)
-    noise, smallest_step = noise_of(values, resolution)
-    seconds = (times - times[0]) / SECOND
-    cadence = float(np.median(np.diff(seconds)))
-    size = min(2 * round(1.5 * longest / cadence) + 1, values.size)
-    level = median_filter(values, size, mode="nearest")
-    away = np.abs(values - level) > _SETTLED * noise
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], away, [False]]).astype(np.int8)))
-    rows = []
-    for first, stop in edges.reshape(-1, 2):
-        departure = np.abs(values[first:stop] - level[first:stop])
-        far = int(first) + int(np.argmax(departure))
-        inside = 0 < first and stop < values.size and seconds[stop] - seconds[first - 1] <= longest
-        if inside and departure.max() >= max(significance * noise, smallest):
-            half = int(first) + np.flatnonzero(departure > 0.5 * departure.max())[[0, -1]] + [-1, 1]
-            rows.append((times[far], *times[half], level[far], values[far]))
-    when = np.array([row[:3] for row in rows], dtype=np.int64).reshape(-1, 3)
-    levels = np.array([row[3:] for row in rows], dtype=np.float64).reshape(-1, 2)
-    sigma = np.full(len(rows), noise)
-    return CurrentSteps(
-        *(when[:, i] for i in range(3)), levels[:, 0], levels[:, 1], sigma, noise, smallest_step, cadence, unit
-    )

@@ -18,19 +18,14 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA
 from inflight.errors import SamplesError
+from inflight.estimators.contrasts import Chosen, Contrast, Series, robust_contrast
 from inflight.estimators.current_steps import CurrentSteps
 from inflight.time import SECOND, Int64, day_of
-from inflight.units import factor_and_offset
 
 AXES = ("x", "y", "z")
-#: Samples of the residual this many robust sigmas off the fitted drift and step are left out.
-_OUTLIER = 6.0
 #: Part of the samples wanted on each side of a step for it to count.
 _LEAST_SIDE = 0.5
-#: Places of the orbit kept with each epoch where the samples know them.
-_PLACES = ("local_time", "orbit_phase", "latitude", "sunlit", "sun_direction")
 
 
 @dataclass(frozen=True)
@@ -42,7 +37,7 @@ class Windows:
     length : float
         Seconds before the transition and after it; whole periods of the torquers' 20 s.
     margin : float, optional
-        Seconds more on both sides of the transition that are left out; one cadence of the current when absent.
+        Seconds more on both sides of the transition that are left out; the current's cadence when absent.
     order : int
         Order of the drift that is common to both sides. Order 2 costs no more than 1 when both sides
         are whole; what a cubic drift c t^3 leaves is ``0.4 c length^3``.
@@ -107,7 +102,7 @@ def epochs_of(
     SamplesError
         A variable is missing or has another shape.
     """
-    series = _Series.of(samples, residual, (channel, *others))
+    series = Series.of(samples, residual, (channel, *others))
     chosen = windows or Windows()
     rows = [row for index in range(len(steps)) if (row := _epoch(series, steps, index, chosen)) is not None]
     if not rows:
@@ -137,89 +132,7 @@ def join_epochs(parts: Sequence[xr.Dataset]) -> xr.Dataset:
     return joined.isel(epoch=np.argsort(joined["time"].values, kind="stable"))
 
 
-@dataclass(frozen=True)
-class _Series:
-    """The samples as arrays, missing ones NaN."""
-
-    stamps: Int64
-    residual: Floats
-    direction: Floats
-    currents: Floats
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    places: dict[str, Floats]
-
-    @classmethod
-    def of(cls, samples: xr.Dataset, residual: Floats, names: tuple[str, ...]) -> _Series:
-        missing = [name for name in ("tt2000", "field", *names) if name not in samples]
-        if missing:
-            raise SamplesError(f"samples have no {missing}", remedy="align these channels first")
-        count = samples.sizes["time"]
-        values = np.asarray(residual, dtype=np.float64)
-        if values.shape != (count,):
-            raise SamplesError(f"the residual has shape {values.shape}, ({count},) expected")
-        if "weight" in samples:
-            values = np.where(samples["weight"].values > 0, values, np.nan)
-        field = np.asarray(samples["field"].values, dtype=np.float64)
-        direction = field / np.linalg.norm(field, axis=1, keepdims=True)
-        found = [_in_amperes(samples[name]) for name in names]
-        places = {name: samples[name].values.astype(np.float64) for name in _PLACES if name in samples}
-        return cls(
-            np.asarray(samples["tt2000"].values, dtype=np.int64),
-            values,
-            direction,
-            np.column_stack([series for series, _ in found]),
-            names,
-            tuple(unit for _, unit in found),
-            places,
-        )
-
-    def part(self, start: int, end: int) -> slice:
-        """Return the samples in a half-open span."""
-        return slice(*(int(i) for i in np.searchsorted(self.stamps, [start, end])))
-
-
-def _in_amperes(series: xr.DataArray) -> tuple[Floats, str]:
-    """Return a channel (time,) in A where it is a current, else as it is, and its unit."""
-    unit = str(series.attrs.get("units", "1"))
-    if series.ndim != 1:
-        raise SamplesError(
-            f"has dims {series.dims}, one current expected", channel=str(series.name), remedy="take one axis"
-        )
-    try:
-        factor, offset = factor_and_offset(unit, "A")
-    except ValueError:
-        return series.values.astype(np.float64), unit
-    return factor * series.values.astype(np.float64) + offset, "A"
-
-
-@dataclass(frozen=True)
-class _Contrast:
-    """Weights over some samples that are blind to drift and give 1 for the shape."""
-
-    weight: Floats
-    drift: Floats
-    used: Floats
-
-    @classmethod
-    def of(cls, seconds: Floats, shape: Floats, order: int) -> _Contrast | None:
-        span = max(float(np.abs(seconds).max()), 1e-9)
-        drift = (seconds[:, None] / span) ** np.arange(order + 1)
-        own = shape - drift @ np.linalg.lstsq(drift, shape)[0]
-        power = float(own @ own)
-        if seconds.size < order + 4 or power <= 1e-9 * float(shape @ shape):
-            return None
-        return cls(own / power, drift, shape)
-
-    def residual(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return what drift and shape leave of values, and the coefficients of the drift."""
-        size = float(self.weight @ values)
-        left = values - size * self.used
-        coefficients = np.linalg.lstsq(self.drift, left)[0]
-        return left - self.drift @ coefficients, coefficients
-
-
-def _epoch(series: _Series, steps: CurrentSteps, index: int, windows: Windows) -> dict[str, object] | None:
+def _epoch(series: Series, steps: CurrentSteps, index: int, windows: Windows) -> dict[str, object] | None:
     """Return the numbers of one epoch, or None where too little is left around it."""
     low, high = _own_span(steps, index, windows)
     part = series.part(low, high)
@@ -227,7 +140,7 @@ def _epoch(series: _Series, steps: CurrentSteps, index: int, windows: Windows) -
     usable, shape = _usable(series, part, steps, index, windows)
     if not _both_sides(seconds[usable], seconds, usable, windows):
         return None
-    fit = _robust(seconds, series.residual[part], shape, usable, windows.order)
+    fit = robust_contrast(seconds, series.residual[part], shape, usable, windows.order)
     if fit is None:
         return None
     contrast, kept, noise = fit
@@ -267,8 +180,8 @@ def _margin(steps: CurrentSteps, windows: Windows) -> int:
 
 
 def _usable(
-    series: _Series, part: slice, steps: CurrentSteps, index: int, windows: Windows
-) -> tuple[np.ndarray[tuple[int], np.dtype[np.bool_]], Floats]:
+    series: Series, part: slice, steps: CurrentSteps, index: int, windows: Windows
+) -> tuple[Chosen, Floats]:
     """Return which samples of a part can be used, and the shape looked for; (time,) each."""
     stamps = series.stamps[part]
     usable = (
@@ -284,9 +197,7 @@ def _usable(
     return usable, (stamps > steps.time[index]).astype(np.float64)
 
 
-def _both_sides(
-    used: Floats, seconds: Floats, usable: np.ndarray[tuple[int], np.dtype[np.bool_]], windows: Windows
-) -> bool:
+def _both_sides(used: Floats, seconds: Floats, usable: Chosen, windows: Windows) -> bool:
     if windows.shape == "current":
         return bool(used.size > 0.5 * seconds.size and used.size)
     # The usual spacing of samples tells how many there should be.
@@ -295,36 +206,12 @@ def _both_sides(
     return bool((used < 0).sum() >= wanted and (used > 0).sum() >= wanted)
 
 
-def _robust(
-    seconds: Floats,
-    values: Floats,
-    shape: Floats,
-    usable: np.ndarray[tuple[int], np.dtype[np.bool_]],
-    order: int,
-) -> tuple[_Contrast, np.ndarray[tuple[int], np.dtype[np.bool_]], float] | None:
-    """Return the contrast without outliers, the samples kept, and the noise of one."""
-    kept = usable
-    for _ in range(3):
-        contrast = _Contrast.of(seconds[kept], shape[kept], order)
-        if contrast is None:
-            return None
-        left, _ = contrast.residual(values[kept])
-        limit = _OUTLIER * TO_SIGMA * float(np.median(np.abs(left)))
-        far = np.abs(left) > max(limit, 1e-12)
-        if not far.any():
-            break
-        kept = kept.copy()
-        kept[np.flatnonzero(kept)[far]] = False
-    freedom = max(left.size - order - 2, 1)
-    return contrast, kept, float(np.sqrt(np.sum(left**2) / freedom))
-
-
-def _columns(series: _Series, at: Int64, weight: Floats) -> Floats:
+def _columns(series: Series, at: Int64, weight: Floats) -> Floats:
     """Return the contrasts of e_j I_k; (current, axis)."""
     return np.asarray(np.einsum("t,tk,tj->kj", weight, series.currents[at], series.direction[at]))
 
 
-def _means(series: _Series, at: Int64, seconds: Floats) -> dict[str, object]:
+def _means(series: Series, at: Int64, seconds: Floats) -> dict[str, object]:
     found: dict[str, object] = {}
     for name, side in (("before", seconds < 0), ("after", seconds >= 0)):
         found[name] = series.currents[at[side]].mean(axis=0)
@@ -333,12 +220,12 @@ def _means(series: _Series, at: Int64, seconds: Floats) -> dict[str, object]:
     return found
 
 
-def _places(series: _Series, near: int) -> dict[str, object]:
+def _places(series: Series, near: int) -> dict[str, object]:
     index = min(near, series.stamps.size - 1)
     return {name: values[index] for name, values in series.places.items()}
 
 
-def _placebo(series: _Series, steps: CurrentSteps, index: int, windows: Windows) -> tuple[float, Floats]:
+def _placebo(series: Series, steps: CurrentSteps, index: int, windows: Windows) -> tuple[float, Floats]:
     """Return the contrast where the current does not step: one epoch's length later, or else earlier."""
     low, high = _own_span(steps, index, windows)
     nothing = float("nan"), np.full((len(series.names), 3), np.nan)
@@ -355,7 +242,7 @@ def _placebo(series: _Series, steps: CurrentSteps, index: int, windows: Windows)
         usable = np.isfinite(series.residual[part]) & np.isfinite(series.currents[part]).all(axis=1) & here
         if not _both_sides(seconds[usable], seconds, usable, windows):
             continue
-        fit = _robust(seconds, series.residual[part], shape, usable, windows.order)
+        fit = robust_contrast(seconds, series.residual[part], shape, usable, windows.order)
         if fit is not None:
             at = np.arange(part.start, part.stop)[fit[1]]
             return float(fit[0].weight @ series.residual[at]), _columns(series, at, fit[0].weight)
@@ -363,11 +250,11 @@ def _placebo(series: _Series, steps: CurrentSteps, index: int, windows: Windows)
 
 
 def _curves(
-    series: _Series,
+    series: Series,
     part: slice,
     seconds: Floats,
-    contrast: _Contrast,
-    kept: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    contrast: Contrast,
+    kept: Chosen,
     windows: Windows,
 ) -> tuple[Floats, Floats]:
     """Return residual less drift, and the current; (lag,) each, NaN where there is nothing."""
@@ -385,7 +272,7 @@ def _curves(
     return curves[0], curves[1]
 
 
-def _empty_row(series: _Series, windows: Windows) -> dict[str, object]:
+def _empty_row(series: Series, windows: Windows) -> dict[str, object]:
     width, lags = len(series.names), windows.lags.size
     row: dict[str, object] = dict.fromkeys(
         ("contrast", "sigma", "placebo", "residual_before", "residual_after"), 0.0
@@ -426,7 +313,7 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str]] = {
 }
 
 
-def _dataset(rows: Sequence[dict[str, object]], series: _Series, windows: Windows) -> xr.Dataset:
+def _dataset(rows: Sequence[dict[str, object]], series: Series, windows: Windows) -> xr.Dataset:
     variables = {
         name: (("epoch", *dims), np.array([row[name] for row in rows]), {"units": unit})
         for name, (dims, unit) in _VARIABLES.items()

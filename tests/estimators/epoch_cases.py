@@ -59,7 +59,11 @@ def make_day(
             "tt2000": ("time", stamps),
             "field": (("time", "axis"), 40000.0 * direction),
             "solar_current": ("time", current, {"units": "A"}),
-            "local_time": ("time", np.full(seconds.size, (24.0 - 24.0 * number / 260.5) % 24.0), {"units": "h"}),
+            "local_time": (
+                "time",
+                np.full(seconds.size, (24.0 - 24.0 * number / 260.5) % 24.0),
+                {"units": "h"},
+            ),
         }
     )
     if other is not None:
