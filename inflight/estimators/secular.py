@@ -137,7 +137,7 @@ def running_mean(
     good = coverage >= least
     if not good.any():
         raise SamplesError(
-            f"the window of {window:g} d has at most {coverage.max():.0%} of its days in {daily.shape[0]} days; "
+            f"the window of {window:g} d has at most {coverage.max():.0%} of its days within {len(daily)}; "
             f"{least:.0%} needed",
             remedy="take a longer span, a shorter window, or lower 'least'",
         )

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -130,12 +131,22 @@ def _stretches(
 
 def _band_gram(rows: Floats, cadence: float, band: tuple[float, float]) -> tuple[Floats, int]:
     """Return the Gram matrix of real and imaginary parts in the band, and the number of such rows."""
-    count = rows.shape[0]
-    frequency = np.fft.rfftfreq(count, cadence)
-    inside = (frequency >= band[0]) & (frequency <= band[1])
-    seen = np.fft.rfft(signal.detrend(rows, axis=0), axis=0)[inside]
-    both = np.concatenate([seen.real, seen.imag]) * np.sqrt(2.0 / count)
+    both = _transform(rows.shape[0], cadence, *band) @ rows
     return both.T @ both, both.shape[0]
+
+
+@lru_cache(maxsize=8)
+def _transform(count: int, cadence: float, low: float, high: float) -> Floats:
+    """Return the matrix that takes a line off and gives real and imaginary parts in the band; (row, time).
+
+    Scaled so that its rows keep the variance of white noise. Only the band is computed, and taking the
+    line off the waves once is the same as taking it off every series.
+    """
+    first, last = int(np.ceil(low * count * cadence)), int(np.floor(high * count * cadence))
+    angle = 2.0 * np.pi * np.outer(np.arange(first, last + 1), np.arange(count) / count)
+    waves = np.concatenate([np.cos(angle), -np.sin(angle)]) * np.sqrt(2.0 / count)
+    line, _ = np.linalg.qr(np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1))
+    return np.asarray(waves - (waves @ line) @ line.T)
 
 
 @dataclass(frozen=True)
