@@ -13,14 +13,17 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from inflight.arrays import Floats
+from inflight.calibration.robust import TO_SIGMA
 from inflight.estimators.readings import FEWEST, SIGNIFICANCE, noise_of, readings_of
 from inflight.time import SECOND, Int64
 
 #: A transition ends where the reading is within this many sigma of the level, or this part of the size.
 _SETTLED, _REST = 3.0, 0.02
+#: Changes are looked for over this many seconds, so that a fast channel is no noisier than a slow one.
+_SCALE = 10.0
 #: Rounds in which ends of the transition and levels are fitted in turn.
 _ROUNDS = 6
 
@@ -159,13 +162,15 @@ def find_steps(
     """
     times, values = readings_of(stamps, current, resolution)
     seconds = (times - times[0]) / SECOND
-    apart = np.diff(seconds)
-    cadence = float(np.median(apart))
+    cadence = float(np.median(np.diff(seconds)))
     noise, smallest_step = noise_of(values, resolution)
-    change = _own_change(values, apart, longest, cadence)
-    # Two readings differ by the noise of both; rounding adds a uniform error to each.
-    limit = significance * np.sqrt(2.0) * noise
-    runs = _runs(change, apart, limit, longest)
+    lag = min(max(1, round(_SCALE / cadence)), values.size // 4)
+    change, apart = _own_change(seconds, values, lag, longest)
+    # Two readings differ by the noise of both; noise that is not white shows in the changes themselves.
+    usual = max(np.sqrt(2.0) * noise, TO_SIGMA * float(np.median(np.abs(change))))
+    near = maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
+    fast = (np.abs(change) > np.maximum(significance * usual, _REST * near)) & (apart <= longest)
+    runs = _runs(change, fast, lag)
     fitted = [
         one
         for index, run in enumerate(runs)
@@ -185,27 +190,36 @@ def find_steps(
     return CurrentSteps.of_rows(when, levels, (noise, smallest_step, cadence), unit)
 
 
-def _own_change(values: Floats, apart: Floats, longest: float, cadence: float) -> Floats:
-    """Return changes between neighbours less what the slope around them makes; (reading - 1,).
+def _own_change(seconds: Floats, values: Floats, lag: int, longest: float) -> tuple[Floats, Floats]:
+    """Return changes over `lag` readings less what the slope makes, and their seconds; (reading - lag,).
 
     The slope is a running median over more than twice the longest transition: it follows a kink at
     once and a step not at all.
     """
-    rate = np.diff(values) / apart
-    size = 2 * int(np.ceil(longest / cadence)) + 1
-    return np.asarray(np.diff(values) - median_filter(rate, min(size, rate.size), mode="nearest") * apart)
+    apart = seconds[lag:] - seconds[:-lag]
+    change = values[lag:] - values[:-lag]
+    size = 2 * int(np.ceil(longest / float(np.median(np.diff(seconds))))) + 2 * lag - 1
+    slope = median_filter(change / apart, min(size, change.size), mode="nearest")
+    return change - slope * apart, apart
 
 
-def _runs(change: Floats, apart: Floats, limit: float, longest: float) -> list[tuple[int, int]]:
-    """Return first and last reading of runs of fast changes of one sign; one slow change may be inside."""
-    fast = np.flatnonzero((np.abs(change) > limit) & (apart <= longest))
-    runs: list[tuple[int, int]] = []
-    for index in fast:
-        near = runs and index - runs[-1][1] < 2 and change[index] * change[runs[-1][1] - 1] > 0
+def _runs(change: Floats, fast: npt.NDArray[np.bool_], lag: int) -> list[tuple[int, int]]:
+    """Return first and last reading of runs of fast changes of one sign; one slow change may be inside.
+
+    A sudden step is seen in `lag` changes: the run is that much shorter.
+    """
+    spans: list[tuple[int, int]] = []
+    for index in np.flatnonzero(fast):
+        near = spans and index - spans[-1][1] <= 2 and change[index] * change[spans[-1][1]] > 0
         if near:
-            runs[-1] = (runs[-1][0], int(index) + 1)
+            spans[-1] = (spans[-1][0], int(index))
         else:
-            runs.append((int(index), int(index) + 1))
+            spans.append((int(index), int(index)))
+    runs = []
+    for first, last in spans:
+        low, high = first + lag - 1, last + 1
+        middle = (low + high) // 2
+        runs.append((low, high) if low < high else (middle, middle + 1))
     return runs
 
 
@@ -244,13 +258,13 @@ def _fit_step(
         new = _Line.through(seconds[after] - middle, values[after], noise)
         if old is None or new is None or seconds[last] - seconds[first] > longest:
             return None
-        rest = max(_SETTLED * noise, _REST * abs(new.level - old.level))
+        # A line is itself known to its own sigma only.
+        spread = float(np.sqrt(noise**2 + max(old.sigma, new.sigma) ** 2))
+        rest = max(_SETTLED * spread, _REST * abs(new.level - old.level))
         wider = _widened(seconds - middle, values, allowed, run, (old, new), rest)
         if wider == (first, last):
             break
         first, last = wider
-    else:
-        return None
     sigma = float(np.hypot(old.sigma, new.sigma))
     reach = 0.5 * (seconds[last] - seconds[first])
     # Lines that meet inside the transition are a kink.
@@ -271,9 +285,15 @@ def _fit_step(
 def _sides(
     seconds: Floats, allowed: tuple[int, int], run: tuple[int, int], window: float
 ) -> tuple[slice, slice]:
-    begin = max(allowed[0], int(np.searchsorted(seconds, seconds[run[0]] - window)))
-    stop = min(allowed[1], int(np.searchsorted(seconds, seconds[run[1]] + window, side="right")))
-    return slice(begin, run[0] + 1), slice(run[1], stop)
+    """Return the readings of both lines: half a transition away from it, where its tail has died out."""
+    guard = 0.5 * (seconds[run[1]] - seconds[run[0]])
+    old, new = seconds[run[0]] - guard, seconds[run[1]] + guard
+    edges = np.searchsorted(seconds, [old - window, new])
+    stops = np.searchsorted(seconds, [old, new + window], side="right")
+    return (
+        slice(max(allowed[0], int(edges[0])), int(stops[0])),
+        slice(int(edges[1]), min(allowed[1], int(stops[1]))),
+    )
 
 
 @dataclass(frozen=True)

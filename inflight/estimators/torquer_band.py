@@ -142,7 +142,9 @@ def _transform(count: int, cadence: float, low: float, high: float) -> Floats:
     Scaled so that its rows keep the variance of white noise. Only the band is computed, and taking the
     line off the waves once is the same as taking it off every series.
     """
-    first, last = int(np.ceil(low * count * cadence)), int(np.floor(high * count * cadence))
+    # A frequency on the edge of the band belongs to it, whatever rounding says.
+    first = int(np.ceil(low * count * cadence - 1e-6))
+    last = int(np.floor(high * count * cadence + 1e-6))
     angle = 2.0 * np.pi * np.outer(np.arange(first, last + 1), np.arange(count) / count)
     waves = np.concatenate([np.cos(angle), -np.sin(angle)]) * np.sqrt(2.0 / count)
     line, _ = np.linalg.qr(np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1))
