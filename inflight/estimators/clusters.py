@@ -1,0 +1,169 @@
+"""Least squares from Gram matrices of clusters: rows of one cluster share noise, clusters do not.
+
+A cluster is a day, or a segment of one. Its Gram matrix of [columns | observation] is all that is
+kept of it, so a pass over the archive stores little and every fit is algebra afterwards. The
+covariance is the jackknife over clusters: it assumes nothing about the noise inside one, and leaving
+a cluster out accounts for its leverage, which the plain sandwich of scores does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.calibration.solution import DETERMINED, SINGULAR, retained_fraction
+from inflight.errors import CalibrationError
+
+#: The fewest clusters whose scatter says anything of an uncertainty: four degrees of freedom.
+FEWEST_CLUSTERS = 5
+#: Priors are widened by this when the question is what the data alone determine.
+_WIDE = 1e3
+
+
+@dataclass(frozen=True)
+class ClusteredFit:
+    """Values of a linear fit with the uncertainty that the scatter between clusters tells.
+
+    Attributes
+    ----------
+    value : ndarray, shape (column,)
+    covariance : ndarray, shape (column, column)
+        Of noise, by the jackknife, and of what the prior leaves open.
+    retained : ndarray, shape (column,)
+        Part of a column's square that the others cannot explain, in [0, 1].
+    determined : ndarray of bool, shape (column,)
+        The data alone tell the value to half its prior's sigma.
+    variance : float
+        Residual variance of a row in units of its weight: 1 where rows were divided by their sigma.
+    clusters : int
+    rows : float
+    """
+
+    value: Floats
+    covariance: Floats
+    retained: Floats
+    determined: npt.NDArray[np.bool_]
+    variance: float
+    clusters: int
+    rows: float
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations; (column,)."""
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+
+
+def gram_of(columns: Floats, observed: Floats, weight: Floats | None = None) -> Floats:
+    """Return the Gram matrix of [columns | observed]; (column + 1, column + 1).
+
+    Parameters
+    ----------
+    columns : ndarray, shape (row, column)
+    observed, weight : ndarray, shape (row,)
+        The weight is one over the row's variance; 1 when absent.
+    """
+    rows = np.column_stack([columns, observed])
+    return np.asarray(rows.T @ (rows if weight is None else rows * weight[:, None]))
+
+
+def grams_by_cluster(
+    columns: Floats, observed: Floats, weight: Floats, cluster: npt.NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Return Gram matrix (cluster, column + 1, column + 1) and number of rows (cluster,) of each cluster."""
+    _, which = np.unique(cluster, return_inverse=True)
+    rows = np.column_stack([columns, observed])
+    gram = np.zeros((int(which.max(initial=-1)) + 1, rows.shape[1], rows.shape[1]))
+    np.add.at(gram, which, weight[:, None, None] * rows[:, :, None] * rows[:, None, :])
+    return gram, np.bincount(which).astype(np.float64)
+
+
+def solve_clusters(
+    gram: Floats, rows: Floats, prior_sigma: Floats | None = None, *, fewest: int = FEWEST_CLUSTERS
+) -> ClusteredFit:
+    """Solve for the columns with the prior 0 +- `prior_sigma`.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (cluster, column + 1, column + 1)
+        Of [columns | observation], rows weighted by one over their variance, up to a factor.
+    rows : ndarray, shape (cluster,)
+        Rows behind each.
+    prior_sigma : ndarray, shape (column,), optional
+        In units of the values; infinite when absent: nothing is known beforehand.
+    fewest : int
+        Clusters needed.
+
+    Returns
+    -------
+    ClusteredFit
+        With d_g the change of the values when cluster g is left out, the covariance is
+        ``(G - 1)/G sum d_g d_g^T`` (Efron's jackknife) plus ``S^-1 P S^-1``, what a prior of precision
+        P leaves open, with S the sum of both precisions.
+
+    Raises
+    ------
+    CalibrationError
+        Too few clusters, or columns that neither data nor prior determine.
+    """
+    filled = gram[rows > 0]
+    if len(filled) < fewest:
+        raise CalibrationError(
+            f"{len(filled)} clusters with data found, at least {fewest} needed for an uncertainty",
+            remedy="take a longer span or shorter clusters",
+        )
+    total, width = filled.sum(axis=0), gram.shape[1] - 1
+    count = float(rows.sum())
+    precision = np.zeros(width) if prior_sigma is None else 1.0 / np.asarray(prior_sigma) ** 2
+    variance = _variance(total, precision, count)
+    ridge = np.diag(variance * precision)
+    value = _solve(total[None], ridge)[0]
+    left = _solve(total - filled, ridge)
+    change = left - value
+    noise = (len(filled) - 1) / len(filled) * change.T @ change
+    inverse = np.linalg.inv(total[:-1, :-1] + ridge)
+    open_ = inverse @ (variance * ridge) @ inverse
+    alone = variance * np.diag(np.linalg.inv(total[:-1, :-1] + ridge / _WIDE**2))
+    with np.errstate(divide="ignore"):
+        limit = np.where(precision > 0, DETERMINED / np.sqrt(precision), np.inf)
+    return ClusteredFit(
+        value,
+        noise + open_,
+        retained_fraction(total[:-1, :-1]),
+        np.sqrt(alone) <= limit,
+        variance,
+        len(filled),
+        count,
+    )
+
+
+def _variance(total: Floats, precision: Floats, count: float) -> float:
+    """Return the variance of a row about the fit; a prior's pull is small beside it."""
+    variance = float(total[-1, -1]) / max(count, 1.0)
+    for _ in range(3):
+        value = _solve(total[None], np.diag(variance * precision))[0]
+        extended = np.append(-value, 1.0)
+        variance = float(extended @ total @ extended) / max(count - value.size, 1.0)
+    # Rounding can make the square of a perfect fit negative.
+    return max(variance, np.finfo(np.float64).tiny)
+
+
+def _solve(gram: Floats, ridge: Floats) -> Floats:
+    """Return the values of each Gram matrix; (cluster, column)."""
+    matrix = gram[:, :-1, :-1] + ridge
+    scale = np.sqrt(np.maximum(np.einsum("gii->gi", matrix), 0.0))
+    if not np.all(scale > 0):
+        index = int(np.argwhere(scale <= 0)[0, 1])
+        raise CalibrationError(
+            f"column {index} of the fit is zero in all clusters but at most one",
+            remedy="leave the column out, or state what is known of it beforehand",
+        )
+    scaled = matrix / scale[:, :, None] / scale[:, None, :]
+    if np.linalg.eigvalsh(scaled)[:, 0].min() < SINGULAR:
+        raise CalibrationError(
+            "the columns of the fit are not independent, or only in one cluster",
+            remedy="take more data, leave a column out, or state what is known of it beforehand",
+        )
+    return np.asarray(np.linalg.solve(scaled, (gram[:, :-1, -1] / scale)[..., None])[..., 0] / scale)

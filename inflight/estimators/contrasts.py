@@ -1,0 +1,139 @@
+"""Contrasts: weighted sums of samples around a step that are blind to drift and give 1 for the step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import TO_SIGMA
+from inflight.errors import SamplesError
+from inflight.time import Int64
+from inflight.units import factor_and_offset
+
+Chosen = npt.NDArray[np.bool_]
+#: Samples of the residual this many robust sigmas off the fitted drift and step are left out.
+_OUTLIER = 6.0
+#: Places of the orbit kept with each epoch where the samples know them.
+_PLACES = ("local_time", "orbit_phase", "latitude", "sunlit", "sun_direction")
+
+
+@dataclass(frozen=True)
+class Series:
+    """The samples as arrays, missing ones NaN."""
+
+    stamps: Int64
+    residual: Floats
+    direction: Floats
+    currents: Floats
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    places: dict[str, Floats]
+
+    @classmethod
+    def of(cls, samples: xr.Dataset, residual: Floats, names: tuple[str, ...]) -> Series:
+        """Return the arrays of samples, residual and channels; what has weight 0 is missing.
+
+        Raises
+        ------
+        SamplesError
+            A variable is missing or has another shape.
+        """
+        missing = [name for name in ("tt2000", "field", *names) if name not in samples]
+        if missing:
+            raise SamplesError(f"samples have no {missing}", remedy="align these channels first")
+        count = samples.sizes["time"]
+        values = np.asarray(residual, dtype=np.float64)
+        if values.shape != (count,):
+            raise SamplesError(f"the residual has shape {values.shape}, ({count},) expected")
+        if "weight" in samples:
+            values = np.where(samples["weight"].values > 0, values, np.nan)
+        field = np.asarray(samples["field"].values, dtype=np.float64)
+        direction = field / np.linalg.norm(field, axis=1, keepdims=True)
+        found = [_in_amperes(samples[name]) for name in names]
+        places = {name: samples[name].values.astype(np.float64) for name in _PLACES if name in samples}
+        return cls(
+            np.asarray(samples["tt2000"].values, dtype=np.int64),
+            values,
+            direction,
+            np.column_stack([series for series, _ in found]),
+            names,
+            tuple(unit for _, unit in found),
+            places,
+        )
+
+    def part(self, start: int, end: int) -> slice:
+        """Return the samples in a half-open span."""
+        return slice(*(int(i) for i in np.searchsorted(self.stamps, [start, end])))
+
+
+def _in_amperes(series: xr.DataArray) -> tuple[Floats, str]:
+    """Return a channel (time,) in A where it is a current, else as it is, and its unit."""
+    unit = str(series.attrs.get("units", "1"))
+    if series.ndim != 1:
+        raise SamplesError(
+            f"has dims {series.dims}, one current expected", channel=str(series.name), remedy="take one axis"
+        )
+    try:
+        factor, offset = factor_and_offset(unit, "A")
+    except ValueError:
+        return series.values.astype(np.float64), unit
+    return factor * series.values.astype(np.float64) + offset, "A"
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """Weights over some samples that are blind to drift and give 1 for the shape."""
+
+    weight: Floats
+    drift: Floats
+    used: Floats
+
+    @classmethod
+    def of(cls, seconds: Floats, shape: Floats, order: int) -> Contrast | None:
+        """Return the contrast for a shape (time,) against a drift of some order; None where it is drift."""
+        span = max(float(np.abs(seconds).max()), 1e-9)
+        drift = (seconds[:, None] / span) ** np.arange(order + 1)
+        own = shape - drift @ np.linalg.lstsq(drift, shape)[0]
+        power = float(own @ own)
+        if seconds.size < order + 4 or power <= 1e-9 * float(shape @ shape):
+            return None
+        return cls(own / power, drift, shape)
+
+    def residual(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return what drift and shape leave of values, and the coefficients of the drift."""
+        size = float(self.weight @ values)
+        left = values - size * self.used
+        coefficients = np.linalg.lstsq(self.drift, left)[0]
+        return np.asarray(left - self.drift @ coefficients), np.asarray(coefficients)
+
+
+def robust_contrast(
+    seconds: Floats,
+    values: Floats,
+    shape: Floats,
+    usable: Chosen,
+    order: int,
+) -> tuple[Contrast, Chosen, float] | None:
+    """Return the contrast without outliers, the samples kept, and the noise of one."""
+    kept = usable
+    contrast = Contrast.of(seconds[kept], shape[kept], order)
+    for _ in range(3):
+        if contrast is None:
+            return None
+        left, _ = contrast.residual(values[kept])
+        limit = _OUTLIER * TO_SIGMA * float(np.median(np.abs(left)))
+        far = np.abs(left) > max(limit, 1e-12)
+        if not far.any():
+            break
+        kept = kept.copy()
+        kept[np.flatnonzero(kept)[far]] = False
+        contrast = Contrast.of(seconds[kept], shape[kept], order)
+    if contrast is None:
+        return None
+    left, _ = contrast.residual(values[kept])
+    freedom = max(left.size - order - 2, 1)
+    return contrast, kept, float(np.sqrt(np.sum(left**2) / freedom))

@@ -1,0 +1,345 @@
+"""Fast changes of a housekeeping current, found from the current alone.
+
+A current that a switch or a regulator changes within seconds tells its stray field from everything
+that follows the orbit (Yin 2010, section 3.4.1). A *step* is a run of readings that change faster
+than their surroundings, by far more than the channel's own noise and quantisation, between two
+levels that are straight lines before and after. A kink, where only the slope changes, is no step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.ndimage import maximum_filter1d, median_filter
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import TO_SIGMA
+from inflight.estimators.readings import FEWEST, SIGNIFICANCE, noise_of, readings_of
+from inflight.time import SECOND, Int64
+
+#: A transition ends where the reading is within this many sigma of the level, or this part of the size.
+_SETTLED, _REST = 3.0, 0.02
+#: Changes are looked for over this many seconds, so that a fast channel is no noisier than a slow one.
+_SCALE = 10.0
+#: Rounds in which ends of the transition and levels are fitted in turn.
+_ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class CurrentSteps:
+    """Steps of one channel in order of time; arrays of shape (step,).
+
+    Attributes
+    ----------
+    time : ndarray of int64
+        TT2000 at which half of the change was passed.
+    start, end : ndarray of int64
+        TT2000 of the last reading on the old level and of the first on the new.
+    before, after : ndarray
+        Levels, extrapolated to `time`, in the channel's unit.
+    sigma : ndarray
+        Standard deviation of ``after - before``.
+    noise, resolution : float
+        White noise of a reading and its smallest step, channel's unit.
+    cadence : float
+        Usual seconds between readings.
+    unit : str
+    """
+
+    time: Int64
+    start: Int64
+    end: Int64
+    before: Floats
+    after: Floats
+    sigma: Floats
+    noise: float
+    resolution: float
+    cadence: float
+    unit: str = "A"
+
+    @classmethod
+    def of_rows(
+        cls, times: Int64, levels: Floats, channel: tuple[float, float, float], unit: str
+    ) -> CurrentSteps:
+        """Return steps from rows of (time, start, end) and (before, after, sigma), both (step, 3).
+
+        `channel` is its noise, resolution and cadence.
+        """
+        return cls(*times.T, *levels.T, *channel, unit)  # type: ignore[call-arg]
+
+    @property
+    def size(self) -> Floats:
+        """Change of the current, negative for a drop."""
+        return self.after - self.before
+
+    @property
+    def direction(self) -> npt.NDArray[np.int64]:
+        """-1 for a drop, 1 for a rise."""
+        return np.sign(self.size).astype(np.int64)
+
+    @property
+    def duration(self) -> Floats:
+        """Seconds from the last reading on the old level to the first on the new."""
+        return (self.end - self.start) / SECOND
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> CurrentSteps:
+        """Return some of the steps; `chosen` has shape (step,)."""
+        kept = {
+            one.name: getattr(self, one.name)[chosen]
+            if isinstance(getattr(self, one.name), np.ndarray)
+            else getattr(self, one.name)
+            for one in fields(self)
+        }
+        return CurrentSteps(**kept)
+
+    def table(self) -> xr.Dataset:
+        """Return the steps with `value` (the change) and `sigma` along ``step``."""
+        times = {
+            name: ("step", getattr(self, name), {"scale": "TT2000"}) for name in ("time", "start", "end")
+        }
+        numbers = {
+            name: ("step", getattr(self, name), {"units": self.unit}) for name in ("before", "after", "sigma")
+        }
+        return xr.Dataset(
+            times
+            | numbers
+            | {
+                "value": ("step", self.size, {"units": self.unit}),
+                "duration": ("step", self.duration, {"units": "s"}),
+                "direction": ("step", self.direction),
+            },
+            attrs={"noise": self.noise, "resolution": self.resolution, "cadence_s": self.cadence},
+        )
+
+
+def find_steps(
+    stamps: Int64,
+    current: Floats,
+    *,
+    unit: str = "A",
+    longest: float = 60.0,
+    window: float = 60.0,
+    significance: float = SIGNIFICANCE,
+    smallest: float = 0.0,
+    resolution: float | None = None,
+) -> CurrentSteps:
+    """Find the fast drops and rises of a current.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (reading,)
+        TT2000, rising; any cadence, gaps allowed.
+    current : ndarray, shape (reading,)
+        NaN where it is missing.
+    unit : str
+        Of the current.
+    longest : float
+        Slower changes are no steps, s; also the longest gap a step may lie in.
+    window : float
+        The levels are lines through the readings of this many seconds before and after.
+    significance : float
+        Least size of a change and of a step in standard deviations.
+    smallest : float
+        Least size of a step in the current's unit.
+    resolution : float, optional
+        Smallest step of the delivered numbers; from the readings when absent.
+
+    Returns
+    -------
+    CurrentSteps
+        None at all for a current that never changes.
+
+    Raises
+    ------
+    SamplesError
+        Shapes that differ, times that do not rise, or too few readings.
+    """
+    times, values = readings_of(stamps, current, resolution)
+    seconds = (times - times[0]) / SECOND
+    cadence = float(np.median(np.diff(seconds)))
+    noise, smallest_step = noise_of(values, resolution)
+    lag = min(max(1, round(_SCALE / cadence)), values.size // 4)
+    change, apart = _own_change(seconds, values, lag, longest)
+    # Two readings differ by the noise of both; noise that is not white shows in the changes themselves.
+    usual = max(np.sqrt(2.0) * noise, TO_SIGMA * float(np.median(np.abs(change))))
+    near = maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
+    fast = (np.abs(change) > np.maximum(significance * usual, _REST * near)) & (apart <= longest)
+    runs = _runs(change, fast, lag)
+    fitted = [
+        one
+        for index, run in enumerate(runs)
+        if (
+            one := _fit_step(seconds, values, _around(runs, index, seconds.size), run, noise, longest, window)
+        )
+    ]
+    least = [max(significance * one.sigma, smallest) for one in fitted]
+    kept = [
+        one
+        for one, needed in zip(fitted, least, strict=True)
+        if abs(one.after - one.before) >= needed and one.last - one.first <= longest
+    ]
+    ticks = [[round(t * SECOND) for t in (one.middle, one.first, one.last)] for one in kept]
+    when = times[0] + np.array(ticks, dtype=np.int64).reshape(-1, 3)
+    levels = np.array([[one.before, one.after, one.sigma] for one in kept]).reshape(-1, 3)
+    return CurrentSteps.of_rows(when, levels, (noise, smallest_step, cadence), unit)
+
+
+def _own_change(seconds: Floats, values: Floats, lag: int, longest: float) -> tuple[Floats, Floats]:
+    """Return changes over `lag` readings less what the slope makes, and their seconds; (reading - lag,).
+
+    The slope is a running median over more than twice the longest transition: it follows a kink at
+    once and a step not at all.
+    """
+    apart = seconds[lag:] - seconds[:-lag]
+    change = values[lag:] - values[:-lag]
+    size = 2 * int(np.ceil(longest / float(np.median(np.diff(seconds))))) + 2 * lag - 1
+    slope = median_filter(change / apart, min(size, change.size), mode="nearest")
+    return change - slope * apart, apart
+
+
+def _runs(change: Floats, fast: npt.NDArray[np.bool_], lag: int) -> list[tuple[int, int]]:
+    """Return first and last reading of runs of fast changes of one sign; one slow change may be inside.
+
+    A sudden step is seen in `lag` changes: the run is that much shorter.
+    """
+    spans: list[tuple[int, int]] = []
+    for index in np.flatnonzero(fast):
+        near = spans and index - spans[-1][1] <= 2 and change[index] * change[spans[-1][1]] > 0
+        if near:
+            spans[-1] = (spans[-1][0], int(index))
+        else:
+            spans.append((int(index), int(index)))
+    runs = []
+    for first, last in spans:
+        low, high = first + lag - 1, last + 1
+        middle = (low + high) // 2
+        runs.append((low, high) if low < high else (middle, middle + 1))
+    return runs
+
+
+def _around(runs: list[tuple[int, int]], index: int, count: int) -> tuple[int, int]:
+    """Return the readings, half-open, that are a run's own: from the end of the last to the next's start."""
+    low = runs[index - 1][1] if index else 0
+    high = runs[index + 1][0] + 1 if index + 1 < len(runs) else count
+    return low, high
+
+
+@dataclass(frozen=True)
+class _Step:
+    first: float
+    middle: float
+    last: float
+    before: float
+    after: float
+    sigma: float
+
+
+def _fit_step(
+    seconds: Floats,
+    values: Floats,
+    allowed: tuple[int, int],
+    run: tuple[int, int],
+    noise: float,
+    longest: float,
+    window: float,
+) -> _Step | None:
+    """Fit lines before and after a run, widening the transition until both hold; None for no step."""
+    first, last = run
+    for _ in range(_ROUNDS):
+        middle = 0.5 * (seconds[first] + seconds[last])
+        before, after = _sides(seconds, allowed, (first, last), window)
+        old = _Line.through(seconds[before] - middle, values[before], noise)
+        new = _Line.through(seconds[after] - middle, values[after], noise)
+        if old is None or new is None or seconds[last] - seconds[first] > longest:
+            return None
+        # A line is itself known to its own sigma only.
+        spread = float(np.sqrt(noise**2 + max(old.sigma, new.sigma) ** 2))
+        rest = max(_SETTLED * spread, _REST * abs(new.level - old.level))
+        wider = _widened(seconds - middle, values, allowed, run, (old, new), rest)
+        if wider == (first, last):
+            break
+        first, last = wider
+    sigma = float(np.hypot(old.sigma, new.sigma))
+    reach = 0.5 * (seconds[last] - seconds[first])
+    # Lines that meet inside the transition are a kink.
+    if abs(new.level - old.level) <= abs(new.slope - old.slope) * reach + SIGNIFICANCE * sigma:
+        return None
+    half = _half_passed(seconds, values, (first, last), 0.5 * (old.level + new.level))
+    shift = half - middle
+    return _Step(
+        float(seconds[first]),
+        half,
+        float(seconds[last]),
+        old.level + old.slope * shift,
+        new.level + new.slope * shift,
+        sigma,
+    )
+
+
+def _sides(
+    seconds: Floats, allowed: tuple[int, int], run: tuple[int, int], window: float
+) -> tuple[slice, slice]:
+    """Return the readings of both lines: half a transition away from it, where its tail has died out."""
+    guard = 0.5 * (seconds[run[1]] - seconds[run[0]])
+    old, new = seconds[run[0]] - guard, seconds[run[1]] + guard
+    edges = np.searchsorted(seconds, [old - window, new])
+    stops = np.searchsorted(seconds, [old, new + window], side="right")
+    return (
+        slice(max(allowed[0], int(edges[0])), int(stops[0])),
+        slice(int(edges[1]), min(allowed[1], int(stops[1]))),
+    )
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A level with a slope: `level` at time 0 and its standard deviation."""
+
+    level: float
+    slope: float
+    sigma: float
+
+    @classmethod
+    def through(cls, seconds: Floats, values: Floats, noise: float) -> _Line | None:
+        if seconds.size < FEWEST:
+            return None
+        shapes = np.column_stack([np.ones_like(seconds), seconds])
+        inverse = np.linalg.inv(shapes.T @ shapes)
+        fit = inverse @ (shapes.T @ values)
+        left = float(np.sum((values - shapes @ fit) ** 2)) / max(seconds.size - 2, 1)
+        return cls(float(fit[0]), float(fit[1]), float(np.sqrt(max(left, noise**2) * inverse[0, 0])))
+
+
+def _widened(
+    seconds: Floats,
+    values: Floats,
+    allowed: tuple[int, int],
+    run: tuple[int, int],
+    lines: tuple[_Line, _Line],
+    rest: float,
+) -> tuple[int, int]:
+    """Return the run from the last reading on the old line to the first on the new one."""
+    off = [np.abs(values - line.level - line.slope * seconds) > rest for line in lines]
+    first, last = run
+    while first > allowed[0] and off[0][first]:
+        first -= 1
+    while last < allowed[1] - 1 and off[1][last]:
+        last += 1
+    return first, last
+
+
+def _half_passed(seconds: Floats, values: Floats, run: tuple[int, int], level: float) -> float:
+    """Return when the readings pass a level, between the two readings around it."""
+    part = slice(run[0], run[1] + 1)
+    above = values[part] > level
+    change = np.flatnonzero(above[1:] != above[:-1])
+    if not change.size:
+        return float(0.5 * (seconds[run[0]] + seconds[run[1]]))
+    low = run[0] + int(change[0])
+    share = (level - values[low]) / (values[low + 1] - values[low])
+    return float(seconds[low] + share * (seconds[low + 1] - seconds[low]))

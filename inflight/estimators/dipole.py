@@ -1,0 +1,107 @@
+"""What one dipole makes at both sensors, from the difference that the residual tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.errors import SettingsError
+
+
+@dataclass(frozen=True)
+class DipoleSplit:
+    """What one dipole makes at both sensors; arrays of shape (3,), nT/A.
+
+    `factor` are the shares of the difference where they are the same for all axes, else NaN.
+    """
+
+    vector: Floats
+    scalar: Floats
+    sigma_vector: Floats
+    sigma_scalar: Floats
+    factor: tuple[float, float]
+
+
+def dipole_split(
+    difference: npt.ArrayLike,
+    r_vector: npt.ArrayLike,
+    r_scalar: npt.ArrayLike,
+    *,
+    covariance: npt.ArrayLike | None = None,
+    direction: npt.ArrayLike | None = None,
+) -> DipoleSplit:
+    """Split ``A_vector - A_scalar`` by the fall-off of a dipole (Yin 2010, after eq. 3.1).
+
+    On one line through the dipole the field falls with the cube of the distance whatever the moment's
+    direction, so ``A_scalar = A_vector (r_v/r_s)^3`` and the vector sensor has ``1 / (1 - (r_v/r_s)^3)``
+    of the difference: 1.64001 for 4.75 and 6.5 m, the scalar sensor 0.64001.
+
+    Parameters
+    ----------
+    difference : array_like, shape (3,)
+        nT/A, spacecraft axes.
+    r_vector, r_scalar : float or array_like, shape (3,)
+        Positions of the sensors from the dipole, m: distances on the boom's axis, or vectors.
+    covariance : array_like, shape (3, 3), optional
+        Of the difference.
+    direction : array_like, shape (3,), optional
+        Of the dipole's moment; needed where the sensors are not on one line through the dipole. Its
+        size is then fitted to the difference by least squares.
+
+    Raises
+    ------
+    SettingsError
+        Sensors at equal distances or at the dipole; off one line without a direction.
+    """
+    wanted = np.asarray(difference, dtype=np.float64)
+    spread = np.zeros((3, 3)) if covariance is None else np.asarray(covariance, dtype=np.float64)
+    near, far = (_position(one) for one in (r_vector, r_scalar))
+    size = [float(np.linalg.norm(one)) for one in (near, far)]
+    if min(size) == 0.0:
+        raise SettingsError("a sensor stands at the dipole", remedy="give positions from the dipole, m")
+    if np.linalg.norm(np.cross(near, far)) <= 1e-9 * size[0] * size[1]:
+        ratio = (size[0] / size[1]) ** 3
+        if abs(1.0 - ratio) < 1e-9:
+            raise SettingsError(
+                f"both sensors are {size[0]:g} m from the dipole: their difference does not hold its field",
+                remedy="give the true positions",
+            )
+        parts = np.eye(3) / (1.0 - ratio), np.eye(3) * ratio / (1.0 - ratio)
+        factor = 1.0 / (1.0 - ratio), ratio / (1.0 - ratio)
+    else:
+        parts = _along_moment(near, far, direction)
+        factor = float("nan"), float("nan")
+    vector, scalar = (part @ wanted for part in parts)
+    sigma = [np.sqrt(np.clip(np.diag(part @ spread @ part.T), 0.0, None)) for part in parts]
+    return DipoleSplit(vector, scalar, sigma[0], sigma[1], factor)
+
+
+def _position(given: npt.ArrayLike) -> Floats:
+    value = np.asarray(given, dtype=np.float64)
+    return np.array([float(value), 0.0, 0.0]) if value.ndim == 0 else value
+
+
+def _along_moment(near: Floats, far: Floats, direction: npt.ArrayLike | None) -> tuple[Floats, Floats]:
+    """Return the matrices from the difference to both fields for a moment of known direction."""
+    if direction is None:
+        raise SettingsError(
+            f"the sensors at {near.tolist()} and {far.tolist()} m are not on one line through the dipole",
+            remedy="give 'direction', the dipole's moment, or positions along the boom's axis",
+        )
+    moment = np.asarray(direction, dtype=np.float64)
+    fields = [_unit_dipole(place) @ moment for place in (near, far)]
+    seen = fields[0] - fields[1]
+    power = float(seen @ seen)
+    if power <= 1e-12 * float(fields[0] @ fields[0]):
+        raise SettingsError("both sensors see the same field of this moment", remedy="give another direction")
+    return np.outer(fields[0], seen) / power, np.outer(fields[1], seen) / power
+
+
+def _unit_dipole(place: Floats) -> Floats:
+    """Return the matrix from moment to field, up to a constant: ``(3 r r^T - 1) / r^3``."""
+    distance = float(np.linalg.norm(place))
+    unit = place / distance
+    return np.asarray((3.0 * np.outer(unit, unit) - np.eye(3)) / distance**3)

@@ -1,0 +1,368 @@
+"""Coefficients of the magneto-torquers from the band of their 20 s modulation (Yin 2010, 3.4.3, eq. 3.5).
+
+Torquer currents alternate with a period of 20 s; hardly anything else in the residual does. With
+``dB' = |B_v| - |B_s|`` corrected by matrices that are wrong by D_v and D_s, ``dB' = e.((D_v - D_s) I)``
+plus noise. The power of ``dB' - sum a_jk e_j I_k`` between 0.045 and 0.055 Hz is a square in a, so its
+least value has a closed form: the normal equations of real and imaginary parts of the transforms of
+``e_j I_k`` and dB'. No window is used: neighbouring frequencies then stay independent in white noise,
+and the leakage of the currents' own slow part is the same in columns and residual.
+
+Signs. The fitted ``a = D_v - D_s`` is the difference of the sensors, as everywhere. When the vector
+sensor's matrix is right, the scalar sensor's is corrected by *adding* ``D_s = -a``: the residual then
+becomes ``dB(alpha' + D) = dB' + e.(D I)``. The thesis prints a minus there, which doubles the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import xarray as xr
+from scipy import signal
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
+from inflight.errors import SamplesError
+from inflight.estimators.clusters import FEWEST_CLUSTERS, ClusteredFit, solve_clusters
+from inflight.time import GAP, SECOND, Int64, day_of
+
+#: Hz, around the 20 s of the modulation.
+BAND = (0.045, 0.055)
+AXES = ("x", "y", "z")
+#: Columns e_j I_k: axis of the field, then coil.
+COLUMNS = tuple(f"{axis}{coil}" for axis in AXES for coil in AXES)
+
+
+def band_equations(
+    stamps: Int64,
+    residual: Floats,
+    direction: Floats,
+    current: Floats,
+    *,
+    band: tuple[float, float] = BAND,
+    longest: float = 3600.0,
+    shortest: float = 400.0,
+) -> xr.Dataset:
+    """Return the Gram matrix of the band for each stretch of samples without a gap; small enough to store.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000, rising, at one cadence but for gaps.
+    residual : ndarray, shape (time,)
+        dB, nT; NaN where it is missing.
+    direction : ndarray, shape (time, 3)
+        e = B/F, sensor axes.
+    current : ndarray, shape (time, 3)
+        Torquer currents, A, at the times of the residual.
+    band : (float, float)
+        Hz.
+    longest, shortest : float
+        Stretches are cut to at most the one and dropped below the other, s. A stretch is a cluster.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims segment, column, other (= column): `gram` nT^2 with the residual last, scaled so that white
+        noise of variance s^2 a sample leaves s^2 a row; `rows` (segment), two a frequency; `start`, `end`
+        TT2000, `day`.
+
+    Raises
+    ------
+    SamplesError
+        The cadence is too slow for the band, or no stretch is long enough.
+    """
+    cadence = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else np.inf
+    if 0.5 / cadence <= band[1]:
+        raise SamplesError(
+            f"samples every {cadence:g} s do not hold {band[1]:g} Hz",
+            remedy="take the torquer currents and the residual at the magnetometers' own cadence",
+        )
+    rows = np.column_stack(
+        [np.einsum("tj,tk->tjk", direction, current).reshape(stamps.size, 9), np.asarray(residual)]
+    )
+    found = []
+    for part in _stretches(stamps, np.isfinite(rows).all(axis=1), cadence, longest, shortest):
+        gram, count = _band_gram(rows[part], cadence, band)
+        if count:
+            found.append((gram, count, int(stamps[part.start]), int(stamps[part.stop - 1])))
+    if not found:
+        raise SamplesError(
+            f"no stretch of {shortest:g} s without a gap in {stamps.size} samples",
+            remedy="take another span, or lower 'shortest' (at least two periods of the band's width)",
+        )
+    start = np.array([one[2] for one in found], dtype=np.int64)
+    names = [*COLUMNS, "residual"]
+    return xr.Dataset(
+        {
+            "gram": (("segment", "column", "other"), np.array([one[0] for one in found]), {"units": "nT2"}),
+            "rows": ("segment", np.array([one[1] for one in found], dtype=np.float64)),
+            "start": ("segment", start, {"scale": "TT2000"}),
+            "end": ("segment", np.array([one[3] for one in found], dtype=np.int64), {"scale": "TT2000"}),
+            "day": ("segment", day_of(start).astype("datetime64[D]").astype(np.int64)),
+        },
+        coords={"column": names, "other": names},
+        attrs={"band_low_Hz": band[0], "band_high_Hz": band[1], "cadence_s": cadence},
+    )
+
+
+def _stretches(
+    stamps: Int64,
+    good: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    cadence: float,
+    longest: float,
+    shortest: float,
+) -> list[slice]:
+    """Return parts without a gap, cut into equal pieces of at most `longest` seconds."""
+    index = np.flatnonzero(good)
+    if not index.size:
+        return []
+    gap = (np.diff(index) > 1) | (np.diff(stamps[index]) > GAP * cadence * SECOND)
+    found = []
+    for run in np.split(index, np.flatnonzero(gap) + 1):
+        pieces = int(np.ceil(run.size * cadence / longest))
+        edges = np.linspace(run[0], run[-1] + 1, pieces + 1).astype(np.int64)
+        found += [slice(int(low), int(high)) for low, high in pairwise(edges)]
+    return [part for part in found if (part.stop - part.start) * cadence >= shortest]
+
+
+def _band_gram(rows: Floats, cadence: float, band: tuple[float, float]) -> tuple[Floats, int]:
+    """Return the Gram matrix of real and imaginary parts in the band, and the number of such rows."""
+    both = _transform(rows.shape[0], cadence, *band) @ rows
+    return both.T @ both, both.shape[0]
+
+
+@lru_cache(maxsize=8)
+def _transform(count: int, cadence: float, low: float, high: float) -> Floats:
+    """Return the matrix that takes a line off and gives real and imaginary parts in the band; (row, time).
+
+    Scaled so that its rows keep the variance of white noise. Only the band is computed, and taking the
+    line off the waves once is the same as taking it off every series.
+    """
+    # A frequency on the edge of the band belongs to it, whatever rounding says.
+    first = int(np.ceil(low * count * cadence - 1e-6))
+    last = int(np.floor(high * count * cadence + 1e-6))
+    angle = 2.0 * np.pi * np.outer(np.arange(first, last + 1), np.arange(count) / count)
+    waves = np.concatenate([np.cos(angle), -np.sin(angle)]) * np.sqrt(2.0 / count)
+    line, _ = np.linalg.qr(np.stack([np.ones(count), np.linspace(-1.0, 1.0, count)], axis=1))
+    return np.asarray(waves - (waves @ line) @ line.T)
+
+
+@dataclass(frozen=True)
+class TorquerFit:
+    """Correction of the torquer matrices, vector minus scalar sensor.
+
+    Attributes
+    ----------
+    fit : ClusteredFit
+        nT/A, in the order of `COLUMNS`.
+    start, end : int
+        TT2000.
+    """
+
+    fit: ClusteredFit
+    start: int
+    end: int
+
+    @property
+    def value(self) -> Floats:
+        """``D_vector - D_scalar``, nT/A; (axis, coil). What the residual still follows."""
+        return self.fit.value.reshape(3, 3)
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviation, nT/A; (axis, coil)."""
+        return self.fit.sigma.reshape(3, 3)
+
+    @property
+    def retained(self) -> Floats:
+        """Part of each column that the others do not explain; (axis, coil). Row y is weak: e_y is small."""
+        return self.fit.retained.reshape(3, 3)
+
+    @property
+    def for_scalar(self) -> Floats:
+        """What the scalar sensor's matrix lacks when the vector sensor's is right, nT/A; (axis, coil)."""
+        return -self.value
+
+    @property
+    def level(self) -> float:
+        """Noise in the band as the standard deviation of a sample of white noise, nT."""
+        return float(np.sqrt(self.fit.variance))
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `retained` (axis, coil) and `covariance`."""
+        dims = ("axis", "coil")
+        covariance = self.fit.covariance.reshape(3, 3, 3, 3)
+        return xr.Dataset(
+            {
+                "value": (dims, self.value, {"units": "nT/A", "at": "difference"}),
+                "sigma": (dims, self.sigma, {"units": "nT/A"}),
+                "retained": (dims, self.retained),
+                "covariance": ((*dims, "other_axis", "other_coil"), covariance, {"units": "nT2/A2"}),
+                "start": ((), self.start, {"scale": "TT2000"}),
+                "end": ((), self.end, {"scale": "TT2000"}),
+            },
+            coords={"axis": list(AXES), "coil": list(AXES)},
+            attrs={"clusters": self.fit.clusters, "rows": self.fit.rows, "level_nT": self.level},
+        )
+
+
+def join_equations(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return the stored equations of several days together, in order of time."""
+    joined = xr.concat(list(parts), "segment", data_vars="minimal", join="exact", combine_attrs="override")
+    return joined.isel(segment=np.argsort(joined["start"].values, kind="stable"))
+
+
+def fit_band(equations: xr.Dataset, *, by: str = "segment") -> TorquerFit:
+    """Solve for all nine coefficients; nothing is known of them beforehand.
+
+    Parameters
+    ----------
+    equations : xarray.Dataset
+        Of `band_equations`, one day or all of them.
+    by : str
+        What is a cluster of the covariance: ``segment`` or ``day``.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than five clusters, or a coil without current in the band.
+    """
+    gram, rows = equations["gram"].values, equations["rows"].values
+    if by == "day":
+        _, which = np.unique(equations["day"].values, return_inverse=True)
+        total = np.zeros((int(which.max()) + 1, *gram.shape[1:]))
+        np.add.at(total, which, gram)
+        gram, rows = total, np.bincount(which, weights=rows)
+    fit = solve_clusters(gram, rows)
+    return TorquerFit(fit, int(equations["start"].values.min()), int(equations["end"].values.max()))
+
+
+def daily_fits(equations: xr.Dataset) -> xr.Dataset:
+    """Return each day's own fit; days with too few stretches are left out and counted.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims day, axis, coil: `value`, `sigma` nT/A, `retained`; `start`, `end` (day); attribute
+        ``days_left_out``.
+    """
+    day = equations["day"].values
+    tables, kept, short = [], [], 0
+    for one in np.unique(day):
+        part = equations.isel(segment=np.flatnonzero(day == one))
+        if part.sizes["segment"] < FEWEST_CLUSTERS:
+            short += 1
+            continue
+        tables.append(fit_band(part).table().drop_vars("covariance"))
+        kept.append(int(one))
+    if not tables:
+        raise SamplesError(
+            f"{short} days found, none with {FEWEST_CLUSTERS} stretches of samples",
+            remedy="lower 'longest' when the equations are made, or fit all days together",
+        )
+    joined = xr.concat(tables, "day", combine_attrs="drop")
+    return joined.assign_coords(day=kept).assign_attrs(days_left_out=short)
+
+
+def robust_mean(daily: xr.Dataset) -> xr.Dataset:
+    """Return the robust mean of daily values, component by component, with the error of their scatter.
+
+    Days weigh with their own variance and Tukey's biweight about the mean, from the weighted median
+    on. The error is that of the scatter between days, whatever the days say of themselves.
+
+    Parameters
+    ----------
+    daily : xarray.Dataset
+        Of `daily_fits`.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims axis, coil: `value`, `sigma`, `median` nT/A, `scatter` (robust standard deviation of a
+        day over its sigma: 1 when the days differ as they say).
+    """
+    value, sigma = (daily[name].values.reshape(daily.sizes["day"], -1) for name in ("value", "sigma"))
+    if len(value) < FEWEST_CLUSTERS:
+        raise SamplesError(
+            f"{len(value)} days, at least {FEWEST_CLUSTERS} needed for the error of a mean",
+            remedy="take more days",
+        )
+    columns = [_biweight_mean(value[:, i], sigma[:, i]) for i in range(9)]
+    dims = ("axis", "coil")
+    mean, error, scatter = (np.array(part).reshape(3, 3) for part in zip(*columns, strict=True))
+    return xr.Dataset(
+        {
+            "value": (dims, mean, {"units": "nT/A", "at": "difference"}),
+            "sigma": (dims, error, {"units": "nT/A"}),
+            "median": (dims, np.median(value, axis=0).reshape(3, 3), {"units": "nT/A"}),
+            "scatter": (dims, scatter),
+        },
+        coords={"axis": list(AXES), "coil": list(AXES)},
+        attrs={"days": len(value)},
+    )
+
+
+def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
+    own = 1.0 / np.maximum(sigma, 0.5 * np.median(sigma)) ** 2
+    order = np.argsort(value)
+    share = np.cumsum(own[order]) / own.sum()
+    mean = float(value[order][np.searchsorted(share, 0.5)])
+    for _ in range(10):
+        pull = (value - mean) * np.sqrt(own)
+        scatter = max(TO_SIGMA * float(np.median(np.abs(pull))), 1e-12)
+        weight = own * np.clip(1.0 - (pull / scatter / BIWEIGHT_WIDTH) ** 2, 0.0, None) ** 2
+        mean = float(weight @ value / weight.sum())
+    left = value - mean
+    freedom = value.size / max(value.size - 1, 1)
+    return mean, float(np.sqrt(freedom * np.sum((weight * left) ** 2)) / weight.sum()), scatter
+
+
+def band_spectra(
+    stamps: Int64,
+    residual: Floats,
+    direction: Floats,
+    current: Floats,
+    value: Floats,
+    *,
+    length: float = 2000.0,
+) -> xr.Dataset:
+    """Return the spectra of dB before and after ``e.(value I)`` is taken off.
+
+    Parameters
+    ----------
+    stamps, residual, direction, current
+        As for `band_equations`.
+    value : ndarray, shape (3, 3)
+        ``D_vector - D_scalar``, nT/A.
+    length : float
+        Seconds of a stretch; its inverse is the resolution.
+
+    Returns
+    -------
+    xarray.Dataset
+        `before`, `after` (frequency) nT^2/Hz, one-sided, with a Hann window, which nothing is fitted
+        with; attribute ``segments``.
+    """
+    cadence = float(np.median(np.diff(stamps))) / SECOND
+    cleaned = residual - np.einsum("tj,jk,tk->t", direction, value, current)
+    both = np.stack([residual, cleaned])
+    count = round(length / cadence)
+    total, segments = np.zeros((2, count // 2 + 1)), 0
+    for part in _stretches(stamps, np.isfinite(both).all(axis=0), cadence, np.inf, length):
+        frequency, power = signal.welch(
+            both[:, part], 1.0 / cadence, "hann", count, count // 2, detrend=signal.detrend, axis=1
+        )
+        pieces = (part.stop - part.start - count // 2) // (count - count // 2)
+        total, segments = total + pieces * power, segments + pieces
+    if not segments:
+        raise SamplesError(f"no stretch of {length:g} s without a gap", remedy="lower 'length'")
+    units = {"units": "nT2/Hz"}
+    return xr.Dataset(
+        {name: ("frequency", total[i] / segments, units) for i, name in enumerate(("before", "after"))},
+        coords={"frequency": ("frequency", frequency, {"units": "Hz"})},
+        attrs={"segments": segments, "cadence_s": cadence},
+    )
