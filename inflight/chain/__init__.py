@@ -1,6 +1,14 @@
 """The chain of a whole mission: a day's statistics, and what all days together say."""
 
-from inflight.chain.continuous import Continuous, continuous_model, fit_mission
+from inflight.chain.continuous import Continuous, continuous_model, continuous_table, fit_mission
 from inflight.chain.wide import BIN_S, terms_of, wide_equations
 
-__all__ = ["BIN_S", "Continuous", "continuous_model", "fit_mission", "terms_of", "wide_equations"]
+__all__ = [
+    "BIN_S",
+    "Continuous",
+    "continuous_model",
+    "continuous_table",
+    "fit_mission",
+    "terms_of",
+    "wide_equations",
+]

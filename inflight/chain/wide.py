@@ -104,7 +104,7 @@ def _channels(
     for name in sorted(names & set(map(str, samples.variables))):
         variable = samples[name]
         values = np.asarray(variable.values, dtype=np.float64)
-        known = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
         out[name] = xr.Variable(variable.dims, bin_means(values, stamps, edges, known)[0], variable.attrs)
     return out
 

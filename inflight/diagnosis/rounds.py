@@ -10,7 +10,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.estimates import estimate
 from inflight.diagnosis.scoring import fit, half_inverse, projected
-from inflight.diagnosis.search import FORMS, Option, Round, Search, Table
+from inflight.diagnosis.search import FORMS, Option, Round, Rules, Search, Table
 
 #: A rival must itself be worth this t, and this part of the winner's gain.
 _RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02
@@ -151,7 +151,7 @@ def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Op
             for place in named
             if table.options[place].channels == table.options[first].channels
             and _simplicity(table.options[place]) < _simplicity(table.options[first])
-            and scores.behind(place, first) < search.rules.rival_t
+            and _does_as_well(table, place, first, form, search.rules)
         ]
         simplest = min((_simplicity(table.options[place]) for place in same), default=None)
         chosen = min(
@@ -179,6 +179,14 @@ def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: fl
         return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
     same = [place for place in places if table.options[place].mechanism == option.mechanism]
     return min(same, key=lambda place: float(scores.loss[:, place].sum()))
+
+
+def _does_as_well(table: Table, simple: int, wide: int, form: str, rules: Rules) -> bool:
+    """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen."""
+    scores = table.scores[form]
+    left = scores.loss.sum(axis=0)
+    little = float(left[simple] - left[wide]) < rules.gain * float(left[simple])
+    return little or scores.behind(simple, wide) < rules.rival_t
 
 
 def _named(table: Table, places: list[int], gain: Floats) -> list[int]:
@@ -319,8 +327,10 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
 
 
 def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> bool:
-    """Return True unless the other is a product that hardly explains more: one channel is simpler."""
-    if table.options[other].family != "unknown":
+    """Return True unless the other, a product or a wider form of the same channels, explains hardly more."""
+    mine, wide = table.options[place], table.options[other]
+    same = mine.channels == wide.channels and _simplicity(mine) < _simplicity(wide)
+    if wide.family != "unknown" and not (same and mine.channels):
         return True
     left = table.scores[form].loss.sum(axis=0)
     return float(left[place] - left[other]) > gain * float(left[place])
