@@ -37,13 +37,15 @@ class _Piece:
     stop: int
 
 
-def read_one_day(workspace: Path, day: Day, variables: Iterable[str] | None) -> xr.Dataset:
+def read_one_day(
+    workspace: Path, day: Day, variables: Iterable[str] | None, dated: bool = True
+) -> xr.Dataset:
     """Read one day eagerly, without dask; the parameters and errors are those of `Catalog.read_day`."""
     store = open_store(str(workspace / day.segment))
     names = _wanted([store], day.dataset, variables)
     start, stop = day.rows
     dataset = store.dataset_of_day(start // store.chunk, names, start, stop)
-    if store.row_dim == "time":
+    if store.row_dim == "time" and dated:
         dataset = dataset.assign_coords(time=("time", utc_of_day(dataset["tt2000"].values)))
     return dataset
 

@@ -84,7 +84,11 @@ class ChannelReader:
         out: dict[str, Floats] = {}
         for needs in by_dataset.values():
             there = self.index.get(needs[0], day)
-            data = self.cat.read(there, [need.channel for need in needs]) if there is not None else None
+            data = (
+                self.cat.read(there, [need.channel for need in needs], dated=False)
+                if there is not None
+                else None
+            )
             for need in needs:
                 instrument, name = homes[need.name]
                 width = len(self.mission.instruments[instrument].channels[name].axis_names)

@@ -265,7 +265,7 @@ def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
 
 def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
     flagged = need.name in FIELD_ROLES
-    data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel])
+    data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], dated=False)
     series = data[need.channel]
     flag = data["flag"].values if flagged else None
     return _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
