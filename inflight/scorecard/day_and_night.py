@@ -30,9 +30,9 @@ def duty(scene: Scene, *days: int) -> Floats:
 
 
 def daytime(scene: Scene, *days: int) -> tuple[float, ...]:
-    """Return the minutes of sunlight in an orbit, mean over each day's samples."""
+    """Return the minutes of sunlight in an orbit, counted over each day's samples."""
     told = [scene.day(mjd) for mjd in days]
-    return tuple(float(day.sunlit.mean()) * orbit_period(day.altitude) / 60.0 for day in told)
+    return tuple(day.sunlit_part * orbit_period(day.altitude) / 60.0 for day in told)
 
 
 def least_duty_at_dawn(scene: Scene) -> float:
@@ -106,7 +106,7 @@ FIGURES = (
         1.0,
         0.05,
         "derived",
-        "Right near the equinoxes; full sun needs the Sun 71 degrees off the orbit plane, 64 to 69 at solstice.",
+        "True near the equinoxes; it needs the Sun 71 degrees off the orbit plane, at solstice it is lower.",
         least_duty_at_dawn,
     ),
     Figure(
@@ -118,7 +118,7 @@ FIGURES = (
         DAY_NIGHT,
         0.005,
         "needs_mission_data",
-        "CHAMP's own field; the figures below take it as given.",
+        "CHAMP's own field, read off its dB; tried: nothing but taking it as given in the figures below.",
     ),
     Figure(
         "day-night.xz",

@@ -226,7 +226,7 @@ FIGURES = (
         0.012,
         0.0005,
         "needs_mission_data",
-        "A fault of CHAMP's clocks; its signature in xz is that of 10 ms, times 1.2.",
+        "A fault of CHAMP's clocks; tried: what such a shift does to xz, -3.9 arcsec, see lag.xz-exact.",
     ),
     Figure(
         "offset.drift",
@@ -237,6 +237,6 @@ FIGURES = (
         -0.00024,
         0.000005,
         "needs_mission_data",
-        "A property of CHAMP's sensor or body.",
+        "CHAMP's sensor or body; tried: simulated offsets, which drift as they are told.",
     ),
 )

@@ -185,6 +185,6 @@ FIGURES = (
         (29.6, 30.37, 30.46),
         (0.05, 0.005, 0.005),
         "needs_mission_data",
-        "Measured on CHAMP's coil before flight; no theory gives them, and no CHAMP data are at hand.",
+        "Measured on CHAMP's coil on the ground; tried: observatory sets, which hold other sensors.",
     ),
 )

@@ -11,15 +11,17 @@ from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
 from inflight.calibration.equations import NormalEquations
-from inflight.estimators.day_night import switched_columns
+from inflight.estimators.day_night import orbit_period, switched_columns
 from inflight.estimators.rows import block_equations, direction_of, nine_columns
 from inflight.simulate.field import main_field
-from inflight.simulate.grid import Grid
+from inflight.simulate.grid import STEP, Grid
 from inflight.simulate.orbit import EARTH_RADIUS, geometry, node_local_time, sunlight
 from inflight.simulate.parameters import Parameters
-from inflight.time import day_bounds
+from inflight.time import SECOND, day_bounds
 
 Result = TypeVar("Result")
+#: Seconds between the samples of a day.
+_STEP = STEP / SECOND
 #: Day 0 of the thesis' day numbers (MJD).
 MJD_ZERO = np.datetime64("2000-01-01", "D")
 #: The two days whose angles the thesis compares, near local noon and midnight (Yin 2010, section 4.3).
@@ -56,6 +58,13 @@ class OrbitDay:
     sunlit: Floats
     altitude: float
     local_time: float
+
+    @property
+    def sunlit_part(self) -> float:
+        """Part of the time in the Sun, counted over whole orbits."""
+        orbit = orbit_period(self.altitude) / _STEP
+        orbits = int(len(self.sunlit) / orbit)
+        return float(self.sunlit[: round(orbits * orbit)].mean())
 
 
 class Scene:

@@ -151,7 +151,7 @@ FIGURES = (
         0.0071,
         0.00005,
         "derived",
-        "One distance serves both axes of the torquer matrix; that distance is eta's own, the agreement is not.",
+        "One distance serves both axes of the torquer matrix; it is eta's own, that the axes agree is not.",
         lambda scene: float(-_TORQUER.mean() * remanent_distance(scene) ** -3.0 / 1e3),
     ),
     Figure(
@@ -163,7 +163,7 @@ FIGURES = (
         (0.02, 0.01, -0.01, -0.01, 0.01, 0.02),
         0.005,
         "needs_mission_data",
-        "Properties of CHAMP's wiring; the estimator is proved by injection.",
+        "Properties of CHAMP's wiring; tried: simulated steps of the current, which return what was put in.",
     ),
     Figure(
         "camera.field",
@@ -174,7 +174,7 @@ FIGURES = (
         0.001,
         0.0005,
         "needs_mission_data",
-        "A property of CHAMP's wiring, printed without an axis.",
+        "CHAMP's wiring, printed without an axis; tried: simulated currents, which return what was put in.",
     ),
     Figure(
         "torquer.new",
@@ -198,6 +198,6 @@ FIGURES = (
         tuple(_CHANGE.ravel().tolist()),
         (0.154, 0.341, 0.035, 0.100, 1.192, 0.140, 0.016, 0.242, 0.139),
         "needs_mission_data",
-        "Medians of daily fits to CHAMP's own currents; y by y is weak because e_y is small.",
+        "Medians of daily fits to CHAMP; tried: simulated torquers, which return what was put in.",
     ),
 )
