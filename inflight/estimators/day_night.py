@@ -20,6 +20,8 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration.equations import NormalEquations
 from inflight.effects.base import AXES
+from inflight.effects.periodic import DayNightSeries, of_orders
+from inflight.effects.sunlight import DayNight
 from inflight.errors import CalibrationError, SamplesError
 from inflight.estimators.absorption import gram_inverse, left
 from inflight.estimators.crosstalk import SHOWN
@@ -206,6 +208,42 @@ class DayNightField:
                 "after_nT": self.after,
             },
         )
+
+    def entry(self, sensor: str) -> dict[str, Any]:
+        """Return the field as an effect of a model, to be listed behind the ``vector_sensor``.
+
+        Components that were not fitted, or not determined, are 0 with the effect's own wide sigma.
+
+        Parameters
+        ----------
+        sensor : str
+            The vector instrument.
+        """
+        name, _, parameter = (SERIES if self._is_series else SWITCHED).partition(".")
+        found: dict[str, Any] = {"effect": name, "sensor": sensor}
+        axes: tuple[str, ...] = AXES
+        if self._is_series:
+            order = max(int(one.removesuffix("]").partition("[c")[2][1:]) for one in self.columns)
+            found["order"], axes = order, of_orders(order, sines=False)
+        of_effect = DayNightSeries.amplitude if self._is_series else DayNight.vector
+        told = {
+            one.partition("[")[2].removesuffix("]"): (float(value), float(sigma))
+            for one, value, sigma in zip(self.columns, self.value, self.sigma, strict=True)
+            if np.isfinite(sigma)
+        }
+        both = {axis: told.get(axis, (0.0, float(np.max(of_effect.sigma)))) for axis in axes}
+        found[parameter] = {
+            "time": "constant",
+            "unit": "nT",
+            "value": {axis: value for axis, (value, _) in both.items()},
+            "sigma": {axis: sigma for axis, (_, sigma) in both.items()},
+            "free": False,
+        }
+        return found
+
+    @property
+    def _is_series(self) -> bool:
+        return self.columns[0].startswith(SERIES)
 
     def series(self, sun_phase: Floats) -> tuple[Floats, Floats]:
         """Return the series' field and its sigma along the orbit; (phase, axis) nT each, mean left out.

@@ -1,7 +1,10 @@
 """The field that day and night switch: recovered with honest errors, and what it does when ignored."""
 
+import json
+
 import numpy as np
 import pytest
+import xarray as xr
 from day_night_cases import (
     MIDNIGHT,
     NOON,
@@ -28,6 +31,26 @@ from inflight.estimators.day_night import (
     sunlit_duty,
 )
 from inflight.estimators.rows import block_equations, joined
+from inflight.mission import Mission
+from inflight.model import Model
+
+MISSION = Mission.parse(
+    """
+mission: champ
+instruments:
+  fgm:
+    role: vector
+    cadence: 1 s
+    files: {pattern: "a_{day:%Y%m%d}.cdf", reader: cdf, time: Epoch}
+    channels: {field: {variable: B, unit: nT, axes: [x, y, z]}}
+  ovm:
+    role: scalar
+    cadence: 1 s
+    files: {pattern: "b_{day:%Y%m%d}.cdf", reader: cdf, time: Epoch}
+    channels: {field: {variable: F, unit: nT}}
+comparisons: {main: {kind: scalar, vector: fgm, scalar: ovm}}
+"""
+)
 
 #: 66 days over one turn of local time.
 CYCLE = tuple(range(2000, 2264, 4))
@@ -147,6 +170,26 @@ def test_the_result_is_a_table():
     assert set(table["units"].values) == {"nT"}
     assert table.attrs["at"] == "difference"
     np.testing.assert_allclose(np.sqrt(np.diag(table["covariance"].values)), table["sigma"].values)
+
+
+@pytest.mark.parametrize("columns", [switched_day, lambda mjd: series_day(mjd, 3)])
+def test_the_result_is_an_effect_of_a_model_that_takes_the_field_away(columns):
+    """The model's own correction of a reading is that of the fit."""
+    found = fit_day_night(mission(TEN, (0.3, 0, 0.65), columns=columns))
+    entry = found.entry("fgm")
+    text = f"model: m\nversion: 1\nmission: champ\ncomparison: main\neffects: {json.dumps([entry])}\n"
+    model = Model.parse(text, MISSION)
+    day = orbit_day(NOON)
+    samples = xr.Dataset(
+        {
+            "sunlit": ("time", day.sunlit, {"units": "1"}),
+            "sun_phase": ("time", sun_phase(NOON), {"units": "deg"}),
+        }
+    )
+    effect = model.effects[0]
+    field = effect.effect.field(samples, effect.values(0), effect.sensor)
+    made = sum(-columns(NOON)[name] * value for name, value in found.values.items())
+    np.testing.assert_allclose(np.einsum("ta,ta->t", day.direction, field), made, atol=1e-12)
 
 
 def test_too_few_blocks_no_columns_and_no_night_are_refused():

@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -172,3 +173,9 @@ def test_no_figure_is_a_constant():
             function = getattr(one.obtain, "func", one.obtain)
             names = set(function.__code__.co_names) | set(inspect.signature(function).parameters)
             assert function.__code__.co_names, f"{one.id}: {names}"
+
+
+def test_the_reference_page_names_every_figure():
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "figures.md").read_text(encoding="utf-8")
+    assert [one.id for one in figures() if f"`{one.id}`" not in page] == []
+    assert all(f"`{section}`" in page for section in SECTIONS)
