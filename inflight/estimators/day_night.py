@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
+from scipy.stats import t as student
 
 from inflight.arrays import Floats
 from inflight.calibration.equations import NormalEquations
@@ -24,71 +26,19 @@ from inflight.effects.periodic import DayNightSeries, of_orders
 from inflight.effects.sunlight import DayNight
 from inflight.errors import CalibrationError, SamplesError
 from inflight.estimators.absorption import gram_inverse, left
+from inflight.estimators.clusters import solve_clusters
 from inflight.estimators.crosstalk import SHOWN
 from inflight.estimators.rows import NINE, NINE_UNITS, field_columns, places
-from inflight.sun import EARTH_RADIUS
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.
 SWITCHED, SERIES = "day_night.vector", "day_night_series.amplitude"
 #: A column of which less than this part is left beside all others has no value of its own: what is left
 #: of its rms is then below a hundredth.
 LEAST_RETAINED = 1e-4
-#: Blocks whose scatter makes an uncertainty.
-FEWEST_BLOCKS = 5
-#: km^3/s^2.
-_GM = 398600.4418
+#: Part of a normal distribution below one sigma above its mean.
+_ONE_SIGMA = 0.8413447460685429
 _MOST_ORDER = 12
-
-
-# Geometry.
-
-
-def orbit_period(altitude: float) -> float:
-    """Return the period of a circular orbit, s; `altitude` in km above the mean radius 6371 km."""
-    return float(2.0 * np.pi * np.sqrt((EARTH_RADIUS + altitude) ** 3 / _GM))
-
-
-def orbit_plane_sun(local_time: Floats, declination: Floats, inclination: float) -> Floats:
-    """Return the angle between the Sun and the orbit's plane (beta), deg.
-
-    ``sin beta = sin i cos d sin(15 (LT - 12)) + cos i sin d``: the product of orbit normal and Sun.
-
-    Parameters
-    ----------
-    local_time : ndarray
-        Of the ascending node, h, apparent solar.
-    declination : ndarray
-        Of the Sun, deg.
-    inclination : float
-        deg.
-    """
-    hour, sun, tilt = np.deg2rad(15.0 * (local_time - 12.0)), np.deg2rad(declination), np.deg2rad(inclination)
-    sine = np.sin(tilt) * np.cos(sun) * np.sin(hour) + np.cos(tilt) * np.sin(sun)
-    return np.asarray(np.rad2deg(np.arcsin(np.clip(sine, -1.0, 1.0))))
-
-
-def sunlit_duty(altitude: float, beta: Floats) -> Floats:
-    """Return which part of a circular orbit lies in the Sun; (...) in (0.5, 1].
-
-    A spherical Earth throws a cylinder of shadow; half the night's arc has the cosine
-    ``sqrt(r^2 - R^2) / (r cos beta)``, and there is no night when that exceeds 1.
-
-    Parameters
-    ----------
-    altitude : float
-        km above the mean radius.
-    beta : ndarray
-        Angle between Sun and orbit plane, deg.
-    """
-    radius = EARTH_RADIUS + altitude
-    cosine = np.sqrt(radius**2 - EARTH_RADIUS**2) / (radius * np.cos(np.deg2rad(beta)))
-    return np.asarray(1.0 - np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi)
-
-
-def square_wave_series(duty: float, order: int) -> Floats:
-    """Return a_0 ... a_order of a square wave that is 1 for `duty` of the orbit around t0, 0 elsewhere."""
-    k = np.arange(1, order + 1)
-    return np.concatenate([[duty], 2.0 * np.sin(np.pi * k * duty) / (np.pi * k)])
+Flags = npt.NDArray[np.bool_]
 
 
 # Columns.
@@ -157,7 +107,7 @@ class DayNightField:
     value, sigma : ndarray, shape (column,)
         nT; an undetermined one has value 0 and an infinite sigma.
     covariance : ndarray, shape (column, column)
-        nT^2, by the jackknife over blocks; 0 for undetermined ones.
+        nT^2, by the jackknife over blocks, with Student's factor for few of them; 0 for undetermined ones.
     retained : ndarray, shape (column,)
         Part of each column's square that neither the nine parameters nor its companions explain.
     determined : ndarray of bool, shape (column,)
@@ -171,7 +121,7 @@ class DayNightField:
     sigma: Floats
     covariance: Floats
     retained: Floats
-    determined: np.ndarray[Any, np.dtype[np.bool_]]
+    determined: Flags
     blocks: int
     before: float
     after: float
@@ -283,46 +233,56 @@ def fit_day_night(
         When there are too few blocks for an uncertainty, no day/night column, or none is determined.
     """
     names = [name for name in equations.columns if name.startswith((SWITCHED, SERIES))]
-    count = len(equations)
-    if not names or count < FEWEST_BLOCKS:
+    if not names:
         raise CalibrationError(
-            f"{count} blocks with {len(names)} day/night columns, at least {FEWEST_BLOCKS} and one needed",
-            remedy="form the equations with the columns of one form, in more or shorter blocks",
+            f"no day/night column among {equations.columns}",
+            remedy="form the equations with `switched_columns` or `series_columns`",
         )
     own, nine = places(equations, names), places(equations, absorbed)
-    kept = np.append(own, equations.dataset.sizes["column"] - 1)
-    gram = equations.dataset["gram"].values
-    if each_block:
-        parts = left(gram, nine, kept)
-        whole, lessened = parts.sum(axis=0), parts.sum(axis=0) - parts
-    else:
-        whole, lessened = left(gram.sum(axis=0), nine, kept), left(gram.sum(axis=0) - gram, nine, kept)
-    return _fitted(
-        names, whole, lessened, gram.sum(axis=0)[own, own], float(equations.dataset["count"].sum())
-    )
-
-
-def _fitted(names: list[str], whole: Floats, lessened: Floats, size: Floats, weight: float) -> DayNightField:
-    """Solve what the nine leave of [columns | residual], and again without each block."""
-    retained, determined = _told(whole[:-1, :-1], size)
+    last = equations.dataset.sizes["column"] - 1
+    gram, rows = equations.dataset["gram"].values, equations.dataset["count"].values
+    rest = left(gram.sum(axis=0), nine, own) if not each_block else left(gram, nine, own).sum(axis=0)
+    retained, determined = _told(rest, gram.sum(axis=0)[own, own])
     if not determined.any():
         raise CalibrationError(
             "no part of the day/night field is told from the nine parameters: is there any night?",
             remedy="take days at other local times",
         )
-    free, many = np.flatnonzero(determined), len(lessened)
+    free = own[determined]
+    if each_block:
+        parts = left(gram, nine, np.append(free, last))
+    else:
+        beside = np.concatenate([free, nine, [last]])
+        parts = gram[:, beside[:, None], beside]
+    return _packed(names, retained, determined, parts, rows)
+
+
+def _packed(
+    names: list[str], retained: Floats, determined: Flags, parts: Floats, rows: Floats
+) -> DayNightField:
+    """Solve the blocks' Gram matrices of [free columns | others beside them | residual]."""
+    # Clusters ask for what is observed: the residual is that much and a column takes it away.
+    sign = np.append(np.ones(parts.shape[1] - 1), -1.0)
+    found = solve_clusters(parts * np.outer(sign, sign), rows)
+    count = int(determined.sum())
+    # Few blocks know their own scatter badly: one sigma shall mean 68 % with any number of them.
+    wider = float(student.ppf(_ONE_SIGMA, found.clusters - 1)) ** 2
+    place = np.flatnonzero(determined)
     value, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
-    value[free] = _solve(whole, free)
-    without = np.array([_solve(part, free) for part in lessened])
-    off = without - without.mean(axis=0)
-    covariance[np.ix_(free, free)] = off.T @ off * (many - 1) / many
-    rest = whole[-1, -1] + 2.0 * value @ whole[:-1, -1] + value @ whole[:-1, :-1] @ value
+    value[place] = found.value[:count]
+    covariance[np.ix_(place, place)] = wider * found.covariance[:count, :count]
     sigma = np.where(determined, np.sqrt(np.diag(covariance)), np.inf)
-    before, after = (float(np.sqrt(max(square, 0.0) / weight)) for square in (whole[-1, -1], rest))
-    return DayNightField(tuple(names), value, sigma, covariance, retained, determined, many, before, after)
+    total, many = parts.sum(axis=0), float(rows.sum())
+    alone = left(total, np.arange(count, len(total) - 1), np.array([len(total) - 1]))[0, 0]
+    answered = np.append(found.value, 1.0)
+    after = answered @ total @ answered
+    before, after = (float(np.sqrt(max(square, 0.0) / many)) for square in (alone, after))
+    return DayNightField(
+        tuple(names), value, sigma, covariance, retained, determined, found.clusters, before, after
+    )
 
 
-def _told(matrix: Floats, size: Floats) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]]]:
+def _told(matrix: Floats, size: Floats) -> tuple[Floats, Flags]:
     """Return the retained part of each column and whether it is told, worst ones let go one by one."""
     retained, determined = np.zeros(size.size), np.ones(size.size, dtype=bool)
     while determined.any():
@@ -336,10 +296,6 @@ def _told(matrix: Floats, size: Floats) -> tuple[Floats, np.ndarray[Any, np.dtyp
             break
         determined[free[worst]] = False
     return retained, determined
-
-
-def _solve(matrix: Floats, free: np.ndarray[Any, np.dtype[np.int64]]) -> Floats:
-    return np.asarray(-gram_inverse(matrix[np.ix_(free, free)]) @ matrix[free, -1])
 
 
 def block_parameters(

@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.estimators.day_night import (
-    SWITCHED,
-    fit_day_night,
-    orbit_period,
-    orbit_plane_sun,
-    sunlit_duty,
-    switched_columns,
-)
+from inflight.estimators.day_night import SWITCHED, fit_day_night, switched_columns
+from inflight.estimators.daylight import orbit_period, orbit_plane_sun, sunlit_duty
 from inflight.estimators.rows import block_equations, joined, nine_columns
 from inflight.scorecard.figure import Figure
 from inflight.scorecard.residual import DAY_NIGHT, SECTION, XZ, ignored_causes

@@ -11,7 +11,8 @@ from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
 from inflight.calibration.equations import NormalEquations
-from inflight.estimators.day_night import orbit_period, switched_columns
+from inflight.estimators.day_night import switched_columns
+from inflight.estimators.daylight import orbit_period
 from inflight.estimators.rows import block_equations, direction_of, nine_columns
 from inflight.simulate.field import main_field
 from inflight.simulate.grid import STEP, Grid

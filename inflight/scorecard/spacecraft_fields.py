@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from inflight.estimators.dipole import dipole_split
 from inflight.scorecard.figure import Figure
 from inflight.scorecard.scene import Scene
-from inflight.simulate.dipole import transfer
 
 SECTION = "spacecraft-fields"
 #: Sensors on the boom, m from the assumed dipole (Yin 2010, section 3.4.1).
@@ -27,14 +27,9 @@ _EQUATOR, _J2, _GM, _SUN = 6378.137, 1.08263e-3, 398600.4418, 0.98564736
 _LOCAL_TIMES = ((2852, 10.0 + 54.0 / 60.0), (2979, 23.0 + 10.0 / 60.0))
 
 
-def dipole_split(scene: Scene) -> tuple[float, float]:
-    """Return what both sensors see of a difference of 1 between them: a dipole on the boom axis.
-
-    With k the field at the scalar sensor over that at the vector sensor, ``1/(1 - k)`` and ``k/(1 - k)``
-    (Yin 2010, after eq. 3.1).
-    """
-    seen = transfer((1.0, 0.0, 0.0), (0.0, 0.0, 0.0), _VECTOR, _SCALAR)[0]
-    return 1.0 / (1.0 - seen), seen / (1.0 - seen)
+def split_of_boom(scene: Scene) -> tuple[float, ...]:
+    """Return what both sensors see of a difference of 1 between them: a dipole on the boom axis."""
+    return dipole_split((1.0, 1.0, 1.0), _VECTOR, _SCALAR).factor
 
 
 def remanent_ratios(scene: Scene) -> tuple[float, float]:
@@ -76,7 +71,7 @@ FIGURES = (
         0.005,
         "derived",
         "From the sensors' distances of 4.75 and 6.5 m alone; the next digits are 1.64001 and 0.64001.",
-        dipole_split,
+        split_of_boom,
     ),
     Figure(
         "local-time.cycle",

@@ -91,7 +91,9 @@ def test_a_wrong_sign_in_cross_talk_changes_the_verdicts(monkeypatch):
 
 
 def test_a_wrong_power_in_the_dipole_changes_the_verdict(monkeypatch):
-    monkeypatch.setattr(spacecraft_module, "transfer", lambda *arguments: np.full(3, (4.75 / 6.5) ** 2))
+    right = spacecraft_module.dipole_split
+    wrong = lambda one, near, far: right(one, near[0] ** (2 / 3), far[0] ** (2 / 3))  # noqa: E731
+    monkeypatch.setattr(spacecraft_module, "dipole_split", wrong)
     assert scorecard(["dipole.split"])[0].verdict == "contradicted"
 
 
