@@ -8,8 +8,9 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.evidence import Evidence
-from inflight.diagnosis.scoring import Present, half_inverse, projected
+from inflight.diagnosis.scoring import Present, projected
 from inflight.diagnosis.search import Option, Search
+from inflight.estimators.absorption import gram_inverse, taken_over
 
 #: Reach of the scores' correlation, in blocks.
 _BARTLETT = 3
@@ -45,7 +46,7 @@ def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floa
     total = evidence.total
     p = present.columns
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
-    inverse = _inverse(matrix)
+    inverse = gram_inverse(matrix)
     value = -inverse @ total[p, y]
     scores = evidence.gram[:, p, y] + np.einsum("bij,j->bi", evidence.gram[:, p[:, None], p[None, :]], value)
     count = len(scores)
@@ -68,11 +69,6 @@ def _at_least(meat: Floats, own: Floats) -> Floats:
     out = meat * lift[:, None] * lift[None, :]
     out[np.diag_indices_from(out)] = raised
     return np.asarray(out)
-
-
-def _inverse(matrix: Floats) -> Floats:
-    half = half_inverse(matrix[None])[0]
-    return np.asarray(half @ half.T)
 
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
@@ -150,8 +146,7 @@ def mimics(search: Search, option: Option, gamma: Floats) -> list[tuple[str, flo
     names = [name for term in search.library.base for name in term.columns]
     base, own = raw.index(names), raw.index(option.columns)
     total = raw.total
-    inner = total[np.ix_(base, base)]
-    shift = _inverse(inner) @ total[np.ix_(base, own)] @ (gamma / raw.scale[own])
+    shift = taken_over(total, base, own) @ (gamma / raw.scale[own])
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))
 
 
@@ -168,5 +163,5 @@ def within_and_raw(search: Search, option: Option) -> float | None:
     seen = np.sqrt(np.clip(np.diag(both), 0, None)) > 0
     if not seen.any():
         return None
-    inverse = _inverse(both[np.ix_(seen, seen)])
+    inverse = gram_inverse(both[np.ix_(seen, seen)])
     return float(difference[seen] @ inverse @ difference[seen] / seen.sum())

@@ -13,7 +13,8 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.evidence import Evidence
-from inflight.diagnosis.scoring import Index, Present, block_scores, half_inverse, projected
+from inflight.diagnosis.scoring import Index, Present, block_scores, projected
+from inflight.estimators.absorption import half_inverse
 
 #: Independent spans whose signs are flipped, at most.
 MOST_UNITS = 120

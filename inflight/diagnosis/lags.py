@@ -10,7 +10,8 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.evidence import Evidence
-from inflight.diagnosis.scoring import Index, Present, half_inverse, projected
+from inflight.diagnosis.scoring import Index, Present, projected
+from inflight.estimators.absorption import half_inverse
 
 #: Angular frequencies a combination must be right at: from two days to a minute.
 _SLOWEST, _FASTEST, _FREQUENCIES = 2 * np.pi / 172_800.0, 2 * np.pi / 60.0, 120

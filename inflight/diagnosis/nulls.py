@@ -22,11 +22,11 @@ from inflight.diagnosis.scoring import (
     activity,
     folds_of,
     grouped,
-    half_inverse,
     projected,
     score,
 )
 from inflight.diagnosis.search import Search
+from inflight.estimators.absorption import half_inverse
 
 
 def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[int, list[str]]:

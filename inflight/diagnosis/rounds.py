@@ -9,8 +9,9 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.estimates import estimate
-from inflight.diagnosis.scoring import fit, half_inverse, projected
+from inflight.diagnosis.scoring import fit, projected
 from inflight.diagnosis.search import FORMS, Option, Round, Rules, Search, Table
+from inflight.estimators.absorption import half_inverse
 
 #: A rival must itself be worth this t, and this part of the winner's gain.
 _RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02

@@ -15,10 +15,9 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.diagnosis.evidence import Evidence, solve_scaled
 from inflight.diagnosis.rivalry import Fits, hac_t, promised_t
+from inflight.estimators.absorption import half_inverse
 
 Index = npt.NDArray[np.int64]
-#: Directions of a candidate that keep less than this of their own variance beside its others are dropped.
-_EIGEN_CUT = 1e-6
 #: A block in which less than this part of a column's largest block is left says nothing of it.
 _QUIET = 1e-2
 #: Folds of the cross-validation at most.
@@ -151,15 +150,6 @@ def grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
         positions = np.flatnonzero(sizes == size)
         out.append((positions, np.stack([candidates[int(place)] for place in positions])))
     return out
-
-
-def half_inverse(matrices: Floats) -> Floats:
-    """Return L with ``L L^T`` the inverse of each matrix where it is one; (candidate, k, k)."""
-    size = np.sqrt(np.clip(np.einsum("cii->ci", matrices), 0.0, None))
-    unit = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
-    own, vectors = np.linalg.eigh(matrices * unit[:, :, None] * unit[:, None, :])
-    root = np.where(own > _EIGEN_CUT, 1.0 / np.sqrt(np.where(own > _EIGEN_CUT, own, 1.0)), 0.0)
-    return np.asarray(unit[:, :, None] * vectors * root[:, None, :])
 
 
 def projected(gram: Floats, present: Present) -> Floats:

@@ -15,9 +15,9 @@ from inflight.arrays import Floats
 from inflight.diagnosis.diagnosis import Coefficient
 from inflight.diagnosis.estimates import estimate, mimics, within_and_raw
 from inflight.diagnosis.material import Material, held_out
-from inflight.diagnosis.scoring import half_inverse
 from inflight.diagnosis.search import Option, Search
 from inflight.effects.coefficients import coefficient_unit
+from inflight.estimators.absorption import correlation_of, gram_inverse
 
 #: Parameters of a cross-talk matrix at most; candidates whose values are worked out.
 MOST_PARAMETERS, MOST_TRIALS = 42, 16
@@ -112,11 +112,8 @@ def cross_talk(search: Search) -> CrossTalk:
     raw = search.raw
     place = raw.index(names)
     precision = search.precision(raw, names, np.array([sigma for _, sigma in every]))
-    half = half_inverse((raw.total[np.ix_(place, place)] + np.diag(precision))[None])[0]
-    covariance = half @ half.T
-    size = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    unit = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
-    correlation = np.clip(covariance * unit[:, None] * unit[None, :], -1.0, 1.0)
+    covariance = gram_inverse(raw.total[np.ix_(place, place)] + np.diag(precision))
+    correlation = correlation_of(covariance)
     groups = ["calibration"] * len(base) + ["model"] * len(refined) + ["found"] * len(found)
     kept = _most_correlated(correlation, groups)
     return CrossTalk(

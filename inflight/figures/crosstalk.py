@@ -9,17 +9,14 @@ from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper
 from bokeh.plotting import figure
 
 from inflight.diagnosis.tradeoffs import CrossTalk, Shift
+from inflight.estimators.crosstalk import SHOWN, CrossTalkTable
 from inflight.figures.heatmap import DIVERGING
 from inflight.figures.naming import bare_parameter, distinct, short_name, short_parameter
 from inflight.figures.page import html_table
 from inflight.figures.style import plain_figure
 
-#: What the calibration's parameters are shown in: part of the name, factor, unit.
-_SHOWN = (
-    ("scale_factor", 1e6, "ppm"),
-    ("misalignment", 3600.0, "arcsec"),
-    ("offset", 1.0, "nT"),
-)
+#: Units of the calibration's parameters by part of the name.
+_UNITS = {"scale_factor": "1", "misalignment": "deg", "offset": "nT"}
 
 
 def cross_talk_figure(found: CrossTalk) -> figure:
@@ -100,8 +97,63 @@ def shift_table(shifts: Sequence[Shift]) -> str:
     return f'<div class="wide" style="overflow-x:auto;white-space:nowrap">{html_table(head, rows)}</div>'
 
 
+def ignored_figure(found: CrossTalkTable) -> figure:
+    """Draw what each ignored cause does to the fitted parameters.
+
+    Colours compare shifts of one unit with each other: they run to the largest shift of that unit.
+    """
+    rows = distinct([one.label for one in found.ignored])
+    parameters = [
+        f"{short_parameter(name)} ({unit})" for name, unit in zip(found.parameters, found.units, strict=True)
+    ]
+    columns = distinct(parameters)
+    plot = plain_figure(
+        "Shift of the calibration by what it ignores",
+        "",
+        "",
+        x_range=columns,
+        y_range=rows[::-1],
+        width=min(260 + 70 * len(columns), 1100),
+        height=150 + 34 * len(rows),
+    )
+    limit = {unit: np.abs(found.shift[:, [one == unit for one in found.units]]).max() for unit in found.units}
+    row, column = np.divmod(np.arange(found.shift.size), len(columns))
+    value = found.shift.ravel()
+    source = ColumnDataSource(
+        {
+            "x": [columns[place] for place in column],
+            "y": [rows[place] for place in row],
+            "part": [
+                one / max(limit[found.units[place]], 1e-12) for one, place in zip(value, column, strict=True)
+            ],
+            "told": [_two_digits(one) for one in value],
+        }
+    )
+    mapper = LinearColorMapper(palette=DIVERGING, low=-1.4, high=1.4)
+    colour = {"field": "part", "transform": mapper}
+    plot.rect("x", "y", width=1, height=1, source=source, fill_color=colour, line_color="#ffffff")
+    plot.text(
+        "x",
+        "y",
+        text="told",
+        source=source,
+        text_align="center",
+        text_baseline="middle",
+        text_font_size="11px",
+    )
+    plot.xaxis.major_label_orientation = 0.7
+    plot.grid.visible = False
+    plot.hover.tooltips = [("ignored", "@y"), ("shifts", "@x"), ("by", "@told")]
+    return plot
+
+
+def _two_digits(value: float) -> str:
+    """Two digits that count, without powers of ten; what rounds to nothing is 0."""
+    return "0" if abs(value) < 0.005 else f"{value:+.2f}" if abs(value) < 1.0 else f"{value:+.1f}"
+
+
 def _unit(name: str) -> tuple[float, str]:
-    for part, factor, unit in _SHOWN:
+    for part, unit in _UNITS.items():
         if part in name:
-            return factor, unit
+            return SHOWN[unit]
     return 1.0, ""

@@ -12,9 +12,9 @@ from inflight.diagnosis.scoring import (
     block_scores,
     fit,
     folds_of,
-    half_inverse,
     score,
 )
+from inflight.estimators.absorption import half_inverse
 
 PRESENTS = {
     "nothing": ((), ()),

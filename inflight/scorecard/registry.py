@@ -1,0 +1,78 @@
+"""All figures in order, and the selection of some.
+
+A new figure is one `Figure(...)` in the tuple of its module; a new module is one line in `_MODULES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from inflight.errors import SettingsError
+from inflight.scorecard import (
+    continuous_parameters,
+    day_and_night,
+    residual,
+    scalar_calibration,
+    spacecraft_fields,
+)
+from inflight.scorecard.figure import Figure, Report
+from inflight.scorecard.scene import Scene
+
+#: Sections and what they are about, in order.
+SECTIONS = {
+    "scalar-calibration": "Scalar calibration of a vector magnetometer (Yin 2010, chapter 2)",
+    "continuous-parameters": "Continuous parameters (Yin 2010, chapter 3)",
+    "spacecraft-fields": "Fields of the spacecraft (Yin 2010, section 3.4)",
+    "residual": "What the residual tells (Yin 2010, chapter 4)",
+}
+_MODULES = (scalar_calibration, continuous_parameters, spacecraft_fields, residual, day_and_night)
+
+
+def figures() -> tuple[Figure, ...]:
+    """Return every figure, section by section."""
+    order = list(SECTIONS)
+    every = [figure for module in _MODULES for figure in module.FIGURES]
+    return tuple(sorted(every, key=lambda figure: order.index(figure.section)))
+
+
+def selected(only: Sequence[str] = (), section: str | None = None) -> tuple[Figure, ...]:
+    """Return some figures.
+
+    Parameters
+    ----------
+    only : sequence of str
+        Ids, or beginnings of ids up to a dot: ``lag`` selects ``lag.xz``. All when empty.
+    section : str, optional
+        Key of `SECTIONS`.
+
+    Raises
+    ------
+    SettingsError
+        When there is no such section, or an id selects nothing.
+    """
+    if section is not None and section not in SECTIONS:
+        raise SettingsError(f"there is no section {section!r}", remedy=f"choose one of {', '.join(SECTIONS)}")
+    found = [figure for figure in figures() if section in (None, figure.section)]
+    for wanted in only:
+        if not any(_selects(wanted, figure) for figure in found):
+            raise SettingsError(
+                f"there is no figure {wanted!r}",
+                remedy=f"choose of {', '.join(figure.id for figure in found)}",
+            )
+    return tuple(figure for figure in found if not only or any(_selects(one, figure) for one in only))
+
+
+def _selects(wanted: str, figure: Figure) -> bool:
+    return figure.id == wanted or figure.id.startswith(f"{wanted}.")
+
+
+def scorecard(only: Sequence[str] = (), section: str | None = None) -> list[Report]:
+    """Work out figures, now: what several need is made once.
+
+    Parameters
+    ----------
+    only, section
+        As `selected` takes them.
+    """
+    scene = Scene()
+    return [figure.report(scene) for figure in selected(only, section)]

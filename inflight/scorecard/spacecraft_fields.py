@@ -1,0 +1,198 @@
+"""Figures of the spacecraft's own fields (Yin 2010, section 3.4) and of the orbit they follow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from inflight.estimators.dipole import dipole_split
+from inflight.scorecard.figure import Figure
+from inflight.scorecard.scene import Scene
+
+SECTION = "spacecraft-fields"
+#: Sensors on the boom, m from the assumed dipole (Yin 2010, section 3.4.1).
+_VECTOR, _SCALAR = (4.75, 0.0, 0.0), (6.5, 0.0, 0.0)
+#: Torquer matrix of the scalar sensor, its change and the new one, nT/A (Yin 2010, section 3.4.3).
+_MATRIX = np.array([[7.40, -2.60, -2.40], [0.00, -10.70, 0.00], [-0.40, 0.30, -11.60]])
+_CHANGE = np.array([[0.385, 0.134, 0.162], [-0.402, 1.452, -0.199], [0.237, -0.247, 0.232]])
+_NEW = np.array([[7.785, -2.466, -2.238], [-0.402, -9.248, -0.199], [-0.163, 0.053, -11.368]])
+#: Its y and z, and the remanent moment's field for the current that compensates it, nT/A (section 3.4.4).
+_TORQUER, _ETA = np.diag(_MATRIX)[1:], 7.1
+#: The cycle of local time, and its printed quarter, d (Yin 2010, section 3.4.1).
+_CYCLE = 260.5
+#: Orbit (Yin 2010, section 1.3): inclination in deg, altitudes over the mission in km.
+_INCLINATION, _ALTITUDES = 87.3, (340.0, 450.0)
+#: GRS80 equator in km, J2, km^3/s^2, deg a day of the mean Sun.
+_EQUATOR, _J2, _GM, _SUN = 6378.137, 1.08263e-3, 398600.4418, 0.98564736
+#: Two days and their local times (Yin 2010, section 4.3): day numbers, h.
+_LOCAL_TIMES = ((2852, 10.0 + 54.0 / 60.0), (2979, 23.0 + 10.0 / 60.0))
+
+
+def split_of_boom(scene: Scene) -> tuple[float, ...]:
+    """Return what both sensors see of a difference of 1 between them: a dipole on the boom axis."""
+    return dipole_split((1.0, 1.0, 1.0), _VECTOR, _SCALAR).factor
+
+
+def remanent_ratios(scene: Scene) -> tuple[float, float]:
+    """Return g on y and z: the remanent moment's field over that of the torquers, equal moments."""
+    y, z = -_ETA / _TORQUER
+    return float(y), float(z)
+
+
+def remanent_distance(scene: Scene) -> float:
+    """Return how many times farther than the coils the remanent moment lies, from g = k^-3."""
+    return float(np.mean(remanent_ratios(scene)) ** (-1.0 / 3.0))
+
+
+def local_time_cycle(scene: Scene) -> float:
+    """Return the days in which the local time of a circular orbit turns by 24 h, at the mean altitude.
+
+    The Earth's oblateness turns the node by ``-1.5 n J2 (R/r)^2 cos i``, the Sun moves on.
+    """
+    radius = 6371.2 + float(np.mean(_ALTITUDES))
+    motion = np.degrees(np.sqrt(_GM / radius**3)) * 86400.0
+    node = -1.5 * motion * _J2 * (_EQUATOR / radius) ** 2 * np.cos(np.radians(_INCLINATION))
+    return float(360.0 / abs(node - _SUN))
+
+
+def cycle_of_two_days(scene: Scene) -> float:
+    """Return the same from the local times that are printed for two days."""
+    (early, first), (late, second) = _LOCAL_TIMES
+    return (late - early) * 24.0 / ((first - second) % 24.0)
+
+
+FIGURES = (
+    Figure(
+        "dipole.split",
+        SECTION,
+        "field at the vector, at the scalar sensor over their difference, dipole on the boom axis",
+        "1",
+        "Yin 2010, section 3.4.1",
+        (1.64, 0.64),
+        0.005,
+        "derived",
+        "From the sensors' distances of 4.75 and 6.5 m alone; the next digits are 1.64001 and 0.64001.",
+        split_of_boom,
+    ),
+    Figure(
+        "local-time.cycle",
+        SECTION,
+        "days in which local time turns by 24 h, from the printed orbit",
+        "d",
+        "Yin 2010, section 1.3",
+        _CYCLE,
+        # 0.05 deg of inclination are 1.4 d, 340 to 450 km are 1.9 d.
+        3.3,
+        "derived",
+        "Oblateness turns the node: as far as inclination and altitude are printed, 260.5 d is within reach.",
+        local_time_cycle,
+    ),
+    Figure(
+        "local-time.two-days",
+        SECTION,
+        "the same cycle from the local times printed for days 2852 and 2979",
+        "d",
+        "Yin 2010, sections 1.3 and 4.3",
+        _CYCLE,
+        # The hour of the day is not printed: a day at either end.
+        2.1,
+        "derived",
+        "10:54 and 23:10 are 127 days apart.",
+        cycle_of_two_days,
+    ),
+    Figure(
+        "local-time.quarter",
+        SECTION,
+        "length of one phase of the two-panel model, a quarter of the cycle",
+        "d",
+        "Yin 2010, section 3.4.1",
+        65.0,
+        0.5,
+        "derived",
+        "65.125 d; the printed phases of 65 d leave half a day of each cycle without a panel.",
+        lambda scene: _CYCLE / 4.0,
+    ),
+    Figure(
+        "remanent.ratio",
+        SECTION,
+        "field of the remanent moment over that of the torquers, y and z, at the scalar sensor",
+        "1",
+        "follows from eta and the torquer matrix, Yin 2010, sections 3.4.4 and 2.3; the thesis prints none",
+        (0.66, 0.61),
+        0.005,
+        "derived",
+        "Moments cancel on average, so B = -g alpha I; its sign is that of +eta on y and z.",
+        remanent_ratios,
+        printed=False,
+    ),
+    Figure(
+        "remanent.distance",
+        SECTION,
+        "distance of the remanent moment from the scalar sensor over that of the coils",
+        "1",
+        "follows from the ratios by the cube of the distance; the thesis prints none",
+        1.16,
+        0.02,
+        "derived",
+        "Both axes agree on one place within 0.02, which no fit has asked of them.",
+        remanent_distance,
+        printed=False,
+    ),
+    Figure(
+        "remanent.eta",
+        SECTION,
+        "eta: remanent field at the scalar sensor per mean torquer current, both axes from one distance",
+        "nT/mA",
+        "Yin 2010, section 3.4.4",
+        0.0071,
+        0.00005,
+        "derived",
+        "One distance serves both axes of the torquer matrix; it is eta's own, that the axes agree is not.",
+        lambda scene: float(-_TORQUER.mean() * remanent_distance(scene) ** -3.0 / 1e3),
+    ),
+    Figure(
+        "panels.fields",
+        SECTION,
+        "fields of the two side panels at the vector sensor, x, y, z each",
+        "nT/A",
+        "Yin 2010, Fig. 3.6, read off",
+        (0.02, 0.01, -0.01, -0.01, 0.01, 0.02),
+        0.005,
+        "needs_mission_data",
+        "Properties of CHAMP's wiring; tried: simulated steps of the current, which return what was put in.",
+    ),
+    Figure(
+        "camera.field",
+        SECTION,
+        "change of dB per current of the star camera",
+        "nT/mA",
+        "Yin 2010, section 3.4.2",
+        0.001,
+        0.0005,
+        "needs_mission_data",
+        "CHAMP's wiring, printed without an axis; tried: simulated currents, which return what was put in.",
+    ),
+    Figure(
+        "torquer.new",
+        SECTION,
+        "new torquer matrix of the scalar sensor, row by row, from the old one and the change",
+        "nT/A",
+        "Yin 2010, section 3.4.3",
+        tuple(_NEW.ravel().tolist()),
+        # A sum of decimals: rounding only.
+        1e-9,
+        "derived",
+        "The printed sums are right.",
+        lambda scene: tuple((_MATRIX + _CHANGE).ravel()),
+    ),
+    Figure(
+        "torquer.change",
+        SECTION,
+        "change of the torquer matrix of the scalar sensor, row by row",
+        "nT/A",
+        "Yin 2010, section 3.4.3",
+        tuple(_CHANGE.ravel().tolist()),
+        (0.154, 0.341, 0.035, 0.100, 1.192, 0.140, 0.016, 0.242, 0.139),
+        "needs_mission_data",
+        "Medians of daily fits to CHAMP; tried: simulated torquers, which return what was put in.",
+    ),
+)

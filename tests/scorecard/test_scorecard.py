@@ -1,0 +1,183 @@
+"""The scorecard: what is obtained is worked out when asked, and the verdict follows from it."""
+
+import dataclasses
+import inspect
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from inflight.errors import SettingsError
+from inflight.estimators import crosstalk
+from inflight.scorecard import SECTIONS, Figure, Report, Scene, Within, figures, scorecard, selected
+from inflight.scorecard import scalar_calibration as scalar_module
+from inflight.scorecard import spacecraft_fields as spacecraft_module
+
+#: What the thesis prints and geometry does not bear out.
+CONTRADICTED = {
+    "lag.xz",
+    "day-night.duty",
+    "day-night.daytime",
+    "day-night.full-sun",
+    "day-night.xz",
+}
+
+
+@pytest.fixture(scope="module")
+def reports() -> dict[str, Report]:
+    begun = time.monotonic()
+    found = {report.figure.id: report for report in scorecard()}
+    assert time.monotonic() - begun < 60.0
+    return found
+
+
+def test_every_figure_has_its_own_id_and_a_section_that_is_there():
+    ids = [figure.id for figure in figures()]
+    assert len(ids) == len(set(ids))
+    assert {figure.section for figure in figures()} == set(SECTIONS)
+
+
+def test_the_printed_figures_that_geometry_contradicts_are_these(reports):
+    assert {name for name, report in reports.items() if report.verdict == "contradicted"} == CONTRADICTED
+    assert all(reports[name].figure.printed for name in CONTRADICTED)
+
+
+@pytest.mark.parametrize("figure", figures(), ids=lambda figure: figure.id)
+def test_the_verdict_follows_from_obtained_and_tolerance(reports, figure):
+    report = reports[figure.id]
+    if report.obtained is None:
+        assert report.verdict == "needs data"
+        assert figure.basis == "needs_mission_data"
+        assert "tried" in figure.why
+        return
+    several = np.atleast_1d(report.obtained)
+    published = np.atleast_1d(figure.published)
+    if isinstance(figure.tolerance, Within):
+        near = np.all((several >= figure.tolerance.low) & (several <= figure.tolerance.high))
+    else:
+        near = np.all(np.abs(several - published) <= np.array(figure.tolerance))
+    assert report.verdict == ("reproduced" if near else "contradicted")
+
+
+@pytest.mark.parametrize("figure", [one for one in figures() if one.obtain], ids=lambda figure: figure.id)
+def test_a_figure_can_be_contradicted(reports, figure):
+    """Another published value, far from what is obtained, must not be reproduced."""
+    obtained = np.atleast_1d(reports[figure.id].obtained)
+    away = tuple((3.0 * np.abs(obtained) + 1e3).tolist())
+    tolerance = Within(away[0], 2 * away[0]) if isinstance(figure.tolerance, Within) else figure.tolerance
+    moved = dataclasses.replace(figure, published=away, tolerance=tolerance)
+    assert Report(moved, reports[figure.id].obtained).verdict == "contradicted"
+
+
+def test_obtained_values_come_from_formulas_not_from_the_published_ones(reports):
+    for figure in figures():
+        if figure.obtain:
+            moved = dataclasses.replace(
+                figure, published=tuple(1.0 + 2.0 * np.atleast_1d(figure.published)), tolerance=0.0
+            )
+            assert moved.report(SCENE).obtained == reports[figure.id].obtained
+
+
+SCENE = Scene()
+
+
+def test_a_wrong_sign_in_cross_talk_changes_the_verdicts(monkeypatch):
+    right = crosstalk.taken_over
+    monkeypatch.setattr(crosstalk, "taken_over", lambda *arguments: -right(*arguments))
+    verdicts = {report.figure.id: report.verdict for report in scorecard(["lag", "bias"])}
+    assert verdicts["lag.xz-exact"] == verdicts["bias.scale-factors"] == "contradicted"
+    assert verdicts["lag.correlation"] == "reproduced"
+
+
+def test_a_wrong_power_in_the_dipole_changes_the_verdict(monkeypatch):
+    right = spacecraft_module.dipole_split
+    wrong = lambda one, near, far: right(one, near[0] ** (2 / 3), far[0] ** (2 / 3))  # noqa: E731
+    monkeypatch.setattr(spacecraft_module, "dipole_split", wrong)
+    assert scorecard(["dipole.split"])[0].verdict == "contradicted"
+
+
+def test_a_lost_sign_in_the_linear_form_changes_the_verdict(monkeypatch):
+    right = scalar_module.fit_difference
+
+    def without_offsets(reading, scalar, passes=1):
+        found = right(reading, scalar, passes)
+        return np.concatenate([found[:6], -found[6:]])
+
+    figure = next(one for one in figures() if one.id == "difference-form.one-pass")
+    assert figure.report(SCENE).verdict == "reproduced"
+    monkeypatch.setattr(scalar_module, "fit_difference", without_offsets)
+    assert figure.report(Scene()).verdict == "contradicted"
+
+
+def test_what_figures_share_is_made_once():
+    made, scene = [], Scene()
+
+    def costly(of, number):
+        made.append(number)
+        return number * 2
+
+    assert [scene.once(costly, 3), scene.once(costly, 3), scene.once(costly, 4)] == [6, 6, 8]
+    assert made == [3, 4]
+
+
+def figure(**changes) -> Figure:
+    plain = Figure("a.b", "residual", "a number", "nT", "somewhere", 1.0, 0.1, "derived", "because")
+    return dataclasses.replace(plain, **changes)
+
+
+def test_a_figure_whose_source_says_too_little_is_not_reproducible():
+    assert figure().report(SCENE).verdict == "not reproducible"
+    assert figure(basis="needs_mission_data").report(SCENE).verdict == "needs data"
+
+
+@pytest.mark.parametrize(
+    ("obtained", "verdict"),
+    [(1.1, "reproduced"), (1.11, "contradicted"), (0.9, "reproduced"), (float("nan"), "contradicted")],
+)
+def test_the_tolerance_is_a_distance_its_end_included(obtained, verdict):
+    found = figure(tolerance=0.1 + 1e-12, obtain=lambda scene: obtained).report(SCENE)
+    assert found.verdict == verdict
+
+
+def test_several_numbers_must_all_agree_and_be_as_many():
+    several = figure(published=(1.0, 2.0), tolerance=(0.1, 0.01))
+    assert (
+        dataclasses.replace(several, obtain=lambda scene: (1.05, 2.0)).report(SCENE).verdict == "reproduced"
+    )
+    assert (
+        dataclasses.replace(several, obtain=lambda scene: (1.05, 2.1)).report(SCENE).verdict == "contradicted"
+    )
+    assert dataclasses.replace(several, obtain=lambda scene: 1.0).report(SCENE).verdict == "contradicted"
+    with pytest.raises(SettingsError, match="tolerances"):
+        figure(published=(1.0, 2.0), tolerance=(0.1, 0.1, 0.1))
+
+
+def test_a_recovered_figure_without_a_recovery_is_refused():
+    with pytest.raises(SettingsError, match="nothing obtains"):
+        figure(basis="recovered_from_injection")
+
+
+def test_figures_are_selected_by_id_beginning_and_section():
+    assert [one.id for one in selected(["lag.xz"])] == ["lag.xz"]
+    assert {one.id.split(".")[0] for one in selected(["lag", "bias"])} == {"lag", "bias"}
+    assert {one.section for one in selected(section="residual")} == {"residual"}
+    with pytest.raises(SettingsError, match="no figure 'la'"):
+        selected(["la"])
+    with pytest.raises(SettingsError, match="no section"):
+        selected(section="9")
+
+
+def test_no_figure_is_a_constant():
+    """A function that obtains a value calls something; a literal would be a stored result."""
+    for one in figures():
+        if one.obtain is not None:
+            function = getattr(one.obtain, "func", one.obtain)
+            names = set(function.__code__.co_names) | set(inspect.signature(function).parameters)
+            assert function.__code__.co_names, f"{one.id}: {names}"
+
+
+def test_the_reference_page_names_every_figure():
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "figures.md").read_text(encoding="utf-8")
+    assert [one.id for one in figures() if f"`{one.id}`" not in page] == []
+    assert all(f"`{section}`" in page for section in SECTIONS)
