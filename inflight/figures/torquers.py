@@ -39,7 +39,7 @@ def coefficient_figures(daily: xr.Dataset, mean: xr.Dataset) -> list[figure]:
 
 def _coefficients_of(daily: xr.Dataset, mean: xr.Dataset, axis: str) -> figure:
     plot = plain_figure(
-        f"Torquers: {axis} of the field, vector minus scalar", "", "nT/A", x_axis_type="datetime"
+        f"Torquers' field along {axis}", "", "nT/A, vector less scalar", x_axis_type="datetime"
     )
     middle = to_utc(daily["start"].values // 2 + daily["end"].values // 2)
     for coil, colour in zip(daily["coil"].values, COMPONENTS, strict=True):

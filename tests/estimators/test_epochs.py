@@ -84,6 +84,11 @@ def test_the_stack_shows_a_step_of_the_size_of_the_drop(stored):
     assert abs(step - wanted) < 3 * width
     assert curve.current[late].mean() - curve.current[early].mean() == pytest.approx(-5.1, abs=0.3)
     assert curve.days == 10
+    turned = stack(drops, TRUTH)
+    size = turned.residual[late].mean() - turned.residual[early].mean()
+    assert size > 1.2 * abs(step)
+    wrong = stack(drops, -TRUTH)
+    assert wrong.residual == pytest.approx(-turned.residual)
     with pytest.raises(SamplesError, match="1 days"):
         stack(drops.isel(epoch=drops["day"].values == drops["day"].values[0]))
 
@@ -101,6 +106,24 @@ def test_gaps_missing_values_and_outliers_leave_the_rest():
     same = np.isin(whole["time"].values, part["time"].values)
     change = part["contrast"].values - whole["contrast"].values[same]
     assert np.abs(change / part["sigma"].values).max() < 1.5
+
+
+def test_a_channel_that_is_missing_costs_no_epoch_of_another():
+    parts = []
+    for number in range(6):
+        samples, residual = make_day(number)
+        if number == 2:
+            samples["battery_current"] = samples["battery_current"] * np.nan
+        parts.append(
+            epochs_of(
+                samples, residual, steps_of(samples), channel="solar_current", others=["battery_current"]
+            )
+        )
+    stored = join_epochs(parts)
+    fit = fit_step(stored)
+    assert fit.days == 6
+    assert fit.confounding[0].slope == pytest.approx(0.5)
+    assert fit_step(stored, ["battery_current"]).fit.clusters == 5
 
 
 def test_an_excursion_is_fitted_by_its_own_course():
