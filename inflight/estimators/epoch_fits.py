@@ -176,12 +176,19 @@ def confounding_of(epochs: xr.Dataset, fitted: Sequence[str]) -> tuple[Confoundi
     for name in epochs["current"].values:
         if name in fitted:
             continue
-        other = epochs["step"].sel(current=name).values
+        other = _real_steps(epochs, str(name))
         both, theirs = float(np.sum(weight * main * other)), float(np.sum(weight * other**2))
         correlation = both / np.sqrt(own * theirs) if own * theirs > 0 else 0.0
         unit = str(epochs["unit"].sel(current=name).values)
         found.append(Confounding(str(name), unit, correlation, both / own if own > 0 else 0.0))
     return tuple(found)
+
+
+def _real_steps(epochs: xr.Dataset, name: str) -> Floats:
+    """Return the steps of a channel; the rounding errors of one that is constant are none."""
+    step = epochs["step"].sel(current=name).values
+    level = np.abs(epochs["before"].sel(current=name).values)
+    return np.where(np.abs(step) > 1e-9 * level, step, 0.0)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,9 @@ class Windows:
         Seconds more on both sides of the transition that are left out; the current's cadence when absent.
     order : int
         Order of the drift that is common to both sides. Order 2 costs no more than 1 when both sides
-        are whole; what a cubic drift c t^3 leaves is ``0.4 c length^3``.
+        are whole. A cubic drift c t^3 leaves ``0.4 c length^3``, and ``2 c length^3`` with 25 s left out
+        on either side of a step: 0.7 pT for 0.1 nT three times an orbit. Order 3 leaves none of it and
+        doubles the noise.
     bin : float
         Seconds of a point of the stacked curves.
     shape : str
