@@ -123,7 +123,7 @@ def _stretches(
     gap = (np.diff(index) > 1) | (np.diff(stamps[index]) > GAP * cadence * SECOND)
     found = []
     for run in np.split(index, np.flatnonzero(gap) + 1):
-        pieces = int(np.ceil(run.size * cadence / longest))
+        pieces = max(1, int(np.ceil(run.size * cadence / longest)))
         edges = np.linspace(run[0], run[-1] + 1, pieces + 1).astype(np.int64)
         found += [slice(int(low), int(high)) for low, high in pairwise(edges)]
     return [part for part in found if (part.stop - part.start) * cadence >= shortest]
@@ -316,9 +316,10 @@ def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
         scatter = max(TO_SIGMA * float(np.median(np.abs(pull))), 1e-12)
         weight = own * np.clip(1.0 - (pull / scatter / BIWEIGHT_WIDTH) ** 2, 0.0, None) ** 2
         mean = float(weight @ value / weight.sum())
-    left = value - mean
-    freedom = value.size / max(value.size - 1, 1)
-    return mean, float(np.sqrt(freedom * np.sum((weight * left) ** 2)) / weight.sum()), scatter
+    # A day that weighs much pulls the mean to itself: what is left of it is made as large as it was.
+    share = weight / weight.sum()
+    left = (value - mean) / (1.0 - np.minimum(share, 0.9))
+    return mean, float(np.sqrt(np.sum((share * left) ** 2))), scatter
 
 
 def band_spectra(

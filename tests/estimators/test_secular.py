@@ -53,7 +53,8 @@ def test_ends_are_held_with_a_growing_sigma_and_said():
     assert (np.diff(mean.sigma[:first, 1]) < 1e-12).all()
     assert mean.sigma[0, 1] > 3 * mean.sigma[600, 1]
     assert "held" in mean.sentence
-    assert (np.abs(mean.value - truth_of(mean.day)) < 3 * mean.sigma + 1e-9).mean() > 0.99
+    error = np.abs(mean.value - truth_of(mean.day)) / mean.sigma
+    assert (error[mean.state == held] < 3).all()
 
 
 def test_a_gap_too_long_is_interpolated_and_a_short_one_widens_sigma():
@@ -67,7 +68,8 @@ def test_a_gap_too_long_is_interpolated_and_a_short_one_widens_sigma():
     assert STATES[mean.state[406]] == "partial"
     assert mean.sigma[406, 1] > 2 * running_mean(day, value, count).sigma[406, 1]
     assert STATES[mean.state[780]] == "interpolated"
-    assert (np.abs(mean.value - truth_of(mean.day)) < 3 * mean.sigma + 1e-9).mean() > 0.98
+    carried = mean.state > 0
+    assert (np.abs(mean.value - truth_of(mean.day))[carried] < 3 * mean.sigma[carried]).mean() > 0.98
 
 
 def test_half_a_window_is_never_averaged_silently():
@@ -128,33 +130,33 @@ def grams_of(day, difference, *, seed=0, noise=0.05, offset=(0.3, -0.2, 0.1), sh
     random = np.random.default_rng(seed)
     field = np.asarray(offset) + difference * truth_of(day) * [0.0, 1.0, 1.0]
     wander = shared * random.standard_normal((day.size // 20 + 1, 3))[np.arange(day.size) // 20]
-    grams, count = [], 500
-    for one, slow in zip(field, wander, strict=True):
-        angle = random.uniform(0, 2 * np.pi, count)
-        e = np.column_stack([np.cos(angle), random.uniform(-0.4, 0.4, count), 2 * np.sin(angle)])
-        e /= np.linalg.norm(e, axis=1, keepdims=True)
-        rows = np.column_stack([e, e @ (one + slow) + noise * random.standard_normal(count)])
-        grams.append(rows.T @ rows)
-    return np.array(grams), np.full(day.size, float(count))
+    count = 100
+    angle = random.uniform(0, 2 * np.pi, (day.size, count))
+    e = np.stack([np.cos(angle), random.uniform(-0.4, 0.4, angle.shape), 2 * np.sin(angle)], axis=2)
+    e /= np.linalg.norm(e, axis=2, keepdims=True)
+    residual = np.einsum("dti,di->dt", e, field + wander) + noise * random.standard_normal(angle.shape)
+    rows = np.concatenate([e, residual[..., None]], axis=2)
+    return rows.transpose(0, 2, 1) @ rows, np.full(day.size, float(count))
 
 
 def test_eta_is_recovered_from_the_residual_when_the_fall_off_is_known():
-    day, value, count = daily_means()
+    day, value, count = daily_means(2500)
     vector, scalar = remanent_fields(seconds_of(day[:1]), PARAMETERS)
     ratio = float(np.linalg.norm(vector) / np.linalg.norm(scalar))
     mean = running_mean(day, value, count)
     gram, rows = grams_of(day, 7.1 * (ratio - 1.0))
     found, sigma = fit_eta(day, gram, rows, mean).at_scalar(ratio)
     assert abs(found - 7.1) < 3 * sigma
-    assert sigma < 1.0
+    assert sigma < 1.5
 
 
 def test_eta_s_sigma_covers_two_thirds_though_errors_last_for_weeks():
-    day, value, count = daily_means(800)
-    mean = running_mean(day, value, count)
-    found = [fit_eta(day, *grams_of(day, 8.0, seed=seed), mean) for seed in range(40)]
+    found = []
+    for seed in range(100):
+        day, value, count = daily_means(1300, seed=seed)
+        found.append(fit_eta(day, *grams_of(day, 8.0, seed=seed), running_mean(day, value, count)))
     pulls = [(one.difference - 8.0) / one.difference_sigma for one in found]
-    assert 0.55 < np.mean(np.abs(pulls) < 1) < 0.80
+    assert 0.60 < np.mean(np.abs(pulls) < 1) < 0.76
     assert abs(np.mean(pulls)) < 0.5
 
 

@@ -60,7 +60,7 @@ def test_without_noise_the_closed_form_is_exact():
 
 
 def test_adding_the_correction_removes_the_line_and_the_thesis_minus_doubles_it():
-    stamps, residual, direction, current = make_day(noise=0.02)
+    stamps, residual, direction, current = make_day(noise=0.02, slow=0.0)
     found = fit_band(band_equations(stamps, residual, direction, current)).for_scalar
     seen = np.einsum("tj,jk,tk->t", direction, found, current)
     before, right, printed = (band_power(residual + sign * seen) for sign in (0, 1, -1))
@@ -103,7 +103,7 @@ def test_slsqp_on_the_integral_of_the_thesis_finds_the_same():
 def test_one_sigma_covers_two_thirds():
     pulls = []
     for seed in range(40):
-        fit = fit_band(band_equations(*make_day(seed, seed, hours=6), longest=1800))
+        fit = fit_band(band_equations(*make_day(seed, seed, hours=8), longest=1200))
         pulls.append(((fit.for_scalar - LACKS) / fit.sigma).ravel())
     assert 0.60 < np.mean(np.abs(pulls) < 1) < 0.76
     assert 0.7 < np.std(pulls) < 1.2
