@@ -126,6 +126,25 @@ def test_the_camera_s_nanotesla_per_ampere_is_found_by_the_same_code():
     assert np.abs((fit.value[0] - DIFFERENCE["camera"]) / fit.sigma[0]).max() < 3.5
 
 
+def test_the_heater_s_steps_give_its_field_and_what_else_steps_is_said():
+    known = SimulationSettings(without=("torquer", "solar_array", "battery", "star_camera"))
+    parts = []
+    for number in range(6):
+        day = simulate_day(known, np.datetime64("2007-04-28") + number)
+        house = day.instruments["hk"]
+        found = find_steps(house["Epoch"].values, house["I_HTR"].values / 1e3)
+        parts.append(
+            epochs_of(
+                samples_of(day), residual_of(day), found, channel="heater_current", others=["battery_current"]
+            )
+        )
+    fit = fit_step(join_epochs(parts))
+    assert np.abs((fit.value[0] - DIFFERENCE["heater"]) / fit.sigma[0]).max() < 3.5
+    assert (fit.sigma[0, [0, 2]] < 0.01).all()
+    # In the shadow the battery feeds the heater.
+    assert fit.confounding[0].slope < -0.3
+
+
 def test_the_torquer_matrix_is_found_in_a_day_with_everything_else_on():
     day = simulate_day(SimulationSettings(), "2007-08-09")
     field = day.truth["FIELD"].values

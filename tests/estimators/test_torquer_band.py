@@ -109,6 +109,12 @@ def test_one_sigma_covers_two_thirds():
     assert 0.7 < np.std(pulls) < 1.2
 
 
+def test_a_residual_that_follows_the_orbit_leaks_less_after_a_higher_order():
+    levels = [fit_band(band_equations(*make_day(slow=3.0), order=order)).level for order in (1, 5)]
+    assert levels[0] > 1.2 * 0.09
+    assert levels[1] == pytest.approx(0.09, rel=0.05)
+
+
 def test_gaps_and_missing_samples_cut_the_stretches():
     stamps, residual, direction, current = make_day(hours=8)
     residual[5000] = np.nan
