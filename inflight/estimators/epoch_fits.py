@@ -249,8 +249,9 @@ def stack(
         Stored epochs, of drops or of rises; their curves are averaged less the mean before.
     value : ndarray, shape (epoch, 3) or (3,), optional
         A fitted coefficient, nT/A: curves whose step it expects to be negative are turned over, so that
-        places of the orbit with the field one way and the other do not cancel. Their noise is turned
-        over with them, so nothing is made by this that is not there; absent, curves are left as they are.
+        places of the orbit with the field one way and the other do not cancel. A coefficient fitted to
+        the same epochs favours its own noise, where it is not known to many sigma. Absent, curves are
+        left as they are.
     seed : int
         Of the resampling.
     bootstraps : int
