@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import t as student_t
 
 from inflight.arrays import Floats
 from inflight.calibration.solution import DETERMINED, SINGULAR, retained_fraction
@@ -19,6 +20,8 @@ from inflight.errors import CalibrationError
 
 #: The fewest clusters whose scatter says anything of an uncertainty: four degrees of freedom.
 FEWEST_CLUSTERS = 5
+#: Part of a Gaussian below one sigma.
+_ONE_SIGMA = 0.8413447460685429
 #: Priors are widened by this when the question is what the data alone determine.
 _WIDE = 1e3
 
@@ -101,7 +104,8 @@ def solve_clusters(
     ClusteredFit
         With d_g the change of the values when cluster g is left out, the covariance is
         ``(G - 1)/G sum d_g d_g^T`` (Efron's jackknife) plus ``S^-1 P S^-1``, what a prior of precision
-        P leaves open, with S the sum of both precisions.
+        P leaves open, with S the sum of both precisions. The first is widened so that one sigma of
+        Student's distribution with G - 1 degrees of freedom holds 68 %: by 1.14 in sigma for 5 clusters.
 
     Raises
     ------
@@ -122,7 +126,7 @@ def solve_clusters(
     value = _solve(total[None], ridge)[0]
     left = _solve(total - filled, ridge)
     change = left - value
-    noise = (len(filled) - 1) / len(filled) * change.T @ change
+    noise = _student(len(filled) - 1) ** 2 * (len(filled) - 1) / len(filled) * change.T @ change
     inverse = np.linalg.inv(total[:-1, :-1] + ridge)
     open_ = inverse @ (variance * ridge) @ inverse
     alone = variance * np.diag(np.linalg.inv(total[:-1, :-1] + ridge / _WIDE**2))
@@ -137,6 +141,11 @@ def solve_clusters(
         len(filled),
         count,
     )
+
+
+def _student(freedom: int) -> float:
+    """Return how many estimated sigmas hold what one true sigma does."""
+    return float(student_t.ppf(_ONE_SIGMA, freedom))
 
 
 def _variance(total: Floats, precision: Floats, count: float) -> float:

@@ -93,13 +93,11 @@ class Contrast:
     used: Floats
 
     @classmethod
-    def of(cls, seconds: Floats, shape: Floats, order: int) -> Contrast | None:
-        """Return the contrast for a shape (time,) against a drift of some order; None where it is drift."""
-        span = max(float(np.abs(seconds).max()), 1e-9)
-        drift = (seconds[:, None] / span) ** np.arange(order + 1)
+    def of(cls, drift: Floats, shape: Floats) -> Contrast | None:
+        """Return the contrast for a shape (time,) against a drift (time, part); None where it is drift."""
         own = shape - drift @ np.linalg.lstsq(drift, shape)[0]
         power = float(own @ own)
-        if seconds.size < order + 4 or power <= 1e-9 * float(shape @ shape):
+        if shape.size < drift.shape[1] + 3 or power <= 1e-9 * float(shape @ shape):
             return None
         return cls(own / power, drift, shape)
 
@@ -112,15 +110,11 @@ class Contrast:
 
 
 def robust_contrast(
-    seconds: Floats,
-    values: Floats,
-    shape: Floats,
-    usable: Chosen,
-    order: int,
+    drift: Floats, values: Floats, shape: Floats, usable: Chosen
 ) -> tuple[Contrast, Chosen, float] | None:
     """Return the contrast without outliers, the samples kept, and the noise of one."""
     kept = usable
-    contrast = Contrast.of(seconds[kept], shape[kept], order)
+    contrast = Contrast.of(drift[kept], shape[kept])
     for _ in range(3):
         if contrast is None:
             return None
@@ -131,9 +125,9 @@ def robust_contrast(
             break
         kept = kept.copy()
         kept[np.flatnonzero(kept)[far]] = False
-        contrast = Contrast.of(seconds[kept], shape[kept], order)
+        contrast = Contrast.of(drift[kept], shape[kept])
     if contrast is None:
         return None
     left, _ = contrast.residual(values[kept])
-    freedom = max(left.size - order - 2, 1)
+    freedom = max(left.size - drift.shape[1] - 1, 1)
     return contrast, kept, float(np.sqrt(np.sum(left**2) / freedom))

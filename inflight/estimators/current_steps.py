@@ -171,18 +171,12 @@ def find_steps(
     near = maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
     fast = (np.abs(change) > np.maximum(significance * usual, _REST * near)) & (apart <= longest)
     runs = _runs(change, fast, lag)
-    fitted = [
-        one
-        for index, run in enumerate(runs)
-        if (
-            one := _fit_step(seconds, values, _around(runs, index, seconds.size), run, noise, longest, window)
-        )
-    ]
-    least = [max(significance * one.sigma, smallest) for one in fitted]
+    channel = _Readings(seconds, values, noise, longest, window)
+    fitted = [_fit_step(channel, _around(runs, i, seconds.size), run) for i, run in enumerate(runs)]
     kept = [
         one
-        for one, needed in zip(fitted, least, strict=True)
-        if abs(one.after - one.before) >= needed and one.last - one.first <= longest
+        for one in fitted
+        if one is not None and abs(one.after - one.before) >= max(significance * one.sigma, smallest)
     ]
     ticks = [[round(t * SECOND) for t in (one.middle, one.first, one.last)] for one in kept]
     when = times[0] + np.array(ticks, dtype=np.int64).reshape(-1, 3)
@@ -240,46 +234,55 @@ class _Step:
     sigma: float
 
 
-def _fit_step(
-    seconds: Floats,
-    values: Floats,
-    allowed: tuple[int, int],
-    run: tuple[int, int],
-    noise: float,
-    longest: float,
-    window: float,
-) -> _Step | None:
-    """Fit lines before and after a run, widening the transition until both hold; None for no step."""
-    first, last = run
+@dataclass(frozen=True)
+class _Readings:
+    """The channel's readings, s and its unit, and what is asked of a step."""
+
+    seconds: Floats
+    values: Floats
+    noise: float
+    longest: float
+    window: float
+
+
+def _fit_step(channel: _Readings, allowed: tuple[int, int], run: tuple[int, int]) -> _Step | None:
+    """Fit lines before and after a run of fast changes; None for no step."""
+    found = _lines_around(channel, allowed, run)
+    if found is None:
+        return None
+    (first, last), middle, old, new = found
+    sigma = float(np.hypot(old.sigma, new.sigma))
+    start, end = float(channel.seconds[first]), float(channel.seconds[last])
+    # Lines that meet inside the transition are a kink.
+    if abs(new.level - old.level) <= abs(new.slope - old.slope) * 0.5 * (end - start) + SIGNIFICANCE * sigma:
+        return None
+    half = _half_passed(channel.seconds, channel.values, (first, last), 0.5 * (old.level + new.level))
+    before, after = (line.level + line.slope * (half - middle) for line in (old, new))
+    return _Step(start, half, end, before, after, sigma)
+
+
+def _lines_around(
+    channel: _Readings, allowed: tuple[int, int], run: tuple[int, int]
+) -> tuple[tuple[int, int], float, _Line, _Line] | None:
+    """Return transition, its middle and both lines, the transition widened until both hold."""
+    seconds, values = channel.seconds, channel.values
+    span, found = run, None
     for _ in range(_ROUNDS):
-        middle = 0.5 * (seconds[first] + seconds[last])
-        before, after = _sides(seconds, allowed, (first, last), window)
-        old = _Line.through(seconds[before] - middle, values[before], noise)
-        new = _Line.through(seconds[after] - middle, values[after], noise)
-        if old is None or new is None or seconds[last] - seconds[first] > longest:
+        middle = float(0.5 * (seconds[span[0]] + seconds[span[1]]))
+        before, after = _sides(seconds, allowed, span, channel.window)
+        old = _Line.through(seconds[before] - middle, values[before], channel.noise)
+        new = _Line.through(seconds[after] - middle, values[after], channel.noise)
+        if old is None or new is None or seconds[span[1]] - seconds[span[0]] > channel.longest:
             return None
+        found = span, middle, old, new
         # A line is itself known to its own sigma only.
-        spread = float(np.sqrt(noise**2 + max(old.sigma, new.sigma) ** 2))
+        spread = float(np.sqrt(channel.noise**2 + max(old.sigma, new.sigma) ** 2))
         rest = max(_SETTLED * spread, _REST * abs(new.level - old.level))
         wider = _widened(seconds - middle, values, allowed, run, (old, new), rest)
-        if wider == (first, last):
+        if wider == span:
             break
-        first, last = wider
-    sigma = float(np.hypot(old.sigma, new.sigma))
-    reach = 0.5 * (seconds[last] - seconds[first])
-    # Lines that meet inside the transition are a kink.
-    if abs(new.level - old.level) <= abs(new.slope - old.slope) * reach + SIGNIFICANCE * sigma:
-        return None
-    half = _half_passed(seconds, values, (first, last), 0.5 * (old.level + new.level))
-    shift = half - middle
-    return _Step(
-        float(seconds[first]),
-        half,
-        float(seconds[last]),
-        old.level + old.slope * shift,
-        new.level + new.slope * shift,
-        sigma,
-    )
+        span = wider
+    return found
 
 
 def _sides(

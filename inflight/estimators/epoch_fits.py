@@ -144,9 +144,16 @@ def fit_step(
 def fit_contrasts(
     epochs: xr.Dataset, columns: Floats, *, prior_sigma: float = PRIOR, fewest: int = 5
 ) -> ClusteredFit:
-    """Fit any columns (epoch, column) in A to the contrasts, days as clusters; values in nT/A."""
+    """Fit any columns (epoch, column) in A to the contrasts, days as clusters; values in nT/A.
+
+    Epochs with a column that is NaN, where a channel is missing, are left out.
+    """
+    whole = np.isfinite(columns).all(axis=1)
     gram, rows = grams_by_cluster(
-        columns, epochs["contrast"].values, weights_of(epochs), epochs["day"].values
+        columns[whole],
+        epochs["contrast"].values[whole],
+        weights_of(epochs)[whole],
+        epochs["day"].values[whole],
     )
     return solve_clusters(gram, rows, np.full(columns.shape[1], prior_sigma), fewest=fewest)
 
@@ -170,18 +177,26 @@ def _placebo(epochs: xr.Dataset, names: Sequence[str], value: Floats) -> float:
 def confounding_of(epochs: xr.Dataset, fitted: Sequence[str]) -> tuple[Confounding, ...]:
     """Return how the channels that are not fitted step together with the first that is."""
     main = epochs["step"].sel(current=fitted[0]).values
-    weight = weights_of(epochs)
-    own = float(np.sum(weight * main**2))
     found = []
     for name in epochs["current"].values:
         if name in fitted:
             continue
-        other = epochs["step"].sel(current=name).values
+        other = _real_steps(epochs, str(name))
+        weight = np.where(np.isfinite(other), weights_of(epochs), 0.0)
+        other = np.nan_to_num(other)
+        own = float(np.sum(weight * main**2))
         both, theirs = float(np.sum(weight * main * other)), float(np.sum(weight * other**2))
         correlation = both / np.sqrt(own * theirs) if own * theirs > 0 else 0.0
         unit = str(epochs["unit"].sel(current=name).values)
         found.append(Confounding(str(name), unit, correlation, both / own if own > 0 else 0.0))
     return tuple(found)
+
+
+def _real_steps(epochs: xr.Dataset, name: str) -> Floats:
+    """Return the steps of a channel; the rounding errors of one that is constant are none."""
+    step = epochs["step"].sel(current=name).values
+    level = np.abs(epochs["before"].sel(current=name).values)
+    return np.where(np.abs(step) <= 1e-9 * level, 0.0, step)
 
 
 @dataclass(frozen=True)
@@ -223,13 +238,20 @@ class Stack:
         )
 
 
-def stack(epochs: xr.Dataset, *, seed: int = 0, bootstraps: int = _BOOTSTRAPS) -> Stack:
+def stack(
+    epochs: xr.Dataset, value: Floats | None = None, *, seed: int = 0, bootstraps: int = _BOOTSTRAPS
+) -> Stack:
     """Superpose the curves of the epochs of one direction; days are resampled, not epochs.
 
     Parameters
     ----------
     epochs : xarray.Dataset
-        Stored epochs, of drops or of rises; their curves are averaged as they are, less the mean before.
+        Stored epochs, of drops or of rises; their curves are averaged less the mean before.
+    value : ndarray, shape (epoch, 3) or (3,), optional
+        A fitted coefficient, nT/A: curves whose step it expects to be negative are turned over, so that
+        places of the orbit with the field one way and the other do not cancel. A coefficient fitted to
+        the same epochs favours its own noise, where it is not known to many sigma. Absent, curves are
+        left as they are.
     seed : int
         Of the resampling.
     bootstraps : int
@@ -246,7 +268,13 @@ def stack(epochs: xr.Dataset, *, seed: int = 0, bootstraps: int = _BOOTSTRAPS) -
             f"epochs of {days.size} days, at least 2 needed for a band", remedy="take more days"
         )
     lag = epochs["lag"].values
-    sums, counts = _day_sums(_less_before(epochs["curve"].values, lag), which)
+    curves = _less_before(epochs["curve"].values, lag)
+    if value is not None:
+        expected = np.einsum(
+            "ej,ej->e", epochs["column"].values[:, 0], np.broadcast_to(value, (which.size, 3))
+        )
+        curves *= np.where(expected < 0, -1.0, 1.0)[:, None]
+    sums, counts = _day_sums(curves, which)
     currents, filled = _day_sums(_less_before(epochs["current_curve"].values, lag), which)
     random = np.random.default_rng(seed)
     share = random.multinomial(days.size, np.full(days.size, 1.0 / days.size), size=bootstraps)

@@ -312,12 +312,13 @@ class EtaFit:
         return self.difference / share, self.difference_sigma / abs(share)
 
 
-def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block: int = 20) -> EtaFit:
+def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block: int = 60) -> EtaFit:
     """Fit dB to ``e.(0, mean I_y, mean I_z)`` and a constant field.
 
     A constant remanent field looks like an offset of the vector sensor, so only the change of the mean
     current tells, and only while the offsets are held constant. A drift of theirs of the same course
-    is not told apart. Days whose running mean was interpolated or held are left out.
+    is not told apart. Days whose running mean was interpolated or held are left out. The error of the
+    running mean itself, which lasts for a window, is in the sigma.
 
     Parameters
     ----------
@@ -329,7 +330,7 @@ def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block:
         Samples behind each.
     mean : RunningMean
     block : int
-        Days of a cluster: the residual's slow errors are common to it.
+        Days of a cluster: at least three times as long as the residual's slow errors last.
 
     Raises
     ------
@@ -360,10 +361,14 @@ def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block:
     np.add.at(total, which, wide)
     fit = solve_clusters(total, np.bincount(which, weights=np.asarray(rows)[inside]).astype(np.float64))
     scale = np.array([1.0, 1.0, 1.0, 1.0 / spread])
+    covariance = fit.covariance * np.outer(scale, scale)
+    of_mean = float(np.sqrt(np.mean(np.sum(mean.sigma[chosen][:, 1:] ** 2, axis=1)) / 2.0))
+    independent = max(1.0, chosen.size / mean.window)
+    covariance[3, 3] += (fit.value[3] / spread * of_mean / spread) ** 2 / independent
     return EtaFit(
         ClusteredFit(
             fit.value * scale,
-            fit.covariance * np.outer(scale, scale),
+            covariance,
             fit.retained,
             fit.determined,
             fit.variance,

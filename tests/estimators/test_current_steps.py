@@ -28,7 +28,7 @@ def series(cadence, moments, sizes, *, noise=0.0, resolution=0.0, settle=5.0, ho
 
 
 @pytest.mark.parametrize("cadence", [1, 10])
-@pytest.mark.parametrize("noise, resolution", [(0.0, 0.0), (0.0, 0.005), (0.02, 0.005), (0.05, 0.0)])
+@pytest.mark.parametrize(("noise", "resolution"), [(0.0, 0.0), (0.0, 0.005), (0.02, 0.005), (0.05, 0.0)])
 def test_drops_and_rises_are_found_with_size_time_and_duration(cadence, noise, resolution):
     moments, sizes = [3003.0, 9004.0, 15007.0], [-4.0, 3.0, -2.0]
     found = find_steps(*series(cadence, moments, sizes, noise=noise, resolution=resolution))

@@ -1,0 +1,95 @@
+"""Figures of the currents' estimators hold what was estimated."""
+
+import numpy as np
+import pytest
+from bokeh.embed import file_html
+from bokeh.models import Legend, Whisker
+from bokeh.resources import CDN
+from epoch_cases import epochs_of_days, make_day, steps_of, stored_epochs
+
+from inflight.estimators.epoch_fits import stack
+from inflight.estimators.panel_light import schedule
+from inflight.estimators.panels import against_local_time, choose_panels
+from inflight.estimators.secular import remanent_field, running_mean
+from inflight.estimators.torquer_band import COLUMNS
+from inflight.figures.epochs import local_time_figure, stack_figures, steps_figure
+from inflight.figures.torquers import band_figure, coefficient_figures, running_mean_figures
+
+
+def labels(plot):
+    return [item.label["value"] for legend in plot.select(Legend) for item in legend.items]
+
+
+def test_steps_are_marked_by_direction():
+    samples, _ = make_day(0)
+    steps = steps_of(samples)
+    plot = steps_figure(
+        samples["tt2000"].values[::60], samples["solar_current"].values[::60], steps, "solar_current"
+    )
+    drops = int((steps.direction < 0).sum())
+    assert f"drop ({drops})" in labels(plot)
+    assert "solar current (A)" in file_html(plot, CDN)
+
+
+def test_the_stack_has_its_band_and_the_current():
+    found = stack(epochs_of_days(3))
+    upper, lower = stack_figures(found)
+    assert "on 3 days" in upper.title.text
+    assert upper.x_range is lower.x_range
+    assert file_html(upper, CDN)
+
+
+def test_local_time_falls_and_models_are_lines():
+    hours = np.repeat((9.0 - 24.0 * 10 * np.arange(60) / 260.5) % 24.0, 15)
+    epochs = stored_epochs(
+        1, days=60, value=[[0.02, 0.01, -0.01], [-0.01, 0.01, 0.02]], share=schedule(hours)
+    )
+    choice = choose_panels(epochs, hours)
+    plot = local_time_figure(against_local_time(epochs, hours), choice.chosen)
+    assert (plot.x_range.start, plot.x_range.end) == (24.0, 0.0)
+    assert len(list(plot.select(Whisker))) == 3
+
+
+@pytest.fixture
+def daily():
+    import xarray as xr
+
+    random = np.random.default_rng(0)
+    dims, shape = ("day", "axis", "coil"), (4, 3, 3)
+    times = np.arange(4) * 86_400_000_000_000
+    return xr.Dataset(
+        {
+            "value": (dims, random.standard_normal(shape)),
+            "sigma": (dims, np.ones(shape)),
+            "start": ("day", times),
+            "end": ("day", times + 10),
+        },
+        coords={"axis": list("xyz"), "coil": list("xyz")},
+    )
+
+
+def test_coefficients_have_a_figure_an_axis(daily):
+    plots = coefficient_figures(daily, daily.mean("day"))
+    assert len(plots) == 3 == len(COLUMNS) // 3
+    assert labels(plots[0]) == ["coil x", "coil y", "coil z"]
+
+
+def test_the_band_is_shown_before_and_after():
+    import xarray as xr
+
+    frequency = np.linspace(0.0, 0.5, 1001)
+    spectra = xr.Dataset(
+        {name: ("frequency", np.ones(1001)) for name in ("before", "after")}, coords={"frequency": frequency}
+    )
+    plot = band_figure(spectra)
+    assert labels(plot) == ["before", "after"]
+    assert max(plot.renderers[0].data_source.data["x"]) <= 0.1
+
+
+def test_what_was_held_is_dashed():
+    day = 11323 + np.arange(400)
+    mean = running_mean(day, np.full((400, 3), 0.04), np.ones(400))
+    plots = running_mean_figures(mean, remanent_field(mean))
+    dashed = [one for one in plots[1].renderers if getattr(one.glyph, "line_dash", []) not in ([], "solid")]
+    assert len(dashed) == 3
+    assert np.isfinite(dashed[0].data_source.data["y"]).sum() == (mean.state > 1).sum() > 0
