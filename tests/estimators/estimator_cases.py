@@ -48,7 +48,12 @@ def table_of(mjd, value, sigma, names, width=1.0):
 def polar_field(count=720, day=0):
     """Field in axes along flight, across, down of a polar orbit in a dipole that turns with the Earth; nT."""
     t = day * 86_400.0 + np.arange(count) * 86_400.0 / count
-    u, incline, spin, tilt = 2 * np.pi * t / 5580.0, np.deg2rad(87.3), 2 * np.pi * t / 86_164.0, np.deg2rad(10)
+    u, incline, spin, tilt = (
+        2 * np.pi * t / 5580.0,
+        np.deg2rad(87.3),
+        2 * np.pi * t / 86_164.0,
+        np.deg2rad(10),
+    )
     up = np.stack([np.cos(u), np.sin(u) * np.cos(incline), np.sin(u) * np.sin(incline)], axis=1)
     along = np.stack([-np.sin(u), np.cos(u) * np.cos(incline), np.cos(u) * np.sin(incline)], axis=1)
     pole = np.stack([np.sin(tilt) * np.cos(spin), np.sin(tilt) * np.sin(spin), np.cos(tilt) + 0 * t], axis=1)

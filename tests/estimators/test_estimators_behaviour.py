@@ -11,7 +11,7 @@ from inflight.estimators.event_steps import event_steps, holm, week_pattern
 from inflight.estimators.hysteresis import hysteresis_loop
 from inflight.estimators.longrun import long_run_covariance, sigma_of_mean
 from inflight.estimators.periods import parameter_spectrum
-from inflight.simulate import SimulationSettings, simulate_day
+from inflight.simulate import SimulationSettings, effect_names, simulate_day
 
 #: Middles of the days of eight years, and of two.
 DAYS = np.arange(200.0, 3200.0) + 0.5
@@ -34,7 +34,8 @@ def sigmas(days, size=0.05):
 
 def test_red_noise_alone_has_no_lines():
     peaks = sum(
-        len(parameter_spectrum(SHORT, daily(SHORT, seed), sigmas(SHORT), trials=60).peaks) for seed in range(25)
+        len(parameter_spectrum(SHORT, daily(SHORT, seed), sigmas(SHORT), trials=40).peaks)
+        for seed in range(20)
     )
     assert peaks <= 2, "one spectrum in a hundred may have one"
 
@@ -121,8 +122,8 @@ def test_one_sigma_of_a_running_mean_covers_the_truth():
     inside = []
     for seed in range(40):
         found = running_mean(DAYS, daily(DAYS, seed, memory=6.0), 260.0)
-        some = found.value[200::400]
-        inside += list(np.abs(some) < found.sigma[200::400])
+        some = np.flatnonzero(np.isfinite(found.value))[::300]
+        inside += list(np.abs(found.value[some]) < found.sigma[some])
     assert 0.58 <= np.mean(inside) <= 0.78
 
 
@@ -159,7 +160,7 @@ def test_steps_on_event_days_are_found_with_their_sizes_and_others_are_not():
     for seed in range(20):
         value = daily(DAYS, seed, memory=10.0, white=0.03)
         for index, size in steps.items():
-            value = value + size * (DAYS > WEDNESDAYS[index])
+            value = value + size * (WEDNESDAYS[index] < DAYS)
         result = event_steps(DAYS, value, sigmas(DAYS, 0.03), WEDNESDAYS)
         found += sum(bool(result.found[index]) for index in steps)
         false += int(result.found.sum()) - sum(bool(result.found[index]) for index in steps)
@@ -196,8 +197,7 @@ def test_the_clock_fault_of_four_days_is_found_without_being_told_the_days(sign)
     pulls = []
     for seed in range(10):
         shift = 0.015 + daily(DAYS, seed, red=2e-4, white=5e-4)
-        shift[(DAYS > 3164) & (DAYS < 3168)] += sign * 0.012
-        shift[2966] = 0.015 + sign * 0.012
+        shift[2964:2968] = 0.015 + sign * 0.012 + 5e-4 * np.random.default_rng(seed).normal(size=4)
         found = clock_faults(DAYS, shift, sigmas(DAYS, 4e-4))
         assert [(one.first, one.last) for one in found.faults] == [(3164, 3167)]
         pulls.append((found.faults[0].shift - sign * 0.012) / found.faults[0].sigma)
@@ -220,15 +220,8 @@ def test_a_weak_fault_of_many_days_is_found_and_wander_is_none():
 
 def test_the_simulated_missions_clock_fault_is_found_from_its_own_days():
     """Daily shifts by least squares of dB on dF/dt and the nine parameters' columns, days not told."""
-    kept = ("misalignment", "offset", "ageing", "time_shift", "external_field")
-    others = tuple(
-        name
-        for name in (
-            "nonlinearity temperature temperature_lag torquer solar_array battery star_camera heater remanent "
-            "oscillator heading induced scalar_filter"
-        ).split()
-        if name not in kept
-    )
+    kept = ("misalignment", "offset", "ageing", "time_shift", "external_field", "clock_fault")
+    others = tuple(name for name in effect_names() if name not in kept)
     settings = SimulationSettings(cadence=10, without=others, include=("clock_fault",), defects=())
     first = np.datetime64("2000-01-01", "D") + 3155
     days, shifts, errors = [], [], []
@@ -236,17 +229,14 @@ def test_the_simulated_missions_clock_fault_is_found_from_its_own_days():
         simulated = simulate_day(settings, first + index).instruments
         reading, scalar = simulated["fgm"]["FGM_RAW"].values, simulated["ovm"]["F"].values
         rate = np.gradient(scalar, 10.0)
-        e = reading / np.linalg.norm(reading, axis=1, keepdims=True)
-        x, y, z = e.T
-        columns = [x * x, y * y, z * z, x * y, x * z, y * z, x / 5e4, y / 5e4, z / 5e4]
-        rows = np.stack([*columns, rate / 5e4], axis=1)
-        scale = np.linalg.norm(reading, axis=1)
-        inner = slice(5, -5)
-        value, rest, _, _ = np.linalg.lstsq(rows[inner] * scale[inner, None], (scale - scalar)[inner])
-        inverse = np.linalg.inv((rows * scale[:, None])[inner].T @ (rows * scale[:, None])[inner])
+        strength = np.linalg.norm(reading, axis=1)
+        x, y, z = reading.T / strength
+        tensor = np.stack([x * x, y * y, z * z, x * y, x * z, y * z], axis=1) * strength[:, None] / 5e4
+        rows = np.column_stack([tensor, x, y, z, rate])[5:-5]
+        value, rest, _, _ = np.linalg.lstsq(rows, (strength - scalar)[5:-5])
         days.append(3155.5 + index)
-        shifts.append(value[-1] / 5e4)
-        errors.append(np.sqrt(inverse[-1, -1] * rest[0] / scale.size) / 5e4)
+        shifts.append(value[-1])
+        errors.append(np.sqrt(np.linalg.inv(rows.T @ rows)[-1, -1] * rest[0] / len(rows)))
     found = clock_faults(np.array(days), np.array(shifts), np.array(errors))
     assert [(one.first, one.last) for one in found.faults] == [(3164, 3167)]
     assert abs(found.faults[0].shift) == pytest.approx(0.012, abs=0.0015)

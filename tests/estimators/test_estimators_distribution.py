@@ -9,7 +9,9 @@ from inflight.estimators.distribution import distribute, left_power, passed
 COUNT = 21_600
 SECONDS = np.arange(COUNT)
 STAMPS = SECONDS * 10**9
-FIELD = np.stack([20_000 * np.cos(SECONDS / 900), 0 * SECONDS + 3000.0, 40_000 * np.sin(SECONDS / 900)], axis=1)
+FIELD = np.stack(
+    [20_000 * np.cos(SECONDS / 900), 0 * SECONDS + 3000.0, 40_000 * np.sin(SECONDS / 900)], axis=1
+)
 STRENGTH = np.linalg.norm(FIELD, axis=1)
 
 

@@ -1,4 +1,4 @@
-"""The daily Z offset from the spread of the residual: geometry, size, sign, and nothing where there is none."""
+"""The daily Z offset from the spread of the residual: geometry, size, sign, and where there is none."""
 
 import numpy as np
 import pytest
