@@ -118,6 +118,8 @@ class NormalEquations:
         """Return the equations with every block's residual expressed at one reference, physical units."""
         scale = self.dataset["scale"].values[:-1]
         change = (reference - self.dataset["reference"].values[:, :-1]) / scale
+        if not change.any():
+            return self
         gram = np.array(
             [
                 shift_reference(one, step)

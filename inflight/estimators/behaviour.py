@@ -61,7 +61,8 @@ def running_mean(
 
     Days count alike, whatever their sigma, so that a window of one turn of local time (260.5 d) removes
     what repeats with it. The uncertainty is that of a mean of correlated days, from the scatter about the
-    running mean and its memory.
+    running mean and its memory. The window must lie within the span; gaps inside it may not lean it to one
+    side.
 
     Parameters
     ----------
@@ -80,6 +81,8 @@ def running_mean(
         When no window has enough days.
     """
     known = np.isfinite(value)
+    if not known.any():
+        raise CalibrationError("no day has a value", remedy="use a longer span")
     sums = np.concatenate([[0.0], np.cumsum(np.where(known, value, 0.0))])
     times = np.concatenate([[0.0], np.cumsum(np.where(known, mjd - mjd[0], 0.0))])
     counts = np.concatenate([[0], np.cumsum(known)])
@@ -90,28 +93,32 @@ def running_mean(
     safe = np.maximum(count, 1)
     mean = (sums[high] - sums[low]) / safe
     lean = (times[high] - times[low]) / safe - (mjd - mjd[0])
-    defined = (share >= coverage) & (np.abs(lean) <= _LEAN * window)
+    inside = (mjd - window / 2 >= mjd[known].min() - 1.0) & (mjd + window / 2 <= mjd[known].max() + 1.0)
+    defined = inside & (share >= coverage) & (np.abs(lean) <= _LEAN * window)
     if not defined.any():
         raise CalibrationError(
             f"no window of {window:g} days has {100 * coverage:.0f} % of its days, evenly on both sides",
             remedy="use a shorter window, or a longer span",
         )
     left = np.where(defined & known, value - mean, np.nan)
-    sigma = np.sqrt(_variance_of_day(left) / safe)
+    sigma = np.sqrt(_variance_of_day(left, float(np.ptp(mjd)) / window) / safe)
     nan = np.nan
     return RunningMean(
         mjd, np.where(defined, mean, nan), np.where(defined, sigma, nan), share, float(window), unit
     )
 
 
-def _variance_of_day(left: Floats) -> float:
-    """Return the long-run variance of a day: what n days' mean has is this over n."""
+def _variance_of_day(left: Floats, means: float) -> float:
+    """Return the long-run variance of a day: what n days' mean has is this over n.
+
+    As many independent means were taken out as windows fit into the span.
+    """
     known = left[np.isfinite(left)]
     if known.size < _FEWEST:
         return float("nan")
     spread = TO_SIGMA * float(np.median(np.abs(known - np.median(known))))
     held = np.clip(known, -BIWEIGHT_WIDTH * spread, BIWEIGHT_WIDTH * spread) if spread > 0 else known
-    return float(long_run_covariance(held[:, None])[0, 0]) / known.size
+    return float(long_run_covariance(held[:, None], means)[0, 0]) / known.size
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ _AROUND, _FEWEST = 45, 10
 FALSE_ALARM = 0.01
 #: Longest fault that is looked for, days: a longer one is the usual state.
 LONGEST = 30
+#: A day this many sigmas off is off by itself.
+_LOUD = 6.0
 
 
 @dataclass(frozen=True)
@@ -144,13 +146,16 @@ def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple
     best: tuple[int, int, float] | None = None
     sums = np.concatenate([[0.0], np.cumsum(np.where(free, z, 0.0))])
     taken = np.concatenate([[0], np.cumsum(~free)])
+    noisy = np.concatenate([[0], np.cumsum(np.abs(z) > _LOUD)])
     for length in range(1, min(longest, z.size // 2) + 1):
         score = (sums[length:] - sums[:-length]) / np.sqrt(length)
         whole = (taken[length:] == taken[:-length]) & (
             days[length - 1 :] - days[: z.size - length + 1] < longest
         )
-        # Shifts that wander make long spans scatter more than their days do.
-        usual = TO_SIGMA * float(np.median(np.abs(score[whole]))) if whole.any() else 1.0
+        # Shifts that wander make long spans scatter more than their days do; spans with a day that is itself
+        # far off tell of no wander.
+        calm = np.abs(score[whole & (noisy[length:] == noisy[:-length])])
+        usual = TO_SIGMA * float(np.median(calm)) if calm.size >= _FEWEST else 1.0
         score = np.where(whole, score / max(usual, 1.0), 0.0)
         at = int(np.argmax(np.abs(score)))
         if best is None or abs(score[at]) > abs(best[2]):

@@ -26,7 +26,7 @@ _COARSEST, _FINEST = 8, 100
 #: A stretch shorter than so many periods has no slow part; one of gaps longer than this part ends it.
 _SHORTEST, _GAP = 2.0, 0.5
 #: Samples this near the end of a stretch, in periods, are an edge.
-_EDGE = 1.0
+_EDGE = 2.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Distribution:
     left : ndarray, shape (time,)
         dB - dB', the residual of B', nT.
     edge : ndarray of bool, shape (time,)
-        Within a period of the end of a stretch: the filter leans to one side there.
+        Within two periods of the end of a stretch: the filter leans to one side there.
     done : ndarray of bool, shape (time,)
         False in stretches shorter than two periods, and in gaps.
     period, cadence : float

@@ -155,7 +155,8 @@ def _sums(left: Floats, place: np.ndarray, up: np.ndarray) -> tuple[Floats, Floa
     shape = (_BLOCKS, 2 * _BINS)
     index, size = block * 2 * _BINS + cell, _BLOCKS * 2 * _BINS
     count = np.bincount(index, minlength=size).reshape(shape).astype(np.float64)
-    return count, np.bincount(index, weights=left[inside], minlength=size).reshape(shape)
+    total = np.bincount(index, weights=left[inside], minlength=size).reshape(shape)
+    return count, np.asarray(total, dtype=np.float64)
 
 
 def _means(total: Floats, count: Floats) -> Floats:

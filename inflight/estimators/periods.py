@@ -151,7 +151,7 @@ def parameter_spectrum(
     weight = 1.0 / (sigma[use] ** 2 + _wander(y, sigma[use]))
     waves = _Waves.of(t, weight, shortest)
     power = waves.power(y[:, None])[0]
-    noise = _Noise.fit(waves, power)
+    noise = _background(waves, y)
     draws = np.random.default_rng(seed)
     highest = np.array([_highest(waves, one) for one in waves.power(noise.series(waves, draws, trials))])
     # The largest of M exponential numbers; M from the median of the trials.
@@ -234,13 +234,19 @@ class _Noise:
     def _likeliest(cls, frequency: Floats, power: Floats, span: float) -> _Noise:
         slow, fast = power[: max(power.size // 10, 3)].mean(), power[power.size // 2 :].mean()
 
-        def cost(logs: Floats) -> float:
-            mean = cls(*np.exp(logs)).power(frequency)
-            return float(np.sum(power / mean + np.log(mean)))
+        turn = (2 * np.pi * frequency) ** 2
+
+        def cost(logs: Floats) -> tuple[float, Floats]:
+            white, red, memory = np.exp(logs)
+            bent = 1.0 + turn * memory**2
+            mean = white + red / bent
+            pull = 1.0 / mean - power / mean**2
+            ways = (white, red / bent, -2.0 * red * turn * memory**2 / bent**2)
+            return float(np.sum(power / mean + np.log(mean))), np.array([np.sum(pull * way) for way in ways])
 
         start = np.log([max(fast, 1e-12), max(slow, 1e-12), span / 50.0])
         bounds = [(start[0] - 12, start[0] + 3), (start[1] - 12, start[1] + 8), tuple(np.log([0.5, span]))]
-        found = optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds)
+        found = optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds, jac=True)
         return cls(*(float(one) for one in np.exp(found.x)))
 
     def power(self, frequency: Floats) -> Floats:
@@ -263,6 +269,21 @@ class _Noise:
         return np.asarray(white + size * red)
 
 
+def _background(waves: _Waves, y: Floats) -> _Noise:
+    """Return the noise of a series without its lines; their side lobes are no noise either."""
+    noise = _Noise.fit(waves, waves.power(y[:, None])[0])
+    for _ in range(_TURNS):
+        lines = _lines(waves, y, noise, float(waves.frequency.size))
+        if not lines:
+            break
+        left = y - _rows(waves, lines) @ _fit(waves, y, lines)[0]
+        power = waves.power(left[:, None])[0]
+        apart = np.min(np.abs(waves.frequency[:, None] - np.array(lines)), axis=1) * np.ptp(waves.days)
+        # A fitted line leaves a hole where it was.
+        noise = _Noise.fit(waves, np.where(apart < 1.0, noise.power(waves.frequency), power))
+    return noise
+
+
 def _highest(waves: _Waves, power: Floats) -> float:
     return float(np.max(power / _Noise.fit(waves, power).power(waves.frequency)))
 
@@ -275,6 +296,18 @@ def _chance(ratio: float, effective: float) -> float:
 def _peaks(
     waves: _Waves, y: Floats, noise: _Noise, effective: float, known: Mapping[str, float], span: float
 ) -> tuple[Peak, ...]:
+    frequencies = _lines(waves, y, noise, effective)
+    value, inverse = _fit(waves, y, frequencies)
+    found = []
+    for place, frequency in enumerate(frequencies):
+        size, sigma, _ = _wave(value, inverse, place, noise, frequency)
+        near = [name for name, days in known.items() if abs(1.0 / days - frequency) < 0.5 / span]
+        chance = _chance(0.5 * (size / sigma) ** 2, effective)
+        found.append(Peak(1.0 / frequency, size, sigma, chance, " or ".join(near)))
+    return tuple(sorted(found, key=lambda one: -one.amplitude))
+
+
+def _lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> list[float]:
     """Take the highest peak and its wave out of the series, again and again: its side lobes go with it."""
     frequencies: list[float] = []
     left = y
@@ -286,14 +319,7 @@ def _peaks(
             break
         frequencies.append(_finest(waves, left, float(waves.frequency[at])))
         left = y - _rows(waves, frequencies) @ _fit(waves, y, frequencies)[0]
-    value, inverse = _fit(waves, y, frequencies)
-    found = []
-    for place, frequency in enumerate(frequencies):
-        size, sigma, _ = _wave(value, inverse, place, noise, frequency)
-        near = [name for name, days in known.items() if abs(1.0 / days - frequency) < 0.5 / span]
-        chance = _chance(0.5 * (size / sigma) ** 2, effective)
-        found.append(Peak(1.0 / frequency, size, sigma, chance, " or ".join(near)))
-    return tuple(sorted(found, key=lambda one: -one.amplitude))
+    return frequencies
 
 
 def _finest(waves: _Waves, y: Floats, frequency: float) -> float:

@@ -280,8 +280,9 @@ def _sigma_behind(equations: NormalEquations, one: _HeldOut, best: _HeldOut) -> 
     """Return the standard deviation of the difference of two kinds' sums of squares.
 
     With D the difference of what they foretell, a block's sums differ by ``D A D + 2 s D``: the scores s at
-    the best kind are noise, correlated from block to block; the errors of the fits come on top.
+    the best kind are noise, correlated from block to block; the error of its fits comes on top. What the
+    other's fits err by is its own fault, and no excuse.
     """
     apart = (one.value - best.value) / equations.dataset["scale"].values[:-1]
     noise = 2.0 * np.einsum("bi,bi->b", best.scores, apart)
-    return float(np.sqrt(long_run_covariance(noise[:, None])[0, 0] + one.training + best.training))
+    return float(np.sqrt(long_run_covariance(noise[:, None])[0, 0] + best.training))

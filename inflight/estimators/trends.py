@@ -109,7 +109,7 @@ class TrendFit:
     @property
     def sigma(self) -> Floats:
         """Standard deviations of the coefficients; (column,)."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def place(self, parameter: str) -> slice:
         """Return where a parameter's coefficients stand among the columns."""
@@ -352,7 +352,7 @@ def sandwich(
     spread = long_run_covariance(influence, functions) + bread @ bread
     out = np.zeros_like(matrix)
     out[grid] = spread * np.outer(unit, unit)
-    return out
+    return np.asarray(out)
 
 
 def with_origin(fit: TrendFit, origin: Origin) -> TrendFit:

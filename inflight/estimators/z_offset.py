@@ -17,12 +17,14 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance
-from inflight.estimators.robust_fit import robust_fit
+from inflight.estimators.robust_fit import RobustFit
 
 #: Spans of a day whose means are nearly independent: 20 minutes.
 SUB_BLOCKS = 72
 #: Fewest samples of a sub-block's worth a day, and fewest days of a regression.
 _FEWEST_SAMPLES, _FEWEST_DAYS = 300, 5
+#: Turns of a fit where both sides err.
+_TURNS = 20
 #: Statistics of a day whose errors belong together, as in `covariance`.
 STATISTICS = ("mean", "variance", "slope")
 
@@ -71,7 +73,9 @@ def day_statistics(
     geometry = float(np.mean(centre**2))
     slope = float(np.mean(centre * y) / geometry)
     rest = y - mean - slope * centre
-    influence = np.stack([y - mean, (y - mean) ** 2 - np.var(y), centre * rest / geometry], axis=1) / count
+    # The orbit is no chance: of the spread only what the noise adds to the square is uncertain.
+    spread = 2.0 * slope * centre * rest + rest**2 - np.var(rest)
+    influence = np.stack([rest, spread, centre * rest / geometry], axis=1) / count
     sums = np.array([part.sum(axis=0) for part in np.array_split(influence, SUB_BLOCKS)])
     numbers = {"mean": mean, "variance": float(np.var(y)), "slope": slope, "rest": float(np.var(rest))}
     numbers |= {"geometry": geometry, "count": float(count)}
@@ -162,21 +166,51 @@ def spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> SpreadL
             remedy="use five or more days of different offsets",
         )
     spread = statistics["variance"].values[known]
-    rows = np.stack([square, np.ones_like(square)], axis=1)
     own = statistics["covariance"].values[known, 1, 1]
-    # d(Z0^2) = 2 Z0 dZ0: days of large offset know their square less well.
-    variance = own + (2 * 0.66 * offset[known] * sigma[known]) ** 2
-    fit = robust_fit(rows, spread, variance, 2.0)
+    found = _both_err(square, spread, own, sigma[known])
     geometry = float(statistics["geometry"].values[known].mean())
     return SpreadLaw(
-        float(fit.value[0]),
-        float(fit.value[1]),
-        fit.covariance,
+        float(found.value[0]),
+        float(found.value[1]),
+        found.covariance,
         geometry,
-        fit.scatter,
+        found.scatter,
         int(known.sum()),
-        fit.outlying,
+        found.outlying,
     )
+
+
+def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -> RobustFit:
+    """Fit ``spread = a square + noise`` where both err (York et al. 2004), by biweights.
+
+    The square of an offset Z with the error s errs by ``4 Z^2 s^2 + 2 s^4``; Z is taken from the law
+    itself, since weights that follow the errors would bend it.
+    """
+    say, extra = np.ones(square.size), 0.0
+    value = np.array([2.0 / 3.0, float(np.min(spread))])
+    for _ in range(_TURNS):
+        true = np.maximum(spread - value[1], 0.0) / value[0]
+        of_x = 4.0 * true * sigma**2 + 2.0 * sigma**4
+        total = variance + extra + value[0] ** 2 * of_x
+        weight = say / total
+        x, y = (float(np.average(one, weights=weight)) for one in (square, spread))
+        adjusted = ((square - x) * (variance + extra) + value[0] * (spread - y) * of_x) / total
+        slope = np.sum(weight * adjusted * (spread - y)) / np.sum(weight * adjusted * (square - x))
+        value = np.array([slope, y - slope * x])
+        left = spread - slope * square - value[1]
+        usual = TO_SIGMA * float(np.median(np.abs(left / np.sqrt(total))))
+        extra = max(extra + (usual**2 - 1.0) * float(np.median(total)), 0.0)
+        u2 = (left / BIWEIGHT_WIDTH) ** 2 / total
+        say = np.clip(1.0 - u2, 0.0, 1.0) ** 2
+    tool = np.stack([adjusted + x, np.ones_like(x + adjusted)], axis=1)
+    rows = np.stack([square, np.ones_like(square)], axis=1)
+    slopes = np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0) / total
+    bread = np.linalg.inv((tool * slopes[:, None]).T @ rows)
+    covariance = bread @ long_run_covariance(tool * (weight * left)[:, None], 2.0) @ bread.T
+    # Days near zero offset, few of them, hold the noise: their scatter may be small by chance.
+    stated = np.diag(np.linalg.inv((tool * weight[:, None]).T @ tool))
+    lift = np.sqrt(np.maximum(stated / np.diag(covariance), 1.0))
+    return RobustFit(value, covariance * np.outer(lift, lift), left, say, float(np.sqrt(extra)))
 
 
 @dataclass(frozen=True)
