@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -108,7 +108,10 @@ def calibrate_batch(
 
 
 def make_days(
-    cat: Catalog, job: Job, make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]]
+    cat: Catalog,
+    job: Job,
+    make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]],
+    together: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
 ) -> Outcome:
     """Make each day of a batch, on one BLAS thread, and write those that succeed as one segment.
 
@@ -120,6 +123,8 @@ def make_days(
         The batch.
     make : callable
         Returns the dataset and the report of a day.
+    together : callable, optional
+        Makes the datasets of the days fit for one store.
 
     Returns
     -------
@@ -136,8 +141,33 @@ def make_days(
                 continue
             made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
         if made:
+            fit = together([one.dataset for one in made])
+            made = [replace(one, dataset=dataset) for one, dataset in zip(made, fit, strict=True)]
             outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
     return outcome
+
+
+@dataclass(frozen=True)
+class FittedDay:
+    """A day's samples and its own fit.
+
+    Attributes
+    ----------
+    samples : xarray.Dataset
+    fit : BlockFit
+    at : Reference
+        What the equations are expressed at.
+    step : int
+        Usual spacing of the samples, ns.
+    report : dict
+        What was used and what came of it.
+    """
+
+    samples: xr.Dataset
+    fit: BlockFit
+    at: Reference
+    step: int
+    report: dict[str, Any]
 
 
 def calibrate_day(
@@ -150,6 +180,33 @@ def calibrate_day(
     min_coverage: float,
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's normal equations with its fit, and a report of what was used.
+
+    Raises
+    ------
+    CalibrationError
+        As `fit_day`.
+    """
+    done = fit_day(cat, mission, model, day, job, reference, min_coverage)
+    attributes = {
+        "comparison": model.comparison,
+        "model": model.sha,
+        "cadence_ns": done.step,
+        "filter": "raw",
+    }
+    equations = NormalEquations.from_fit(done.fit, done.at, day_bounds(day), attributes)
+    return equations.dataset.assign(fit_variables(done.fit)), done.report
+
+
+def fit_day(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    job: Job,
+    reference: Sequence[float] | None,
+    min_coverage: float,
+) -> FittedDay:
+    """Read a day's samples and fit the nine parameters to them.
 
     Raises
     ------
@@ -169,7 +226,33 @@ def calibrate_day(
     cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
     step = int(np.median(np.diff(samples["tt2000"].values))) if samples.sizes["time"] > 1 else cadence
     coverage = float(good.sum() * step / (end - start))
-    if good.sum() <= len(prior.value):
+    _require(good, coverage, min_coverage, len(prior.value), job, samples, day)
+    fit = fit_block(reading, additive, scalar, good, at, prior, sub_blocks_for(good.sum() * step / SECOND))
+    report = {
+        "coverage": coverage,
+        "used": fit.used,
+        "passes": fit.passes,
+        "before_nT": fit.before,
+        "after_nT": fit.after,
+        "reference": at.value.tolist(),
+        "shared": reference is not None,
+        "strength_nT": float(np.median(scalar[good])),
+        "seconds": samples.sizes["time"] * step / SECOND,
+    }
+    return FittedDay(samples, fit, at, step, report)
+
+
+def _require(
+    good: np.ndarray[Any, np.dtype[np.bool_]],
+    coverage: float,
+    min_coverage: float,
+    parameters: int,
+    job: Job,
+    samples: xr.Dataset,
+    day: np.datetime64,
+) -> None:
+    """Raise `CalibrationError` when a day has too few usable samples."""
+    if good.sum() <= parameters:
         told = tally(samples["flag"].values) or "a channel the model needs is missing"
         raise CalibrationError(
             f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {told}",
@@ -182,22 +265,6 @@ def calibrate_day(
             remedy="lower 'min_coverage' or exclude the day",
             **_poorest(job, samples, day),
         )
-    parts = sub_blocks_for(good.sum() * step / SECOND)
-    fit = fit_block(reading, additive, scalar, good, at, prior, parts)
-    attributes = {"comparison": model.comparison, "model": model.sha, "cadence_ns": step, "filter": "raw"}
-    equations = NormalEquations.from_fit(fit, at, (start, end), attributes)
-    report = {
-        "coverage": coverage,
-        "used": fit.used,
-        "passes": fit.passes,
-        "before_nT": fit.before,
-        "after_nT": fit.after,
-        "reference": at.value.tolist(),
-        "shared": reference is not None,
-        "strength_nT": float(np.median(scalar[good])),
-        "seconds": samples.sizes["time"] * step / SECOND,
-    }
-    return equations.dataset.assign(_fit_variables(fit)), report
 
 
 def _poorest(job: Job, samples: xr.Dataset, day: np.datetime64) -> dict[str, str]:
@@ -219,7 +286,7 @@ def _poorest(job: Job, samples: xr.Dataset, day: np.datetime64) -> dict[str, str
     }
 
 
-def _fit_variables(fit: BlockFit) -> dict[str, tuple[tuple[str, ...], np.ndarray[Any, Any]]]:
+def fit_variables(fit: BlockFit) -> dict[str, tuple[tuple[str, ...], np.ndarray[Any, Any]]]:
     """Return the exact fit of the block beside its equations; the residual's column is empty."""
     width = fit.value.size + 1
     covariance = np.full((1, width, width), np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -14,6 +15,7 @@ from inflight.errors import CatalogError, MissionError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import EQUATIONS_VERSION
+from inflight.tasks.chain import CHAIN_VERSION, Witnesses
 from inflight.tasks.models import UsedModel, current_model
 from inflight.tasks.samples import ArchiveIndex, Need, base_role, geometry_channels, needs_of
 from inflight.time import DayLike, as_day, day_range
@@ -29,23 +31,38 @@ class ReprocessSettings(BaseModel):
     comparison : str
         Entry of the mission's `comparisons`.
     table : str
-        Which table the products take: each day's own fit, windows of `window_days`, or one for the
-        whole span.
+        Which table the products take: each day's own fit, windows of `window_days`, one for the whole
+        span, or ``continuous``: everything the model lets data move, fitted to all days at once, with
+        scale factors that follow a trend in time.
     window_days : int
         Length of a window; windows lie on a fixed grid from 2000-01-01.
     batch_days : int
         Days of one segment and one worker's task; it bounds the memory.
     min_coverage : float
         Part of a day that must be usable for a fit; with priors in place even little data does no harm.
+    trend : str
+        Of the scale factors in ``continuous``; ``auto`` compares them on held-out days.
+    origin : date, optional
+        Of a logarithmic trend; fitted when absent.
+    mean_days : float
+        Window of the torquers' running mean in ``continuous``, days.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     comparison: str = "main"
-    table: Literal["daily", "window", "span"] = "window"
+    table: Literal["daily", "window", "span", "continuous"] = "window"
     window_days: int = Field(15, ge=1, le=3660)
     batch_days: int = Field(10, ge=1, le=60)
     min_coverage: float = Field(0.0, ge=0.0, le=1.0)
+    trend: Literal["auto", "constant", "linear", "log", "spline"] = "auto"
+    origin: dt.date | None = None
+    mean_days: float = Field(260.0, gt=0.0)
+
+    @property
+    def is_chain(self) -> bool:
+        """True when all days are fitted at once."""
+        return self.table == "continuous"
 
 
 @dataclass(frozen=True)
@@ -83,7 +100,7 @@ class Plan:
     @property
     def equations(self) -> str:
         """Dataset of the normal equations."""
-        return equations_of(self.settings.comparison)
+        return equations_of(self.settings.comparison, self.settings.is_chain)
 
     @property
     def product(self) -> str:
@@ -120,7 +137,8 @@ def plan(
     settings = settings or ReprocessSettings()
     _check_comparison(mission, settings.comparison)
     used = current_model(cat, mission, settings.comparison)
-    needs = tuple(needs_of(mission, used.model, geometry_channels(mission)))
+    seen = Witnesses.of(mission).names if settings.is_chain else ()
+    needs = tuple(needs_of(mission, used.model, [*geometry_channels(mission), *seen]))
     index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
     there = [day for day in index.with_all(needs) if _within(day, start, end)]
     if not there:
@@ -131,7 +149,7 @@ def plan(
     asked = day_range(start or there[0], end or there[-1] + ONE_DAY)
     context = cat.save_context(mission.text, used.model.name, used.version, {})
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
-    equations = equations_of(settings.comparison)
+    equations = equations_of(settings.comparison, settings.is_chain)
     keys = {
         day: _key(
             equations, day, context, [source.key for source in index.sources(needs, day, base)], settings
@@ -157,9 +175,9 @@ def plan(
     )
 
 
-def equations_of(comparison: str) -> str:
-    """Return the dataset of a comparison's normal equations."""
-    return f"equations/{comparison}/base"
+def equations_of(comparison: str, chain: bool = False) -> str:
+    """Return the dataset of a comparison's normal equations: the nine's, or those of the whole chain."""
+    return f"equations/{comparison}/{'chain' if chain else 'base'}"
 
 
 def product_of(comparison: str) -> str:
@@ -188,7 +206,8 @@ def _key(
     dataset: str, day: np.datetime64, context: str, sources: Sequence[str], settings: ReprocessSettings
 ) -> str:
     inputs = [*sources, f"min_coverage={settings.min_coverage}"]
-    return idempotency_key(dataset, day, EQUATIONS_VERSION, context, inputs)
+    version = CHAIN_VERSION if settings.is_chain else EQUATIONS_VERSION
+    return idempotency_key(dataset, day, version, context, inputs)
 
 
 def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:

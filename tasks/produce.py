@@ -27,7 +27,9 @@ _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
 _RESOLUTION: dict[str, float] = {"nT": 1e-4, "deg": 1e-6}
 
 
-def produce_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job) -> Outcome:
+def produce_batch(
+    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job, raw: Model | None = None
+) -> Outcome:
     """Make the products of a batch of days and write them as one segment.
 
     Parameters
@@ -38,24 +40,32 @@ def produce_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Datase
         What is corrected, in order.
     table : xarray.Dataset
         The calibration table whose values the model takes.
+    raw : Model, optional
+        What the residual before calibration is made with; the model itself when absent.
 
     Returns
     -------
     Outcome
         The segment, and why days are not in it.
     """
-    return make_days(cat, job, lambda day: produce_day(cat, mission, model, table, day, job))
+    return make_days(cat, job, lambda day: produce_day(cat, mission, model, table, day, job, raw or model))
 
 
 def produce_day(
-    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    table: xr.Dataset,
+    day: np.datetime64,
+    job: Job,
+    raw: Model,
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's product and a report: coverage, residual before and after."""
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     middle = (start + end) // 2
     parameters = day_parameters(table, middle, reference_of(model, middle))
-    product = _rounded(level2(model.bind(table), samples, parameters, model))
+    product = _rounded(level2(model.bind(table), samples, parameters, raw))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else end - start
     # The numbers as stored, of the samples that `inflight.tasks.compare` takes: both tell one residual.
