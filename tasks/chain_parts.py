@@ -30,7 +30,7 @@ def pack_parts(day: xr.Dataset, parts: Mapping[str, xr.Dataset | None]) -> xr.Da
         dim, most = ROWS[name]
         chosen = _chosen(part.sizes[dim], most)
         kept = part.isel({dim: chosen})
-        made[f"{name}.rows"] = xr.Variable("block", np.array([len(chosen)], dtype=np.int64))
+        made[f"{name}.kept"] = xr.Variable("block", np.array([len(chosen)], dtype=np.int64))
         for key, variable in kept.variables.items():
             made[f"{name}.{key}"] = _filled(variable, name, dim, most)
         day.attrs |= {f"{name}.{key}": value for key, value in part.attrs.items()}
@@ -81,14 +81,14 @@ def _filled(variable: xr.Variable, name: str, dim: str, most: int) -> xr.Variabl
 
 def _unpacked(day: xr.Dataset, name: str) -> xr.Dataset | None:
     prefix = f"{name}."
-    if f"{prefix}rows" not in day.variables:
+    if f"{prefix}kept" not in day.variables:
         return None
-    rows, (dim, most) = int(day[f"{prefix}rows"].values[0]), ROWS[name]
+    rows, (dim, most) = int(day[f"{prefix}kept"].values[0]), ROWS[name]
     if not rows:
         return None
     own = {}
     for key in map(str, day.variables):
-        if key.startswith(prefix) and key != f"{prefix}rows":
+        if key.startswith(prefix) and key != f"{prefix}kept":
             variable = day[key].variable
             variable = variable.isel(block=0) if "block" in variable.dims else variable
             dims = tuple(str(one)[len(prefix) :] for one in variable.dims)

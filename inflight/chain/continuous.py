@@ -25,7 +25,7 @@ from inflight.estimators.trends import TrendFit, fit_trends
 from inflight.model import Model
 
 #: Trends that are compared, the ones a model's file can hold.
-KINDS = ("constant", "linear", "log", "spline")
+KINDS = ("constant", "linear", "parabola", "log", "spline")
 #: Days of a fold at least; spans with fewer keep to what two numbers can say.
 _FOLDS, _FOLD_DAYS = 8, 3
 

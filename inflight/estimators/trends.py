@@ -63,7 +63,7 @@ class Origin:
         """Say it in a sentence."""
         if not self.determined:
             return "the origin of the logarithm is NOT DETERMINED: its interval has no lower end"
-        return f"origin MJD {self.mjd:.1f} +- {self.sigma:.1f} (95 %: {self.low:.1f} to {self.high:.1f})"
+        return f"origin MJD {self.mjd:.2f} +- {self.sigma:.2g} (95 %: {self.low:.2f} to {self.high:.2f})"
 
 
 @dataclass(frozen=True)

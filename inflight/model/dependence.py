@@ -1,9 +1,10 @@
 """How a value may depend on time: the functions of time its coefficients multiply.
 
 ``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``parabola``: ``a + b x + c x^2`` with
-``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value for
-each interval between the times ``at``; ``spline``: values at the times ``at``, with lines or a natural cubic
-between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in a table.
+``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value
+for each interval between the times ``at``; ``spline``: values at the times ``at``, with lines or a natural
+cubic between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in a
+table.
 """
 
 from __future__ import annotations
