@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -29,7 +30,7 @@ from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
 from inflight.tasks.chain_parts import alike, pack_parts
 from inflight.tasks.needs import channel_homes
-from inflight.time import day_bounds
+from inflight.time import Int64, day_bounds
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the chain's days change.
@@ -161,15 +162,28 @@ def _epochs(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnes
         return None
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     channel = samples[there[0]]
+    own = _own_readings(stamps, channel)
     with_field = samples.assign(field=(("time", "axis"), rows.field, {"units": "nT"}))
     try:
-        steps = find_steps(
-            stamps, np.asarray(channel.values, dtype=np.float64), unit=str(channel.attrs["units"])
-        )
+        values = np.asarray(channel.values, dtype=np.float64)[own]
+        steps = find_steps(stamps[own], values, unit=str(channel.attrs["units"]))
         found = epochs_of(with_field, residual, steps, channel=there[0], others=there[1:])
     except SamplesError:
         return None
     return found if found.sizes["epoch"] else None
+
+
+def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
+    """Return which samples are a channel's own readings, where it is slower than the samples; (time,).
+
+    What alignment put between two readings knows nothing of steps, and has none of their noise.
+    """
+    cadence = int(channel.attrs.get("cadence_ns", 0))
+    usual = int(np.median(np.diff(stamps))) if stamps.size > 1 else cadence
+    if cadence <= usual:
+        return np.ones(stamps.size, dtype=bool)
+    number = (stamps - stamps[0] + usual // 2) // cadence
+    return np.asarray(np.concatenate([[True], np.diff(number) > 0]))
 
 
 def _means(samples: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
