@@ -48,7 +48,23 @@ def with_nine(model: Model, value: Floats) -> Model:
     """Return the model with nine values (9,), physical units, in its vector sensor."""
     own = vector_sensor_of(model)
     named = [name for part in PARTS for name in own.parameters[part].columns]
-    return model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {}))
+    return about_offsets(
+        model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {})), value[6:]
+    )
+
+
+def about_offsets(model: Model, offset: Floats) -> Model:
+    """Return the model whose other effects of the vector sensor's equation count from these offsets (3,), nT.
+
+    Non-linearity and temperature act on what the sensor reads less its offset (Yin 2010, section 2.4); a
+    pre-flight offset that is 5 nT off leaves 2 pT of 30 ppm/K and 15 K.
+    """
+    own = vector_sensor_of(model)
+    for entry in model.effects:
+        if entry.sensor == own.sensor and "about" in entry.parameters:
+            named = entry.parameters["about"].columns
+            model = model.replace(entry.with_columns(dict(zip(named, offset.tolist(), strict=True)), {}))
+    return model
 
 
 def wide_equations(
