@@ -350,6 +350,9 @@ def sandwich(
     bread = np.linalg.inv(matrix[grid] * np.outer(unit, unit) + np.eye(free.size))
     influence = (scores[:, free] * unit / variance) @ bread
     spread = long_run_covariance(influence, functions) + bread @ bread
+    # Fewer blocks than parameters leave scores that are too small: never surer than white residuals are.
+    lift = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(spread), 1e-300), 1.0))
+    spread *= np.outer(lift, lift)
     out = np.zeros_like(matrix)
     out[grid] = spread * np.outer(unit, unit)
     return np.asarray(out)
