@@ -26,6 +26,8 @@ class Need:
         What is made of the channel: a slow response or a play, which need earlier data.
     products : tuple of str
         Products of channels that the series is a factor of.
+    smooth_ns : int
+        Readings are averaged over this long, centred.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Need:
     lag_ns: int = 0
     part: Part | None = None
     products: tuple[str, ...] = ()
+    smooth_ns: int = 0
 
     @property
     def dataset(self) -> str:
@@ -49,8 +52,12 @@ class Need:
     @property
     def days_before(self) -> int:
         """Days before its own that a day of the series is made from."""
-        reach = self.history_ns + MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns)
-        return max(1, -(-reach // DAY))
+        return max(1, -(-(self.history_ns + self.margin_ns) // DAY))
+
+    @property
+    def margin_ns(self) -> int:
+        """How much of the neighbouring days a day is made with."""
+        return MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
 
 
 def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -144,7 +151,8 @@ class _Known:
         instrument, channel = self.homes[name]
         home = self.mission.instruments[instrument]
         called = part.name if part else name
-        return Need(called, instrument, channel, home.cadence, home.channels[channel].lag, part, products)
+        told = home.channels[channel]
+        return Need(called, instrument, channel, home.cadence, told.lag, part, products, told.smooth)
 
 
 def position_channel(mission: Mission) -> str:

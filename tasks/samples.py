@@ -18,7 +18,6 @@ from inflight.geometry import GEOMETRY, SLOW_GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.needs import (
-    MARGIN_CADENCES,
     Need,
     base_role,
     channel_homes,
@@ -26,7 +25,7 @@ from inflight.tasks.needs import (
     needs_of,
     position_channel,
 )
-from inflight.time import SECOND, day_bounds
+from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import parse_unit
 
 __all__ = [
@@ -101,7 +100,7 @@ class ArchiveIndex:
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if need.lag_ns or need.part or need.cadence_ns != base.cadence_ns:
+        if need.lag_ns or need.part or need.smooth_ns or need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
 
@@ -214,7 +213,7 @@ def _series(
     rows = _read(cat, today, need)
     parts = [rows]
     if not alone:
-        reach = MARGIN_CADENCES * need.cadence_ns + abs(need.lag_ns)
+        reach = need.margin_ns
         start, end = day_bounds(day)
         for step in range(1, need.days_before + 1):
             before = index.get(need, day - step * _DAY)
@@ -226,12 +225,32 @@ def _series(
     # The mission's lag and cadence hold, not those of the day the files were taken in.
     attrs = {**rows.attrs, "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
     values = np.concatenate([part.values for part in parts])
+    if need.smooth_ns:
+        values = _smoothed(values, np.concatenate([part.stamps for part in parts]), need.smooth_ns)
     coords: dict[str, Any] = {"tt2000": ("time", np.concatenate([part.stamps for part in parts]))}
     flags = [part.flag for part in parts if part.flag is not None]
     if len(flags) == len(parts):
         coords["flag"] = ("time", np.concatenate(flags))
     series = xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
     return _made(series, need.part) if need.part else series
+
+
+def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
+    """Return means of the readings within half of `over_ns` on either side; NaN stays where it is.
+
+    Both sides reach equally far, so that at a gap or an end nothing is shifted in time.
+    """
+    flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    known = np.isfinite(flat).all(axis=1)
+    own, told = stamps[known], flat[known]
+    sums = np.concatenate([np.zeros((1, told.shape[1])), np.cumsum(told - told[:1], axis=0)])
+    place = np.arange(own.size)
+    after = np.searchsorted(own, own + over_ns // 2, side="right") - 1 - place
+    before = place - np.searchsorted(own, own - over_ns // 2)
+    each = np.minimum(after, before)
+    out = flat.copy()
+    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + told[:1]
+    return out.reshape(np.shape(values))
 
 
 def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
