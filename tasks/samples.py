@@ -40,6 +40,10 @@ __all__ = [
 ]
 
 _DAY = np.timedelta64(1, "D")
+#: A channel's typical value comes from its own day when this part of it is known, else from other days.
+_ENOUGH = 0.1
+#: Other days are looked for this far on both sides.
+STAND_IN_DAYS = 15
 
 
 @dataclass(frozen=True)
@@ -52,10 +56,13 @@ class ArchiveIndex:
         What is there.
     before : int
         Days before its own that a day's samples are made from.
+    replaceable : tuple of Need
+        Those whose typical value is taken where they are missing.
     """
 
     days: Mapping[tuple[str, np.datetime64], Day]
     before: int = 1
+    replaceable: tuple[Need, ...] = ()
 
     @classmethod
     def of(cls, cat: Catalog, needs: Sequence[Need], time: slice | None = None) -> ArchiveIndex:
@@ -67,6 +74,7 @@ class ArchiveIndex:
                 for day in cat.days(name, time, states=("published",))
             },
             max((need.days_before for need in needs), default=1),
+            tuple(need for need in needs if need.replaceable),
         )
 
     def get(self, need: Need, day: np.datetime64) -> Day | None:
@@ -76,7 +84,32 @@ class ArchiveIndex:
     def around(self, days: Sequence[np.datetime64]) -> ArchiveIndex:
         """Return the part some days need, their neighbours included: what a worker is sent."""
         wanted = {day + step * _DAY for day in days for step in range(-self.before, 2)}
-        return ArchiveIndex({key: day for key, day in self.days.items() if key[1] in wanted}, self.before)
+        others = {
+            (one.dataset, one.day)
+            for need in self.replaceable
+            for day in days
+            for one in self.typical_days(need, day)
+        }
+        return ArchiveIndex(
+            {key: day for key, day in self.days.items() if key[1] in wanted or key in others},
+            self.before,
+            self.replaceable,
+        )
+
+    def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
+        """Return the days that tell what a channel usually reads on a day: its own, else the nearest two.
+
+        One before and one after, at most `STAND_IN_DAYS` away; none when there is none.
+        """
+        own = self.get(need, day)
+        if own is not None and _known_part(own, need) >= _ENOUGH:
+            return [own]
+        found = []
+        for side in (-1, 1):
+            near = (self.get(need, day + side * step * _DAY) for step in range(1, STAND_IN_DAYS + 1))
+            known = (one for one in near if one is not None and _known_part(one, need) >= _ENOUGH)
+            found += [one for one in [next(known, None)] if one is not None]
+        return found
 
     def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
         """Return the days on which every field is there."""
@@ -93,6 +126,8 @@ class ArchiveIndex:
         for need in needs:
             steps = range(1) if self.stands_alone(need, base, day) else range(-need.days_before, 2)
             found += [self.get(need, day + step * _DAY) for step in steps]
+            if need.replaceable:
+                found += self.typical_days(need, day)
         unique = {source.id: source for source in found if source is not None}
         return [unique[key] for key in sorted(unique)]
 
@@ -104,6 +139,12 @@ class ArchiveIndex:
         if need.lag_ns or need.part or need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
+
+
+def _known_part(day: Day, need: Need) -> float:
+    """Return the part of a day on which a channel has values; 1 where the archive does not tell."""
+    told = day.report.get("channels", {}).get(need.channel, {})
+    return float(told.get("coverage", 1.0))
 
 
 def load_samples(
