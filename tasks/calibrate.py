@@ -224,7 +224,7 @@ def fit_day(
 
 @dataclass(frozen=True)
 class _Begun:
-    """A day's samples before the fit: as `split_chain` takes them apart, and which are usable; `step` in ns."""
+    """A day's samples before the fit: split as `split_chain` does, and which are usable; `step` in ns."""
 
     job: Job
     day: np.datetime64

@@ -1,4 +1,4 @@
-"""What stands in for the channels a day has not: typical values from the archive, read without the database."""
+"""What stands in for missing channels: typical values from the archive, read without the database."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from inflight.tasks.samples import ArchiveIndex, Need
 
 #: Cause of a day that is there, though not all of it was measured.
 PARTIAL = "partial"
-_REMEDY = (
-    "deliver the missing housekeeping and ingest it; the samples carry the flag channel_missing until then"
-)
+_REMEDY = "ingest the missing housekeeping; until then the samples carry the flag channel_missing"
 
 
 def stand_ins(
@@ -68,7 +66,7 @@ def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetim
     return Typical.of(np.concatenate([np.asarray(values, dtype=np.float64) for _, values in read]), source)
 
 
-def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str, Any]:  # noqa: N803
+def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str, Any]:
     """Return what a day's report says of stand-ins: by effect, and as the day's message.
 
     Parameters
