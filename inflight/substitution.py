@@ -22,6 +22,7 @@ from inflight.effects.base import Effect, Values
 from inflight.flags import Flag
 from inflight.model import Model, ModelEffect
 from inflight.sensors import Sensor
+from inflight.time import GAP, SECOND, Int64
 
 Rows = npt.NDArray[np.bool_]
 #: Possible values of what geometry tells, in its units.
@@ -35,6 +36,8 @@ GEOMETRY_RANGES: dict[str, tuple[float, float]] = {
 }
 #: Values of a range that are tried, in the middles of as many equal parts: both ends of a circle are one.
 _PARTS = 8
+#: What is tried instead: light and shadow, the Sun on and against each axis.
+_TRIED = {"sunlit": np.array([0.0, 1.0]), "sun_direction": np.concatenate([np.eye(3), -np.eye(3)])}
 #: Samples kept beside the missing ones: rates of change are made from neighbours.
 _BESIDE = 8
 #: A direction of spread smaller than this part of the largest one is rounding.
@@ -51,26 +54,35 @@ class Typical:
         In the channel's unit; one component for a channel of one number a time.
     modes : ndarray, shape (mode, component)
         Independent deviations of one sigma: their outer products sum to the covariance.
+    rate : float
+        How fast it changes, rad/s: rms of its rate of change over that of its deviation.
     source : str
         Where it was taken from, in words.
     """
 
     mean: Floats
     modes: Floats
+    rate: float
     source: str
 
     @classmethod
-    def of(cls, values: Floats, source: str) -> Typical | None:
-        """Return it from values, (time,) or (time, component); None when fewer than two are known."""
+    def of(cls, values: Floats, stamps: Int64, source: str) -> Typical | None:
+        """Return it from values, (time,) or (time, component), at TT2000; None with fewer than two."""
         rows = values.reshape(len(values), -1)
-        known = rows[np.isfinite(rows).all(axis=1)]
+        there = np.isfinite(rows).all(axis=1)
+        known, seconds = rows[there], stamps[there] / SECOND
         if len(known) < 2:
             return None
         covariance = np.atleast_2d(np.cov(known, rowvar=False, bias=True))
         own, vectors = np.linalg.eigh(covariance)
         used = own > _FLAT * max(float(own[-1]), 1e-300)
         modes = (vectors[:, used] * np.sqrt(own[used])).T
-        return cls(np.asarray(known.mean(axis=0)), np.asarray(modes), source)
+        steps = np.diff(seconds)
+        near = steps <= GAP * np.median(steps)
+        rates = np.diff(known, axis=0)[near] / steps[near, None]
+        spread = float(np.trace(covariance))
+        rate = float(np.sqrt(np.mean(np.sum(rates**2, axis=1)) / spread)) if spread > 0 else 0.0
+        return cls(np.asarray(known.mean(axis=0)), np.asarray(modes), rate, source)
 
 
 @dataclass(frozen=True)
@@ -160,28 +172,44 @@ class Substituted:
             part = self.samples.isel(time=near)
             known = self.model(model)
             before = _fields(known, part)
-            changes = [(1.0, one) for one in self._deviations(name, part, rows[near])]
-            if name not in self.typical:
-                low, high = self.ranges.get(name, (np.nan, np.nan))
-                places = low + (high - low) * (np.arange(_PARTS) + 0.5) / _PARTS
-                changes = [(1.0 / _PARTS, _with(part, name, rows[near], place)) for place in places]
-            for weight, changed in changes:
+            inside, of_vector = missing[near], any(entry.sensor.role == "vector" for entry in users)
+            changes = [*self._waves(name, part, rows[near]), *self._possible(name, part, rows[near])]
+            weight = 1.0 if name in self.typical else 1.0 / max(len(changes), 1)
+            for changed in changes:
                 after = _fields(known, changed)
-                inside = missing[near]
-                if any(entry.sensor.role == "vector" for entry in users):
+                if of_vector:
                     vector[missing] += weight * (after[0] - before[0])[inside] ** 2
                 scalar[missing] += weight * (after[1] - before[1])[inside] ** 2
-            if name not in self.typical and name not in self.ranges:
-                _mark_unknown(users, missing, vector, scalar)
+            if name not in self.typical and not changes:
+                scalar[missing] = np.nan
+                vector[missing] = np.nan if of_vector else vector[missing]
         return vector, scalar
 
-    def _deviations(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
-        """Yield samples in which a channel deviates by each of its modes where it was missing."""
+    def _possible(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+        """Yield samples in which a channel without a typical value has one of its possible ones."""
         if name in self.typical:
-            for mode in self.typical[name].modes:
-                values = np.asarray(part[name].values, dtype=np.float64)
-                change = rows * (mode if values.ndim == 2 else mode[0])
-                yield _assigned(part, name, values + change)
+            return
+        places = _TRIED.get(name, np.empty(0))
+        if not len(places) and name in self.ranges:
+            low, high = self.ranges[name]
+            places = low + (high - low) * (np.arange(_PARTS) + 0.5) / _PARTS
+        for place in places:
+            yield _assigned(part, name, np.where(rows, place, np.asarray(part[name].values)))
+
+    def _waves(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+        """Yield samples in which a channel deviates by each of its modes where it was missing.
+
+        Sine and cosine together are one sigma at every time, and change as fast as the channel does:
+        some effects follow its rate.
+        """
+        if name not in self.typical:
+            return
+        usual, values = self.typical[name], np.asarray(part[name].values, dtype=np.float64)
+        seconds = (part["tt2000"].values - part["tt2000"].values[0]) / SECOND
+        for mode in usual.modes:
+            for wave in (np.cos(usual.rate * seconds), np.sin(usual.rate * seconds)):
+                change = wave[:, None] * mode if values.ndim == 2 else wave * mode[0]
+                yield _assigned(part, name, values + rows * change)
 
 
 def substitute(
@@ -236,7 +264,7 @@ class _LeftOut(Effect):
     """An effect that is not there where one of its channels is unknown."""
 
     def __init__(self, entry: ModelEffect) -> None:
-        self.__dict__.update(entry.effect.__dict__)
+        self.name, self.channels = entry.effect.name, entry.effect.channels
         self._inner, self._adds = entry.effect, entry.is_additive
 
     @property
@@ -285,20 +313,9 @@ def _assigned(samples: xr.Dataset, name: str, values: Floats) -> xr.Dataset:
     return out
 
 
-def _with(samples: xr.Dataset, name: str, rows: Rows, value: float) -> xr.Dataset:
-    return _assigned(samples, name, np.where(rows, value, np.asarray(samples[name].values)))
-
-
 def _fields(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats]:
     corrected = model.correct(samples)
     return np.asarray(corrected["field"].values), np.asarray(corrected["scalar"].values)
-
-
-def _mark_unknown(users: Sequence[ModelEffect], rows: Rows, vector: Floats, scalar: Floats) -> None:
-    """Say of the fields of effects whose size nothing tells that they are not known."""
-    if any(entry.sensor.role == "vector" for entry in users):
-        vector[rows] = np.nan
-    scalar[rows] = np.nan
 
 
 def _any(rows: Rows) -> Rows:

@@ -99,17 +99,21 @@ class ArchiveIndex:
     def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
         """Return the days that tell what a channel usually reads on a day: its own, else the nearest two.
 
-        One before and one after, at most `STAND_IN_DAYS` away; none when there is none.
+        One before and one after, at most `STAND_IN_DAYS` away; none when there is none. A day that
+        hardly has the channel counts only when no other does.
         """
-        own = self.get(need, day)
-        if own is not None and _known_part(own, need) >= _ENOUGH:
-            return [own]
-        found = []
-        for side in (-1, 1):
-            near = (self.get(need, day + side * step * _DAY) for step in range(1, STAND_IN_DAYS + 1))
-            known = (one for one in near if one is not None and _known_part(one, need) >= _ENOUGH)
-            found += [one for one in [next(known, None)] if one is not None]
-        return found
+        far = STAND_IN_DAYS + 1
+        for least in (_ENOUGH, np.finfo(float).tiny):
+            for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
+                near = [self._first(need, [day + step * _DAY for step in side], least) for side in sides]
+                if found := [one for one in near if one is not None]:
+                    return found
+        return []
+
+    def _first(self, need: Need, days: Sequence[np.datetime64], least: float) -> Day | None:
+        """Return the first of some days of which at least a part has the channel."""
+        there = (self.get(need, day) for day in days)
+        return next((one for one in there if one is not None and _known_part(one, need) >= least), None)
 
     def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
         """Return the days on which every field is there."""

@@ -59,11 +59,14 @@ def stand_ins(
 
 def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetime64) -> Typical | None:
     """Return what a channel usually reads, from days of the archive; None when they do not tell."""
-    read = [(one, cat.read(one, [need.channel], dated=False)[need.channel].values) for one in days]
-    if not read:
+    known = list(days)
+    if not known:
         return None
-    source = "the day" if [one.day for one, _ in read] == [day] else " and ".join(str(d.day) for d, _ in read)
-    return Typical.of(np.concatenate([np.asarray(values, dtype=np.float64) for _, values in read]), source)
+    read = [cat.read(one, [need.channel], dated=False) for one in known]
+    values = np.concatenate([np.asarray(one[need.channel].values, dtype=np.float64) for one in read])
+    stamps = np.concatenate([one["tt2000"].values for one in read])
+    own = [one.day for one in known] == [day]
+    return Typical.of(values, stamps, "the day" if own else " and ".join(str(one.day) for one in known))
 
 
 def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str, Any]:
