@@ -30,7 +30,13 @@ class Parameters:
     noise: float
 
 
-def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model) -> xr.Dataset:
+def level2(
+    model: Model,
+    samples: xr.Dataset,
+    parameters: Parameters,
+    raw: Model,
+    widening: Floats | None = None,
+) -> xr.Dataset:
     """Return the level-2 product of one day.
 
     Parameters
@@ -44,6 +50,8 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
         For uncertainties and flags.
     raw : Model
         The pre-flight model, for the residual before calibration.
+    widening : ndarray, shape (time, axis), optional
+        What missing channels add to the variance, nT^2, sensor axes: see `inflight.substitution`.
 
     Returns
     -------
@@ -51,7 +59,8 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
         `field_sensor`, `field_spacecraft`, `field_nec` (time, axis) nT; `scalar` (time) nT;
         `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
         was taken out (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
-        field); `uncertainty` (time, axis) nT, 1 sigma, sensor axes; `flag` (time) uint32;
+        field); `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing channel makes
+        it unknown; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """
     corrected = model.correct(samples)
@@ -72,7 +81,11 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
             raw.residual(samples)[:, 0],
             _told("|B_vector| - F with the pre-flight model"),
         ),
-        "uncertainty": (_VECTOR, _uncertainty(reading, parameters), _told("one sigma", "sensor")),
+        "uncertainty": (
+            _VECTOR,
+            _widened(_uncertainty(reading, parameters), widening),
+            _told("one sigma", "sensor"),
+        ),
     }
     for name, term in model.correction_terms(corrected).items():
         dims = _VECTOR if term.ndim == 2 else _SCALAR
@@ -145,6 +158,10 @@ def _uncertainty(reading: Floats, known: Parameters) -> Floats:
     return np.sqrt(np.maximum(out, 0.0) + known.noise**2)
 
 
+def _widened(sigma: Floats, variance: Floats | None) -> Floats:
+    return sigma if variance is None else np.sqrt(sigma**2 + variance)
+
+
 def _geometry(
     variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]],
     samples: xr.Dataset,
@@ -190,5 +207,12 @@ def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> Para
         np.asarray(row["value"].values, dtype=np.float64),
         np.asarray(row["covariance"].values, dtype=np.float64),
         bool(np.all(row["determined"].values[free])),
-        float(row["after"]),
+        _noise(table, row),
     )
+
+
+def _noise(table: xr.Dataset, row: xr.Dataset) -> float:
+    """Return the noise that holds; the median of the others' where an interval's own data tell none."""
+    after = table["after"].values
+    own, known = float(row["after"]), after[np.isfinite(after)]
+    return own if np.isfinite(own) or not known.size else float(np.median(known))

@@ -28,6 +28,8 @@ class Need:
         Products of channels that the series is a factor of.
     smooth_ns : int
         Readings are averaged over this long, centred.
+    replaceable : bool
+        A typical value may stand in where the channel is missing: see `replaceable_needs`.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Need:
     part: Part | None = None
     products: tuple[str, ...] = ()
     smooth_ns: int = 0
+    replaceable: bool = False
 
     @property
     def dataset(self) -> str:
@@ -97,6 +100,23 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         )
     wanted = used | {name for name in extra if set(known.bases(name)) <= known.names}
     return needs + known.needs(wanted)
+
+
+def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> list[Need]:
+    """Return needs, those marked whose typical value may stand in: what the model's effects are made from.
+
+    Attitudes and positions have no typical value, and fields are what it is all about.
+    """
+    used = {
+        part.name for entry in model.effects for name in entry.effect.channels for part in parse(name).parts
+    }
+    used |= {channel for entry in model.effects for channel in entry.effect.channels}
+    out = []
+    for need in needs:
+        kind = mission.instruments[need.instrument].channels[need.channel].kind
+        typical = need.channel != "field" and kind not in ("attitude", "position")
+        out.append(replace(need, replaceable=typical and need.name in used))
+    return out
 
 
 def geometry_channels(mission: Mission) -> list[str]:

@@ -17,7 +17,15 @@ from inflight.model import Model
 from inflight.tasks.calibrate import EQUATIONS_VERSION
 from inflight.tasks.chain import CHAIN_VERSION, Witnesses
 from inflight.tasks.models import UsedModel, current_model
-from inflight.tasks.samples import ArchiveIndex, Need, base_role, geometry_channels, needs_of
+from inflight.tasks.needs import replaceable_needs
+from inflight.tasks.samples import (
+    STAND_IN_DAYS,
+    ArchiveIndex,
+    Need,
+    base_role,
+    geometry_channels,
+    needs_of,
+)
 from inflight.time import DayLike, as_day, day_range
 
 ONE_DAY = np.timedelta64(1, "D")
@@ -138,7 +146,8 @@ def plan(
     _check_comparison(mission, settings.comparison)
     used = current_model(cat, mission, settings.comparison)
     seen = Witnesses.of(mission).names if settings.is_chain else ()
-    needs = tuple(needs_of(mission, used.model, [*geometry_channels(mission), *seen]))
+    wanted = needs_of(mission, used.model, [*geometry_channels(mission), *seen])
+    needs = tuple(replaceable_needs(mission, used.model, wanted))
     index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
     there = [day for day in index.with_all(needs) if _within(day, start, end)]
     if not there:
@@ -195,10 +204,12 @@ def _check_comparison(mission: Mission, name: str) -> None:
 
 
 def _with_neighbours(start: DayLike | None, end: DayLike | None, needs: Sequence[Need]) -> slice:
-    before = max(need.days_before for need in needs) * ONE_DAY
+    """Return the days a span is made from; the farthest stand in for a channel that a day has not."""
+    beside = STAND_IN_DAYS if any(need.replaceable for need in needs) else 1
+    before = max(beside, *(need.days_before for need in needs)) * ONE_DAY
     return slice(
         str(as_day(start) - before) if start is not None else None,
-        str(as_day(end) + ONE_DAY) if end is not None else None,
+        str(as_day(end) + beside * ONE_DAY) if end is not None else None,
     )
 
 

@@ -17,10 +17,11 @@ from inflight.product import day_parameters, level2
 from inflight.statistics import size_of
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.samples import load_samples
+from inflight.tasks.stand_ins import stand_ins, treated_report
 from inflight.time import day_bounds
 
 #: Bumped by hand when the numbers of the products change.
-PRODUCT_VERSION = 2
+PRODUCT_VERSION = 3
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
 #: Stored steps of product variables: a tenth of a picotesla, a micro-degree.
@@ -60,12 +61,19 @@ def produce_day(
     job: Job,
     raw: Model,
 ) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return one day's product and a report: coverage, residual before and after."""
+    """Return one day's product and a report: coverage, residual before and after, what stands in for what."""
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     middle = (start + end) // 2
     parameters = day_parameters(table, middle, reference_of(model, middle))
-    product = _rounded(level2(model.bind(table), samples, parameters, raw))
+    bound, widening = model.bind(table), None
+    treated: dict[str, Any] = {}
+    stand = stand_ins(cat, mission, model, job.needs, job.index, day, samples)
+    if stand is not None:
+        widening, scalar = stand.variance(bound)
+        treated = treated_report(stand.treated(model), float(np.sqrt(scalar[stand.lost].mean())))
+        samples, bound, raw = stand.samples, stand.model(bound), stand.model(raw)
+    product = _rounded(level2(bound, samples, parameters, raw, widening))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else end - start
     # The numbers as stored, of the samples that `inflight.tasks.compare` takes: both tell one residual.
@@ -76,6 +84,7 @@ def produce_day(
         "before_nT": size_of(product["residual_preflight"].values[measured]).rms,
         "after_nT": after.rms,
         "samples": after.count,
+        **treated,
     }
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
     return product, report
