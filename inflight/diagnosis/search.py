@@ -305,7 +305,9 @@ class Search:
         main = [
             one
             for one in self.options
-            if not set(one.columns) & taken and (one.mechanism not in self.banned or one.name == itself)
+            if one.change is None
+            and not set(one.columns) & taken
+            and (one.mechanism not in self.banned or one.name == itself)
         ]
         signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}
@@ -334,10 +336,11 @@ class Search:
         base, sigma = self.base()
         own = self._model_columns(without)
         found = drifts(self.raw, self.carriers) + steps(self.raw, self.carriers)
-        found += episodes(self.raw, self.forms["raw"], self._outside(base), self.y())
-        banned = {change.name for change in found if change.mechanism in self.banned}
+        found += episodes(self.raw, self.forms["raw"], self.carriers.outside(base), self.y())
         taken = [option.change for option in self.accepted if option.change and option is not without]
-        banned |= {change.name for change in found if any(change.is_like(one) for one in taken)}
+        known = found + [option.change for option in self.options if option.change is not None]
+        banned = {change.name for change in known if any(change.is_like(one) for one in taken)}
+        banned |= {change.name for change in known if change.mechanism in self.banned}
         gone = banned | {option.name for option in self.accepted}
         itself = without.name if without is not None else ""
         for batch in batches([one for one in found if one.name not in gone or one.name == itself]):
@@ -354,23 +357,28 @@ class Search:
             ]
             if options:
                 yield options, wide, self.present_in(wide, without)
-
-    def _outside(self, base: Sequence[str]) -> Carriers:
-        """Carriers that the calibration does not absorb: their episodes can be scanned."""
-        kept = {name for name in self.carriers.names if name not in base}
-        clock = tuple(name for name in self.carriers.clock if name in kept)
-        bias = tuple(name for name in self.carriers.bias if name in kept)
-        return Carriers(clock=clock, bias=bias)
+        # Those that were put to their moment have columns of their own.
+        for one in self.options:
+            if one.change is not None and (one.name == itself or one.name not in gone):
+                small = self.forms["raw"].select([*own, *one.columns])
+                yield [one], small, self.present_in(small, without)
 
     # Additions and removals.
 
     def add(self, option: Option) -> None:
         """Put an option into the model; a change's columns join the evidence."""
-        if option.change is not None and not set(option.columns) <= set(self.raw.names):
+        if option.change is not None and option.change.functions:
+            self._forget(option.columns)
             self.raw = self.raw.expand(option.change.functions)
             self.white = self.white.expand(option.change.functions)
             self.absorb()
         self.accepted.append(option)
+
+    def _forget(self, columns: Sequence[str]) -> None:
+        """Let go of columns of a change that was dropped: they know nothing of what joined since."""
+        if set(columns) & set(self.raw.names):
+            kept = [name for name in self.raw.names if name not in columns][: -len(self.raw.residuals)]
+            self.raw, self.white = self.raw.select(kept), self.white.select(kept)
 
     def drop(self, option: Option) -> None:
         """Take an option out of the model."""

@@ -35,7 +35,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     """Run the rounds and say what they mean."""
     first = search.table().light()
     last = _rounds(search, material, first) if search.rules.rounds else first
-    standings = sorted(settle(search), key=lambda one: -one.gain)
+    standings = sorted(settle(search, partial(refine, search, material)), key=lambda one: -one.gain)
     if standings:
         last = search.table().light()
     effects = tuple(effect(search, material, one) for one in standings)

@@ -4,9 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from diagnosis_cases import DAY, POLAR, SECOND, STEP_S, case_of, flight_of, read
+from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, flight_of, read
 
 from inflight.diagnosis.changes import Carriers, batches, drifts, episodes, steps
+from inflight.lines import told_period
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, BLOCK_DAYS = 14, 0.25
@@ -52,8 +53,7 @@ def test_a_step_of_an_angle_is_found_as_such_and_not_as_a_clock():
     assert effect.axes == ("xz",)
     for one in effect.coefficients:
         truth = ANGLE_DEG if one.name == "misalignment[xz]" else 0.0
-        # The moment is between two edges of blocks: a little of the step is missing.
-        assert abs(one.value - truth) < 4 * one.sigma + 0.02 * ANGLE_DEG
+        assert abs(one.value - truth) < 4 * one.sigma
         assert (one.unit, one.at) == ("deg", "fgm")
 
 
@@ -76,12 +76,20 @@ def test_the_moment_is_told_with_how_sharp_it_is(residual):
     case, effect = stepped(), only_effect(residual)
     truth = int(case.flight.tt2000[0]) + int(AT_DAYS * DAY)
     off = abs(int(to_tt2000(parse_utc(effect.at[0]))) - truth) / SECOND
-    assert off <= effect.at_sigma_s
-    # Two blocks at most: every edge but few is tried.
-    assert effect.at_sigma_s <= 2 * BLOCK_DAYS * 86_400
+    # Samples are two minutes apart, and a change shows in the first one behind it.
+    assert off <= 3 * effect.at_sigma_s + 0.5 * STEP_S
+    assert STEP_S / 12**0.5 < effect.at_sigma_s < 0.1 * BLOCK_DAYS * 86_400
     told = told_of(residual)
-    assert f"{effect.at[0][:16].replace('T', ' ')} +- 6 h" in told.sentence
-    assert told.as_json()["effects"][0]["at_sigma_s"] == pytest.approx(BLOCK_DAYS * 86_400)
+    when = effect.at[0].rstrip("Z").replace("T", " ")
+    assert f"{when} +- {told_period(effect.at_sigma_s)}" in told.sentence
+    assert told.as_json()["effects"][0]["at_sigma_s"] == effect.at_sigma_s
+
+
+@pytest.mark.parametrize("residual", [0, 1, 2])
+def test_a_change_at_its_moment_leaves_the_noise(residual):
+    told = told_of(residual)
+    assert told.residual["held_out_after_nT"] < 1.02 * NOISE_NT
+    assert told.remaining["verdict"] == "NOTHING_LEFT"
 
 
 def test_a_drift_has_no_moment():
