@@ -128,7 +128,10 @@ def _moments(
 def _beside(
     search: Search, material: Material, option: Option, carriers: tuple[str, ...]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the residual without and with the option, and its columns if it held always; (sample, row, ...)."""
+    """Return the residual without and with an option, and its columns as if it held always.
+
+    Each is (sample, row) or (sample, row, column).
+    """
     rows, names, columns = model_columns(
         search, material.series, material.terms, material.turn, search.accepted
     )
