@@ -7,7 +7,8 @@ slow can pass for an effect; ``white``, where each row has lost what the one bef
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from inflight.diagnosis.changes import Carriers, Change, batches, drifts, episod
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
-from inflight.diagnosis.scoring import Present, Scores, folds_of, score
+from inflight.diagnosis.scoring import Present, Scores, folds_of, score, with_changes
 
 FORMS = ("raw", "within", "white")
 #: An effect of which the calibration leaves less than this part cannot be told from the calibration.
@@ -275,18 +276,25 @@ class Search:
 
     def present(self, form: str = "raw", without: Option | None = None) -> Present:
         """Return the columns of the model beside the calibration, with their priors."""
-        return self._present_in(self.forms[form], without)
+        return self.present_in(self.forms[form], without)
 
     def _model_columns(self, without: Option | None = None) -> list[str]:
         """Names of the model's columns beside the calibration: refined ones, then those taken."""
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def _present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+    def present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+        """Return the columns of the model in some evidence that has them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
         sigma += [np.inf] * (len(names) - len(sigma))
         return Present(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
+
+    def holding(self, options: Sequence[Option]) -> Search:
+        """Return the search as if it had taken some options and no others; it shares the evidence."""
+        other = copy(self)
+        other.accepted = list(options)
+        return other
 
     # Scores.
 
@@ -314,7 +322,7 @@ class Search:
             found = score(own, own_present, columns, y, folds_of(len(own), more[0].interleaved))
             timed.append((found, flip_ratios(own, own_present, columns, y, signs, units)))
             options += more
-        scores, ratios = _with_changes(scores, ratios, timed)
+        scores, ratios = with_changes(scores, ratios, timed)
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
         real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
         p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
@@ -345,7 +353,7 @@ class Search:
                 if live[wide.index(list(one.functions))].any()
             ]
             if options:
-                yield options, wide, self._present_in(wide, without)
+                yield options, wide, self.present_in(wide, without)
 
     def _outside(self, base: Sequence[str]) -> Carriers:
         """Carriers that the calibration does not absorb: their episodes can be scanned."""
@@ -377,26 +385,6 @@ class Search:
             small = evidence.select([*self._model_columns(option), *option.columns])
             folds = folds_of(len(small), option.interleaved)
             y = small.residuals[self.residual]
-            one = score(small, self._present_in(small, option), [small.index(option.columns)], y, folds)
+            one = score(small, self.present_in(small, option), [small.index(option.columns)], y, folds)
             found.append((float(one.gain[0]), float(one.t[0])))
         return max(found, key=self.rules.standing)
-
-
-def _with_changes(
-    scores: Mapping[str, Scores],
-    ratios: Mapping[str, tuple[Floats, Floats]],
-    timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
-) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
-    """Return the scores with those of changes behind; only the raw form can see most of them."""
-    out, out_ratios = {}, {}
-    for form, one in scores.items():
-        seen = form == "raw"
-        for found, _ in timed:
-            one = one.joined(found, seen)  # noqa: PLW2901 (one form's scores grow)
-        own = [(observed * seen, flipped * seen) for _, (observed, flipped) in timed]
-        out[form] = one
-        out_ratios[form] = (
-            np.concatenate([ratios[form][0], *(observed for observed, _ in own)]),
-            np.concatenate([ratios[form][1], *(flipped for _, flipped in own)], axis=1),
-        )
-    return out, out_ratios
