@@ -55,7 +55,7 @@ class ReprocessSettings(BaseModel):
     window_days: int = Field(15, ge=1, le=3660)
     batch_days: int = Field(10, ge=1, le=60)
     min_coverage: float = Field(0.0, ge=0.0, le=1.0)
-    trend: Literal["auto", "constant", "linear", "log", "spline"] = "auto"
+    trend: Literal["auto", "constant", "linear", "parabola", "log", "spline"] = "auto"
     origin: dt.date | None = None
     mean_days: float = Field(260.0, gt=0.0)
 
