@@ -1,8 +1,8 @@
 """A day of the whole chain: its own fit, its wide equations, and what only fast samples can witness.
 
 One look at a day's samples makes all that later steps are computed from: normal equations of everything
-the model lets data move, the equations of the torquers' band, epochs of currents that step, the spread of
-the residual, and means of channels. Arrays of a day have one size, so that days lie side by side.
+the model lets data move, the equations of the torquers' band, epochs of currents that step, and means of
+channels.
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from inflight.calibration import BlockFit
 from inflight.catalog import Catalog
 from inflight.chain import wide_equations, with_nine
 from inflight.comparison import Rows, rows_of
-from inflight.errors import CalibrationError, SamplesError
+from inflight.errors import SamplesError
 from inflight.estimators.current_steps import find_steps
 from inflight.estimators.epochs import epochs_of
 from inflight.estimators.torquer_band import band_equations
-from inflight.estimators.z_offset import day_statistics
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
@@ -113,7 +112,6 @@ def chain_day(
     rows = rows_of(with_nine(model, fitted.fit.value), fitted.samples)
     residual = np.where(rows.good, rows.residual[:, 0], np.nan)
     parts = {
-        "spread": _spread(residual, rows, span),
         "band": _band(fitted.samples, residual, rows, witnesses),
         "epoch": _epochs(fitted.samples, residual, rows, witnesses),
         "channel": _means(fitted.samples, witnesses.names),
@@ -131,14 +129,6 @@ def _own_fit(fit: BlockFit) -> dict[str, Any]:
         "after": ("block", np.array([fit.after])),
         "used": ("block", np.array([fit.used], dtype=np.int64)),
     }
-
-
-def _spread(residual: Floats, rows: Rows, span: tuple[int, int]) -> xr.Dataset | None:
-    """Return what the day's spread tells of an offset along z; None for too short a day."""
-    try:
-        return day_statistics(residual, _unit(rows.field), *span)
-    except CalibrationError:
-        return None
 
 
 def _band(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnesses) -> xr.Dataset | None:

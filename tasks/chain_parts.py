@@ -14,7 +14,7 @@ import xarray as xr
 from inflight.calibration import NormalEquations
 
 #: The dimension of each part that differs from day to day, and the most rows of it that are kept.
-ROWS = {"spread": ("interval", 1), "band": ("segment", 30), "epoch": ("epoch", 48), "channel": ("channel", 0)}
+ROWS = {"band": ("segment", 30), "epoch": ("epoch", 48), "channel": ("channel", 0)}
 _EQUATIONS = ("gram", "scatter", "reference", "start", "end", "count")
 
 

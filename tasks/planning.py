@@ -54,6 +54,9 @@ class ReprocessSettings(BaseModel):
         Of a logarithmic trend; fitted when absent.
     mean_days : float
         Window of the torquers' running mean in ``continuous``, days.
+    distribute : bool
+        In ``continuous``, take the slow part of the residual out of the field (Yin 2010, eq. 3.7): the last
+        step, which hides what the model does not know. Products tell its size either way.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -66,6 +69,7 @@ class ReprocessSettings(BaseModel):
     trend: Literal["auto", "constant", "linear", "parabola", "log", "spline"] = "auto"
     origin: dt.date | None = None
     mean_days: float = Field(260.0, gt=0.0)
+    distribute: bool = False
 
     @property
     def is_chain(self) -> bool:

@@ -6,7 +6,6 @@ batches of a stage are independent: `Mapper` says where they run.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,18 +17,16 @@ import xarray as xr
 from inflight.calibration.sensor import bend
 from inflight.catalog import Catalog, Day, Run, idempotency_key
 from inflight.mission import Mission
-from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, calibrate_batch
 from inflight.tasks.chain import chain_batch
 from inflight.tasks.delivery import each_result
+from inflight.tasks.keeping import SolvedTables, TableKeeper
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import Progress, RunReport
-from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, tables_key
+from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
 from inflight.tasks.tables import (
     MOST_BEND,
-    TABLES_VERSION,
-    content_keys,
     daily_table,
     load_equations,
     relinearise_at,
@@ -51,6 +48,7 @@ class _Book:
 
     done: set[np.datetime64] = field(default_factory=set)
     failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
+    reports: dict[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
     def take(self, run: Run, dataset: str, outcome: Outcome) -> list[Day]:
         """Register an outcome with the run; remember failures."""
@@ -127,25 +125,6 @@ def _adopt(
     return adopted
 
 
-@dataclass(frozen=True)
-class SolvedTables:
-    """Tables of a run: the one products take, and what is to be certified at publication.
-
-    Attributes
-    ----------
-    model : Model
-        What products are made with.
-    notes : dict of str to str
-        Tables that could not be made, and why.
-    """
-
-    used: xr.Dataset
-    ids: dict[str, int]
-    certify: list[tuple[int, int, int, str | None]]
-    model: Model
-    notes: dict[str, str] = field(default_factory=dict)
-
-
 def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
     """Make the daily, window and whole-span tables from the normal equations of all days.
 
@@ -160,7 +139,7 @@ def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day])
         "window": partial(window_table, equations, model, edges, "window"),
         "span": partial(window_table, equations, model, whole, "span"),
     }
-    keep = _Keeper(cat, made, run, days)
+    keep = TableKeeper(cat, made, run, days)
     tables = {kind: keep.table(kind, make) for kind, make in makers.items()}
     return SolvedTables(tables[settings.table], keep.ids, keep.certify, model)
 
@@ -168,7 +147,7 @@ def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day])
 def solve_chain(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
     """Fit all days at once; stage the tables of the chain, and save the fitted model."""
     result = chained(cat, made, days)
-    keep = _Keeper(cat, made, run, days)
+    keep = TableKeeper(cat, made, run, days)
     for name, table in result.tables.items():
         keep.table(name, partial(_itself, table))
     return SolvedTables(
@@ -184,52 +163,6 @@ def _itself(table: xr.Dataset) -> xr.Dataset:
     return table
 
 
-@dataclass
-class _Keeper:
-    """Stages tables that are not there yet with the same content, and says which to certify."""
-
-    cat: Catalog
-    made: Plan
-    run: Run
-    days: Mapping[np.datetime64, Day]
-    ids: dict[str, int] = field(default_factory=dict)
-    certify: list[tuple[int, int, int, str | None]] = field(default_factory=list)
-
-    def table(self, kind: str, make: Callable[[], xr.Dataset]) -> xr.Dataset:
-        """Return a table, known or made and staged."""
-        name, key = f"{self.made.settings.comparison}-{kind}", self._key(kind)
-        known = [record for record in self.cat.tables(name) if record.key == key and not record.damaged]
-        if known:
-            table, self.ids[kind] = self.cat.table_by_id(known[-1].id), known[-1].id
-        else:
-            table = make()
-            start, end = self._bounds(table)
-            self.ids[kind] = self.run.stage_table(
-                name, table, start=start, end=end, parents=list(self.days.values()), key=key
-            )
-        bounds = self._bounds(table)
-        if not known or (None, *bounds) not in known[-1].certified:
-            self.certify.append((self.ids[kind], *bounds, None))
-        return table
-
-    def _key(self, kind: str) -> str:
-        made = self.made
-        if made.settings.is_chain:
-            return tables_key(made, kind, self.days)
-        told = [kind, str(made.settings.window_days), str(TABLES_VERSION), made.context]
-        return hashlib.sha256("".join([*content_keys(self.days), *told]).encode()).hexdigest()
-
-    def _bounds(self, table: xr.Dataset) -> tuple[int, int]:
-        """Return the span a table holds for: its intervals', or that of all days."""
-        if "start" in table and table["start"].dims == ("interval",):
-            return _bounds(table)
-        return day_bounds(min(self.days))[0], day_bounds(max(self.days))[1]
-
-
-def _bounds(table: xr.Dataset) -> tuple[int, int]:
-    return int(table["start"].values[0]), int(table["end"].values[-1])
-
-
 def produce(
     cat: Catalog, mission: Mission, made: Plan, run: Run, tables: SolvedTables, mapper: Mapper, book: _Book
 ) -> list[np.datetime64]:
@@ -241,7 +174,8 @@ def produce(
             continue
         start, end = day_bounds(day)
         row = table_row_hash(tables.used, (start + end) // 2)
-        inputs = [made.keys[day], row, *([tables.model.sha] if made.settings.is_chain else [])]
+        chosen = [tables.model.sha, str(made.settings.distribute)] if made.settings.is_chain else []
+        inputs = [made.keys[day], row, *chosen]
         keys[day] = idempotency_key(made.product, day, PRODUCT_VERSION, made.context, inputs)
         if day in current and current[day].key == keys[day]:
             same.append(day)
@@ -255,9 +189,13 @@ def produce(
         replace(job, parents={day: (*ids, parents) for day, ids in job.parents.items()})
         for job in _jobs(made, run, made.in_batches(todo), made.product, keys)
     ]
-    arguments = [(cat, mission, tables.model, tables.used, job, made.model) for job in jobs]
+    spread = made.settings.distribute if made.settings.is_chain else None
+    arguments = [(cat, mission, tables.model, tables.used, job, made.model, spread) for job in jobs]
     for outcome in mapper("produce", produce_batch, arguments):
-        book.done |= {day.day for day in book.take(run, made.product, outcome)}
+        fresh = book.take(run, made.product, outcome)
+        book.done |= {day.day for day in fresh}
+        book.reports |= {day.day: day.report for day in fresh}
+    book.reports |= {day: current[day].report for day in same}
     return same
 
 
@@ -311,6 +249,8 @@ def reprocess(
             return _report(made, run, book, [], {"residual": {}})
         tables = (solve_chain if made.settings.is_chain else solve)(cat, made, run, days)
         same = produce(cat, mission, made, run, tables, spread, book)
+        if made.settings.is_chain:
+            _keep_offsets(cat, made, run, days, tables, book.reports)
         run.publish(certify=tables.certify, supersede=True)
     extra: dict[str, Any] = {"residual": _residual(cat, made)}
     if made.settings.is_chain:
@@ -319,6 +259,25 @@ def reprocess(
             "left_out": tables.notes,
         }
     return _report(made, run, book, same, extra)
+
+
+def _keep_offsets(
+    cat: Catalog,
+    made: Plan,
+    run: Run,
+    days: Mapping[np.datetime64, Day],
+    tables: SolvedTables,
+    reports: Mapping[np.datetime64, Mapping[str, Any]],
+) -> None:
+    """Stage the table of daily offsets that the products' residuals tell."""
+    table = spread_offsets(reports)
+    if isinstance(table, str):
+        tables.notes["z-offset"] = table
+        return
+    keep = TableKeeper(cat, made, run, days)
+    keep.table("z-offset", partial(_itself, table))
+    tables.ids.update(keep.ids)
+    tables.certify.extend(keep.certify)
 
 
 def _equations(

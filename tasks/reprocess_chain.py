@@ -22,14 +22,17 @@ from inflight.estimators.epochs import join_epochs
 from inflight.estimators.panels import choose_panels
 from inflight.estimators.secular import running_mean
 from inflight.estimators.torquer_band import daily_fits, fit_band, join_equations, robust_mean
+from inflight.estimators.z_offset import noise_of, offsets_from_spread
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.chain import CHAIN_VERSION, Witnesses
 from inflight.tasks.chain_parts import equations_of_days, part_of
-from inflight.tasks.planning import ONE_DAY, Plan
+from inflight.tasks.planning import Plan
 from inflight.tasks.tables import content_keys
 from inflight.time import day_of, to_tt2000
 
+#: Days whose spread tells what the noise alone makes of it, at least.
+_FEWEST_DAYS = 5
 #: Bumped by hand when the numbers of the chain's tables change.
 CHAIN_TABLES_VERSION = 1
 
@@ -145,9 +148,23 @@ def _torquer_mean(read: Sequence[xr.Dataset], model: Model, window: float) -> xr
     return running_mean(np.array(days), np.array(value), np.array(count), window=window).table()
 
 
-def certified_span(days: Mapping[np.datetime64, Day]) -> tuple[np.datetime64, np.datetime64]:
-    """Return the half-open UTC days the tables of these days hold for."""
-    return min(days), max(days) + ONE_DAY
+def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset | str:
+    """Return the daily offsets along z from the spread of the products' residual, or why there are none.
+
+    The days' reports hold what `inflight.estimators.z_offset.day_statistics` made of them.
+    """
+    told = [reports[day]["spread"] for day in sorted(reports) if reports[day].get("spread")]
+    if len(told) < _FEWEST_DAYS:
+        return f"{len(told)} days tell the spread of their residual, {_FEWEST_DAYS} needed"
+    each = {"covariance": ("interval", "statistic", "other"), "start": ("interval",), "end": ("interval",)}
+    each |= dict.fromkeys(("direction_mean", "direction_square"), ("interval", "axis"))
+    statistics = xr.Dataset(
+        {name: (each.get(name, ("interval",)), np.array([one[name] for one in told])) for name in told[0]}
+    )
+    try:
+        return offsets_from_spread(statistics, *noise_of(statistics)).table()
+    except InflightError as error:
+        return error.message
 
 
 def tables_key(made: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:

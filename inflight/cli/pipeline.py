@@ -158,6 +158,14 @@ def reprocess(
     batch_days: BatchOption = None,
     trend: TrendOption = None,
     origin: OriginOption = None,
+    distribute: Annotated[
+        bool,
+        typer.Option(
+            "--distribute",
+            help="With --table continuous, take the slow part of the residual out of the field, which hides "
+            "what the model does not know.",
+        ),
+    ] = False,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
 ) -> None:
@@ -170,6 +178,7 @@ def reprocess(
         batch_days=batch_days,
         trend=trend,
         origin=origin,
+        distribute=distribute or None,
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect)

@@ -108,6 +108,28 @@ def test_every_table_is_certified_and_has_an_uncertainty(chain):
     assert "window" in report["left_out"]["torquer-mean"]
 
 
+def test_products_tell_the_slow_part_of_the_residual_and_leave_it_in(chain):
+    cat, _ = chain
+    day = cat.days("l2/field", states=("published",))[3]
+    product = cat.read(day)
+    term = product["correction_distribution"]
+    assert term.attrs["applied"] == "no"
+    assert term.attrs["period_s"] == 80.0
+    # White noise alone puts a little into the filter's band, and nothing else is left.
+    assert 0 < term.attrs["rms_nT"] < 0.5 * day.report["after_nT"]
+    along = np.einsum("ta,ta->t", term.values, product["field_sensor"].values)
+    strength = np.linalg.norm(product["field_sensor"].values, axis=1)
+    size = np.linalg.norm(term.values, axis=1)
+    np.testing.assert_allclose(np.abs(along), size * strength, rtol=1e-3, atol=20.0)
+
+
+def test_offsets_from_the_spread_are_nothing_but_noise(chain):
+    cat, _ = chain
+    table = newest(cat, "z-offset")
+    assert table.sizes["interval"] == DAYS
+    assert np.abs(table["slope"].values / table["sigma_slope"].values).max() < 5
+
+
 def test_the_same_call_has_nothing_to_do(chain):
     cat, _ = chain
     again = reprocess(cat, Workspace.open(cat.workspace).mission(), settings=CONTINUOUS).as_json()
