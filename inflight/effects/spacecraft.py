@@ -12,6 +12,7 @@ from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, multiply
 from inflight.effects.channels import MATRIX, weigh
 from inflight.effects.families import channels_of_kind, options_of_channels
+from inflight.effects.panel_light import light_on, scheduled
 from inflight.errors import ModelError
 from inflight.mission import Mission
 from inflight.sensors import Sensor
@@ -33,6 +34,20 @@ def _unit_rows(given: Any, name: str) -> Floats:
             f"'{name}': normals are {given!r}", remedy="list two or more vectors of three numbers"
         )
     return np.asarray(rows / size)
+
+
+def _areas(given: Any, count: int, name: str) -> Floats:
+    """Return relative areas, shape (panel,): not negative, and some of them are there."""
+    try:
+        found = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != (count,) or not (found >= 0.0).all() or not 0.0 < found.sum() < np.inf:
+        raise ModelError(
+            f"'{name}': areas are {given!r} for {count} panels",
+            remedy="list one number for each of 'normals', 0 or more",
+        )
+    return found
 
 
 class Torquer(Effect):
@@ -77,25 +92,33 @@ class SolarArray(Effect):
 
     The coefficient of each time is the mean of the panels', weighted by the light on each: option
     ``normals`` lists the panels' outward normals in vector sensor axes, and the weight is the cosine
-    of the Sun's direction from each. Without them the weights follow the local time of the orbit (Yin
-    2010, section 3.4.1): from ``since``, when the ascending node was at 9 h and falling, the second
-    panel for a quarter of ``cycle``, then ``sin th, cos th`` of first and second with th rising to 90
-    degrees, then the first, then th falling. Components are named by axis and panel: x0, y0, z0, x1, ...
+    of the Sun's direction from each, times its own of ``areas`` where these are given (currents at
+    normal incidence relative to each other). Without normals the weights follow the local time of the
+    orbit (Yin 2010, section 3.4.1): from ``since``, when the ascending node was at 9 h and falling, the
+    second panel for a quarter of ``cycle``, then ``sin th, cos th`` of first and second with th rising to
+    90 degrees, then the first, then th falling. Components are named by axis and panel: x0, y0, z0, x1, ...
     """
 
     family = "solar"
     channels: tuple[str, ...] = ("solar_current",)
-    options = ("channel", "lag", "normals", "since", "cycle")
+    options = ("channel", "lag", "normals", "areas", "since", "cycle")
     panels = Parameter("nT/A", _of_panels(2), sigma=1.0, step=1e-2)
 
     def prepare(self) -> None:
-        """Read the panels' normals, or when the schedule began."""
+        """Read the panels' normals and areas, or when the schedule began."""
         self._normals: Floats | None = None
+        self._areas: Floats | None = None
         self._since, self._cycle = 0, 1
         if "normals" in self.given:
             self._normals = _unit_rows(self.given["normals"], self.name)
+            if "areas" in self.given:
+                self._areas = _areas(self.given["areas"], len(self._normals), self.name)
             self.channels = (self.channels[0], "sun_direction")
             self.sized = {"panels": replace(type(self).panels, axes=_of_panels(len(self._normals)))}
+        elif "areas" in self.given:
+            raise ModelError(
+                f"'{self.name}' has areas and no normals", remedy="list the panels' normals, or drop 'areas'"
+            )
         else:
             self._since = self.instant("since")
             self.given.setdefault("cycle", "260.5 d")
@@ -104,13 +127,8 @@ class SolarArray(Effect):
     def _light(self, samples: xr.Dataset) -> Floats:
         """Return the weight of each panel; (time, panel), of sum 1, 0 where no panel is lit."""
         if self._normals is not None:
-            light = np.clip(self.series(samples, 1) @ self._normals.T, 0.0, None)
-        else:
-            turn = ((samples["tt2000"].values - self._since) / self._cycle) % 1.0
-            th = 0.5 * np.pi * (np.clip(4 * turn - 1, 0.0, 1.0) - np.clip(4 * turn - 3, 0.0, 1.0))
-            light = np.stack([np.sin(th), np.cos(th)], axis=1)
-        total = light.sum(axis=1, keepdims=True)
-        return np.where(total == 0.0, 0.0, light / np.where(total == 0.0, 1.0, total))
+            return light_on(self.series(samples, 1), self._normals, self._areas)
+        return scheduled((samples["tt2000"].values - self._since) / self._cycle)
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``current * sum of light * panel``; (time, axis) nT."""

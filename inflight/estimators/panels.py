@@ -24,11 +24,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.errors import SamplesError, SettingsError
+from inflight.effects.panel_light import BEGINS, CYCLE, SIDES, TOP, light_on, schedule
+from inflight.errors import SamplesError
 from inflight.estimators.clusters import ClusteredFit, gram_of, grams_by_cluster, solve_clusters
 from inflight.estimators.epoch_fits import PRIOR, fit_contrasts, weights_of
 from inflight.estimators.epochs import AXES
-from inflight.estimators.panel_light import BEGINS, CYCLE, SIDES, TOP, light_on, schedule
 from inflight.time import DAY, utc_text
 
 MODELS = ("constant", "two_panels", "two_sides", "three_panels")
@@ -195,11 +195,6 @@ class PanelChoice:
         dict
             ``effect``, its options, and the values in the effect's own order. They are the difference
             of the sensors.
-
-        Raises
-        ------
-        SettingsError
-            Panels of different areas: the effect weighs all alike.
         """
         model = next(one for one in self.models if one.name == name) if name else self.chosen
         values = [float(number) for number in model.fit.value]
@@ -213,13 +208,12 @@ class PanelChoice:
                 "panels": values,
             }
         panels = self.normals[: len(values) // 3]
-        areas = self.areas[: len(panels)] if self.areas else (1.0,)
-        if max(areas) != min(areas):
-            raise SettingsError(
-                f"panels of areas {areas} found, the effect 'solar_array' weighs all alike",
-                remedy="fit with equal areas, or take the model 'two_panels'",
-            )
-        return {"effect": "solar_array", "normals": [list(row) for row in panels], "panels": values}
+        entry: dict[str, object] = {
+            "effect": "solar_array",
+            "normals": [list(row) for row in panels],
+            "panels": values,
+        }
+        return entry | ({"areas": list(self.areas[: len(panels)])} if self.areas else {})
 
 
 def choose_panels(

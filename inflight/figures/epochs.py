@@ -9,7 +9,7 @@ from bokeh.plotting import figure
 from inflight.arrays import Floats
 from inflight.estimators.current_steps import CurrentSteps
 from inflight.estimators.epoch_fits import Stack
-from inflight.estimators.panel_light import schedule
+from inflight.effects.panel_light import schedule
 from inflight.estimators.panels import LocalTimeCourse, PanelModel
 from inflight.figures.style import (
     AFTER,

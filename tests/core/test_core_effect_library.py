@@ -92,6 +92,10 @@ def test_lag_and_width_name_the_derived_channel():
         ({"effect": "orbit_periodic", "order": 0}, "whole number from 1"),
         ({"effect": "function_of_channel", "channel": "coil_temperature", "knots": [3, 1]}, "rising numbers"),
         ({"effect": "solar_array"}, "needs the option 'since'"),
+        ({"effect": "solar_array", "since": "2004-01-01", "areas": [1, 2]}, "areas and no normals"),
+        ({"effect": "solar_array", "normals": [[1, 0, 0], [0, 1, 0]], "areas": [1]}, "for 2 panels"),
+        ({"effect": "solar_array", "normals": [[1, 0, 0], [0, 1, 0]], "areas": [1, -2]}, "0 or more"),
+        ({"effect": "solar_array", "normals": [[1, 0, 0], [0, 1, 0]], "areas": "large"}, "one number"),
         ({"effect": "time_shift", "sensor": "fgm"}, "acts on a scalar sensor, 'fgm' is a vector one"),
         ({"effect": "temperature", "sensor": "ovm"}, "'ovm' is a scalar one"),
         ({"effect": "heading", "sensor": "ovn"}, "did you mean 'ovm'"),
@@ -147,6 +151,25 @@ def test_panels_that_the_sun_does_not_reach_make_no_field():
     assert (dark == 0).all()
     assert np.isfinite(lit).all()
     assert np.abs(lit).max() > 1
+
+
+def test_panels_share_the_current_by_area_times_cosine():
+    truth = true_samples(0)
+    count = truth.sizes["time"]
+    sun = np.tile(np.array([0.6, 0.0, -0.8]), (count, 1))
+    samples = truth.assign(
+        sun_direction=(("time", "axis"), sun, {"units": "1"}),
+        solar_current=("time", np.full(count, 2.0), {"units": "A"}),
+    )
+    entry = {"effect": "solar_array", "normals": [[0, 0, -1], [1, 0, 0], [0, 1, 0]]}
+    panels = [1, 0, 0, 0, 1, 0, 0, 0, 1]
+    alike, unlike, equal = (
+        added(entry | areas | {"panels": panels}, samples)[0]
+        for areas in ({}, {"areas": [1, 4, 9]}, {"areas": [7.0, 7.0, 7.0]})
+    )
+    assert_allclose(alike, [2 * 0.8 / 1.4, 2 * 0.6 / 1.4, 0], atol=1e-9)
+    assert_allclose(unlike, [2 * 0.8 / 3.2, 2 * 2.4 / 3.2, 0], atol=1e-9)
+    assert_allclose(equal, alike, atol=1e-12)
 
 
 def test_a_step_begins_at_its_moment_and_an_episode_ends_before_its_end():

@@ -7,8 +7,8 @@ from bokeh.models import Legend, Whisker
 from bokeh.resources import CDN
 from epoch_cases import epochs_of_days, make_day, steps_of, stored_epochs
 
+from inflight.effects.panel_light import schedule
 from inflight.estimators.epoch_fits import stack
-from inflight.estimators.panel_light import schedule
 from inflight.estimators.panels import against_local_time, choose_panels
 from inflight.estimators.secular import remanent_field, running_mean
 from inflight.estimators.torquer_band import COLUMNS

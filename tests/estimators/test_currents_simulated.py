@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from inflight.effects.panel_light import node_local_time
 from inflight.estimators.current_steps import find_steps
 from inflight.estimators.dipole import dipole_split
 from inflight.estimators.epoch_fits import fit_step
 from inflight.estimators.epochs import Windows, epochs_of, join_epochs
 from inflight.estimators.excursions import find_excursions
-from inflight.estimators.panel_light import node_local_time
 from inflight.estimators.panels import choose_panels
 from inflight.estimators.torquer_band import band_equations, fit_band
 from inflight.geometry import add_geometry

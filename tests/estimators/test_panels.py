@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 from epoch_cases import stored_epochs
 
+from inflight.effects.panel_light import SIDES, TOP, light_on, node_local_time, schedule
 from inflight.effects.registry import effect_class
-from inflight.errors import SamplesError, SettingsError
-from inflight.estimators.panel_light import SIDES, TOP, light_on, node_local_time, schedule
+from inflight.errors import SamplesError
 from inflight.estimators.panels import against_local_time, choose_panels
 
 PANELS = np.array([[0.02, 0.01, -0.01], [-0.01, 0.01, 0.02]])
@@ -115,16 +115,39 @@ def test_the_result_is_the_effect_s_own_values():
     json.dumps(entry)
 
 
-def test_what_the_effect_cannot_say_is_refused():
+def test_panels_of_unequal_areas_are_the_effect_s_own_values_too():
+    random = np.random.default_rng(0)
+    hours = hours_of(20, 15)
+    epochs = stored_epochs(5, days=20)
+    epochs["sun_direction"] = ("epoch", "axis"), sun_of(hours, random)
+    choice = choose_panels(epochs, hours, areas=(7.0, 7.0, 0.6))
+    entry = choice.as_effect("three_panels")
+    assert entry["areas"] == [7.0, 7.0, 0.6]
+    assert choice.as_effect("two_sides")["areas"] == [7.0, 7.0]
+    options = {name: value for name, value in entry.items() if name not in ("effect", "panels")}
+    effect = effect_class("solar_array")(**options)
+    sun = epochs["sun_direction"].values
+    samples = xr.Dataset(
+        {
+            "tt2000": ("time", np.arange(len(sun))),
+            "solar_current": ("time", np.full(len(sun), 2.0), {"units": "A"}),
+            "sun_direction": (("time", "axis"), sun, {"units": "1"}),
+        }
+    )
+    values = np.array(entry["panels"])
+    field = effect.field(samples, {"panels": values}, None)
+    share = light_on(sun, (*SIDES, TOP), (7.0, 7.0, 0.6))
+    assert field == pytest.approx(2.0 * share @ values.reshape(3, 3), abs=1e-9)
+    json.dumps(entry)
+
+
+def test_epochs_that_know_no_place_are_refused_and_the_table_has_units():
     random = np.random.default_rng(0)
     hours = hours_of(20, 15)
     epochs = stored_epochs(5, days=20)
     with pytest.raises(SamplesError, match="local time"):
         choose_panels(epochs)
     epochs["sun_direction"] = ("epoch", "axis"), sun_of(hours, random)
-    choice = choose_panels(epochs, hours, areas=(7.0, 7.0, 0.6))
-    with pytest.raises(SettingsError, match="areas"):
-        choice.as_effect("three_panels")
-    table = choice.table()
+    table = choose_panels(epochs, hours, areas=(7.0, 7.0, 0.6)).table()
     assert table["value"].attrs["units"] == "nT/A"
     assert set(table["model"].values) == {"constant", "two_panels", "two_sides", "three_panels"}

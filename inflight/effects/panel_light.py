@@ -40,18 +40,23 @@ def schedule(local_time: Floats) -> Floats:
         h, of the ascending node. It falls: a cycle begins at 9 h and its quarters, 65.125 of 260.5
         days, end at 3, 21, 15 and 9 h.
     """
-    turn = ((BEGINS - np.asarray(local_time)) % 24.0) / 24.0
-    angle = 0.5 * np.pi * (np.clip(4 * turn - 1, 0.0, 1.0) - np.clip(4 * turn - 3, 0.0, 1.0))
+    return scheduled(((BEGINS - np.asarray(local_time)) % 24.0) / 24.0)
+
+
+def scheduled(turn: Floats) -> Floats:
+    """Return the weights of first and second panel by the turns since a cycle began; (time, 2), of sum 1."""
+    part = np.asarray(turn) % 1.0
+    angle = 0.5 * np.pi * (np.clip(4 * part - 1, 0.0, 1.0) - np.clip(4 * part - 3, 0.0, 1.0))
     light = np.stack([np.sin(angle), np.cos(angle)], axis=1)
     return np.asarray(light / light.sum(axis=1, keepdims=True))
 
 
 def light_on(sun: Floats, normals: npt.ArrayLike, areas: npt.ArrayLike | None = None) -> Floats:
-    """Return the share of each panel in the light; (epoch, panel), of sum 1, 0 where none is lit.
+    """Return the share of each panel in the light; (time, panel), of sum 1, 0 where none is lit.
 
     Parameters
     ----------
-    sun : ndarray, shape (epoch, 3)
+    sun : ndarray, shape (time, 3)
         Unit vector to the Sun, axes of the normals.
     normals : array_like, shape (panel, 3)
     areas : array_like, shape (panel,), optional
