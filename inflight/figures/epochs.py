@@ -7,9 +7,9 @@ from bokeh.models import ColumnDataSource, Range1d, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
+from inflight.effects.panel_light import schedule
 from inflight.estimators.current_steps import CurrentSteps
 from inflight.estimators.epoch_fits import Stack
-from inflight.effects.panel_light import schedule
 from inflight.estimators.panels import LocalTimeCourse, PanelModel
 from inflight.figures.style import (
     AFTER,
