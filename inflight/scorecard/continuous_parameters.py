@@ -21,7 +21,7 @@ _UPDATE = 15
 _ORBIT = 185
 
 
-def ageing(mjd: int) -> float:
+def ageing(mjd: float) -> float:
     """Return by how much |B| grows until the next update by the ageing of the scale factors alone, nT."""
     return float((scale_factors(mjd + _UPDATE) - scale_factors(mjd)).mean() * _STRONG)
 
