@@ -54,12 +54,14 @@ _DRIFT, _SCATTER, _WAVE = -0.00024, 0.2, 0.15
 _FAULT, _CLOCK_SCATTER = (3164, 3167, 0.012), 0.0005
 #: Slopes of Fig. 4.21 by day and by night, nT: in this order their difference has the sign of section 4.3.
 _SLOPES = (0.18, -0.47)
+#: Fewest samples of a day's light or dark part.
+_SIDE = 300
 #: MJD mod 7 of the reset day.
 WEDNESDAY = WEEKDAYS.index("Wednesday")
 
 
 def day_equations(scene: Scene, mjd: float, number: int, seed: int) -> NormalEquations:
-    """Return the normal equations of a day with CHAMP's continuous parameters, in the field of one of DAYS."""
+    """Return the normal equations of a day with CHAMP's parameters of then, in the field of one of DAYS."""
     day = scene.day(DAYS[number % len(DAYS)])
     truth = champ_parameters(mjd)
     cosines = np.cos(np.deg2rad(truth[3:6]))
@@ -186,7 +188,7 @@ def weekday_of_resets(scene: Scene) -> tuple[float, ...]:
 
 
 def fault_of_clock(scene: Scene) -> tuple[float, float, float]:
-    """Return first and last day and size of the only fault found; mean over seeds, NaN where there are more."""
+    """Return first and last day and size of the only fault found; mean over seeds, NaN where more are."""
     days, found = np.arange(2700.5, 3400.5), []
     for seed in range(SEEDS):
         shift = 0.015 + np.random.default_rng([6, seed]).normal(0.0, _CLOCK_SCATTER, days.size)
@@ -200,20 +202,21 @@ def fault_of_clock(scene: Scene) -> tuple[float, float, float]:
 
 def slopes_by_day_and_night(scene: Scene) -> tuple[float, float]:
     """Return the slopes of dB on Bz/F by day and by night of a field that was put in, nT."""
-    found = []
+    sums = np.zeros((2, 2))
     for seed in range(SEEDS):
         for mjd in DAYS:
             day = scene.day(mjd)
             field = _SLOPES[0] * day.sunlit + _SLOPES[1] * (1.0 - day.sunlit)
             noise = np.random.default_rng([7, seed, mjd]).normal(0.0, NOISE, day.sunlit.size)
             left = field * day.direction[:, 2] + noise
-            sides = [day.sunlit == 1.0, day.sunlit == 0.0]
-            # An orbit in full sun has no night to take a slope of.
-            if min(side.sum() for side in sides) > 300:
-                told = [day_statistics(left, day.direction, *day.span, good=side) for side in sides]
-                found.append([float(one["slope"].item()) for one in told])
-    by_day, by_night = np.mean(found, axis=0)
-    return float(by_day), float(by_night)
+            for index, side in enumerate((day.sunlit == 1.0, day.sunlit == 0.0)):
+                # Orbits in full sun have no night to take a slope of.
+                if side.sum() >= _SIDE:
+                    one = day_statistics(left, day.direction, *day.span, good=side)
+                    # A short night sees few directions: its slope says little.
+                    weight = float((one["count"] * one["geometry"]).item())
+                    sums[index] += weight * np.array([float(one["slope"].item()), 1.0])
+    return float(sums[0, 0] / sums[0, 1]), float(sums[1, 0] / sums[1, 1])
 
 
 def time_shift(scene: Scene) -> float:
