@@ -132,6 +132,20 @@ def solve_clusters(
     )
 
 
+def mean_of_clusters(value: Floats, weight: Floats, cluster: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """Return the weighted mean of values and its standard deviation by the scatter between clusters.
+
+    Parameters
+    ----------
+    value, weight : ndarray, shape (row,)
+        The weight is one over the row's variance, up to a factor.
+    cluster : ndarray of int64, shape (row,)
+        Two or more different ones.
+    """
+    fit = solve_clusters(*grams_by_cluster(np.ones((value.size, 1)), value, weight, cluster), fewest=2)
+    return float(fit.value[0]), float(fit.sigma[0])
+
+
 def _student(freedom: int) -> float:
     """Return how many estimated sigmas hold what one true sigma does."""
     return float(student_t.ppf(_ONE_SIGMA, freedom))

@@ -242,7 +242,7 @@ FIGURES = (
         # The same with both panels, times the split's 1.64.
         (0.0035, 0.0136, 0.0024, 0.0038, 0.0145, 0.0026),
         both_panels,
-        why="The estimator returns what was put in; along y, which the field hardly has, 476 steps tell little.",
+        why="The estimator returns what was put in; along y, which e hardly has, steps tell little.",
     ),
     recovered(
         "camera.recovered",

@@ -11,6 +11,7 @@ from inflight.errors import SettingsError
 from inflight.scorecard import (
     continuous_parameters,
     day_and_night,
+    recovered_fields,
     recovered_parameters,
     residual,
     scalar_calibration,
@@ -33,6 +34,7 @@ _MODULES = (
     residual,
     day_and_night,
     recovered_parameters,
+    recovered_fields,
 )
 
 
