@@ -11,7 +11,7 @@ delay and a time constant are one. Where samples are at hand the columns are for
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -252,13 +252,13 @@ def _solved(
     reference: float,
     prior: tuple[float, float, float],
 ) -> CoilFit:
-    """Gauss-Newton on the unknowns; the prior keeps steps short where nothing is told."""
+    """Gauss-Newton on the unknowns, with a prior of 0 for the coefficients and for the change of the lag."""
     sigma = np.repeat(prior, [3, 3, 1])
     value = _without_lag(gram, count, sigma)
     for _ in range(_TURNS):
         fit = solve_clusters(_turned(gram, value), count, sigma)
-        value = value + fit.value
-        if np.all(np.abs(fit.value) <= 1e-3 * fit.sigma):
+        change, value = fit.value - value, fit.value
+        if np.all(np.abs(change) <= 1e-3 * fit.sigma):
             break
     whole = value + np.append(np.zeros(_LAG), lag)
     told = fit.determined & (fit.sigma < 0.5 * sigma)
@@ -294,8 +294,12 @@ def _without_lag(gram: Floats, count: Floats, sigma: Floats) -> Floats:
 
 
 def _turned(gram: Floats, value: Floats) -> Floats:
-    """Return Gram matrices of [slopes | what the values leave, with a minus]; (block, 8, 8)."""
+    """Return Gram matrices of [slopes | residual], linear about the values; (block, 8, 8).
+
+    Their solution is the unknowns themselves, not a change of them, so that a prior holds them at 0.
+    """
     found, slopes = _parameters(value)
+    found = found - slopes @ value
     turn = np.zeros((13, 8))
     turn[:-1, :-1], turn[:-1, -1], turn[-1, -1] = slopes, -found, -1.0
     return np.asarray(turn.T @ gram @ turn)
@@ -327,7 +331,7 @@ def fit_coil_samples(
     at = lag
     for _ in range(_FORMATIONS):
         fit = fit_coil(
-            _formed(blocks, {channel: at}, reference),
+            _formed(blocks, channel, at, reference),
             channel,
             lag=at,
             reference=reference,
@@ -344,11 +348,12 @@ def fit_coil_samples(
     )
 
 
-def _formed(blocks: Sequence[CoilBlock], lag: dict[str, float], reference: float) -> NormalEquations:
+def _formed(blocks: Sequence[CoilBlock], channel: str, lag: float, reference: float) -> NormalEquations:
     made = []
     for block in blocks:
+        own = replace(block, temperature={channel: block.temperature[channel]})
         try:
-            made.append(coil_equations(block, lag, reference))
+            made.append(coil_equations(own, {channel: lag}, reference))
         except CalibrationError:
             continue
     return joined(made)

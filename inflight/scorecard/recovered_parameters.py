@@ -16,6 +16,7 @@ from inflight.calibration import Reference, fit_block
 from inflight.calibration.equations import NormalEquations
 from inflight.estimators.behaviour import slope_of
 from inflight.estimators.clock_faults import clock_faults
+from inflight.estimators.coil_temperature import CoilBlock, fit_coil_samples
 from inflight.estimators.days import tt2000_of
 from inflight.estimators.event_steps import WEEKDAYS, week_pattern
 from inflight.estimators.jumps import table_jumps, trend_jumps
@@ -35,6 +36,7 @@ from inflight.scorecard.scalar_calibration import (
     champ_parameters,
 )
 from inflight.scorecard.scene import DAYS, Scene
+from inflight.time import SECOND
 
 #: Times each injection is repeated, and noise of a sample every 30 s, nT.
 SEEDS, NOISE = 4, 0.1
@@ -56,6 +58,10 @@ _FAULT, _CLOCK_SCATTER = (3164, 3167, 0.012), 0.0005
 _SLOPES = (0.18, -0.47)
 #: Fewest samples of a day's light or dark part.
 _SIDE = 300
+#: Coil: linear (ppm/K) and quadratic (1/K^2) coefficients, lag (s) and reference (degC, chosen).
+_COIL, _QUADRATIC, _LAG, _REFERENCE = (29.6, 30.37, 30.46), 4e-8, 100.0, 10.0
+#: Three times the inverse of the columns' information for the mean over seeds.
+_COIL_SCATTER = (0.081, 0.59, 0.024, 0.45)
 #: MJD mod 7 of the reset day.
 WEDNESDAY = WEEKDAYS.index("Wednesday")
 
@@ -124,7 +130,7 @@ def _jump_of_intervals(scene: Scene, boundary: int) -> float:
                 "value": (("interval", "parameter"), np.array([fit.value for fit in fits])),
                 "start": ("interval", np.array(edges[:2])),
             },
-            coords={"parameter": [f"vector_sensor.{name}" for name in both.columns]},
+            coords={"parameter": both.columns},
         )
         steps.append(float(table_jumps(table).mean[0]))
     return float(np.mean(steps))
@@ -232,10 +238,57 @@ def time_shift(scene: Scene) -> float:
     return float(np.mean(found))
 
 
+def _coil(scene: Scene, seed: int) -> Floats:
+    """Return linear coefficients and lag of a coil's temperature put into parts of the scene's days."""
+    blocks = []
+    for mjd in DAYS:
+        day, count = scene.day(mjd), scene.day(mjd).strength.size // 2
+        seconds = 30.0 * np.arange(2 * count)
+        temperature = [
+            10.0 + 5.0 * np.cos(2.0 * np.pi * at / 5560.0) + 2.0 * np.sin(4.0 * np.pi * at / 5560.0)
+            for at in (seconds, seconds - _LAG)
+        ]
+        change = (temperature[1] - _REFERENCE)[:, None]
+        factor = 1.0 - change * (np.array(_COIL) * 1e-6 + _QUADRATIC * change)
+        noise = np.random.default_rng([9, seed, mjd]).normal(0.0, NOISE, seconds.size)
+        residual = np.linalg.norm(day.field[: 2 * count] / factor, axis=1) - day.strength[: 2 * count] + noise
+        stamps = day.span[0] + (seconds * SECOND).astype(np.int64)
+        for part in (slice(0, count), slice(count, 2 * count)):
+            own = {"coil": temperature[0][part]}
+            blocks.append(CoilBlock(stamps[part], day.field[part], residual[part], own))
+    fit = fit_coil_samples(blocks, "coil", reference=_REFERENCE)
+    return np.append(1e6 * fit.linear, fit.lag[0])
+
+
+def coil(scene: Scene) -> tuple[float, ...]:
+    """Return the mean over seeds of the linear coefficients x, y, z (ppm/K) and the lag (s)."""
+    return tuple(np.mean([_coil(scene, seed) for seed in range(SEEDS)], axis=0))
+
+
 SECTION, TELLS = continuous_parameters.SECTION, residual.SECTION
 _SOURCE = "Yin 2010, section 3.3"
 
 FIGURES = (
+    recovered(
+        "temperature.recovered",
+        "scalar-calibration",
+        "linear temperature coefficients of a coil that swings by 10 K with the orbit, nine parameters free",
+        "ppm/K",
+        "Yin 2010, section 2.4",
+        _COIL,
+        _COIL_SCATTER[:3],
+        lambda scene: scene.once(coil)[:3],
+    ),
+    recovered(
+        "temperature.lag-recovered",
+        "scalar-calibration",
+        "lag of the temperature of the same fits",
+        "s",
+        _SOURCE,
+        _LAG,
+        _COIL_SCATTER[3],
+        lambda scene: scene.once(coil)[3],
+    ),
     recovered(
         "scale-factors.constant-recovered",
         SECTION,

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from bokeh.embed import file_html
+from bokeh.resources import INLINE
 from estimator_cases import polar_field
 
 from inflight.errors import CalibrationError
@@ -14,6 +16,7 @@ from inflight.estimators.coil_temperature import (
     fit_coil_samples,
 )
 from inflight.estimators.rows import joined
+from inflight.figures.coil_temperature import rivals_figure, scale_curves_figure
 from inflight.time import SECOND
 
 #: Yin (2010), sections 2.4 and 3.3: 1/K, 1/K^2, s.
@@ -48,6 +51,13 @@ def block(number, seed=0, *, linear=LINEAR, quadratic=QUADRATIC, lag=LAG, adc=0.
     residual += noise * random.standard_normal(COUNT)
     stamps = (seconds * SECOND).astype(np.int64)
     return CoilBlock(stamps, field, residual, {"coil": coil_at(seconds), "adc": adc_at(seconds)})
+
+
+def plain(parts):
+    """Blocks without the converter's temperature: half the columns."""
+    return [
+        CoilBlock(one.stamps, one.field, one.residual, {"coil": one.temperature["coil"]}) for one in parts
+    ]
 
 
 def blocks(count=14, seed=0, **options):
@@ -85,9 +95,11 @@ def test_normal_equations_give_the_same_to_first_order_in_the_lag():
 
 
 def test_one_sigma_covers_two_thirds():
+    """One formation of the columns, near the lag: what repeats it changes no uncertainty."""
     pulls = []
     for seed in range(24):
-        fit = fit_coil_samples(blocks(10, seed), "coil")
+        parts = [coil_equations(one, {"coil": 90.0}, 20.0) for one in plain(blocks(10, seed))]
+        fit = fit_coil(joined(parts), "coil", lag=90.0)
         truth = np.r_[LINEAR, np.full(3, QUADRATIC), LAG]
         pulls.append((fit.fit.value - truth) / fit.fit.sigma)
     inside = np.abs(pulls) < 1.0
@@ -143,6 +155,16 @@ def test_too_little_is_refused():
         fit_coil(joined([coil_equations(one, {}, 20.0) for one in blocks(6)]), "oven")
     with pytest.raises(CalibrationError, match="no normal equations"):
         fit_coil_samples([], "coil")
+
+
+def test_figures_are_drawn_from_what_was_found():
+    parts = blocks(8)
+    drawn = scale_curves_figure(fit_coil_samples(parts, "coil"), np.linspace(0.0, 16.0, 33))
+    equations = joined([coil_equations(one, {"coil": LAG}, 20.0) for one in parts])
+    rivals = rivals_figure(compare_temperatures(equations, ["coil", "adc"]))
+    assert "lag" in drawn.title.text
+    for plot in (drawn, rivals):
+        assert len(file_html(plot, INLINE)) > 1000
 
 
 def test_the_table_has_units_and_the_whole_covariance():
