@@ -34,3 +34,17 @@ def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
     part = residual[:: max(1, residual.size // _SCALE_SAMPLES)]
     spread = float(np.median(np.abs(part)))
     return max(TO_SIGMA * spread, floor)
+
+
+def biweight(pull: Floats) -> Floats:
+    """Return Tukey's weights of residuals in robust sigmas: 1 at 0, 0 from `BIWEIGHT_WIDTH` on."""
+    return np.asarray(np.clip(1.0 - (pull / BIWEIGHT_WIDTH) ** 2, 0.0, None) ** 2)
+
+
+def biweight_slope(pull: Floats) -> Floats:
+    """Return by how much the influence ``pull * biweight(pull)`` gives way where a residual moves.
+
+    Weights follow the residuals: a fit answers by this slope, not by the weight.
+    """
+    u2 = (pull / BIWEIGHT_WIDTH) ** 2
+    return np.asarray(np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0))

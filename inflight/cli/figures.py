@@ -37,7 +37,7 @@ def figures(
     from inflight.scorecard import SECTIONS, scorecard
 
     found = [report.as_json() for report in scorecard(only or (), section)]
-    counts = {name: _counts(found, printed) for name, printed in (("printed", True), ("expected", False))}
+    counts = {name: _counts(found, name) for name in ("printed", "expected", "recovered")}
 
     def show(console: Console) -> None:
         for name, title in SECTIONS.items():
@@ -57,10 +57,17 @@ def figures(
     session.emit({"command": "figures", "figures": found, "verdicts": counts}, show)
 
 
-def _counts(found: list[dict[str, Any]], printed: bool) -> dict[str, int]:
-    """How often each verdict was given to figures that are printed, or that theory makes one expect."""
-    every = Counter(one["verdict"] for one in found if one["printed"] is printed)
+def _counts(found: list[dict[str, Any]], kind: str) -> dict[str, int]:
+    """How often each verdict was given to figures that are printed, expected by theory, or put in."""
+    every = Counter(one["verdict"] for one in found if _kind(one) == kind)
     return {name: every[name] for name in _COLOURS if every[name]}
+
+
+def _kind(one: dict[str, Any]) -> str:
+    """What was put in proves an estimator, whether its number is printed or not."""
+    if one["basis"] == "recovered_from_injection":
+        return "recovered"
+    return "printed" if one["printed"] else "expected"
 
 
 def _table(found: list[dict[str, Any]]) -> Table:

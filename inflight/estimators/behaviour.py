@@ -9,10 +9,11 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
+from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance, memory_of
 from inflight.estimators.robust_fit import robust_fit
+from inflight.estimators.running import windowed
 
 #: Least part of a window's days that have a value, and how far their mean time may lie from the middle, in
 #: windows: at the ends of a mission and beside a long gap a mean is that of another time.
@@ -69,7 +70,7 @@ def running_mean(
     Parameters
     ----------
     mjd : ndarray, shape (day,)
-        Middles of the days, rising.
+        Middles of the days, rising; days may be missing.
     value : ndarray, shape (day,)
         NaN in gaps.
     window : float
@@ -85,16 +86,13 @@ def running_mean(
     known = np.isfinite(value)
     if not known.any():
         raise CalibrationError("no day has a value", remedy="use a longer span")
-    sums = np.concatenate([[0.0], np.cumsum(np.where(known, value, 0.0))])
-    times = np.concatenate([[0.0], np.cumsum(np.where(known, mjd - mjd[0], 0.0))])
-    counts = np.concatenate([[0], np.cumsum(known)])
-    low = np.searchsorted(mjd, mjd - window / 2, side="left")
-    high = np.searchsorted(mjd, mjd + window / 2, side="right")
-    count = counts[high] - counts[low]
-    share = np.minimum(count / max(2 * np.floor(window / 2) + 1, 1.0), 1.0)
-    safe = np.maximum(count, 1)
-    mean = (sums[high] - sums[low]) / safe
-    lean = (times[high] - times[low]) / safe - (mjd - mjd[0])
+    place = np.rint(mjd - mjd[0]).astype(np.int64)
+    daily, weight = np.full((int(place[-1]) + 1, 1), np.nan), np.zeros(int(place[-1]) + 1)
+    daily[place[known], 0], weight[place[known]] = value[known], 1.0
+    means = windowed(daily, weight, window)
+    mean, count, share, lean = (
+        one[place] for one in (means.mean[:, 0], means.weight, means.coverage, means.lean)
+    )
     inside = (mjd - window / 2 >= mjd[known].min() - 1.0) & (mjd + window / 2 <= mjd[known].max() + 1.0)
     defined = inside & (share >= coverage) & (np.abs(lean) <= _LEAN * window)
     if not defined.any():
@@ -103,7 +101,7 @@ def running_mean(
             remedy="use a shorter window, or a longer span",
         )
     left = _without_repeats(mjd, np.where(defined & known, value - mean, np.nan), window)
-    sigma = np.sqrt(_variance_of_day(left, float(np.ptp(mjd)) / window) / safe)
+    sigma = np.sqrt(_variance_of_day(left, float(np.ptp(mjd)) / window) / np.maximum(count, 1.0))
     nan = np.nan
     return RunningMean(
         mjd, np.where(defined, mean, nan), np.where(defined, sigma, nan), share, float(window), unit
@@ -128,7 +126,7 @@ def _variance_of_day(left: Floats, means: float) -> float:
     known = left[np.isfinite(left)]
     if known.size < _FEWEST:
         return float("nan")
-    spread = TO_SIGMA * float(np.median(np.abs(known - np.median(known))))
+    spread = robust_sigma(known - np.median(known))
     held = np.clip(known, -BIWEIGHT_WIDTH * spread, BIWEIGHT_WIDTH * spread) if spread > 0 else known
     return float(long_run_covariance(held[:, None], means)[0, 0]) / known.size
 

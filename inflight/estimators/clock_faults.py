@@ -9,7 +9,7 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA
+from inflight.calibration.robust import robust_sigma
 from inflight.errors import CalibrationError
 
 #: Days on either side that say what the shift usually is, and the fewest of them.
@@ -137,8 +137,7 @@ def _usual(days: Floats, value: Floats, free: np.ndarray) -> Floats:
 
 def _scatter(left: Floats, own: Floats, free: np.ndarray) -> Floats:
     """Return the standard deviation of a day about the usual: the stated one, widened to the days' own."""
-    pulls = np.abs(left[free] / own[free])
-    return np.asarray(own * max(TO_SIGMA * float(np.median(pulls)), 1.0))
+    return np.asarray(own * robust_sigma(left[free] / own[free], floor=1.0))
 
 
 def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple[int, int, float] | None:
@@ -155,7 +154,7 @@ def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple
         # Shifts that wander make long spans scatter more than their days do; spans with a day that is itself
         # far off tell of no wander.
         calm = np.abs(score[whole & (noisy[length:] == noisy[:-length])])
-        usual = TO_SIGMA * float(np.median(calm)) if calm.size >= _FEWEST else 1.0
+        usual = robust_sigma(calm) if calm.size >= _FEWEST else 1.0
         score = np.where(whole, score / max(usual, 1.0), 0.0)
         at = int(np.argmax(np.abs(score)))
         if best is None or abs(score[at]) > abs(best[2]):

@@ -3,7 +3,9 @@
 A cluster is a day, or a segment of one. Its Gram matrix of [columns | observation] is all that is
 kept of it, so a pass over the archive stores little and every fit is algebra afterwards. The
 covariance is the jackknife over clusters: it assumes nothing about the noise inside one, and leaving
-a cluster out accounts for its leverage, which the plain sandwich of scores does not.
+a cluster out accounts for its leverage, which the plain sandwich of scores does not. Series whose days
+remember each other, such as daily parameters, have `longrun.long_run_covariance` instead: it needs
+many more days than the five that are enough here.
 """
 
 from __future__ import annotations
@@ -57,19 +59,6 @@ class ClusteredFit:
     def sigma(self) -> Floats:
         """Standard deviations; (column,)."""
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
-
-
-def gram_of(columns: Floats, observed: Floats, weight: Floats | None = None) -> Floats:
-    """Return the Gram matrix of [columns | observed]; (column + 1, column + 1).
-
-    Parameters
-    ----------
-    columns : ndarray, shape (row, column)
-    observed, weight : ndarray, shape (row,)
-        The weight is one over the row's variance; 1 when absent.
-    """
-    rows = np.column_stack([columns, observed])
-    return np.asarray(rows.T @ (rows if weight is None else rows * weight[:, None]))
 
 
 def grams_by_cluster(
@@ -141,6 +130,20 @@ def solve_clusters(
         len(filled),
         count,
     )
+
+
+def mean_of_clusters(value: Floats, weight: Floats, cluster: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """Return the weighted mean of values and its standard deviation by the scatter between clusters.
+
+    Parameters
+    ----------
+    value, weight : ndarray, shape (row,)
+        The weight is one over the row's variance, up to a factor.
+    cluster : ndarray of int64, shape (row,)
+        Two or more different ones.
+    """
+    fit = solve_clusters(*grams_by_cluster(np.ones((value.size, 1)), value, weight, cluster), fewest=2)
+    return float(fit.value[0]), float(fit.sigma[0])
 
 
 def _student(freedom: int) -> float:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA
+from inflight.calibration.robust import robust_sigma
 from inflight.errors import SamplesError
 from inflight.time import Int64
 from inflight.units import factor_and_offset
@@ -119,7 +119,7 @@ def robust_contrast(
         if contrast is None:
             return None
         left, _ = contrast.residual(values[kept])
-        limit = _OUTLIER * TO_SIGMA * float(np.median(np.abs(left)))
+        limit = _OUTLIER * robust_sigma(left)
         far = np.abs(left) > max(limit, 1e-12)
         if not far.any():
             break

@@ -16,7 +16,7 @@ import xarray as xr
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA
+from inflight.calibration.robust import robust_sigma
 from inflight.estimators.readings import FEWEST, SIGNIFICANCE, noise_of, readings_of
 from inflight.time import SECOND, Int64
 
@@ -167,7 +167,7 @@ def find_steps(
     lag = min(max(1, round(_SCALE / cadence)), values.size // 4)
     change, apart = _own_change(seconds, values, lag, longest)
     # Two readings differ by the noise of both; noise that is not white shows in the changes themselves.
-    usual = max(np.sqrt(2.0) * noise, TO_SIGMA * float(np.median(np.abs(change))))
+    usual = robust_sigma(change, floor=float(np.sqrt(2.0)) * noise)
     near = maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
     fast = (np.abs(change) > np.maximum(significance * usual, _REST * near)) & (apart <= longest)
     runs = _runs(change, fast, lag)

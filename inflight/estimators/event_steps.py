@@ -9,7 +9,7 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA
+from inflight.calibration.robust import robust_sigma
 from inflight.errors import CalibrationError
 
 #: Days before and after an event whose means are compared, and the part of them that must be there.
@@ -105,7 +105,7 @@ def event_steps(
         raise CalibrationError(
             f"{pulls.size} contrasts away from events, {_FEWEST} are needed", remedy="use a longer span"
         )
-    widened = max(TO_SIGMA * float(np.median(np.abs(pulls))), 1.0)
+    widened = robust_sigma(pulls, floor=1.0)
     error = stated * widened
     chance = 2.0 * stats.t.sf(np.abs(size / error), _tails(pulls))
     return EventSteps(events, size, error, chance, holm(chance), widened, unit)
@@ -234,7 +234,7 @@ def week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "") -> W
     weeks = weeks[np.isfinite(weeks).all(axis=1)]
     if len(weeks) < 10:
         raise CalibrationError(f"{len(weeks)} whole weeks, ten are needed", remedy="use a longer span")
-    most = 8.0 * TO_SIGMA * float(np.median(np.abs(weeks)))
+    most = 8.0 * robust_sigma(weeks.ravel())
     squares = np.minimum(weeks**2, most**2)
     mean, sigma = squares.mean(axis=0), squares.std(axis=0, ddof=1) / np.sqrt(len(weeks))
     draws = np.random.default_rng(seed)

@@ -26,7 +26,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.panel_light import BEGINS, CYCLE, SIDES, TOP, light_on, schedule
 from inflight.errors import SamplesError
-from inflight.estimators.clusters import ClusteredFit, gram_of, grams_by_cluster, solve_clusters
+from inflight.estimators.clusters import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
 from inflight.estimators.epoch_fits import PRIOR, fit_contrasts, weights_of
 from inflight.estimators.epochs import AXES
 from inflight.time import DAY, utc_text
@@ -324,18 +324,9 @@ def _ranked(
     best = min(squares, key=lambda name: float(squares[name].mean()))
     models = []
     for name, fit in fits.items():
-        behind, sigma = _paired(squares[name] - squares[best], day)
+        behind, sigma = mean_of_clusters(squares[name] - squares[best], np.ones(day.size), day)
         models.append(PanelModel(name, fit, float(squares[name].mean()), behind, sigma))
     return tuple(sorted(models, key=lambda one: one.score))
-
-
-def _paired(difference: Floats, day: npt.NDArray[np.int64]) -> tuple[float, float]:
-    """Return the mean of differences and its standard deviation over days."""
-    rows = np.ones((difference.size, 1))
-    gram, count = grams_by_cluster(rows, difference, np.ones_like(difference), day)
-    mean = float(gram_of(rows, difference)[0, 1] / difference.size)
-    change = gram[:, 0, 1] - mean * count
-    return mean, float(np.sqrt(np.sum(change**2) * len(count) / max(len(count) - 1, 1)) / difference.size)
 
 
 def _sentence(models: tuple[PanelModel, ...]) -> str:

@@ -15,7 +15,7 @@ import xarray as xr
 from scipy import optimize
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA
+from inflight.calibration.robust import robust_sigma
 from inflight.errors import CalibrationError
 
 #: Half a turn and a turn of local time of CHAMP's orbit (Yin 2010, section 1.3), and the year; days.
@@ -170,7 +170,7 @@ def parameter_spectrum(
 
 def _wander(value: Floats, sigma: Floats) -> float:
     """Return the variance by which the values scatter beyond their own errors."""
-    spread = TO_SIGMA * float(np.median(np.abs(value - np.median(value))))
+    spread = robust_sigma(value - np.median(value))
     return max(spread**2 - float(np.median(sigma)) ** 2, 0.0)
 
 

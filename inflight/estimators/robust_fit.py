@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
+from inflight.calibration.robust import biweight, biweight_slope, robust_sigma
 from inflight.estimators.longrun import long_run_covariance
 
 _TURNS = 12
@@ -60,12 +60,11 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
         root = np.sqrt(say / sigma2)
         found = np.linalg.lstsq(unit * root[:, None], value * root)[0]
         left = value - unit @ found
-        usual = TO_SIGMA * float(np.median(np.abs(left)))
+        usual = robust_sigma(left)
         extra = max(usual**2 - float(np.median(variance)), 1e-12 * float(np.median(variance)))
-        u2 = (left / BIWEIGHT_WIDTH) ** 2 / (variance + extra)
-        say = np.clip(1.0 - u2, 0.0, 1.0) ** 2
-    # Weights follow the residuals: the fit gives way by the slope of their influence, not by the weight.
-    slope = np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0) / (variance + extra)
+        pull = left / np.sqrt(variance + extra)
+        say = biweight(pull)
+    slope = biweight_slope(pull) / (variance + extra)
     weight = say / (variance + extra)
     bread = np.linalg.inv(_at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit))
     scores = unit * (weight * left)[:, None]

@@ -15,7 +15,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration.equations import RESIDUAL, NormalEquations
-from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
+from inflight.calibration.robust import biweight, robust_sigma
 from inflight.calibration.scalar import SUB_BLOCKS, score_scatter
 from inflight.calibration.sensor import SCALE, UNITS, Reference, kernel_parameters
 from inflight.effects.base import AXES
@@ -147,8 +147,7 @@ def _biweight(rows: Floats, weight: Floats) -> Floats:
         gram = (rows * (weight * found)[:, None]).T @ rows
         change = -gram_inverse(gram[:-1, :-1]) @ gram[:-1, -1]
         rest = rows[:, -1] + rows[:, :-1] @ change
-        reach = BIWEIGHT_WIDTH * robust_sigma(rest, floor=1e-9)
-        found = np.maximum(1.0 - (rest / reach) ** 2, 0.0) ** 2
+        found = biweight(rest / robust_sigma(rest, floor=1e-9))
     return found
 
 

@@ -21,6 +21,7 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
 from inflight.errors import CalibrationError, SamplesError, SettingsError
 from inflight.estimators.clusters import ClusteredFit, solve_clusters
+from inflight.estimators.running import windowed
 from inflight.time import Int64, day_bounds
 
 #: nT/A at the scalar sensor, from the test on ground (Yin 2010: 0.0071 nT/mA).
@@ -28,14 +29,14 @@ ETA = 7.1
 #: Days of the running mean: the local time falls by 24 h.
 WINDOW = 260.0
 AXES = ("x", "y", "z")
-#: How a value came about; codes of `RunningMean.state`.
+#: How a value came about; codes of `CarriedMean.state`.
 STATES = ("whole", "partial", "interpolated", "held")
 #: A window counts as whole from this coverage on.
 _WHOLE = 0.999
 
 
 @dataclass(frozen=True)
-class RunningMean:
+class CarriedMean:
     """Running mean of daily means; every day from the first to the last has a value.
 
     Attributes
@@ -93,10 +94,10 @@ def _by_day(day: Int64) -> xr.Dataset:
     )
 
 
-def running_mean(
+def carried_mean(
     day: Int64, value: Floats, count: Floats, *, window: float = WINDOW, least: float = 0.9
-) -> RunningMean:
-    """Return the centred running mean of daily mean currents.
+) -> CarriedMean:
+    """Return the centred running mean of daily mean currents, carried to the days that have none.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def running_mean(
 
     Returns
     -------
-    RunningMean
+    CarriedMean
         `sigma` holds the scatter of days, ``(1 - coverage)`` times the spread of the daily values in
         the window (the missing part may be any part of the local time's cycle), and the change of the
         mean over the time a value was carried.
@@ -126,14 +127,8 @@ def running_mean(
     """
     daily, weight = _every_day(day, value, count)
     first = int(np.min(day))
-    kernel = _kernel(window)
-    known = np.where(np.isfinite(daily), daily, 0.0)
-    covered = _same(weight, kernel)
-    total = np.maximum(covered, 1e-12)[:, None]
-    mean = np.stack([_same(weight * known[:, i], kernel) for i in range(3)], axis=1) / total
-    square = np.stack([_same(weight * known[:, i] ** 2, kernel) for i in range(3)], axis=1) / total
-    spread = np.sqrt(np.clip(square - mean**2, 0.0, None))
-    coverage = np.clip(covered / kernel.sum(), 0.0, 1.0)
+    means = windowed(daily, weight, window)
+    mean, spread, coverage = means.mean, means.spread, means.coverage
     good = coverage >= least
     if not good.any():
         raise SamplesError(
@@ -142,11 +137,13 @@ def running_mean(
             remedy="take a longer span, a shorter window, or lower 'least'",
         )
     scatter = _scatter_of_days(daily)
-    sigma = np.hypot(scatter / np.sqrt(total), (1.0 - coverage)[:, None] * spread)
+    sigma = np.hypot(
+        scatter / np.sqrt(np.maximum(means.weight, 1e-12))[:, None], (1.0 - coverage)[:, None] * spread
+    )
     state = np.where(coverage >= _WHOLE, 0, 1).astype(np.int8)
     mean, sigma, state = _carried(mean, sigma, state, good, spread[good].max(axis=0))
     days = first + np.arange(daily.shape[0], dtype=np.int64)
-    return RunningMean(days, mean, sigma, coverage, state, daily, window)
+    return CarriedMean(days, mean, sigma, coverage, state, daily, window)
 
 
 def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats]:
@@ -170,23 +167,12 @@ def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats
     return daily, np.minimum(weight / np.median(weight[weight > 0]), 1.0)
 
 
-def _kernel(window: float) -> Floats:
-    """Return the part of each day, counted from the middle one, that the window holds; odd length."""
-    if not window >= 1.0:
-        raise SettingsError(f"a window of {window:g} d found", remedy="take one day or more")
-    half = int(np.ceil(0.5 * window - 0.5))
-    offset = np.arange(-half, half + 1)
-    return np.clip(0.5 * window + 0.5 - np.abs(offset), 0.0, 1.0)
-
-
-def _same(series: Floats, kernel: Floats) -> Floats:
-    """Return the convolution at the places of the series, however short it is."""
-    half = kernel.size // 2
-    return np.asarray(np.convolve(series, kernel)[half : half + series.size])
-
-
 def _scatter_of_days(daily: Floats) -> Floats:
-    """Return the part of the daily values' scatter that neighbours do not share; (3,)."""
+    """Return the part of the daily values' scatter that neighbours do not share; (3,).
+
+    Not the long-run variance of `behaviour.running_mean`: what the currents' days share repeats with the
+    local time, and the window takes it out.
+    """
     steps = np.abs(np.diff(daily, axis=0))
     steps = steps[np.isfinite(steps).all(axis=1)]
     if not len(steps):
@@ -236,12 +222,12 @@ def _change_over(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknow
     return change
 
 
-def remanent_field(mean: RunningMean, *, eta: float = ETA, eta_sigma: float = 0.0) -> xr.Dataset:
+def remanent_field(mean: CarriedMean, *, eta: float = ETA, eta_sigma: float = 0.0) -> xr.Dataset:
     """Return the body's remanent field at the scalar sensor, one interval a day.
 
     Parameters
     ----------
-    mean : RunningMean
+    mean : CarriedMean
     eta, eta_sigma : float
         nT/A at the scalar sensor.
 
@@ -312,7 +298,7 @@ class EtaFit:
         return self.difference / share, self.difference_sigma / abs(share)
 
 
-def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block: int = 60) -> EtaFit:
+def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: CarriedMean, *, block: int = 60) -> EtaFit:
     """Fit dB to ``e.(0, mean I_y, mean I_z)`` and a constant field.
 
     A constant remanent field looks like an offset of the vector sensor, so only the change of the mean
@@ -328,7 +314,7 @@ def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block:
         Of [e_x, e_y, e_z | dB], dB in nT, of each day.
     rows : ndarray, shape (given,)
         Samples behind each.
-    mean : RunningMean
+    mean : CarriedMean
     block : int
         Days of a cluster: at least three times as long as the residual's slow errors last.
 

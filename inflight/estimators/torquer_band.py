@@ -24,7 +24,7 @@ import xarray as xr
 from scipy import signal
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
+from inflight.calibration.robust import biweight, robust_sigma
 from inflight.errors import SamplesError
 from inflight.estimators.clusters import FEWEST_CLUSTERS, ClusteredFit, solve_clusters
 from inflight.time import GAP, SECOND, Int64, day_of
@@ -313,8 +313,8 @@ def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
     mean = float(value[order][np.searchsorted(share, 0.5)])
     for _ in range(10):
         pull = (value - mean) * np.sqrt(own)
-        scatter = max(TO_SIGMA * float(np.median(np.abs(pull))), 1e-12)
-        weight = own * np.clip(1.0 - (pull / scatter / BIWEIGHT_WIDTH) ** 2, 0.0, None) ** 2
+        scatter = robust_sigma(pull, floor=1e-12)
+        weight = own * biweight(pull / scatter)
         mean = float(weight @ value / weight.sum())
     # A day that weighs much pulls the mean to itself: what is left of it is made as large as it was.
     share = weight / weight.sum()

@@ -10,7 +10,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.calibration.equations import RESIDUAL
-from inflight.calibration.robust import TO_SIGMA
+from inflight.calibration.robust import robust_sigma
 from inflight.errors import CalibrationError
 from inflight.model.dependence import Dependence
 from inflight.time import DAY, Int64
@@ -198,7 +198,7 @@ def outlier_weights(distance: Floats) -> Floats:
     if distance.size < _FEWEST:
         return np.ones_like(distance)
     centre = float(np.median(distance))
-    spread = TO_SIGMA * float(np.median(np.abs(distance - centre)))
+    spread = robust_sigma(distance - centre)
     # Distances of few dimensions scatter by at least a part of their size.
     z = (distance - centre) / max(spread, 0.1 * centre, 1e-300)
     return np.asarray(np.clip((_LOST - z) / (_LOST - _FAR), 0.0, 1.0))

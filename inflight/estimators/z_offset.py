@@ -14,7 +14,7 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import BIWEIGHT_WIDTH, TO_SIGMA
+from inflight.calibration.robust import BIWEIGHT_WIDTH, biweight, biweight_slope, robust_sigma
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance
 from inflight.estimators.robust_fit import RobustFit
@@ -99,7 +99,7 @@ def _near(residual: Floats, use: np.ndarray) -> np.ndarray:
     if not use.any():
         return use
     away = np.abs(residual - np.median(residual[use]))
-    return np.asarray(away <= BIWEIGHT_WIDTH * max(TO_SIGMA * float(np.median(away[use])), 1e-9))
+    return np.asarray(away <= BIWEIGHT_WIDTH * robust_sigma(away[use], floor=1e-9))
 
 
 @dataclass(frozen=True)
@@ -198,13 +198,13 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
         slope = np.sum(weight * adjusted * (spread - y)) / np.sum(weight * adjusted * (square - x))
         value = np.array([slope, y - slope * x])
         left = spread - slope * square - value[1]
-        usual = TO_SIGMA * float(np.median(np.abs(left / np.sqrt(total))))
+        usual = robust_sigma(left / np.sqrt(total))
         extra = max(extra + (usual**2 - 1.0) * float(np.median(total)), 0.0)
-        u2 = (left / BIWEIGHT_WIDTH) ** 2 / total
-        say = np.clip(1.0 - u2, 0.0, 1.0) ** 2
+        pull = left / np.sqrt(total)
+        say = biweight(pull)
     tool = np.stack([adjusted + x, np.ones_like(x + adjusted)], axis=1)
     rows = np.stack([square, np.ones_like(square)], axis=1)
-    slopes = np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0) / total
+    slopes = biweight_slope(pull) / total
     bread = np.linalg.inv((tool * slopes[:, None]).T @ rows)
     covariance = bread @ long_run_covariance(tool * (weight * left)[:, None], 2.0) @ bread.T
     # Days near zero offset, few of them, hold the noise: their scatter may be small by chance.
@@ -329,5 +329,5 @@ def noise_of(statistics: xr.Dataset) -> tuple[float, float]:
     The median over days of what the slope on the direction leaves; nT^2.
     """
     rest = statistics["rest"].values
-    spread = TO_SIGMA * float(np.median(np.abs(rest - np.median(rest))))
+    spread = robust_sigma(rest - np.median(rest))
     return float(np.median(rest)), 1.2533 * spread / np.sqrt(max(rest.size, 1))

@@ -21,7 +21,7 @@ _UPDATE = 15
 _ORBIT = 185
 
 
-def ageing(mjd: int) -> float:
+def ageing(mjd: float) -> float:
     """Return by how much |B| grows until the next update by the ageing of the scale factors alone, nT."""
     return float((scale_factors(mjd + _UPDATE) - scale_factors(mjd)).mean() * _STRONG)
 
@@ -147,7 +147,7 @@ FIGURES = (
         0.0390,
         0.00005,
         "needs_mission_data",
-        "A property of CHAMP's residual; tried: geometry, which gives the slope and not the noise.",
+        "A property of CHAMP's residual; tried: put in, see z-offset.regression.",
     ),
     Figure(
         "residual.bounds",
@@ -158,7 +158,7 @@ FIGURES = (
         (1.0, 0.5, 0.1),
         (0.5, 0.05, 0.05),
         "needs_mission_data",
-        "The size of CHAMP's own residual; tried: a simulated mission, whose noise was put in.",
+        "The size of CHAMP's own residual; tried: its last step on noise put in, see distribution.size.",
     ),
     Figure(
         "scale-factors.constant",
@@ -169,7 +169,7 @@ FIGURES = (
         (1.00025304, 1.00111601, 1.00102659),
         5e-9,
         "needs_mission_data",
-        "A fit to eight years of CHAMP; tried: a simulated mission, which returns what was put in.",
+        "A fit to eight years of CHAMP; tried: put in, see scale-factors.constant-recovered.",
     ),
     Figure(
         "scale-factors.logarithm",
@@ -180,7 +180,7 @@ FIGURES = (
         (2.8960e-4, 2.9990e-4, 2.9850e-4),
         5e-9,
         "needs_mission_data",
-        "A fit to eight years of CHAMP; tried: a simulated mission, which returns what was put in.",
+        "A fit to eight years of CHAMP; tried: put in, see scale-factors.logarithm-recovered.",
     ),
     Figure(
         "offsets",
@@ -191,7 +191,7 @@ FIGURES = (
         (26.970, 19.843, 21.625),
         0.0005,
         "needs_mission_data",
-        "Averages over eight years of CHAMP; tried: a simulated mission, which returns what was put in.",
+        "Averages over eight years of CHAMP; tried: put in, see offsets.recovered.",
     ),
     Figure(
         "angles",
@@ -202,7 +202,7 @@ FIGURES = (
         (90.02613, 90.05986, 90.03873),
         5e-6,
         "needs_mission_data",
-        "From the ground, confirmed in flight; tried: a simulated mission, which returns what was put in.",
+        "From the ground, confirmed in flight; tried: put in, see angles.recovered.",
     ),
     Figure(
         "shifts",
@@ -213,6 +213,6 @@ FIGURES = (
         (100.0, 0.015),
         (0.5, 0.0005),
         "needs_mission_data",
-        "Both are fitted to CHAMP; tried: a simulated mission, which returns what was put in.",
+        "Both are fitted to CHAMP; tried: put in, see temperature.lag-recovered and time-shift.recovered.",
     ),
 )

@@ -138,7 +138,7 @@ FIGURES = (
         DAY_NIGHT,
         0.005,
         "needs_mission_data",
-        "CHAMP's own field, read off its dB; tried: nothing but taking it as given in the figures below.",
+        "CHAMP's own field, read off its dB; tried: put in, see day-night.slopes.",
     ),
     Figure(
         "day-night.recovered",

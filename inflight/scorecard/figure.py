@@ -145,3 +145,32 @@ class Report:
 
 def _several(value: Value) -> tuple[float, ...]:
     return value if isinstance(value, tuple) else (value,)
+
+
+def recovered(
+    name: str,
+    section: str,
+    what: str,
+    unit: str,
+    source: str,
+    published: Value,
+    tolerance: Tolerance,
+    obtain: Callable[[Scene], Value],
+    *,
+    printed: bool = True,
+    why: str = "The estimator returns what was put in: this proves it, not the figure.",
+) -> Figure:
+    """Return a figure of basis *recovered from injection*: see `Figure` for what each argument is."""
+    return Figure(
+        name,
+        section,
+        what,
+        unit,
+        source,
+        published,
+        tolerance,
+        "recovered_from_injection",
+        why,
+        obtain,
+        printed,
+    )

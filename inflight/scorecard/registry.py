@@ -11,6 +11,8 @@ from inflight.errors import SettingsError
 from inflight.scorecard import (
     continuous_parameters,
     day_and_night,
+    recovered_fields,
+    recovered_parameters,
     residual,
     scalar_calibration,
     spacecraft_fields,
@@ -25,7 +27,15 @@ SECTIONS = {
     "spacecraft-fields": "Fields of the spacecraft (Yin 2010, section 3.4)",
     "residual": "What the residual tells (Yin 2010, chapter 4)",
 }
-_MODULES = (scalar_calibration, continuous_parameters, spacecraft_fields, residual, day_and_night)
+_MODULES = (
+    scalar_calibration,
+    continuous_parameters,
+    spacecraft_fields,
+    residual,
+    day_and_night,
+    recovered_parameters,
+    recovered_fields,
+)
 
 
 def figures() -> tuple[Figure, ...]:

@@ -227,7 +227,7 @@ FIGURES = (
         0.012,
         0.0005,
         "needs_mission_data",
-        "A fault of CHAMP's clocks; tried: what such a shift does to xz, -3.9 arcsec, see lag.xz-exact.",
+        "A fault of CHAMP's clocks; tried: put in and found, see clock-fault.recovered.",
     ),
     Figure(
         "offset.drift",
@@ -238,6 +238,6 @@ FIGURES = (
         -0.00024,
         0.000005,
         "needs_mission_data",
-        "CHAMP's sensor or body; tried: simulated offsets, which drift as they are told.",
+        "CHAMP's sensor or body; tried: put in, see offset.drift-recovered.",
     ),
 )

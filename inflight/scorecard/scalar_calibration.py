@@ -185,6 +185,6 @@ FIGURES = (
         (29.6, 30.37, 30.46),
         (0.05, 0.005, 0.005),
         "needs_mission_data",
-        "Measured on CHAMP's coil on the ground; tried: observatory sets, which hold other sensors.",
+        "Measured on CHAMP's coil on the ground; tried: put in, see temperature.recovered.",
     ),
 )

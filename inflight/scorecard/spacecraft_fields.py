@@ -10,13 +10,17 @@ from inflight.scorecard.scene import Scene
 
 SECTION = "spacecraft-fields"
 #: Sensors on the boom, m from the assumed dipole (Yin 2010, section 3.4.1).
-_VECTOR, _SCALAR = (4.75, 0.0, 0.0), (6.5, 0.0, 0.0)
+VECTOR, SCALAR = (4.75, 0.0, 0.0), (6.5, 0.0, 0.0)
 #: Torquer matrix of the scalar sensor, its change and the new one, nT/A (Yin 2010, section 3.4.3).
 _MATRIX = np.array([[7.40, -2.60, -2.40], [0.00, -10.70, 0.00], [-0.40, 0.30, -11.60]])
-_CHANGE = np.array([[0.385, 0.134, 0.162], [-0.402, 1.452, -0.199], [0.237, -0.247, 0.232]])
+CHANGE = np.array([[0.385, 0.134, 0.162], [-0.402, 1.452, -0.199], [0.237, -0.247, 0.232]])
+#: Printed errors of the change, row by row.
+CHANGE_ERROR = (0.154, 0.341, 0.035, 0.100, 1.192, 0.140, 0.016, 0.242, 0.139)
 _NEW = np.array([[7.785, -2.466, -2.238], [-0.402, -9.248, -0.199], [-0.163, 0.053, -11.368]])
 #: Its y and z, and the remanent moment's field for the current that compensates it, nT/A (section 3.4.4).
 _TORQUER, _ETA = np.diag(_MATRIX)[1:], 7.1
+#: Fields of both side panels at the vector sensor, nT/A (Fig. 3.6, read off); of the camera in dB, nT/mA.
+PANELS, CAMERA = (0.02, 0.01, -0.01, -0.01, 0.01, 0.02), 0.001
 #: The cycle of local time, and its printed quarter, d (Yin 2010, section 3.4.1).
 _CYCLE = 260.5
 #: Orbit (Yin 2010, section 1.3): inclination in deg, altitudes over the mission in km.
@@ -29,7 +33,7 @@ _LOCAL_TIMES = ((2852, 10.0 + 54.0 / 60.0), (2979, 23.0 + 10.0 / 60.0))
 
 def split_of_boom(scene: Scene) -> tuple[float, ...]:
     """Return what both sensors see of a difference of 1 between them: a dipole on the boom axis."""
-    return dipole_split((1.0, 1.0, 1.0), _VECTOR, _SCALAR).factor
+    return dipole_split((1.0, 1.0, 1.0), VECTOR, SCALAR).factor
 
 
 def remanent_ratios(scene: Scene) -> tuple[float, float]:
@@ -155,10 +159,10 @@ FIGURES = (
         "fields of the two side panels at the vector sensor, x, y, z each",
         "nT/A",
         "Yin 2010, Fig. 3.6, read off",
-        (0.02, 0.01, -0.01, -0.01, 0.01, 0.02),
+        PANELS,
         0.005,
         "needs_mission_data",
-        "Properties of CHAMP's wiring; tried: simulated steps of the current, which return what was put in.",
+        "Properties of CHAMP's wiring; tried: put in, see panels.recovered.",
     ),
     Figure(
         "camera.field",
@@ -166,10 +170,10 @@ FIGURES = (
         "change of dB per current of the star camera",
         "nT/mA",
         "Yin 2010, section 3.4.2",
-        0.001,
+        CAMERA,
         0.0005,
         "needs_mission_data",
-        "CHAMP's wiring, printed without an axis; tried: simulated currents, which return what was put in.",
+        "CHAMP's wiring, printed without an axis; tried: put in, see camera.recovered.",
     ),
     Figure(
         "torquer.new",
@@ -182,7 +186,7 @@ FIGURES = (
         1e-9,
         "derived",
         "The printed sums are right.",
-        lambda scene: tuple((_MATRIX + _CHANGE).ravel()),
+        lambda scene: tuple((_MATRIX + CHANGE).ravel()),
     ),
     Figure(
         "torquer.change",
@@ -190,9 +194,9 @@ FIGURES = (
         "change of the torquer matrix of the scalar sensor, row by row",
         "nT/A",
         "Yin 2010, section 3.4.3",
-        tuple(_CHANGE.ravel().tolist()),
-        (0.154, 0.341, 0.035, 0.100, 1.192, 0.140, 0.016, 0.242, 0.139),
+        tuple(CHANGE.ravel().tolist()),
+        CHANGE_ERROR,
         "needs_mission_data",
-        "Medians of daily fits to CHAMP; tried: simulated torquers, which return what was put in.",
+        "Medians of daily fits to CHAMP; tried: put in, see torquer.recovered.",
     ),
 )

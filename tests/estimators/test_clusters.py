@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import CalibrationError
-from inflight.estimators.clusters import gram_of, grams_by_cluster, solve_clusters
+from inflight.estimators.clusters import grams_by_cluster, solve_clusters
 
 TRUTH = np.array([1.5, -0.7])
 
@@ -62,6 +62,8 @@ def test_too_few_clusters_and_dependent_columns_are_refused():
 def test_weights_count_as_inverse_variances():
     columns, observed, _ = rows_of(3)
     heavy = np.r_[np.full(100, 4.0), np.ones(len(observed) - 100)]
-    assert gram_of(columns, observed, heavy) == pytest.approx(
-        gram_of(columns, observed) + 3 * gram_of(columns[:100], observed[:100])
-    )
+    one, first = np.zeros(len(observed), dtype=np.int64), slice(0, 100)
+    weighted, _ = grams_by_cluster(columns, observed, heavy, one)
+    plain, _ = grams_by_cluster(columns, observed, np.ones_like(observed), one)
+    part, _ = grams_by_cluster(columns[first], observed[first], np.ones(100), one[first])
+    assert weighted == pytest.approx(plain + 3 * part)

@@ -2,8 +2,10 @@
 
 import dataclasses
 import inspect
+import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 from inflight.errors import SettingsError
 from inflight.estimators import crosstalk
 from inflight.scorecard import SECTIONS, Figure, Report, Scene, Within, figures, scorecard, selected
+from inflight.scorecard import recovered_fields as fields_module
 from inflight.scorecard import scalar_calibration as scalar_module
 from inflight.scorecard import spacecraft_fields as spacecraft_module
 
@@ -124,6 +127,23 @@ def test_what_figures_share_is_made_once():
 def figure(**changes) -> Figure:
     plain = Figure("a.b", "residual", "a number", "nT", "somewhere", 1.0, 0.1, "derived", "because")
     return dataclasses.replace(plain, **changes)
+
+
+def test_what_was_tried_is_an_injection_that_is_there():
+    """A figure that needs the mission's data names the figures in which its numbers were put in."""
+    ids = {one.id: one for one in figures()}
+    for one in figures():
+        if one.basis == "needs_mission_data":
+            named = [name for name in ids if re.search(rf"(?<![\w.-]){re.escape(name)}(?![\w-])", one.why)]
+            assert named, one.id
+            assert all(ids[name].basis == "recovered_from_injection" for name in named), one.id
+
+
+def test_an_estimator_that_loses_the_sign_is_contradicted(monkeypatch):
+    right = fields_module.fit_step
+    wrong = lambda epochs: SimpleNamespace(value=-right(epochs).value)  # noqa: E731
+    monkeypatch.setattr(fields_module, "fit_step", wrong)
+    assert scorecard(["camera.recovered"])[0].verdict == "contradicted"
 
 
 def test_a_figure_whose_source_says_too_little_is_not_reproducible():
