@@ -18,27 +18,10 @@ from inflight.diagnosis.library import Term, within_span
 from inflight.effects.base import multiply
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.model import Model
+from inflight.plain import PlainSamples
 
 #: Roles whose reading is a vector.
 _VECTORS = ("vector", "inboard", "outboard")
-
-
-class Samples(dict[str, xr.Variable]):
-    """Samples as plain variables: what an effect reads of a Dataset, without the cost of its indexing."""
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Length of each dimension."""
-        return {"time": int(self["tt2000"].size)}
-
-    def assign(self, **variables: tuple[tuple[str, ...], Floats, dict[str, str]]) -> Samples:
-        """Return the samples with some variables added."""
-        return Samples(self | {name: xr.Variable(*told) for name, told in variables.items()})
-
-    @classmethod
-    def of(cls, dataset: xr.Dataset) -> Samples:
-        """Return the variables of a Dataset."""
-        return cls({str(name): variable for name, variable in dataset.variables.items()})
 
 
 @dataclass(frozen=True)
@@ -154,7 +137,7 @@ def design(terms: Sequence[Term], rows: Rows) -> Floats:
     if not terms:
         return np.zeros((*rows.residual.shape, 0))
     # Effects only look variables up: a thousand columns would spend their time in a Dataset's indexing.
-    light = replace(rows, samples=cast("xr.Dataset", Samples.of(rows.samples)))
+    light = replace(rows, samples=cast("xr.Dataset", PlainSamples.of(rows.samples)))
     found = np.concatenate([np.moveaxis(term_columns(term, light), -1, 0) for term in terms])
     unused = rows.weight <= 0
     if unused.any():

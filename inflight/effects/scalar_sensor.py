@@ -143,7 +143,7 @@ def _bent(values: Values, samples: xr.Dataset) -> Floats:
         bend = (before - 2.0 * here + after) / span**2
         whole = np.isfinite(bend) & (np.abs(span - reach * usual) < 0.5 * usual)
         out[reach:-reach] = np.where(whole, bend, 0.0)
-    return np.asarray(values["half_variance"]) * out
+    return np.asarray(np.broadcast_to(values["half_variance"][..., 0], size.size) * out)
 
 
 def _shifted(values: Values, samples: xr.Dataset) -> Floats:

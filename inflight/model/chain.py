@@ -8,7 +8,7 @@ which is farther from the spacecraft, gives the field that is kept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import xarray as xr
@@ -16,6 +16,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.base import with_field
 from inflight.errors import SamplesError
+from inflight.plain import PlainSamples
 
 if TYPE_CHECKING:
     from inflight.model.entries import ModelEffect
@@ -49,9 +50,10 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     """
     # A field of an earlier correction is none of this one's.
     stale = ["field", "field_direction"]
-    out = samples
+    known = PlainSamples.of(samples)
     if any(role in samples for role in VECTOR_ROLES):
-        out = samples.drop_vars(stale, errors="ignore")
+        known = known.drop_vars(stale)
+    readings: dict[str, tuple[Any, Any, Any]] = {}
     for role in (*VECTOR_ROLES, "scalar"):
         entries = [entry for entry in effects if entry.sensor.role == role]
         if role not in samples:
@@ -62,14 +64,19 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
             continue
         if role in VECTOR_ROLES:
             # The other sensor's field is in the other sensor's axes.
-            out = out.drop_vars(stale, errors="ignore")
+            known = known.drop_vars(stale)
         reading = np.asarray(samples[role].values, dtype=np.float64)
+        # Effects only look variables up: a Dataset would be made anew at every step.
         for entry in entries:
-            reading = entry.effect.correct(reading, out, entry.values(_times(samples)), entry.sensor)
-        out = out.assign({role: (samples[role].dims, reading, samples[role].attrs)})
+            reading = entry.effect.correct(
+                reading, cast("xr.Dataset", known), entry.values(_times(samples)), entry.sensor
+            )
+        readings[role] = (samples[role].dims, reading, samples[role].attrs)
+        known = known.assign({role: readings[role]})
         if role in VECTOR_ROLES:
-            out = with_field(out, reading)
-    return out
+            known = cast("PlainSamples", with_field(cast("xr.Dataset", known), reading))
+    made = {name: known[name] for name in stale if name in known}
+    return samples.drop_vars(stale, errors="ignore").assign({**readings, **made})
 
 
 def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:

@@ -29,6 +29,7 @@ PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "remanent": ("fgm", {}),
     "channel_field": ("fgm", {"channel": "solar_current"}),
     "time_shift": ("ovm", {}),
+    "scalar_response": ("ovm", {}),
     "oscillator": ("ovm", {"channel": "frequency_ratio"}),
     "scalar_bias": ("ovm", {}),
     "heading": ("ovm", {}),

@@ -306,3 +306,23 @@ def test_a_users_own_effect_is_exact_too():
         assert xr.testing.assert_allclose(model.correct(raw)["vector"], truth["vector"], rtol=1e-12) is None
     finally:
         registry._registered.pop("doubling")
+
+
+def test_a_slow_scalar_sensor_reads_the_mean_over_its_response():
+    # A Gaussian response of 0.5 s, on a field that swings as it does along an orbit, sampled each second.
+    count, spread = 4000, 0.5
+    seconds = np.arange(count, dtype=np.float64)
+    rate = 2 * np.pi * 2 / 5580
+    strength = 45_000 + 15_000 * np.cos(rate * seconds)
+    seen = 45_000 + 15_000 * np.cos(rate * seconds) * np.exp(-0.5 * (rate * spread) ** 2)
+    truth = xr.Dataset(
+        {
+            "vector": (("time", "axis"), strength[:, None] * np.array([0.0, 0.6, 0.8])),
+            "scalar": ("time", strength),
+            "tt2000": ("time", (seconds * SECOND).astype(np.int64)),
+        }
+    )
+    raw = one("scalar_response", half_variance=spread**2 / 2).disturb(truth)["scalar"].values
+    inner = slice(40, -40)
+    assert np.abs(seen - strength).max() > 5e-3
+    np.testing.assert_allclose(raw[inner], seen[inner], rtol=0, atol=2e-6)
