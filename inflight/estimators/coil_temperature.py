@@ -435,7 +435,8 @@ def compare_temperatures(
     CalibrationError
         When training blocks are fewer than five.
     """
-    squares, count = {}, equations.dataset["count"].values
+    squares: dict[str, Floats] = {}
+    count = np.asarray(equations.dataset["count"].values, dtype=np.float64)
     for channel in channels:
         gram, rows = _left_of_each(equations, channel, each)
         squares.setdefault(NONE, gram[:, -1, -1] / rows)

@@ -213,7 +213,7 @@ def slopes_by_day_and_night(scene: Scene) -> tuple[float, float]:
         for mjd in DAYS:
             day = scene.day(mjd)
             field = _SLOPES[0] * day.sunlit + _SLOPES[1] * (1.0 - day.sunlit)
-            noise = np.random.default_rng([7, seed, mjd]).normal(0.0, NOISE, day.sunlit.size)
+            noise = np.random.default_rng([27, seed, mjd]).normal(0.0, NOISE, day.sunlit.size)
             left = field * day.direction[:, 2] + noise
             for index, side in enumerate((day.sunlit == 1.0, day.sunlit == 0.0)):
                 # Orbits in full sun have no night to take a slope of.

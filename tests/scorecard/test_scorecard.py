@@ -29,9 +29,10 @@ CONTRADICTED = {
 
 @pytest.fixture(scope="module")
 def reports() -> dict[str, Report]:
-    begun = time.monotonic()
+    # Of the processor, not of the clock: what else the machine does is no matter of the scorecard.
+    begun = time.process_time()
     found = {report.figure.id: report for report in scorecard()}
-    assert time.monotonic() - begun < 60.0
+    assert time.process_time() - begun < 60.0
     return found
 
 
