@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import shutil
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -17,25 +20,65 @@ from inflight.simulate import SimulationSettings, simulate_day
 from inflight.time import day_range
 
 _BATCH = 15
+#: Models that come with the project.
+SHIPPED = Path(__file__).parents[1] / "missions" / "models"
 
 
-def simulated_workspace(folder: Path, days: int, start: str = "2005-01-01") -> Catalog:
-    """Return a workspace whose archive holds so many simulated days; an existing one is kept."""
+def simulated_workspace(
+    folder: Path,
+    days: int,
+    start: str = "2005-01-01",
+    *,
+    settings: SimulationSettings | None = None,
+    model: str = "",
+    workers: int = 2,
+) -> Catalog:
+    """Return a workspace whose archive holds so many simulated days; an existing one is kept.
+
+    Parameters
+    ----------
+    settings : SimulationSettings, optional
+        Everything but the span.
+    model : str
+        File of the shipped models that stands for the pre-flight one.
+    workers : int
+        Processes; 1 stays in this one.
+    """
     if (folder / "mission.yaml").is_file():
         return Catalog(folder)
+    settings = (settings or SimulationSettings()).model_copy(
+        update={"start": dt.date.fromisoformat(start), "days": days}
+    )
     workspace = Workspace.create(folder, "champ")
+    _adapt(folder, settings.cadence, model)
     mission, catalog = workspace.mission(), Catalog(folder)
-    settings = SimulationSettings(start=start, days=days)
     wanted = day_range(start, np.datetime64(start) + np.timedelta64(days, "D"))
     batches = [wanted[at : at + _BATCH] for at in range(0, days, _BATCH)]
     with catalog.run("simulate", {"days": days}) as run:
         jobs = [(folder, run.id, mission.text, settings, batch) for batch in batches]
-        with ProcessPoolExecutor(2, mp_context=get_context("forkserver")) as pool:
-            for segments in pool.map(_write_batch, jobs):
-                for segment in segments:
-                    run.attach(segment)
+        for segments in _spread(jobs, workers):
+            for segment in segments:
+                run.attach(segment)
         run.publish()
     return catalog
+
+
+def _adapt(folder: Path, cadence: int, model: str) -> None:
+    """Let the mission's file tell the cadence of the simulation and the model to start from."""
+    path = folder / "mission.yaml"
+    text = path.read_text(encoding="utf-8").replace("cadence: 1 s", f"cadence: {cadence} s")
+    if model:
+        shutil.copy(SHIPPED / model, folder / "models" / model)
+        text = text.replace("models/champ-preflight.yaml", f"models/{model}")
+    path.write_text(text, encoding="utf-8")
+
+
+def _spread(jobs: list[tuple[Any, ...]], workers: int) -> Iterator[list[Segment]]:
+    if workers < 2:
+        yield from map(_write_batch, jobs)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
+        yield from pool.map(_write_batch, jobs)
 
 
 def _write_batch(job: tuple[Any, ...]) -> list[Segment]:

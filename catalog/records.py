@@ -20,7 +20,7 @@ from inflight.errors import CatalogError
 
 #: The states a day goes through; the last three are ends.
 DAY_STATES: Final = ("planned", "running", "staged", "verified", "published", "failed", "no_work")
-#: Why a day is not there.
+#: Why a day is not there, or, with ``partial``, why not all of it is.
 CAUSES: Final = ("no_work", "repeatable", "partial", "bug", "transient")
 
 #: Begins the note of a store that was found damaged and is not to be used any more.
@@ -49,7 +49,8 @@ class DayData:
     parents : tuple of str
         Lineage ids of what the day was made from.
     report : dict
-        JSON-able; ``coverage`` (0 to 1) and ``gaps`` have a meaning to the catalog's listings.
+        JSON-able; ``coverage`` (0 to 1) and ``gaps`` have a meaning to the catalog's listings, and
+        ``partial`` is the message of a day that was made though something it needs was missing.
     """
 
     day: np.datetime64

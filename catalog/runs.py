@@ -306,7 +306,8 @@ class Run:
 
     def _staged_row(self, session: Session, dataset: int, store: StoreRow, told: SegmentRow) -> DayRow:
         row = self._own_row(session, dataset, as_date(told.day))
-        row.state, row.cause, row.message = "verified", "", ""
+        partial = str(told.report.get("partial", ""))
+        row.state, row.cause, row.message = "verified", "partial" if partial else "", partial
         row.store_id, row.start, row.stop, row.key = store.id, told.start, told.stop, told.key
         row.first_tt2000, row.last_tt2000 = told.first_tt2000, told.last_tt2000
         row.count, row.step_ns, row.report = told.count, told.step_ns, dict(told.report)

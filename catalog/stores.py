@@ -94,7 +94,9 @@ class Store:
     def whole(self, name: str) -> Array:
         """Return the decoded values of a variable without rows."""
         variable = self.variables[name]
-        return variable.encoding.decode(self._chunk(variable, (0,) * len(variable.shape)))
+        values = variable.encoding.decode(self._chunk(variable, (0,) * len(variable.shape)))
+        # A single number is stored as one value.
+        return values if variable.dims else values.reshape(())
 
     def dataset_of_day(self, index: int, names: Sequence[str], start: int, stop: int) -> xr.Dataset:
         """Read rows ``[start, stop)`` of day `index` as a Dataset, with the attributes of that day."""
@@ -206,7 +208,7 @@ def _variable(name: str, metadata: dict[str, Any]) -> StoredVariable:
         raise IntegrityError(f"variable '{name}' has codecs {codecs}, which this version does not write")
     return StoredVariable(
         name=name,
-        dims=tuple(metadata["dimension_names"]),
+        dims=tuple(metadata.get("dimension_names") or ()),
         shape=tuple(metadata["shape"]),
         chunks=tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"]),
         attributes=attributes,

@@ -172,8 +172,7 @@ def _parse(path: Path) -> Mission:
 
 def _companions(source: Path, mission: Mission) -> dict[str, Path]:
     """Return the files a mission names beside itself, by their relative name."""
-    named = [name for name in [mission.preflight, *mission.effects] if name]
-    found = {name: source.parent / name for name in named if not Path(name).is_absolute()}
+    found = {name: source.parent / name for name in mission.companions if not Path(name).is_absolute()}
     for name, path in found.items():
         if ".." in Path(name).parts or not path.is_file():
             raise WorkspaceError(

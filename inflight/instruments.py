@@ -106,6 +106,9 @@ class Channel(Strict):
     resolution: Annotated[float, Field(gt=0)] | None = None
     #: The field follows its channel by this much; negative when it leads.
     lag: Duration = 0
+    #: Readings are averaged over this long, centred: what changes slowly is known better than one reading
+    #: tells, and noise in a channel makes its coefficient too small.
+    smooth: Duration = 0
     #: Readings outside [low, high] are flagged OUT_OF_RANGE and not used.
     range: tuple[float, float] | None = None
     #: Frame of an attitude or a position: itrf, gcrf, nec, gse.

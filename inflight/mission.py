@@ -80,6 +80,8 @@ class ScalarComparison(Strict):
     scalar: str
     #: The instrument whose stamps carry the comparison; the slower of the two when absent.
     base: str | None = None
+    #: Model file this comparison begins with, relative to the mission YAML.
+    preflight: str | None = None
 
     def instruments(self) -> dict[str, str]:
         """Return role in the comparison -> instrument."""
@@ -93,6 +95,7 @@ class DualComparison(Strict):
     inboard: str
     outboard: str
     base: str | None = None
+    preflight: str | None = None
 
     def instruments(self) -> dict[str, str]:
         """Return role in the comparison -> instrument."""
@@ -105,6 +108,7 @@ class SpinComparison(Strict):
     kind: Literal["spin"]
     vector: str
     base: str | None = None
+    preflight: str | None = None
 
     def instruments(self) -> dict[str, str]:
         """Return role in the comparison -> instrument."""
@@ -124,6 +128,7 @@ class PlatformComparison(Strict):
     scalar: str
     vector: str
     base: str | None = None
+    preflight: str | None = None
     #: Hz, lowest and highest: slower is the field of the Earth, faster is noise. The usual band of
     #: aeromagnetic compensation when absent.
     band: Annotated[tuple[float, float], AfterValidator(_rising)] = (0.1, 0.9)
@@ -149,7 +154,8 @@ class Mission(Strict):
     positions: Positions = Positions()
     instruments: dict[str, Instrument]
     comparisons: dict[str, Comparison]
-    #: Model file with the pre-flight calibration, relative to the mission YAML.
+    #: Model file with the pre-flight calibration, relative to the mission YAML; for the comparison it
+    #: names, unless that states one of its own.
     preflight: str | None = None
     events: list[Event] = Field(default_factory=list)
     #: Python files with the user's own effects.
@@ -214,6 +220,12 @@ class Mission(Strict):
     def sha(self) -> str:
         """sha256 of the YAML text."""
         return hashlib.sha256(self._text.encode()).hexdigest()
+
+    @property
+    def companions(self) -> list[str]:
+        """Files the mission names beside itself: pre-flight models and effects."""
+        models = [self.preflight, *(comparison.preflight for comparison in self.comparisons.values())]
+        return list(dict.fromkeys([*filter(None, models), *self.effects]))
 
     def files(self, instrument: str) -> Files:
         """Return how an instrument's files are found; `same_as` is resolved, its own options win."""

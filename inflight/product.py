@@ -11,8 +11,10 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
 from inflight.calibration.sensor import Reference, split_chain, usable
 from inflight.effects.base import strength
-from inflight.errors import ModelError
-from inflight.flags import Flag, meanings
+from inflight.errors import ModelError, SamplesError
+from inflight.estimators.distribution import Distribution
+from inflight.estimators.distribution import distribute as distribute_residual
+from inflight.flags import UNUSABLE, Flag, meanings
 from inflight.geometry import latitude_longitude, rotate, to_nec
 from inflight.model import Model
 from inflight.time import to_utc
@@ -30,7 +32,14 @@ class Parameters:
     noise: float
 
 
-def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model) -> xr.Dataset:
+def level2(
+    model: Model,
+    samples: xr.Dataset,
+    parameters: Parameters,
+    raw: Model,
+    widening: Floats | None = None,
+    distribute: bool | None = None,
+) -> xr.Dataset:
     """Return the level-2 product of one day.
 
     Parameters
@@ -44,6 +53,11 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
         For uncertainties and flags.
     raw : Model
         The pre-flight model, for the residual before calibration.
+    widening : ndarray, shape (time, axis), optional
+        What missing channels add to the variance, nT^2, sensor axes: see `inflight.substitution`.
+    distribute : bool, optional
+        The slow part of the residual, laid along the field (Yin 2010, eq. 3.7): True takes it out, False
+        only tells it, None leaves it out. It hides what the model does not know; its size is in the product.
 
     Returns
     -------
@@ -51,7 +65,9 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
         `field_sensor`, `field_spacecraft`, `field_nec` (time, axis) nT; `scalar` (time) nT;
         `residual`, `residual_preflight` (time) nT, |B_vector| - F; ``correction_<effect>`` nT, what
         was taken out (vector sensors: orthogonal axes of the sensor; scalar sensors: along the
-        field); `uncertainty` (time, axis) nT, 1 sigma, sensor axes; `flag` (time) uint32;
+        field); ``correction_distribution`` (time, axis) nT, sensor axes, when asked for, with
+        attribute `applied`; `uncertainty` (time, axis) nT, 1 sigma, sensor axes, NaN where a missing
+        channel makes it unknown; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """
     corrected = model.correct(samples)
@@ -60,6 +76,9 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
     residual = strength(corrected) - scalar
     reading, additive, _ = split_chain(model, samples)
     flag = _quality(samples, reading, additive, scalar, residual, parameters)
+    spread = _distribution(field, residual, samples, flag) if distribute is not None else None
+    if spread is not None and distribute:
+        field = field - spread.correction
     sensor = next(entry.sensor for entry in model.effects if entry.sensor.role == "vector")
     body = rotate(field, np.asarray(sensor.orientation))
     variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]] = {
@@ -72,7 +91,11 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
             raw.residual(samples)[:, 0],
             _told("|B_vector| - F with the pre-flight model"),
         ),
-        "uncertainty": (_VECTOR, _uncertainty(reading, parameters), _told("one sigma", "sensor")),
+        "uncertainty": (
+            _VECTOR,
+            _widened(_uncertainty(reading, parameters), widening),
+            _told("one sigma", "sensor"),
+        ),
     }
     for name, term in model.correction_terms(corrected).items():
         dims = _VECTOR if term.ndim == 2 else _SCALAR
@@ -81,12 +104,27 @@ def level2(model: Model, samples: xr.Dataset, parameters: Parameters, raw: Model
             term,
             _told(f"taken out of the reading: {name}", "sensor" if term.ndim == 2 else ""),
         )
+    if spread is not None:
+        told = _told("slow part of the residual along the field (Yin 2010, eq. 3.7)", "sensor")
+        told |= {"applied": "yes" if distribute else "no", "period_s": spread.period, "rms_nT": spread.rms}
+        variables["correction_distribution"] = (_VECTOR, spread.correction, told)
     flag = _geometry(variables, samples, body, flag)
     masks, names = meanings()
     out = xr.Dataset(variables, coords={"axis": ["x", "y", "z"]}, attrs={"comparison": model.comparison})
     out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
     out["tt2000"] = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
     return out
+
+
+def _distribution(
+    field: Floats, residual: Floats, samples: xr.Dataset, flag: np.ndarray[tuple[int], np.dtype[np.uint32]]
+) -> Distribution | None:
+    """Return what (3.7) would take out; None where samples are too slow for its filter."""
+    good = (flag & np.uint32(UNUSABLE | Flag.OUTLIER)) == 0
+    try:
+        return distribute_residual(field, residual, np.asarray(samples["tt2000"].values), good)
+    except SamplesError:
+        return None
 
 
 def _told(what: str, frame: str = "") -> dict[str, object]:
@@ -145,6 +183,10 @@ def _uncertainty(reading: Floats, known: Parameters) -> Floats:
     return np.sqrt(np.maximum(out, 0.0) + known.noise**2)
 
 
+def _widened(sigma: Floats, variance: Floats | None) -> Floats:
+    return sigma if variance is None else np.sqrt(sigma**2 + variance)
+
+
 def _geometry(
     variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]],
     samples: xr.Dataset,
@@ -190,5 +232,12 @@ def day_parameters(table: xr.Dataset, tt2000: int, reference: Reference) -> Para
         np.asarray(row["value"].values, dtype=np.float64),
         np.asarray(row["covariance"].values, dtype=np.float64),
         bool(np.all(row["determined"].values[free])),
-        float(row["after"]),
+        _noise(table, row),
     )
+
+
+def _noise(table: xr.Dataset, row: xr.Dataset) -> float:
+    """Return the noise that holds; the median of the others' where an interval's own data tell none."""
+    after = table["after"].values
+    own, known = float(row["after"]), after[np.isfinite(after)]
+    return own if np.isfinite(own) or not known.size else float(np.median(known))

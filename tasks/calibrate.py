@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,12 @@ import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from inflight.alignment import FIELD_ROLES
+from inflight.arrays import Floats
 from inflight.calibration import (
     BlockFit,
     NormalEquations,
     Reference,
+    empty_block,
     fit_block,
     reference_of,
     split_chain,
@@ -24,7 +26,7 @@ from inflight.calibration import (
 from inflight.catalog import Catalog, DayData, Segment, write_segment
 from inflight.catalog.runs import cause_of
 from inflight.errors import CalibrationError, InflightError
-from inflight.flags import tally
+from inflight.flags import UNUSABLE, Flag, tally
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
@@ -108,7 +110,10 @@ def calibrate_batch(
 
 
 def make_days(
-    cat: Catalog, job: Job, make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]]
+    cat: Catalog,
+    job: Job,
+    make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]],
+    together: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
 ) -> Outcome:
     """Make each day of a batch, on one BLAS thread, and write those that succeed as one segment.
 
@@ -120,6 +125,8 @@ def make_days(
         The batch.
     make : callable
         Returns the dataset and the report of a day.
+    together : callable, optional
+        Makes the datasets of the days fit for one store.
 
     Returns
     -------
@@ -136,8 +143,33 @@ def make_days(
                 continue
             made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
         if made:
+            fit = together([one.dataset for one in made])
+            made = [replace(one, dataset=dataset) for one, dataset in zip(made, fit, strict=True)]
             outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
     return outcome
+
+
+@dataclass(frozen=True)
+class FittedDay:
+    """A day's samples and its own fit.
+
+    Attributes
+    ----------
+    samples : xarray.Dataset
+    fit : BlockFit
+    at : Reference
+        What the equations are expressed at.
+    step : int
+        Usual spacing of the samples, ns.
+    report : dict
+        What was used and what came of it.
+    """
+
+    samples: xr.Dataset
+    fit: BlockFit
+    at: Reference
+    step: int
+    report: dict[str, Any]
 
 
 def calibrate_day(
@@ -151,25 +183,134 @@ def calibrate_day(
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's normal equations with its fit, and a report of what was used.
 
+    A day whose fields were measured and whose housekeeping was not leaves empty equations: it tells
+    nothing of the parameters, and gets its product with those of the days around.
+
+    Raises
+    ------
+    CalibrationError
+        As `fit_day`.
+    """
+    begun = _Begun.of(cat, mission, model, day, job, reference)
+    done = begun.without_fit() if begun.lacks_channels(min_coverage) else begun.fitted(min_coverage)
+    attributes = {
+        "comparison": model.comparison,
+        "model": model.sha,
+        "cadence_ns": done.step,
+        "filter": "raw",
+    }
+    equations = NormalEquations.from_fit(done.fit, done.at, day_bounds(day), attributes)
+    return equations.dataset.assign(fit_variables(done.fit)), done.report
+
+
+def fit_day(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    job: Job,
+    reference: Sequence[float] | None,
+    min_coverage: float,
+) -> FittedDay:
+    """Read a day's samples and fit the nine parameters to them.
+
     Raises
     ------
     CalibrationError
         When too few samples are usable, fewer than `min_coverage`, or the fit does not settle.
     """
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
-    start, end = day_bounds(day)
-    prior = reference_of(model, (start + end) // 2)
-    at = (
-        prior
-        if reference is None
-        else Reference(np.asarray(reference, dtype=np.float64), prior.sigma, prior.name)
-    )
-    reading, additive, scalar = split_chain(model, samples)
-    good = usable(samples, reading, additive, scalar)
-    cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
-    step = int(np.median(np.diff(samples["tt2000"].values))) if samples.sizes["time"] > 1 else cadence
-    coverage = float(good.sum() * step / (end - start))
-    if good.sum() <= len(prior.value):
+    return _Begun.of(cat, mission, model, day, job, reference).fitted(min_coverage)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """A day's samples before the fit: split as `split_chain` does, and which are usable; `step` in ns."""
+
+    job: Job
+    day: np.datetime64
+    samples: xr.Dataset
+    prior: Reference
+    at: Reference
+    parts: tuple[Floats, Floats, Floats]
+    good: np.ndarray[Any, np.dtype[np.bool_]]
+    step: int
+    shared: bool
+
+    @classmethod
+    def of(
+        cls,
+        cat: Catalog,
+        mission: Mission,
+        model: Model,
+        day: np.datetime64,
+        job: Job,
+        reference: Sequence[float] | None,
+    ) -> _Begun:
+        samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
+        start, end = day_bounds(day)
+        prior = reference_of(model, (start + end) // 2)
+        at = (
+            prior
+            if reference is None
+            else Reference(np.asarray(reference, dtype=np.float64), prior.sigma, prior.name)
+        )
+        parts = split_chain(model, samples)
+        cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
+        step = int(np.median(np.diff(samples["tt2000"].values))) if samples.sizes["time"] > 1 else cadence
+        good = usable(samples, *parts)
+        return cls(job, day, samples, prior, at, parts, good, step, reference is not None)
+
+    def lacks_channels(self, min_coverage: float) -> bool:
+        """Return True when the fields suffice for a fit, and only missing channels forbid it."""
+        least = self.prior.value.size
+        flag = self.samples["flag"].values & np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
+        fields = [np.asarray(self.samples[role].values, dtype=np.float64) for role in ("vector", "scalar")]
+        there = (flag == 0) & np.isfinite(fields[0].sum(axis=1)) & (fields[1] > 0)
+        enough = there.sum() > least and self._coverage(there) >= min_coverage
+        return bool(enough and (self.good.sum() <= least or self._coverage(self.good) < min_coverage))
+
+    def fitted(self, min_coverage: float) -> FittedDay:
+        """Fit the day; raises as `fit_day`."""
+        coverage, prior = self._coverage(self.good), self.prior
+        _require(self.good, coverage, min_coverage, len(prior.value), self.job, self.samples, self.day)
+        sub_blocks = sub_blocks_for(self.good.sum() * self.step / SECOND)
+        fit = fit_block(*self.parts, self.good, self.at, prior, sub_blocks)
+        return self._told(fit, coverage, {"before_nT": fit.before, "after_nT": fit.after})
+
+    def without_fit(self) -> FittedDay:
+        """Return the day as one that tells nothing."""
+        return self._told(empty_block(self.at, self.prior), 0.0, {})
+
+    def _told(self, fit: BlockFit, coverage: float, residual: dict[str, float]) -> FittedDay:
+        scalar = self.parts[2][self.good] if fit.used else self.samples["scalar"].values
+        report = {
+            "coverage": coverage,
+            "used": fit.used,
+            "passes": fit.passes,
+            **residual,
+            "reference": self.at.value.tolist(),
+            "shared": self.shared,
+            "strength_nT": float(np.nanmedian(scalar)),
+            "seconds": self.samples.sizes["time"] * self.step / SECOND,
+        }
+        return FittedDay(self.samples, fit, self.at, self.step, report)
+
+    def _coverage(self, rows: np.ndarray[Any, np.dtype[np.bool_]]) -> float:
+        start, end = day_bounds(self.day)
+        return float(rows.sum() * self.step / (end - start))
+
+
+def _require(
+    good: np.ndarray[Any, np.dtype[np.bool_]],
+    coverage: float,
+    min_coverage: float,
+    parameters: int,
+    job: Job,
+    samples: xr.Dataset,
+    day: np.datetime64,
+) -> None:
+    """Raise `CalibrationError` when a day has too few usable samples."""
+    if good.sum() <= parameters:
         told = tally(samples["flag"].values) or "a channel the model needs is missing"
         raise CalibrationError(
             f"{int(good.sum())} of {good.size} samples are usable, nine parameters need more; {told}",
@@ -182,22 +323,6 @@ def calibrate_day(
             remedy="lower 'min_coverage' or exclude the day",
             **_poorest(job, samples, day),
         )
-    parts = sub_blocks_for(good.sum() * step / SECOND)
-    fit = fit_block(reading, additive, scalar, good, at, prior, parts)
-    attributes = {"comparison": model.comparison, "model": model.sha, "cadence_ns": step, "filter": "raw"}
-    equations = NormalEquations.from_fit(fit, at, (start, end), attributes)
-    report = {
-        "coverage": coverage,
-        "used": fit.used,
-        "passes": fit.passes,
-        "before_nT": fit.before,
-        "after_nT": fit.after,
-        "reference": at.value.tolist(),
-        "shared": reference is not None,
-        "strength_nT": float(np.median(scalar[good])),
-        "seconds": samples.sizes["time"] * step / SECOND,
-    }
-    return equations.dataset.assign(_fit_variables(fit)), report
 
 
 def _poorest(job: Job, samples: xr.Dataset, day: np.datetime64) -> dict[str, str]:
@@ -219,7 +344,7 @@ def _poorest(job: Job, samples: xr.Dataset, day: np.datetime64) -> dict[str, str
     }
 
 
-def _fit_variables(fit: BlockFit) -> dict[str, tuple[tuple[str, ...], np.ndarray[Any, Any]]]:
+def fit_variables(fit: BlockFit) -> dict[str, tuple[tuple[str, ...], np.ndarray[Any, Any]]]:
     """Return the exact fit of the block beside its equations; the residual's column is empty."""
     width = fit.value.size + 1
     covariance = np.full((1, width, width), np.nan)

@@ -195,9 +195,12 @@ class DerivedChannels:
 
     def _filled(self, day: np.datetime64, channel: str) -> Floats:
         values = self.reader.day(day)[channel]
-        if channel not in self.told or values.ndim > 1:
-            return np.where(np.isfinite(values), values, 0.0)
-        return np.where(np.isfinite(values), values, self.told[channel].mean)
+        return np.where(np.isfinite(values), values, stands_in(self.told, channel))
+
+
+def stands_in(told: Mapping[str, Told], channel: str) -> float:
+    """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
+    return told[channel].mean if channel in told else 0.0
 
 
 def as_variables(

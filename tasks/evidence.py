@@ -30,12 +30,12 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
 from inflight.tasks.calibrate import Job, Outcome, make_days
-from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of
+from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 11
+EVIDENCE_VERSION = 12
 #: Days lose the bins without geometry when these are at most this part of them.
 _GEOMETRY_GAPS = 0.3
 #: Rows of the series are at least so far apart in long records, seconds.
@@ -157,7 +157,8 @@ def block_evidence(
     for more_raw, more_white, _, more in found[1:]:
         raw, white = _summed(raw, more_raw), _summed(white, more_white)
         total = {name: total[name] + more[name] for name in total}
-    series, features = _series(made, raw, [one[2] for one in found])
+    kept = [_as_recorded(one[2], derived.reader.day(day)) for one, day in zip(found, days, strict=True)]
+    series, features = _series(made, raw, kept)
     dataset = raw.as_dataset().assign(gram_white=white.as_dataset()["gram"])
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
     if made.within_blocks:
@@ -169,6 +170,16 @@ def block_evidence(
         packed = within.as_dataset()["gram"].rename(entry="entry_within")
         dataset = dataset.assign(gram_within=packed)
     return dataset.assign_attrs(cadence_ns=made.cadence_ns), total
+
+
+def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
+    """Return rows whose channels are missing where they were not recorded; a series tells where that was."""
+    samples = {
+        name: rows.samples[name].copy(data=values)
+        for name, values in recorded.items()
+        if name in rows.samples and rows.samples[name].shape == values.shape
+    }
+    return replace(rows, samples=rows.samples.assign(samples))
 
 
 def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
@@ -343,7 +354,12 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         raw[0].joined(raw[1:]),
         white[0].joined(white[1:]),
         within,
-        Series.of(packed, starts, features),
+        Series.of(
+            packed,
+            starts,
+            features,
+            {need.name: stands_in(made.told, need.name) for need in made.channel_needs},
+        ),
         sums,
         _floor_of([day.report for day in ordered]),
         Outliers.of([day.report for day in ordered], made.keep_bursts),

@@ -51,7 +51,9 @@ def _source(workspace: Path, name: str) -> EffectSource:
 
 
 def preflight_model(cat: Catalog, mission: Mission, comparison: str = "main") -> Model:
-    """Return the mission's pre-flight model, or that of ideal sensors when the comparison has none.
+    """Return a comparison's pre-flight model, or that of ideal sensors when it has none.
+
+    Its own file goes before the mission's, which is for the comparison that file names.
 
     Raises
     ------
@@ -61,16 +63,25 @@ def preflight_model(cat: Catalog, mission: Mission, comparison: str = "main") ->
         When it is wrong.
     """
     own = effect_sources(cat, mission)
-    if mission.preflight is None:
+    stated = mission.comparisons[comparison].preflight
+    name = stated or mission.preflight
+    if name is None:
         return ideal_model(mission, comparison, own)
-    path = Path(cat.workspace) / mission.preflight
+    key = f"comparisons.{comparison}.preflight" if stated else "preflight"
+    path = Path(cat.workspace) / name
     if not path.is_file():
         raise MissionError(
-            f"preflight: there is no file {mission.preflight!r}",
+            f"{key}: there is no file {name!r}",
             file="mission.yaml",
             remedy="put it there, or leave the key out to start from an ideal sensor",
         )
-    model = Model.parse(path.read_text(encoding="utf-8"), mission, mission.preflight, own)
+    model = Model.parse(path.read_text(encoding="utf-8"), mission, name, own)
+    if stated and model.comparison != comparison:
+        raise MissionError(
+            f"{key}: {name!r} is a model of comparison '{model.comparison}'",
+            file="mission.yaml",
+            remedy=f"write 'comparison: {comparison}' into the model, or name another file",
+        )
     return model if model.comparison == comparison else ideal_model(mission, comparison, own)
 
 

@@ -26,6 +26,10 @@ class Need:
         What is made of the channel: a slow response or a play, which need earlier data.
     products : tuple of str
         Products of channels that the series is a factor of.
+    smooth_ns : int
+        Readings are averaged over this long, centred.
+    replaceable : bool
+        A typical value may stand in where the channel is missing: see `replaceable_needs`.
     """
 
     name: str
@@ -35,6 +39,8 @@ class Need:
     lag_ns: int = 0
     part: Part | None = None
     products: tuple[str, ...] = ()
+    smooth_ns: int = 0
+    replaceable: bool = False
 
     @property
     def dataset(self) -> str:
@@ -49,8 +55,12 @@ class Need:
     @property
     def days_before(self) -> int:
         """Days before its own that a day of the series is made from."""
-        reach = self.history_ns + MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns)
-        return max(1, -(-reach // DAY))
+        return max(1, -(-(self.history_ns + self.margin_ns) // DAY))
+
+    @property
+    def margin_ns(self) -> int:
+        """How much of the neighbouring days a day is made with."""
+        return MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
 
 
 def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -90,6 +100,23 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         )
     wanted = used | {name for name in extra if set(known.bases(name)) <= known.names}
     return needs + known.needs(wanted)
+
+
+def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> list[Need]:
+    """Return needs, those marked whose typical value may stand in: what the model's effects are made from.
+
+    Attitudes and positions have no typical value, and fields are what it is all about.
+    """
+    used = {
+        part.name for entry in model.effects for name in entry.effect.channels for part in parse(name).parts
+    }
+    used |= {channel for entry in model.effects for channel in entry.effect.channels}
+    out = []
+    for need in needs:
+        kind = mission.instruments[need.instrument].channels[need.channel].kind
+        typical = need.channel != "field" and kind not in ("attitude", "position")
+        out.append(replace(need, replaceable=typical and need.name in used))
+    return out
 
 
 def geometry_channels(mission: Mission) -> list[str]:
@@ -144,7 +171,8 @@ class _Known:
         instrument, channel = self.homes[name]
         home = self.mission.instruments[instrument]
         called = part.name if part else name
-        return Need(called, instrument, channel, home.cadence, home.channels[channel].lag, part, products)
+        told = home.channels[channel]
+        return Need(called, instrument, channel, home.cadence, told.lag, part, products, told.smooth)
 
 
 def position_channel(mission: Mission) -> str:

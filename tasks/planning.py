@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -14,8 +15,17 @@ from inflight.errors import CatalogError, MissionError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import EQUATIONS_VERSION
+from inflight.tasks.chain import CHAIN_VERSION, Witnesses
 from inflight.tasks.models import UsedModel, current_model
-from inflight.tasks.samples import ArchiveIndex, Need, base_role, geometry_channels, needs_of
+from inflight.tasks.needs import replaceable_needs
+from inflight.tasks.samples import (
+    STAND_IN_DAYS,
+    ArchiveIndex,
+    Need,
+    base_role,
+    geometry_channels,
+    needs_of,
+)
 from inflight.time import DayLike, as_day, day_range
 
 ONE_DAY = np.timedelta64(1, "D")
@@ -29,23 +39,42 @@ class ReprocessSettings(BaseModel):
     comparison : str
         Entry of the mission's `comparisons`.
     table : str
-        Which table the products take: each day's own fit, windows of `window_days`, or one for the
-        whole span.
+        Which table the products take: each day's own fit, windows of `window_days`, one for the whole
+        span, or ``continuous``: everything the model lets data move, fitted to all days at once, with
+        scale factors that follow a trend in time.
     window_days : int
         Length of a window; windows lie on a fixed grid from 2000-01-01.
     batch_days : int
         Days of one segment and one worker's task; it bounds the memory.
     min_coverage : float
         Part of a day that must be usable for a fit; with priors in place even little data does no harm.
+    trend : str
+        Of the scale factors in ``continuous``; ``auto`` compares them on held-out days.
+    origin : date, optional
+        Of a logarithmic trend; fitted when absent.
+    mean_days : float
+        Window of the torquers' running mean in ``continuous``, days.
+    distribute : bool
+        In ``continuous``, take the slow part of the residual out of the field (Yin 2010, eq. 3.7): the last
+        step, which hides what the model does not know. Products tell its size either way.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     comparison: str = "main"
-    table: Literal["daily", "window", "span"] = "window"
+    table: Literal["daily", "window", "span", "continuous"] = "window"
     window_days: int = Field(15, ge=1, le=3660)
     batch_days: int = Field(10, ge=1, le=60)
     min_coverage: float = Field(0.0, ge=0.0, le=1.0)
+    trend: Literal["auto", "constant", "linear", "parabola", "log", "spline"] = "auto"
+    origin: dt.date | None = None
+    mean_days: float = Field(260.0, gt=0.0)
+    distribute: bool = False
+
+    @property
+    def is_chain(self) -> bool:
+        """True when all days are fitted at once."""
+        return self.table == "continuous"
 
 
 @dataclass(frozen=True)
@@ -83,7 +112,7 @@ class Plan:
     @property
     def equations(self) -> str:
         """Dataset of the normal equations."""
-        return equations_of(self.settings.comparison)
+        return equations_of(self.settings.comparison, self.settings.is_chain)
 
     @property
     def product(self) -> str:
@@ -120,7 +149,9 @@ def plan(
     settings = settings or ReprocessSettings()
     _check_comparison(mission, settings.comparison)
     used = current_model(cat, mission, settings.comparison)
-    needs = tuple(needs_of(mission, used.model, geometry_channels(mission)))
+    seen = Witnesses.of(mission).names if settings.is_chain else ()
+    wanted = needs_of(mission, used.model, [*geometry_channels(mission), *seen])
+    needs = tuple(replaceable_needs(mission, used.model, wanted))
     index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
     there = [day for day in index.with_all(needs) if _within(day, start, end)]
     if not there:
@@ -131,7 +162,7 @@ def plan(
     asked = day_range(start or there[0], end or there[-1] + ONE_DAY)
     context = cat.save_context(mission.text, used.model.name, used.version, {})
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
-    equations = equations_of(settings.comparison)
+    equations = equations_of(settings.comparison, settings.is_chain)
     keys = {
         day: _key(
             equations, day, context, [source.key for source in index.sources(needs, day, base)], settings
@@ -157,9 +188,9 @@ def plan(
     )
 
 
-def equations_of(comparison: str) -> str:
-    """Return the dataset of a comparison's normal equations."""
-    return f"equations/{comparison}/base"
+def equations_of(comparison: str, chain: bool = False) -> str:
+    """Return the dataset of a comparison's normal equations: the nine's, or those of the whole chain."""
+    return f"equations/{comparison}/{'chain' if chain else 'base'}"
 
 
 def product_of(comparison: str) -> str:
@@ -177,10 +208,12 @@ def _check_comparison(mission: Mission, name: str) -> None:
 
 
 def _with_neighbours(start: DayLike | None, end: DayLike | None, needs: Sequence[Need]) -> slice:
-    before = max(need.days_before for need in needs) * ONE_DAY
+    """Return the days a span is made from; the farthest stand in for a channel that a day has not."""
+    beside = STAND_IN_DAYS if any(need.replaceable for need in needs) else 1
+    before = max(beside, *(need.days_before for need in needs)) * ONE_DAY
     return slice(
         str(as_day(start) - before) if start is not None else None,
-        str(as_day(end) + ONE_DAY) if end is not None else None,
+        str(as_day(end) + beside * ONE_DAY) if end is not None else None,
     )
 
 
@@ -188,7 +221,8 @@ def _key(
     dataset: str, day: np.datetime64, context: str, sources: Sequence[str], settings: ReprocessSettings
 ) -> str:
     inputs = [*sources, f"min_coverage={settings.min_coverage}"]
-    return idempotency_key(dataset, day, EQUATIONS_VERSION, context, inputs)
+    version = CHAIN_VERSION if settings.is_chain else EQUATIONS_VERSION
+    return idempotency_key(dataset, day, version, context, inputs)
 
 
 def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:

@@ -10,6 +10,8 @@ import xarray as xr
 
 from inflight.calibration import reference_of
 from inflight.catalog import Catalog
+from inflight.errors import CalibrationError
+from inflight.estimators.z_offset import day_statistics
 from inflight.flags import UNUSABLE, Flag
 from inflight.mission import Mission
 from inflight.model import Model
@@ -17,17 +19,26 @@ from inflight.product import day_parameters, level2
 from inflight.statistics import size_of
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.samples import load_samples
+from inflight.tasks.stand_ins import stand_ins, treated_report
 from inflight.time import day_bounds
 
 #: Bumped by hand when the numbers of the products change.
-PRODUCT_VERSION = 2
+PRODUCT_VERSION = 3
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
 #: Stored steps of product variables: a tenth of a picotesla, a micro-degree.
 _RESOLUTION: dict[str, float] = {"nT": 1e-4, "deg": 1e-6}
 
 
-def produce_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job) -> Outcome:
+def produce_batch(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    table: xr.Dataset,
+    job: Job,
+    raw: Model | None = None,
+    distribute: bool | None = None,
+) -> Outcome:
     """Make the products of a batch of days and write them as one segment.
 
     Parameters
@@ -38,24 +49,45 @@ def produce_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Datase
         What is corrected, in order.
     table : xarray.Dataset
         The calibration table whose values the model takes.
+    raw : Model, optional
+        What the residual before calibration is made with; the model itself when absent.
+    distribute : bool, optional
+        See `inflight.product.level2`; days then tell the spread of their residual, too.
 
     Returns
     -------
     Outcome
         The segment, and why days are not in it.
     """
-    return make_days(cat, job, lambda day: produce_day(cat, mission, model, table, day, job))
+    before = raw or model
+    return make_days(
+        cat, job, lambda day: produce_day(cat, mission, model, table, day, job, before, distribute)
+    )
 
 
 def produce_day(
-    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    table: xr.Dataset,
+    day: np.datetime64,
+    job: Job,
+    raw: Model,
+    distribute: bool | None = None,
 ) -> tuple[xr.Dataset, dict[str, Any]]:
-    """Return one day's product and a report: coverage, residual before and after."""
+    """Return one day's product and a report: coverage, residual before and after, what stands in for what."""
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     middle = (start + end) // 2
     parameters = day_parameters(table, middle, reference_of(model, middle))
-    product = _rounded(level2(model.bind(table), samples, parameters, model))
+    bound, widening = model.bind(table), None
+    treated: dict[str, Any] = {}
+    stand = stand_ins(cat, mission, model, job.needs, job.index, day, samples)
+    if stand is not None:
+        widening, scalar = stand.variance(bound)
+        treated = treated_report(stand.treated(model), float(np.sqrt(scalar[stand.lost].mean())))
+        samples, bound, raw = stand.samples, stand.model(bound), stand.model(raw)
+    product = _rounded(level2(bound, samples, parameters, raw, widening, distribute))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else end - start
     # The numbers as stored, of the samples that `inflight.tasks.compare` takes: both tell one residual.
@@ -66,9 +98,24 @@ def produce_day(
         "before_nT": size_of(product["residual_preflight"].values[measured]).rms,
         "after_nT": after.rms,
         "samples": after.count,
+        **treated,
     }
+    if distribute is not None:
+        report |= {"spread": spread_of(product, measured, (start, end))}
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
     return product, report
+
+
+def spread_of(product: xr.Dataset, good: np.ndarray, span: tuple[int, int]) -> dict[str, Any]:
+    """Return what a day's residual tells of an offset along z, as plain numbers; empty for too little."""
+    field = product["field_sensor"].values
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direction = field / np.linalg.norm(field, axis=1, keepdims=True)
+    try:
+        found = day_statistics(product["residual"].values, direction, *span, good=good)
+    except CalibrationError:
+        return {}
+    return {str(name): found[name].values[0].tolist() for name in found.data_vars}
 
 
 def _rounded(product: xr.Dataset) -> xr.Dataset:

@@ -64,8 +64,12 @@ class RunReport:
 
     @property
     def exit_code(self) -> int:
-        """0 done; 1 nothing came out though something failed; 3 done, with days missing."""
-        troubled = self.days["failed"] > 0 or any(item.get("cause") != "no_work" for item in self.problems)
+        """0 done; 1 nothing came out though something failed; 3 done, with days missing.
+
+        A problem of cause ``partial`` is one of a day that is there.
+        """
+        harmless = ("no_work", "partial")
+        troubled = self.days["failed"] > 0 or any(item.get("cause") not in harmless for item in self.problems)
         if not troubled:
             return DONE
         return DAYS_MISSING if self.days["done"] + self.days["unchanged"] > 0 else FAILED

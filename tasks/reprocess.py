@@ -6,7 +6,6 @@ batches of a stage are independent: `Mapper` says where they run.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -19,14 +18,15 @@ from inflight.calibration.sensor import bend
 from inflight.catalog import Catalog, Day, Run, idempotency_key
 from inflight.mission import Mission
 from inflight.tasks.calibrate import Job, Outcome, calibrate_batch
+from inflight.tasks.chain import chain_batch
 from inflight.tasks.delivery import each_result
+from inflight.tasks.keeping import SolvedTables, TableKeeper
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import Progress, RunReport
+from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
 from inflight.tasks.tables import (
     MOST_BEND,
-    TABLES_VERSION,
-    content_keys,
     daily_table,
     load_equations,
     relinearise_at,
@@ -48,6 +48,7 @@ class _Book:
 
     done: set[np.datetime64] = field(default_factory=set)
     failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
+    reports: dict[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
     def take(self, run: Run, dataset: str, outcome: Outcome) -> list[Day]:
         """Register an outcome with the run; remember failures."""
@@ -100,8 +101,13 @@ def calibrate(
         fresh = {day: found for day, found in adopted.items() if not found.report["shared"]}
     left = [[day for day in batch if day not in fresh] for batch in batches]
     jobs = _jobs(made, run, [batch for batch in left if batch], made.equations, made.keys)
-    arguments = [(cat, mission, made.model, job, reference, made.settings.min_coverage) for job in jobs]
-    for outcome in mapper("calibrate", calibrate_batch, arguments):
+    step: Callable[..., Outcome] = calibrate_batch
+    arguments: list[tuple[Any, ...]] = [
+        (cat, mission, made.model, job, reference, made.settings.min_coverage) for job in jobs
+    ]
+    if made.settings.is_chain:
+        step, arguments = chain_batch, chain_arguments(cat, mission, made, jobs)
+    for outcome in mapper("calibrate", step, arguments):
         fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
     return fresh
 
@@ -119,15 +125,6 @@ def _adopt(
     return adopted
 
 
-@dataclass(frozen=True)
-class SolvedTables:
-    """Tables of a run: the one products take, and what is to be certified at publication."""
-
-    used: xr.Dataset
-    ids: dict[str, int]
-    certify: list[tuple[int, int, int, str | None]]
-
-
 def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
     """Make the daily, window and whole-span tables from the normal equations of all days.
 
@@ -142,31 +139,28 @@ def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day])
         "window": partial(window_table, equations, model, edges, "window"),
         "span": partial(window_table, equations, model, whole, "span"),
     }
-    tables: dict[str, xr.Dataset] = {}
-    ids: dict[str, int] = {}
-    certify: list[tuple[int, int, int, str | None]] = []
-    for kind, make in makers.items():
-        name = f"{settings.comparison}-{kind}"
-        content = "".join(
-            [*content_keys(days), kind, str(settings.window_days), str(TABLES_VERSION), made.context]
-        )
-        key = hashlib.sha256(content.encode()).hexdigest()
-        known = [record for record in cat.tables(name) if record.key == key and not record.damaged]
-        if known:
-            tables[kind], ids[kind] = cat.table_by_id(known[-1].id), known[-1].id
-            certified = (None, *_bounds(tables[kind])) in known[-1].certified
-        else:
-            tables[kind], certified = make(), False
-            start, end = _bounds(tables[kind])
-            parents = list(days.values())
-            ids[kind] = run.stage_table(name, tables[kind], start=start, end=end, parents=parents, key=key)
-        if not certified:
-            certify.append((ids[kind], *_bounds(tables[kind]), None))
-    return SolvedTables(tables[settings.table], ids, certify)
+    keep = TableKeeper(cat, made, run, days)
+    tables = {kind: keep.table(kind, make) for kind, make in makers.items()}
+    return SolvedTables(tables[settings.table], keep.ids, keep.certify, model)
 
 
-def _bounds(table: xr.Dataset) -> tuple[int, int]:
-    return int(table["start"].values[0]), int(table["end"].values[-1])
+def solve_chain(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
+    """Fit all days at once; stage the tables of the chain, and save the fitted model."""
+    result = chained(cat, made, days)
+    keep = TableKeeper(cat, made, run, days)
+    for name, table in result.tables.items():
+        keep.table(name, partial(_itself, table))
+    return SolvedTables(
+        result.tables["continuous"],
+        keep.ids,
+        keep.certify,
+        save_fitted(cat, made, run, result.found),
+        result.left_out,
+    )
+
+
+def _itself(table: xr.Dataset) -> xr.Dataset:
+    return table
 
 
 def produce(
@@ -180,7 +174,9 @@ def produce(
             continue
         start, end = day_bounds(day)
         row = table_row_hash(tables.used, (start + end) // 2)
-        keys[day] = idempotency_key(made.product, day, PRODUCT_VERSION, made.context, [made.keys[day], row])
+        chosen = [tables.model.sha, str(made.settings.distribute)] if made.settings.is_chain else []
+        inputs = [made.keys[day], row, *chosen]
+        keys[day] = idempotency_key(made.product, day, PRODUCT_VERSION, made.context, inputs)
         if day in current and current[day].key == keys[day]:
             same.append(day)
         else:
@@ -193,9 +189,13 @@ def produce(
         replace(job, parents={day: (*ids, parents) for day, ids in job.parents.items()})
         for job in _jobs(made, run, made.in_batches(todo), made.product, keys)
     ]
-    arguments = [(cat, mission, made.model, tables.used, job) for job in jobs]
+    spread = made.settings.distribute if made.settings.is_chain else None
+    arguments = [(cat, mission, tables.model, tables.used, job, made.model, spread) for job in jobs]
     for outcome in mapper("produce", produce_batch, arguments):
-        book.done |= {day.day for day in book.take(run, made.product, outcome)}
+        fresh = book.take(run, made.product, outcome)
+        book.done |= {day.day for day in fresh}
+        book.reports |= {day.day: day.report for day in fresh}
+    book.reports |= {day: current[day].report for day in same}
     return same
 
 
@@ -246,11 +246,38 @@ def reprocess(
         run.record_no_work(made.product, made.no_work)
         days = _equations(cat, mission, made, run, spread, book)
         if not days:
-            return _report(made, run, book, [], {})
-        tables = solve(cat, made, run, days)
+            return _report(made, run, book, [], {"residual": {}})
+        tables = (solve_chain if made.settings.is_chain else solve)(cat, made, run, days)
         same = produce(cat, mission, made, run, tables, spread, book)
+        if made.settings.is_chain:
+            _keep_offsets(cat, made, run, days, tables, book.reports)
         run.publish(certify=tables.certify, supersede=True)
-    return _report(made, run, book, same, _residual(cat, made))
+    extra: dict[str, Any] = {"residual": _residual(cat, made)}
+    if made.settings.is_chain:
+        extra |= {
+            "model": {"name": tables.model.name, "version": tables.model.version},
+            "left_out": tables.notes,
+        }
+    return _report(made, run, book, same, extra)
+
+
+def _keep_offsets(
+    cat: Catalog,
+    made: Plan,
+    run: Run,
+    days: Mapping[np.datetime64, Day],
+    tables: SolvedTables,
+    reports: Mapping[np.datetime64, Mapping[str, Any]],
+) -> None:
+    """Stage the table of daily offsets that the products' residuals tell."""
+    table = spread_offsets(reports)
+    if isinstance(table, str):
+        tables.notes["z-offset"] = table
+        return
+    keep = TableKeeper(cat, made, run, days)
+    keep.table("z-offset", partial(_itself, table))
+    tables.ids.update(keep.ids)
+    tables.certify.extend(keep.certify)
 
 
 def _equations(
@@ -265,7 +292,8 @@ def _equations(
     last = made.reference
     for _ in range(_MOST_PASSES):
         days = beside | kept | fresh
-        if not fresh:
+        # A day of the chain is linearised at its own fit.
+        if not fresh or made.settings.is_chain:
             break
         equations = load_equations(cat, list(days.values()))
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
@@ -311,7 +339,7 @@ def _residual(cat: Catalog, made: Plan) -> dict[str, Any]:
 
 
 def _report(
-    made: Plan, run: Run, book: _Book, same: Sequence[np.datetime64], residual: dict[str, Any]
+    made: Plan, run: Run, book: _Book, same: Sequence[np.datetime64], extra: dict[str, Any]
 ) -> RunReport:
     counts = {
         "planned": len(made.days) + len(made.no_work),
@@ -338,5 +366,5 @@ def _report(
         counts,
         problems,
         [made.product, f"tables/{made.settings.comparison}-{made.settings.table}"],
-        {"residual": residual},
+        extra,
     )

@@ -18,7 +18,6 @@ from inflight.geometry import GEOMETRY, SLOW_GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.needs import (
-    MARGIN_CADENCES,
     Need,
     base_role,
     channel_homes,
@@ -26,7 +25,7 @@ from inflight.tasks.needs import (
     needs_of,
     position_channel,
 )
-from inflight.time import SECOND, day_bounds
+from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import parse_unit
 
 __all__ = [
@@ -40,6 +39,10 @@ __all__ = [
 ]
 
 _DAY = np.timedelta64(1, "D")
+#: A channel's typical value comes from its own day when this part of it is known, else from other days.
+_ENOUGH = 0.1
+#: Other days are looked for this far on both sides.
+STAND_IN_DAYS = 15
 
 
 @dataclass(frozen=True)
@@ -52,10 +55,13 @@ class ArchiveIndex:
         What is there.
     before : int
         Days before its own that a day's samples are made from.
+    replaceable : tuple of Need
+        Those whose typical value is taken where they are missing.
     """
 
     days: Mapping[tuple[str, np.datetime64], Day]
     before: int = 1
+    replaceable: tuple[Need, ...] = ()
 
     @classmethod
     def of(cls, cat: Catalog, needs: Sequence[Need], time: slice | None = None) -> ArchiveIndex:
@@ -67,6 +73,7 @@ class ArchiveIndex:
                 for day in cat.days(name, time, states=("published",))
             },
             max((need.days_before for need in needs), default=1),
+            tuple(need for need in needs if need.replaceable),
         )
 
     def get(self, need: Need, day: np.datetime64) -> Day | None:
@@ -76,7 +83,36 @@ class ArchiveIndex:
     def around(self, days: Sequence[np.datetime64]) -> ArchiveIndex:
         """Return the part some days need, their neighbours included: what a worker is sent."""
         wanted = {day + step * _DAY for day in days for step in range(-self.before, 2)}
-        return ArchiveIndex({key: day for key, day in self.days.items() if key[1] in wanted}, self.before)
+        others = {
+            (one.dataset, one.day)
+            for need in self.replaceable
+            for day in days
+            for one in self.typical_days(need, day)
+        }
+        return ArchiveIndex(
+            {key: day for key, day in self.days.items() if key[1] in wanted or key in others},
+            self.before,
+            self.replaceable,
+        )
+
+    def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
+        """Return the days that tell what a channel usually reads on a day: its own, else the nearest two.
+
+        One before and one after, at most `STAND_IN_DAYS` away; none when there is none. A day that
+        hardly has the channel counts only when no other does.
+        """
+        far = STAND_IN_DAYS + 1
+        for least in (_ENOUGH, np.finfo(float).tiny):
+            for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
+                near = [self._first(need, [day + step * _DAY for step in side], least) for side in sides]
+                if found := [one for one in near if one is not None]:
+                    return found
+        return []
+
+    def _first(self, need: Need, days: Sequence[np.datetime64], least: float) -> Day | None:
+        """Return the first of some days of which at least a part has the channel."""
+        there = (self.get(need, day) for day in days)
+        return next((one for one in there if one is not None and _known_part(one, need) >= least), None)
 
     def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
         """Return the days on which every field is there."""
@@ -93,6 +129,8 @@ class ArchiveIndex:
         for need in needs:
             steps = range(1) if self.stands_alone(need, base, day) else range(-need.days_before, 2)
             found += [self.get(need, day + step * _DAY) for step in steps]
+            if need.replaceable:
+                found += self.typical_days(need, day)
         unique = {source.id: source for source in found if source is not None}
         return [unique[key] for key in sorted(unique)]
 
@@ -101,9 +139,15 @@ class ArchiveIndex:
         own, other = self.get(need, day), self.get(base, day)
         if own is None or other is None:
             return True
-        if need.lag_ns or need.part or need.cadence_ns != base.cadence_ns:
+        if need.lag_ns or need.part or need.smooth_ns or need.cadence_ns != base.cadence_ns:
             return False
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
+
+
+def _known_part(day: Day, need: Need) -> float:
+    """Return the part of a day on which a channel has values; 1 where the archive does not tell."""
+    told = day.report.get("channels", {}).get(need.channel, {})
+    return float(told.get("coverage", 1.0))
 
 
 def load_samples(
@@ -214,7 +258,7 @@ def _series(
     rows = _read(cat, today, need)
     parts = [rows]
     if not alone:
-        reach = MARGIN_CADENCES * need.cadence_ns + abs(need.lag_ns)
+        reach = need.margin_ns
         start, end = day_bounds(day)
         for step in range(1, need.days_before + 1):
             before = index.get(need, day - step * _DAY)
@@ -226,12 +270,32 @@ def _series(
     # The mission's lag and cadence hold, not those of the day the files were taken in.
     attrs = {**rows.attrs, "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
     values = np.concatenate([part.values for part in parts])
+    if need.smooth_ns:
+        values = _smoothed(values, np.concatenate([part.stamps for part in parts]), need.smooth_ns)
     coords: dict[str, Any] = {"tt2000": ("time", np.concatenate([part.stamps for part in parts]))}
     flags = [part.flag for part in parts if part.flag is not None]
     if len(flags) == len(parts):
         coords["flag"] = ("time", np.concatenate(flags))
     series = xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
     return _made(series, need.part) if need.part else series
+
+
+def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
+    """Return means of the readings within half of `over_ns` on either side; NaN stays where it is.
+
+    Both sides reach equally far, so that at a gap or an end nothing is shifted in time.
+    """
+    flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    known = np.isfinite(flat).all(axis=1)
+    own, told = stamps[known], flat[known]
+    sums = np.concatenate([np.zeros((1, told.shape[1])), np.cumsum(told - told[:1], axis=0)])
+    place = np.arange(own.size)
+    after = np.searchsorted(own, own + over_ns // 2, side="right") - 1 - place
+    before = place - np.searchsorted(own, own - over_ns // 2)
+    each = np.minimum(after, before)
+    out = flat.copy()
+    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + told[:1]
+    return out.reshape(np.shape(values))
 
 
 def _made(series: xr.DataArray, part: Part) -> xr.DataArray:

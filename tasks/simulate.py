@@ -29,6 +29,7 @@ from inflight.time import TT2000_FILL, day_bounds
 #: Called with the number of days done and of all days.
 Progress = Callable[[int, int], None]
 INSTRUMENTS = ("fgm", "ovm", "tq", "hk", "att", "orb")
+SECOND_FLUXGATE = "fgm2"
 TRUTH = "truth"
 #: zlib level of the deliveries; higher ones save 3 % and cost twice the time.
 _COMPRESSION = 1
@@ -67,12 +68,18 @@ _VARIABLES = {
 }
 _TITLES = {
     "fgm": "Fluxgate magnetometer",
+    SECOND_FLUXGATE: "Second fluxgate magnetometer",
     "ovm": "Overhauser magnetometer",
     "tq": "Magneto-torquer currents",
     "hk": "Housekeeping currents",
     "att": "Attitude",
     "orb": "Orbit",
 }
+
+
+def instruments_of(settings: SimulationSettings) -> tuple[str, ...]:
+    """Return the instruments a simulated mission delivers."""
+    return (*INSTRUMENTS, SECOND_FLUXGATE) if settings.second_fluxgate else INSTRUMENTS
 
 
 def delivered_path(destination: Path, instrument: str, day: np.datetime64) -> Path:
@@ -101,7 +108,8 @@ def simulate(
     settings : SimulationSettings
         What to simulate.
     destination : Path
-        Folder for ``fgm/``, ``ovm/``, ``tq/``, ``hk/``, ``att/``, ``orb/`` and, apart, ``truth/``.
+        Folder for ``fgm/``, ``ovm/``, ``tq/``, ``hk/``, ``att/``, ``orb/``, for ``fgm2/`` when asked
+        for, and, apart, ``truth/``.
     progress : callable, optional
         Called with (days done, days).
     workers : int
@@ -126,7 +134,9 @@ def simulate(
     for number, _ in enumerate(_written(settings, folder, missing, workers), start=1):
         if progress is not None:
             progress(len(days) - len(missing) + number, len(days))
-    paths = (delivered_path(folder, instrument, day) for day in days for instrument in INSTRUMENTS)
+    paths = (
+        delivered_path(folder, instrument, day) for day in days for instrument in instruments_of(settings)
+    )
     return [path for path in paths if path.exists()]
 
 
@@ -194,7 +204,8 @@ def _claim(settings: SimulationSettings, folder: Path) -> None:
     path = folder / TRUTH / "settings.json"
     wanted = settings.model_dump(mode="json")
     if path.exists():
-        found = json.loads(path.read_text())
+        standard = SimulationSettings().model_dump(mode="json")
+        found = standard | json.loads(path.read_text())
         differing = sorted(key for key in set(wanted) - _SPAN if found.get(key) != wanted.get(key))
         if differing:
             raise CatalogError(
@@ -211,7 +222,7 @@ def _claim(settings: SimulationSettings, folder: Path) -> None:
 def _is_complete(settings: SimulationSettings, folder: Path, day: np.datetime64) -> bool:
     if not truth_path(folder, day).exists():
         return False
-    there = [delivered_path(folder, instrument, day).exists() for instrument in INSTRUMENTS]
+    there = [delivered_path(folder, instrument, day).exists() for instrument in instruments_of(settings)]
     return all(there) or "missing_days" in settings.defects
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import Interval, NormalEquations, calibration_table, reference_of
+from inflight.calibration import Interval, NormalEquations, calibration_table, empty_block, reference_of
 from inflight.calibration.robust import WEIGHTED_RMS
 from inflight.calibration.sensor import bend
 from inflight.calibration.solution import Solution, residual_sum
@@ -51,6 +51,9 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
         one = NormalEquations(data.isel(block=[index]))
         start, end = int(data["start"].values[index]), int(data["end"].values[index])
         prior = reference_of(model, (start + end) // 2)
+        if not len(one.filled):
+            rows.append(_prior_interval(one, model, start, end))
+            continue
         solution = one.solve(prior.sigma, prior.value)
         rows.append(
             Interval(
@@ -80,7 +83,17 @@ def window_table(
     return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
 
 
+def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
+    """Return the row of a span of which the data tell nothing: what the model says, as unsure as it is."""
+    prior = reference_of(model, (start + end) // 2)
+    nothing, nan = empty_block(prior, prior), float("nan")
+    return Interval(start, end, prior.value, nothing.covariance, nothing.solution, 0.0, nan, nan, len(part))
+
+
 def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
+    if not len(part.filled):
+        return _prior_interval(part, model, start, end)
+    part = part.filled
     centre = int(part.dataset["start"].values[0] // 2 + part.dataset["end"].values[-1] // 2)
     prior = reference_of(model, centre)
     common = part.at(prior.value)
@@ -102,6 +115,7 @@ def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Inte
 
 def span_solution(equations: NormalEquations, model: Model) -> Solution:
     """Solve all blocks together with the model's prior; scaled, relative to that prior."""
+    equations = equations.filled if len(equations.filled) else equations
     prior = reference_of(model, int(equations.dataset["start"].values[0]))
     return equations.at(prior.value).solve(prior.sigma, prior.value)
 
@@ -116,6 +130,9 @@ def relinearise_at(equations: NormalEquations, model: Model, strength: float) ->
     Each block states where it was linearised. A solution that bends the residual by more than
     `MOST_BEND` against that asks for another pass.
     """
+    equations = equations.filled
+    if not len(equations):
+        return None
     whole = equations.at(equations.reference)
     prior = reference_of(model, int(whole.dataset["start"].values[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))

@@ -1,7 +1,7 @@
 """Scalar calibration: nine parameters a block from normal equations, with what the data can determine."""
 
 from inflight.calibration.equations import NormalEquations
-from inflight.calibration.scalar import BlockFit, fit_block, sub_blocks_for
+from inflight.calibration.scalar import BlockFit, empty_block, fit_block, sub_blocks_for
 from inflight.calibration.sensor import Reference, reference_of, split_chain, usable
 from inflight.calibration.solution import Solution
 from inflight.calibration.table import Interval, calibration_table, describe_directions
@@ -14,6 +14,7 @@ __all__ = [
     "Solution",
     "calibration_table",
     "describe_directions",
+    "empty_block",
     "fit_block",
     "reference_of",
     "split_chain",

@@ -109,6 +109,11 @@ class NormalEquations:
         names = [*columns, RESIDUAL]
         return NormalEquations(self.dataset.sel(column=names, other=names))
 
+    @property
+    def filled(self) -> Self:
+        """The blocks that say something: days without their housekeeping leave empty ones."""
+        return self._pick(np.flatnonzero(self.dataset["count"].values > 0))
+
     def within(self, start: int, end: int) -> NormalEquations:
         """Return the blocks that lie in a half-open TT2000 span."""
         inside = (self.dataset["start"].values >= start) & (self.dataset["end"].values <= end)

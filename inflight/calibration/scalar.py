@@ -143,6 +143,28 @@ def fit_block(
     return _finish(found, data, reference, prior, used, passes)
 
 
+def empty_block(reference: Reference, prior: Reference) -> BlockFit:
+    """Return the fit of a block that says nothing: everything stays at its prior, and nothing is added up."""
+    nan, parameters = float("nan"), prior.value.size
+    gram, scatter = np.zeros((parameters + 1, parameters + 1)), np.zeros((parameters, parameters))
+    centre, spread = (prior.value - reference.value) / SCALE, prior.sigma / SCALE
+    return BlockFit(
+        prior.value,
+        prior.sigma,
+        np.diag(prior.sigma**2),
+        solve(gram, scatter, 0.0, centre, spread),
+        gram,
+        scatter,
+        reference.value,
+        count=0.0,
+        used=0,
+        sigma_residual=nan,
+        before=nan,
+        after=nan,
+        passes=0,
+    )
+
+
 @dataclass(frozen=True)
 class _Data:
     """The usable samples of a block, without holes, and the sub-blocks they fall in."""

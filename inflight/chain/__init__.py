@@ -1,7 +1,7 @@
 """The chain of a whole mission: a day's statistics, and what all days together say."""
 
 from inflight.chain.continuous import Continuous, continuous_model, continuous_table, fit_mission
-from inflight.chain.wide import BIN_S, terms_of, wide_equations
+from inflight.chain.wide import BIN_S, terms_of, wide_equations, with_nine
 
 __all__ = [
     "BIN_S",
@@ -11,4 +11,5 @@ __all__ = [
     "fit_mission",
     "terms_of",
     "wide_equations",
+    "with_nine",
 ]

@@ -17,7 +17,7 @@ from inflight.calibration import NormalEquations
 from inflight.calibration.sensor import PARTS, UNITS, vector_sensor_of
 from inflight.calibration.solution import residual_sum
 from inflight.calibration.table import SOURCES
-from inflight.chain.wide import terms_of
+from inflight.chain.wide import about_offsets, terms_of
 from inflight.estimators.trend_choice import TrendComparison, compare_trends
 from inflight.estimators.trend_equations import at_one_reference, make_trend, middles
 from inflight.estimators.trend_origin import fit_origin
@@ -25,7 +25,7 @@ from inflight.estimators.trends import TrendFit, fit_trends
 from inflight.model import Model
 
 #: Trends that are compared, the ones a model's file can hold.
-KINDS = ("constant", "linear", "log", "spline")
+KINDS = ("constant", "linear", "parabola", "log", "spline")
 #: Days of a fold at least; spans with fewer keep to what two numbers can say.
 _FOLDS, _FOLD_DAYS = 8, 3
 
@@ -115,6 +115,7 @@ def continuous_model(model: Model, fit: TrendFit) -> Model:
     kinds = own.effect.parameters()
     timed = {part: fit.as_timed(f"{own.name}.{part}", kinds[part]) for part in PARTS}
     out = model.replace(own.with_parameters(dict(own.parameters) | timed))
+    out = about_offsets(out, timed["offset"].value[:, 0])
     others = [name for name in fit.columns if not name.startswith(f"{own.name}.")]
     places = [fit.columns.index(name) for name in others]
     value = dict(zip(others, fit.value[places].tolist(), strict=True))

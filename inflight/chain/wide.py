@@ -6,14 +6,17 @@ which keep every linear statement: the mean residual is the same function of the
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.calibration.equations import RESIDUAL
+from inflight.calibration.robust import TO_SIGMA
 from inflight.calibration.sensor import PARTS, vector_sensor_of
 from inflight.comparison import rows_of
 from inflight.diagnosis.coarse import bin_means, coarsen, grid
@@ -21,10 +24,12 @@ from inflight.diagnosis.columns import design, turns_of
 from inflight.diagnosis.gram import gram_of
 from inflight.diagnosis.library import Term, term_of
 from inflight.model import Model
-from inflight.time import SECOND
+from inflight.time import SECOND, Int64
 
 #: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
 BIN_S = 10.0
+#: Two readings are far apart when they differ by so many usual differences, and by so many resolutions.
+_FAST, _STEPS = 8.0, 4.0
 #: Variables of samples that are no channel.
 _NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
 
@@ -48,7 +53,23 @@ def with_nine(model: Model, value: Floats) -> Model:
     """Return the model with nine values (9,), physical units, in its vector sensor."""
     own = vector_sensor_of(model)
     named = [name for part in PARTS for name in own.parameters[part].columns]
-    return model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {}))
+    return about_offsets(
+        model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {})), value[6:]
+    )
+
+
+def about_offsets(model: Model, offset: Floats) -> Model:
+    """Return the model whose other effects of the vector sensor's equation count from these offsets (3,), nT.
+
+    Non-linearity and temperature act on what the sensor reads less its offset (Yin 2010, section 2.4); a
+    pre-flight offset that is 5 nT off leaves 2 pT of 30 ppm/K and 15 K.
+    """
+    own = vector_sensor_of(model)
+    for entry in model.effects:
+        if entry.sensor == own.sensor and "about" in entry.parameters:
+            named = entry.parameters["about"].columns
+            model = model.replace(entry.with_columns(dict(zip(named, offset.tolist(), strict=True)), {}))
+    return model
 
 
 def wide_equations(
@@ -87,6 +108,8 @@ def wide_equations(
     edges = grid(*span, round(bin_s * SECOND))
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     used = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
+    for name in sorted(used & set(map(str, samples.variables))):
+        rows = replace(rows, good=rows.good & ~between_levels(stamps, samples[name]))
     binned, _ = coarsen(
         samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
     )
@@ -94,6 +117,39 @@ def wide_equations(
     every = slice(0, len(binned.weight))
     gram = gram_of(columns, binned.residual[:, :, None], binned.weight, [every])
     return _packed(terms, gram, float(binned.weight.sum()), span, attributes)
+
+
+def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
+    """Return which samples lie between two readings of a slower channel that are far apart; (time,).
+
+    When the channel changed there nobody knows, and a straight line between the readings is wrong in the
+    same way at every step: three amperes that are five seconds off, thirty times a day, bias everything
+    that goes with day and night.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    channel : xarray.DataArray
+        Aligned to the samples, with attributes `cadence_ns` and `resolution`.
+    """
+    out = np.zeros(stamps.size, dtype=bool)
+    cadence = int(channel.attrs.get("cadence_ns", 0))
+    usual = int(np.median(np.diff(stamps))) if stamps.size > 1 else cadence
+    values = np.asarray(channel.values, dtype=np.float64)
+    if cadence <= usual or values.ndim > 1:
+        return out
+    # Whatever stamps the readings have, two samples one cadence apart hold one reading between them.
+    reach = max(1, round(cadence / usual))
+    change = np.abs(values[reach:] - values[:-reach])
+    known = np.isfinite(change)
+    if not known.any():
+        return out
+    least = _FAST * TO_SIGMA * float(np.median(change[known]))
+    far = known & (change > max(least, _STEPS * float(channel.attrs.get("resolution") or 0.0)))
+    for place in range(reach + 1):
+        out[place : place + far.size] |= far
+    return out
 
 
 def _channels(

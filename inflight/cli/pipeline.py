@@ -33,8 +33,19 @@ NoPrefectOption = Annotated[
     bool, typer.Option("--no-prefect", help="Run the plain functions, without a flow.")
 ]
 TableOption = Annotated[
-    Literal["daily", "window", "span"] | None,
-    typer.Option(help="Table the products take (default: window)", show_default=False),
+    Literal["daily", "window", "span", "continuous"] | None,
+    typer.Option(
+        help="Table the products take; continuous fits everything to all days at once (default: window)",
+        show_default=False,
+    ),
+]
+TrendOption = Annotated[
+    Literal["auto", "constant", "linear", "parabola", "log", "spline"] | None,
+    typer.Option(help="Trend of the scale factors of --table continuous (default: auto)", show_default=False),
+]
+OriginOption = Annotated[
+    str | None,
+    typer.Option(help="Origin of a logarithmic trend, YYYY-MM-DD (default: fitted)", show_default=False),
 ]
 WindowOption = Annotated[
     int | None, typer.Option(min=1, help="Days of a window (default: 15)", show_default=False)
@@ -145,6 +156,16 @@ def reprocess(
     window_days: WindowOption = None,
     min_coverage: CoverageOption = None,
     batch_days: BatchOption = None,
+    trend: TrendOption = None,
+    origin: OriginOption = None,
+    distribute: Annotated[
+        bool,
+        typer.Option(
+            "--distribute",
+            help="With --table continuous, take the slow part of the residual out of the field, which hides "
+            "what the model does not know.",
+        ),
+    ] = False,
     workers: WorkersOption = None,
     no_prefect: NoPrefectOption = False,
 ) -> None:
@@ -155,9 +176,19 @@ def reprocess(
         window_days=window_days,
         min_coverage=min_coverage,
         batch_days=batch_days,
+        trend=trend,
+        origin=origin,
+        distribute=distribute or None,
     )
     parameters = _given(start=start, end=end, settings=settings)
-    session.finish(run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect))
+    report = run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect)
+    session.finish(report, _not_made(report))
+
+
+def _not_made(report: RunReport) -> Iterator[str]:
+    """Yield which tables of the chain could not be made, and why."""
+    for name, why in report.extra.get("left_out", {}).items():
+        yield f"table '{name}' is not made: {why}"
 
 
 def backfill(

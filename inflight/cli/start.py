@@ -97,12 +97,15 @@ def simulate(
     """
     from inflight.catalog.workspace import Workspace
     from inflight.tasks.report import RunReport
+    from inflight.tasks.simulate import SECOND_FLUXGATE
 
     workspace = Workspace(session.workspace)
     if not workspace.mission_file.exists():
         workspace = Workspace.create(session.workspace, SIMULATED_MISSION)
     _require_simulated(workspace)
     settings = {"start": start, "days": days, "seed": seed, "hide": hide or (), "without": without or ()}
+    if SECOND_FLUXGATE in workspace.mission().instruments:
+        settings |= {"second_fluxgate": True}
     with session.progress() as progress:
         written = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
     report = RunReport(

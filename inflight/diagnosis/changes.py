@@ -35,13 +35,14 @@ class Change:
     name, mechanism, family : str
         As in `Candidate`.
     functions : dict of str to (str, ndarray)
-        New column -> (column of the library, factor of each block).
+        New column -> (column of the library, factor of each block); none when it has columns of its own.
     at : tuple of int
         When it begins, and ends when it does, TT2000; empty for drifts.
     unit : str
         What the coefficient is multiplied by, such as ``/d``.
     sharpness : int
-        How far off the times of `at` may be, ns: blocks are no finer.
+        How far off the times of `at` may be, ns: blocks are no finer. Of a moment that was sought among the
+        rows, its standard deviation.
     """
 
     name: str
@@ -92,6 +93,18 @@ class Carriers:
             "clock": ("clock", self.clock),
         }
         return {kind: told for kind, told in every.items() if told[1]}
+
+    def outside(self, base: Sequence[str]) -> Carriers:
+        """Return those of clock and bias that a calibration does not absorb: their episodes can be seen."""
+        clock = tuple(name for name in self.clock if name not in base)
+        return Carriers(clock=clock, bias=tuple(name for name in self.bias if name not in base))
+
+
+def moment_text(when: int) -> str:
+    """Return a moment, TT2000, as names have it: UTC, no finer than it is."""
+    text = str(to_utc(when).astype("datetime64[ns]"))
+    whole, _, part = text.partition(".")
+    return f"{whole}.{part.rstrip('0')}".rstrip(".")
 
 
 def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:

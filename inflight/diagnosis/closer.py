@@ -71,7 +71,7 @@ def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:
 
 def _terms_of(material: Material, option: Option) -> list[Term] | None:
     """Return the terms whose columns an option is made of; None when the series cannot make them."""
-    if option.change is None:
+    if option.change is None or option.terms:
         keys = list(option.terms)
         return [material.terms[key] for key in keys] if set(keys) <= set(material.terms) else None
     carried = {column for column, _ in option.change.functions.values()}

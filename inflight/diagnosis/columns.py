@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.diagnosis.library import Term
+from inflight.diagnosis.library import Term, within_span
 from inflight.effects.base import multiply
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.model import Model
@@ -100,7 +100,10 @@ def term_columns(term: Term, rows: Rows) -> Floats:
             else:
                 out.append(_differenced(term, rows, values, name, index, step))
     # Columns lie one after another: each is written, and later multiplied, as one run of memory.
-    return np.moveaxis(np.stack(out), 0, -1)
+    made = np.stack(out)
+    if term.span:
+        made[:, ~within_span(times, term.span)] = 0.0
+    return np.moveaxis(made, 0, -1)
 
 
 def _changed(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:

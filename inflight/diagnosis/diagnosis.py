@@ -111,7 +111,8 @@ class Diagnosis:
         ``verdict`` and ``signature`` of what is left after the effects.
     residual : dict
         Sizes before and after, held out, and the noise floor with its interval; nT at the cadence of
-        the comparison.
+        the comparison. ``uncorrected`` lists channels of the effects and the part of the record each is
+        missing in: sizes are of the other rows.
     rounds : tuple of dict
         Ledger of additions and removals.
     candidates : tuple of dict

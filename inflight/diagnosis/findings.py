@@ -50,7 +50,7 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
         rivals,
         tuple(utc_text(when) for when in option.change.at) if option.change else (),
         option.change.sharpness / SECOND if option.change and option.change.at else None,
-        tuple(term.entry.as_yaml() for term in terms),
+        tuple(term.entry.as_yaml() for term in terms if not term.span),
     )
 
 
@@ -78,7 +78,8 @@ def _coefficients(
 
 
 def _term_of(option: Option, terms: list[Term], column: str) -> tuple[Term | None, str]:
-    source = option.change.functions[column][0] if option.change is not None else column
+    made_of = option.change.functions if option.change is not None else {}
+    source = made_of[column][0] if column in made_of else column
     for term in terms:
         if source in term.columns:
             return term, source[len(term.key) + 1 :].split("[")[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,10 +11,10 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.derived import Part, parse, product
-from inflight.diagnosis.columns import design
+from inflight.diagnosis.columns import Rows, design
 from inflight.diagnosis.evidence import Evidence, solve_scaled
 from inflight.diagnosis.library import Term
-from inflight.diagnosis.search import Search
+from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
 from inflight.time import DAY, SECOND
@@ -101,6 +101,29 @@ def residual_left(
 ) -> Floats:
     """Return the residual after calibration, model and (when asked) what the search took; (sample, row)."""
     options = search.accepted if accepted else []
+    rows, names, columns = model_columns(search, series, terms, turn, options)
+    present = [name for option in options for name in option.columns]
+    values = joint_values(search, present)
+    out = rows.residual.copy()
+    base = [name for term in search.library.base for name in term.columns]
+    for group, found in zip(search.intervals, values, strict=True):
+        inside = np.isin(series.block, np.asarray(group))
+        order = [names.index(name) for name in [*base, *found[1]]]
+        out[inside] += columns[inside][:, :, order] @ found[0]
+    return out
+
+
+def model_columns(
+    search: Search,
+    series: Series,
+    terms: Mapping[str, Term],
+    turn: dict[str, Floats],
+    options: Sequence[Option],
+) -> tuple[Rows, list[str], Floats]:
+    """Return the series as rows, and names and columns of calibration, model and some options on it.
+
+    Columns are (sample, row, column) in scaled units; those of changes in time are among them.
+    """
     wanted = [*search.library.base, *search.library.refined]
     used = {key for option in options for key in option.terms}
     carried = {name for one in options if one.change for name, _ in one.change.functions.values()}
@@ -116,15 +139,7 @@ def residual_left(
                 own = columns[:, :, names.index(column)] * np.asarray(factor)[series.block][:, None]
                 columns = np.concatenate([columns, own[:, :, None]], axis=2)
                 names.append(name)
-    present = [name for option in options for name in option.columns]
-    values = joint_values(search, present)
-    out = rows.residual.copy()
-    base = [name for term in search.library.base for name in term.columns]
-    for group, found in zip(search.intervals, values, strict=True):
-        inside = np.isin(series.block, np.asarray(group))
-        order = [names.index(name) for name in [*base, *found[1]]]
-        out[inside] += columns[inside][:, :, order] @ found[0]
-    return out
+    return rows, names, columns
 
 
 def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[str]]]:

@@ -7,10 +7,11 @@ rivals in form only; candidates of different mechanisms are rivals in cause.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from inflight.model import ModelEffect
 
@@ -29,12 +30,15 @@ class Term:
         Its parameters that have columns.
     sigma : tuple of float
         What is known beforehand of each column, physical units; inf when nothing.
+    span : tuple of int
+        TT2000 from when, and until when if it ends, the columns hold, 0 otherwise; always when empty.
     """
 
     key: str
     entry: ModelEffect
     parameters: tuple[str, ...]
     sigma: tuple[float, ...] = ()
+    span: tuple[int, ...] = ()
 
     @property
     def columns(self) -> list[str]:
@@ -58,6 +62,12 @@ class Term:
         """Physical size of one unit of each column."""
         kinds = self.entry.effect.parameters()
         return [kinds[name].step for name in self.parameters for _ in range(kinds[name].size)]
+
+
+def within_span(stamps: npt.NDArray[np.int64], span: Sequence[int]) -> npt.NDArray[np.bool_]:
+    """Return which stamps are at or after a moment, and before the second one if there is one."""
+    inside = stamps >= span[0]
+    return inside & (stamps < span[1]) if len(span) == 2 else inside
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, MutableMapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from inflight.diagnosis.library import Term
 from inflight.diagnosis.scoring import Present, folds_of, score
 from inflight.diagnosis.search import Search
 from inflight.diagnosis.series import Series
+from inflight.diagnosis.uncorrected import Uncorrected, known_evidence, uncorrected
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor
@@ -46,6 +47,8 @@ class Material:
         Correlation time the prewhitened form assumes, s.
     outliers : Outliers
         What the pass left out.
+    gaps : Uncorrected, optional
+        Rows that count in no size, and weigh nothing in the series (see `of_known_rows`).
     """
 
     mission: Mission
@@ -60,6 +63,7 @@ class Material:
     run: str = ""
     memory_s: float = 600.0
     outliers: Outliers = field(default_factory=Outliers)
+    gaps: Uncorrected | None = None
 
     @property
     def turn(self) -> dict[str, Floats]:
@@ -67,13 +71,34 @@ class Material:
         return turns_of(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
+def of_known_rows(search: Search, material: Material) -> Material:
+    """Return the material of the rows in which the channels of all that was taken are known.
+
+    A comparison in a band of frequencies has no such rows: its filter mixes them.
+    """
+    if material.mission.comparisons[material.model.comparison].kind == "platform":
+        return material
+    whole = material.series if material.gaps is None else material.gaps.series
+    gaps = uncorrected(search, whole, material.terms)
+    if gaps is None:
+        return replace(material, series=whole, gaps=None)
+    return replace(material, series=whole.without(gaps.rows), gaps=gaps)
+
+
+def _evidence(search: Search, material: Material) -> tuple[Evidence, Present, int]:
+    """Return the raw form that sizes are told of, the model's columns in it, and the residual's index."""
+    if material.gaps is None:
+        return search.forms["raw"], search.present(), search.y()
+    evidence = known_evidence(search, material.gaps, material.terms, material.turn)
+    return evidence, search.present_in(evidence), evidence.residuals[0]
+
+
 def held_out(search: Search, material: Material) -> float:
     """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
-    evidence = search.forms["raw"]
+    evidence, present, y = _evidence(search, material)
     interleaved = any(option.interleaved for option in search.accepted)
-    present = search.present()
     empty: list[Any] = []
-    found = score(evidence, present, empty, search.y(), folds_of(len(evidence), interleaved))
+    found = score(evidence, present, empty, y, folds_of(len(evidence), interleaved))
     mean = float(found.loss0.sum() / max(evidence.count.sum(), 1.0))
     return float(np.sqrt(max(mean, 0.0) + _inside(material)))
 
@@ -82,16 +107,10 @@ def _inside(material: Material) -> float:
     return material.sums.get("inside", 0.0) / max(material.sums.get("count", 1.0), 1.0)
 
 
-def native_rms(material: Material, search: Search, accepted: bool) -> float:
-    """Return the in-sample rms at the cadence of the comparison, nT, with or without what was taken."""
-    evidence = search.forms["raw"]
-    present = search.present()
-    if not accepted:
-        taken = sum(len(option.columns) for option in search.accepted)
-        keep = present.columns.size - taken
-        present = Present(present.columns[:keep], present.precision[:keep])
+def native_rms(material: Material, search: Search) -> float:
+    """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
+    evidence, present, y = _evidence(search, material)
     total = evidence.total
-    y = search.y()
     left = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
     )

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.dependence import jackknife
-from inflight.diagnosis.material import Material, left_of
+from inflight.diagnosis.material import Material, left_of, of_known_rows
 from inflight.diagnosis.search import Search
 from inflight.diagnosis.series import Series
 from inflight.time import DAY, SECOND, Int64, to_utc
@@ -94,6 +94,7 @@ class Seen:
 
 def seen_of(search: Search, material: Material) -> Seen:
     """Return the series with what is left before and after what the search took."""
+    material = of_known_rows(search, material)
     series = material.series
     before, after = (left_of(search, material, one) for one in (False, True))
     day = (series.tt2000 - series.tt2000[0]) // DAY

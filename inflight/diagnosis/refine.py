@@ -1,4 +1,4 @@
-"""The form of what was taken: lags and widths between those of the bank, before the next effect is sought.
+"""The form of what was taken, before the next effect is sought: its lag, its width, its moment.
 
 An effect in a form that is nearly right leaves a remnant that wrong companions would explain.
 """
@@ -16,6 +16,7 @@ from inflight.diagnosis.candidates import SLOW
 from inflight.diagnosis.lags import jackknife
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
+from inflight.diagnosis.moments import at_its_moment
 from inflight.diagnosis.rivalry import hac_t
 from inflight.diagnosis.scoring import folds_of
 from inflight.diagnosis.search import Option, Search
@@ -37,8 +38,14 @@ def refine(search: Search, material: Material, option: Option) -> Option:
 
     The new columns join the evidence, from the coarse series.
     """
-    if option.change is not None or not option.channels or not can_join(search, material):
+    if not can_join(search, material):
         return option
+    if option.change is not None:
+        return at_its_moment(search, material, option)
+    return _of_channel(search, material, option) if option.channels else option
+
+
+def _of_channel(search: Search, material: Material, option: Option) -> Option:
     if option.mechanism.startswith("hysteresis("):
         return _with_width(search, material, option)
     if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:

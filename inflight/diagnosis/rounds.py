@@ -96,12 +96,9 @@ def run(
         table = table.light()
         place = table.options.index(option)
         before = {one: estimate(search, one).retained for one in search.accepted}
-        search.add(option)
         _note(search, "add", option, table, place, form)
-        if refiner is not None and (better := refiner(option)) is not option:
-            search.drop(option)
-            search.add(better)
-            search.rounds[-1] = replace(search.rounds[-1], name=better.name)
+        taken = _taken(search, option, refiner)
+        search.rounds[-1] = replace(search.rounds[-1], name=taken.name)
         _drop_idle(search)
         if option.mechanism not in {one.mechanism for one in search.accepted}:
             search.banned.add(option.mechanism)
@@ -111,6 +108,16 @@ def run(
             _note(search, "undo", option, table, place, form)
     search.ran_out = True
     return search.table().light()
+
+
+def _taken(search: Search, option: Option, refiner: Refiner | None) -> Option:
+    """Put an option into the model, in its best form; return that."""
+    search.add(option)
+    better = refiner(option) if refiner is not None else option
+    if better is not option:
+        search.drop(option)
+        search.add(better)
+    return better
 
 
 def polish(search: Search, refiner: Refiner) -> None:
@@ -242,7 +249,7 @@ def _note(search: Search, action: str, option: Option, table: Table, place: int,
     )
 
 
-def settle(search: Search) -> list[Standing]:
+def settle(search: Search, refiner: Refiner | None = None) -> list[Standing]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
@@ -255,12 +262,9 @@ def settle(search: Search) -> list[Standing]:
             better = _better(search, option, tables[option.name])
             if better is not None:
                 search.drop(option)
-                search.add(better)
-                search.rounds.append(
-                    Round(
-                        len(search.rounds) + 1, "exchange", better.name, better.family, 0.0, 0.0, 0.0, "raw"
-                    )
-                )
+                better = _taken(search, better, refiner)
+                told = len(search.rounds) + 1, "exchange", better.name, better.family
+                search.rounds.append(Round(*told, 0.0, 0.0, 0.0, "raw"))
                 break
         else:
             break

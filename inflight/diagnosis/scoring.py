@@ -6,7 +6,7 @@ Lovell); all candidates at once, grouped by their number of columns.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,6 +120,26 @@ class Scores:
             np.concatenate([self.active, found.active], axis=1),
             self.fits,
         )
+
+
+def with_changes(
+    scores: Mapping[str, Scores],
+    ratios: Mapping[str, tuple[Floats, Floats]],
+    timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
+) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
+    """Return the scores with those of changes behind; only the raw form can see most of them."""
+    out, out_ratios = {}, {}
+    for form, one in scores.items():
+        seen = form == "raw"
+        for found, _ in timed:
+            one = one.joined(found, seen)  # noqa: PLW2901 (one form's scores grow)
+        own = [(observed * seen, flipped * seen) for _, (observed, flipped) in timed]
+        out[form] = one
+        out_ratios[form] = (
+            np.concatenate([ratios[form][0], *(observed for observed, _ in own)]),
+            np.concatenate([ratios[form][1], *(flipped for _, flipped in own)], axis=1),
+        )
+    return out, out_ratios
 
 
 def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[Index]:

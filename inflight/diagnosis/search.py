@@ -7,7 +7,8 @@ slow can pass for an effect; ``white``, where each row has lost what the one bef
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from inflight.diagnosis.changes import Carriers, Change, batches, drifts, episod
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
-from inflight.diagnosis.scoring import Present, Scores, folds_of, score
+from inflight.diagnosis.scoring import Present, Scores, folds_of, score, with_changes
 
 FORMS = ("raw", "within", "white")
 #: An effect of which the calibration leaves less than this part cannot be told from the calibration.
@@ -275,18 +276,25 @@ class Search:
 
     def present(self, form: str = "raw", without: Option | None = None) -> Present:
         """Return the columns of the model beside the calibration, with their priors."""
-        return self._present_in(self.forms[form], without)
+        return self.present_in(self.forms[form], without)
 
     def _model_columns(self, without: Option | None = None) -> list[str]:
         """Names of the model's columns beside the calibration: refined ones, then those taken."""
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def _present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+    def present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+        """Return the columns of the model in some evidence that has them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
         sigma += [np.inf] * (len(names) - len(sigma))
         return Present(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
+
+    def holding(self, options: Sequence[Option]) -> Search:
+        """Return the search as if it had taken some options and no others; it shares the evidence."""
+        other = copy(self)
+        other.accepted = list(options)
+        return other
 
     # Scores.
 
@@ -297,7 +305,9 @@ class Search:
         main = [
             one
             for one in self.options
-            if not set(one.columns) & taken and (one.mechanism not in self.banned or one.name == itself)
+            if one.change is None
+            and not set(one.columns) & taken
+            and (one.mechanism not in self.banned or one.name == itself)
         ]
         signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}
@@ -314,7 +324,7 @@ class Search:
             found = score(own, own_present, columns, y, folds_of(len(own), more[0].interleaved))
             timed.append((found, flip_ratios(own, own_present, columns, y, signs, units)))
             options += more
-        scores, ratios = _with_changes(scores, ratios, timed)
+        scores, ratios = with_changes(scores, ratios, timed)
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
         real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
         p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
@@ -326,10 +336,11 @@ class Search:
         base, sigma = self.base()
         own = self._model_columns(without)
         found = drifts(self.raw, self.carriers) + steps(self.raw, self.carriers)
-        found += episodes(self.raw, self.forms["raw"], self._outside(base), self.y())
-        banned = {change.name for change in found if change.mechanism in self.banned}
+        found += episodes(self.raw, self.forms["raw"], self.carriers.outside(base), self.y())
         taken = [option.change for option in self.accepted if option.change and option is not without]
-        banned |= {change.name for change in found if any(change.is_like(one) for one in taken)}
+        known = found + [option.change for option in self.options if option.change is not None]
+        banned = {change.name for change in known if any(change.is_like(one) for one in taken)}
+        banned |= {change.name for change in known if change.mechanism in self.banned}
         gone = banned | {option.name for option in self.accepted}
         itself = without.name if without is not None else ""
         for batch in batches([one for one in found if one.name not in gone or one.name == itself]):
@@ -345,24 +356,29 @@ class Search:
                 if live[wide.index(list(one.functions))].any()
             ]
             if options:
-                yield options, wide, self._present_in(wide, without)
-
-    def _outside(self, base: Sequence[str]) -> Carriers:
-        """Carriers that the calibration does not absorb: their episodes can be scanned."""
-        kept = {name for name in self.carriers.names if name not in base}
-        clock = tuple(name for name in self.carriers.clock if name in kept)
-        bias = tuple(name for name in self.carriers.bias if name in kept)
-        return Carriers(clock=clock, bias=bias)
+                yield options, wide, self.present_in(wide, without)
+        # Those that were put to their moment have columns of their own.
+        for one in self.options:
+            if one.change is not None and (one.name == itself or one.name not in gone):
+                small = self.forms["raw"].select([*own, *one.columns])
+                yield [one], small, self.present_in(small, without)
 
     # Additions and removals.
 
     def add(self, option: Option) -> None:
         """Put an option into the model; a change's columns join the evidence."""
-        if option.change is not None and not set(option.columns) <= set(self.raw.names):
+        if option.change is not None and option.change.functions:
+            self._forget(option.columns)
             self.raw = self.raw.expand(option.change.functions)
             self.white = self.white.expand(option.change.functions)
             self.absorb()
         self.accepted.append(option)
+
+    def _forget(self, columns: Sequence[str]) -> None:
+        """Let go of columns of a change that was dropped: they know nothing of what joined since."""
+        if set(columns) & set(self.raw.names):
+            kept = [name for name in self.raw.names if name not in columns][: -len(self.raw.residuals)]
+            self.raw, self.white = self.raw.select(kept), self.white.select(kept)
 
     def drop(self, option: Option) -> None:
         """Take an option out of the model."""
@@ -377,26 +393,6 @@ class Search:
             small = evidence.select([*self._model_columns(option), *option.columns])
             folds = folds_of(len(small), option.interleaved)
             y = small.residuals[self.residual]
-            one = score(small, self._present_in(small, option), [small.index(option.columns)], y, folds)
+            one = score(small, self.present_in(small, option), [small.index(option.columns)], y, folds)
             found.append((float(one.gain[0]), float(one.t[0])))
         return max(found, key=self.rules.standing)
-
-
-def _with_changes(
-    scores: Mapping[str, Scores],
-    ratios: Mapping[str, tuple[Floats, Floats]],
-    timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
-) -> tuple[dict[str, Scores], dict[str, tuple[Floats, Floats]]]:
-    """Return the scores with those of changes behind; only the raw form can see most of them."""
-    out, out_ratios = {}, {}
-    for form, one in scores.items():
-        seen = form == "raw"
-        for found, _ in timed:
-            one = one.joined(found, seen)  # noqa: PLW2901 (one form's scores grow)
-        own = [(observed * seen, flipped * seen) for _, (observed, flipped) in timed]
-        out[form] = one
-        out_ratios[form] = (
-            np.concatenate([ratios[form][0], *(observed for observed, _ in own)]),
-            np.concatenate([ratios[form][1], *(flipped for _, flipped in own)], axis=1),
-        )
-    return out, out_ratios

@@ -1,12 +1,13 @@
 """The coarse series beside the evidence: what pictures, signatures and sentences are made from.
 
-One array (block, sample, feature) of float32; its first feature is the time within the block.
+One array (block, sample, feature) of float32; its first feature is the time within the block. A channel is
+stored as NaN where it was not recorded; a series that is read has its usual value there and remembers where.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,12 @@ class Features:
         at = self.names.index(name)
         first = sum(self.widths[:at])
         return slice(first, first + self.widths[at])
+
+    @property
+    def channels(self) -> list[str]:
+        """Names of channels and geometry."""
+        fixed = {"seconds", "residual", "weight", "field", *_ROLES}
+        return [name for name in self.names if name not in fixed and not name.startswith("direction:")]
 
     def as_json(self) -> dict[str, object]:
         """Return what `of_json` reads."""
@@ -79,13 +86,17 @@ def thin(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
         "field": rows.samples["field"].values,
         "seconds": np.zeros(len(rows.weight)),
     } | {f"direction:{name}": one for name, one in rows.directions.items()}
-    columns = []
+    columns, channels = [], set(features.channels)
     for name, width in zip(features.names, features.widths, strict=True):
         values = parts[name] if name in parts else np.asarray(rows.samples[name].values, dtype=np.float64)
         flat = np.asarray(values[:count], dtype=np.float64).reshape(-1, step, width)
         good = np.isfinite(flat)
         part = (np.where(good, flat, 0.0) * factor[:, :, None]).sum(axis=1)
-        part[(~good & (weight[:, :, None] > 0)).any(axis=1)] = np.nan
+        lost = (~good & (weight[:, :, None] > 0)).any(axis=1)
+        if name in channels:
+            # A row without weight has its channels all the same: slow responses run on through it.
+            lost |= ~good.any(axis=1)
+        part[lost] = np.nan
         columns.append(part)
     stamps = rows.samples["tt2000"].values[:count].reshape(-1, step)
     at = columns[features.names.index("weight")]
@@ -115,20 +126,48 @@ class Series:
     values : ndarray, shape (sample, feature)
     block : ndarray, shape (sample,)
         Index of the block each sample belongs to.
+    missing : dict of str to ndarray of bool, shape (sample,)
+        Where a channel was not recorded; those that lack something.
     """
 
     tt2000: Int64
     values: Floats
     block: np.ndarray
     features: Features
+    missing: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, packed: np.ndarray, starts: Int64, features: Features) -> Series:
-        """Return the series of packed blocks, in order of their starts."""
+    def of(
+        cls,
+        packed: np.ndarray,
+        starts: Int64,
+        features: Features,
+        filled: Mapping[str, float] | None = None,
+    ) -> Series:
+        """Return the series of packed blocks, in order of their starts.
+
+        Parameters
+        ----------
+        filled : mapping of str to float, optional
+            Recorded channels, and what stands in the evidence where they are missing.
+        """
         known = np.isfinite(packed[:, :, 0])
         block = np.broadcast_to(np.arange(len(packed))[:, None], known.shape)[known]
         values = packed[known].astype(np.float64)
-        return cls(starts[block] + (values[:, 0] * SECOND).astype(np.int64), values, block, features)
+        missing = {}
+        for name in [one for one in filled or {} if one in features.names]:
+            part = values[:, features.place(name)]
+            lost = ~np.isfinite(part).all(axis=1)
+            if lost.any():
+                missing[name] = lost
+                part[~np.isfinite(part)] = (filled or {})[name]
+        return cls(starts[block] + (values[:, 0] * SECOND).astype(np.int64), values, block, features, missing)
+
+    def without(self, rows: np.ndarray) -> Series:
+        """Return the series with some rows (sample,) of bool that weigh nothing."""
+        values = self.values.copy()
+        values[rows, self.features.place("weight")] = 0.0
+        return replace(self, values=values)
 
     def __getitem__(self, name: str) -> Floats:
         """Return a feature; (sample,) or (sample, component)."""
@@ -139,10 +178,7 @@ class Series:
     @property
     def channels(self) -> list[str]:
         """Names of channels and geometry."""
-        fixed = {"seconds", "residual", "weight", "field", *_ROLES}
-        return [
-            name for name in self.features.names if name not in fixed and not name.startswith("direction:")
-        ]
+        return self.features.channels
 
     @property
     def step_s(self) -> float:

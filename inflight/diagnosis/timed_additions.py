@@ -9,8 +9,10 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.additions import Addition, Maker, names_of
+from inflight.diagnosis.changes import moment_text
 from inflight.diagnosis.columns import turns_of
 from inflight.diagnosis.library import Term
+from inflight.diagnosis.moments import dated_columns, dated_term
 from inflight.diagnosis.refit import Column
 from inflight.diagnosis.search import Option
 from inflight.effects.vector_sensor import ANGLES
@@ -106,7 +108,10 @@ def _before_the_nine(maker: Maker, what: str, term: Term) -> Floats:
 
 
 def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addition:
-    """Return a step of a sensor's parameter at a block's edge, or an episode between two.
+    """Return a step of a sensor's parameter, or an episode between two moments.
+
+    At edges of blocks its columns are the sensor's own times a function of the block, else columns of
+    their own.
 
     Parameters
     ----------
@@ -130,13 +135,16 @@ def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addit
     title = name or maker.free_name(f"{label}_{_stamp(at[0])}")
     entries = _dated(maker, kind, title, at, maker.carrier(found[0]))
     values = [names_of(entry, (_only(entry),)) for entry in entries]
-    made = tuple(
-        Column(one, ((column, 1.0),), inside.astype(np.float64))
-        for one, column in zip(values[0], found, strict=True)
-    )
-    gains = _gains(maker, kind, values, maker.carrier(found[0]))
-    told = f"{label}@{'/'.join(str(to_utc(when)) for when in at)}"
-    return Addition(told, made, entries, (maker.carrier(found[0]),), True, gains)
+    source, factor = maker.carrier(found[0]), inside.astype(np.float64)
+    gains = _gains(maker, kind, values, source)
+    told = f"{label}@{'/'.join(moment_text(when) for when in at)}"
+    if set(at) <= {*maker.raw.start.tolist(), int(maker.raw.end[-1])}:
+        parts = zip(values[0], found, strict=True)
+        made = tuple(Column(one, ((column, 1.0),), factor) for one, column in parts)
+        return Addition(told, made, entries, (source,), True, gains)
+    parts = zip(values[0], dated_columns(source, found, told), strict=True)
+    made = tuple(Column(one, ((column, 1.0),)) for one, column in parts)
+    return Addition(told, made, entries, (dated_term(source, found, told, tuple(at)),), True, gains)
 
 
 def _dated(maker: Maker, kind: str, title: str, at: Sequence[int], term: Term) -> tuple[ModelEffect, ...]:

@@ -6,7 +6,6 @@ All of it is algebra on the evidence of a finished search; nothing here changes 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,20 +13,13 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.diagnosis.diagnosis import Coefficient
 from inflight.diagnosis.estimates import estimate, mimics, within_and_raw
-from inflight.diagnosis.material import Material, held_out
+from inflight.diagnosis.material import Material, held_out, of_known_rows
 from inflight.diagnosis.search import Option, Search
 from inflight.effects.coefficients import coefficient_unit
 from inflight.estimators.absorption import correlation_of, gram_inverse
 
 #: Parameters of a cross-talk matrix at most; candidates whose values are worked out.
 MOST_PARAMETERS, MOST_TRIALS = 42, 16
-
-
-def holding(search: Search, options: Sequence[Option]) -> Search:
-    """Return the search as if it had taken some options and no others; it shares the evidence."""
-    other = copy(search)
-    other.accepted = list(options)
-    return other
 
 
 @dataclass(frozen=True)
@@ -58,10 +50,10 @@ class Step:
 
 def waterfall(search: Search, material: Material) -> list[Step]:
     """Return how the held-out error falls with every effect the search took."""
-    taken = list(search.accepted)
+    taken, known = list(search.accepted), of_known_rows(search, material)
 
     def size(options: Sequence[Option]) -> float:
-        return held_out(holding(search, options), material)
+        return held_out(search.holding(options), known)
 
     sizes = [size(taken[:count]) for count in range(len(taken) + 1)]
     out = []
@@ -200,7 +192,7 @@ def trials(search: Search, material: Material, names: Sequence[str]) -> dict[str
         option = known.get(name)
         if option is None or option.change is not None:
             continue
-        alone = holding(search, [option])
+        alone = search.holding([option])
         found = estimate(alone, option)
         values = tuple(
             (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(material, option, column))

@@ -24,7 +24,7 @@ class Trials:
     def __init__(self, search: Search, material: Material, option: Option) -> None:
         self.search, self.material = search, material
         self.series = material.series
-        others = [one for one in search.accepted if one is not option and one.change is None]
+        others = [one for one in search.accepted if one is not option and one.terms]
         keys = sorted({key for one in others for key in one.terms})
         kept = [*search.library.refined, *(material.terms[key] for key in keys)]
         self.rows = self._rows([*search.library.base, *kept])
@@ -55,7 +55,7 @@ class Trials:
             Of the library, or a change in time: then `terms` are those whose columns change.
         """
         flat = self._flat(terms, self._rows(terms))
-        if option.change is not None:
+        if option.change is not None and option.change.functions:
             names = [name for term in terms for name in term.columns]
             flat = np.stack(
                 [

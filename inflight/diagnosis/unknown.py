@@ -74,7 +74,8 @@ class Unknown:
 
 def look_at(search: Search, material: Material, last: Table, left: Floats, structure: Structure) -> Unknown:
     """Describe what is left: a line, else what the best rejected candidate hints at, else its size."""
-    floor = floor_left(material.series, left, material.sums.get("count", 0.0), material.floor)
+    known = 1.0 - material.gaps.part if material.gaps else 1.0
+    floor = floor_left(material.series, left, known * material.sums.get("count", 0.0), material.floor)
     noise = floor.level_nT
     if not noise > 0:
         good = material.series["weight"] > 0
@@ -83,7 +84,7 @@ def look_at(search: Search, material: Material, last: Table, left: Floats, struc
     found = Unknown(structure, line is not None, line, noise, floor)
     if line is not None:
         return found
-    size = native_rms(material, search, accepted=True)
+    size = native_rms(material, search)
     fast = fast_part(material.series, left, size, floor.level_nT, structure)
     found = replace(found, has_band=fast is not None and _is_news(material, fast))
     if not found.is_there:

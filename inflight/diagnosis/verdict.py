@@ -10,7 +10,14 @@ from inflight.diagnosis.closer import look_closer
 from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect, Signature, Verdict
 from inflight.diagnosis.findings import candidates, confusion, effect, lag_profile, refined, unscorable
 from inflight.diagnosis.left import structure_of
-from inflight.diagnosis.material import Material, effective_blocks, held_out, left_of, native_rms
+from inflight.diagnosis.material import (
+    Material,
+    effective_blocks,
+    held_out,
+    left_of,
+    native_rms,
+    of_known_rows,
+)
 from inflight.diagnosis.refine import refine
 from inflight.diagnosis.rounds import WEAK, Standing, polish, run, settle
 from inflight.diagnosis.search import Option, Search, Table
@@ -27,18 +34,18 @@ __all__ = ["Material", "conclude", "held_out", "known_periods", "lag_profile"]
 def conclude(search: Search, material: Material) -> Diagnosis:
     """Run the rounds and say what they mean."""
     first = search.table().light()
-    before = held_out(search, material)
     last = _rounds(search, material, first) if search.rules.rounds else first
-    standings = sorted(settle(search), key=lambda one: -one.gain)
+    standings = sorted(settle(search, partial(refine, search, material)), key=lambda one: -one.gain)
     if standings:
         last = search.table().light()
     effects = tuple(effect(search, material, one) for one in standings)
-    left = left_of(search, material)
-    blocks = effective_blocks(search, material, left)
-    unknown = look_at(search, material, last, left, structure_of(material.series, left))
+    seen = of_known_rows(search, material)
+    left = left_of(search, seen)
+    blocks = effective_blocks(search, seen, left)
+    unknown = look_at(search, seen, last, left, structure_of(seen.series, left))
     remaining = _remaining(unknown, blocks["independent"], search.rules.blocks)
     verdict = _verdict(effects, standings, remaining)
-    residual = _sizes(search, material, before, unknown)
+    residual = _sizes(search, seen, unknown)
     signature = unknown.signature if remaining == "UNKNOWN_EFFECT" else None
     own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _of_shape(effects[0])
     told: dict[str, Any] = {
@@ -75,12 +82,13 @@ def conclude(search: Search, material: Material) -> Diagnosis:
     )
 
 
-def _sizes(search: Search, material: Material, before: float, unknown: Unknown) -> dict[str, float]:
-    """Return the sizes of the residual, nT at the cadence of the comparison."""
+def _sizes(search: Search, material: Material, unknown: Unknown) -> dict[str, Any]:
+    """Return the sizes of the residual, nT at the cadence of the comparison, all of the same rows."""
+    nothing = search.holding([])
     return {
-        "before_nT": native_rms(material, search, accepted=False),
-        "after_nT": native_rms(material, search, accepted=True),
-        "held_out_before_nT": before,
+        "before_nT": native_rms(material, nothing),
+        "after_nT": native_rms(material, search),
+        "held_out_before_nT": held_out(nothing, material),
         "held_out_after_nT": held_out(search, material),
         # A record without a fast part, filtered or rounded away, tells no floor.
         "noise_floor_nT": unknown.floor.level_nT or float("nan"),
@@ -88,6 +96,7 @@ def _sizes(search: Search, material: Material, before: float, unknown: Unknown) 
         "noise_floor_high_nT": unknown.floor.high_nT,
         "structure_nT": unknown.structure.rms_nT,
         "structure_t": unknown.structure.t,
+        "uncorrected": material.gaps.as_json() if material.gaps else [],
     }
 
 
@@ -95,8 +104,9 @@ def _rounds(search: Search, material: Material, first: Table) -> Table:
     """Run the rounds, again with products when something is left, and from shapes if need be."""
     refiner, closer = partial(refine, search, material), partial(look_closer, search, material)
     last = run(search, refiner=refiner, closer=closer)
-    left = left_of(search, material)
-    seen = look_at(search, material, last, left, structure_of(material.series, left))
+    known = of_known_rows(search, material)
+    left = left_of(search, known)
+    seen = look_at(search, known, last, left, structure_of(known.series, left))
     more = len(search.accepted) < search.rules.rounds and (seen.is_sure or search.accepted)
     if more and look_again(search, material, [first, last], seen.is_sure):
         last = run(search, refiner=refiner, closer=closer)

@@ -173,9 +173,10 @@ def _instant(name: str, text: str) -> int:
 
 
 def _edge(maker: Maker, when: int) -> int:
-    """Return the edge of blocks nearest to a moment."""
+    """Return a moment; the edge of blocks beside it when that is within a second."""
     edges = np.append(maker.raw.start, maker.raw.end[-1])
-    return int(edges[np.argmin(np.abs(edges - when))])
+    near = int(edges[np.argmin(np.abs(edges - when))])
+    return near if abs(near - when) < SECOND else when
 
 
 # Entries of a model's file.
@@ -279,7 +280,7 @@ def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
             for key in ("at", "from", "to")
             if key in entry.effect.given
         ]
-        if all(_edge(maker, one) == one for one in at) and getattr(maker.carriers, kind):
+        if getattr(maker.carriers, kind):
             return step_of(maker, kind, at, entry.name)
     candidate, lag = _matching(maker, entry)
     if candidate is not None:

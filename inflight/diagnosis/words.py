@@ -12,6 +12,8 @@ from inflight.lines import told_period
 #: Sigmas from which an axis is named; spans that are said; and the part of the smallest effect, or of the
 #: floor, that is a good part of it.
 _CLEAR, _SAID, _GOOD_PART = 3.0, 4, 0.5
+#: Part of a record that lacks a channel from which on it is worth a word.
+_WORTH = 0.01
 #: Mechanisms worth a word when the data could not have shown them.
 MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
 
@@ -32,7 +34,7 @@ def sentence(told: Mapping[str, Any]) -> str:
             text += f" Something is left: {_of_signature(told['signature'])}."
             if _may_stand_in(told):
                 text += " The effects taken may stand in for the one cause that is missing."
-        return text + bursts
+        return text + _of_gaps(residual.get("uncorrected", ())) + bursts
     return {
         "NOTHING_LEFT": lambda: f"{_of_noise(residual)} ({sizes}).{_unseen(told)}",
         "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not(told)} ({sizes}).",
@@ -94,6 +96,16 @@ def _of_outliers(outliers: Mapping[str, Any]) -> str:
     if outliers["kept"]:
         return f" {what} of wild readings hold{'s' if count == 1 else ''} {size}, too many to be left out."
     return f" {what} of wild readings, {size}, {'was' if count == 1 else 'were'} left out."
+
+
+def _of_gaps(channels: Sequence[Mapping[str, Any]]) -> str:
+    """Return which part of the record lacks the channels of what was taken; nothing when it is little."""
+    told = [
+        f"{_percent(one['part'])} for want of {one['channel']}" for one in channels if one["part"] >= _WORTH
+    ]
+    if not told:
+        return ""
+    return f" Part of the record could not be corrected, {', '.join(told)}; the sizes are those of the rest."
 
 
 def _percent(share: float) -> str:

@@ -13,7 +13,7 @@ from importlib.metadata import entry_points
 from inflight.effects import channels, events, magnetic, periodic, sensor_channels, spacecraft, sunlight
 from inflight.effects.base import Effect
 from inflight.effects.naming import did_you_mean
-from inflight.effects.scalar_sensor import Heading, Oscillator, ScalarBias, TimeShift
+from inflight.effects.scalar_sensor import Heading, Oscillator, ScalarBias, ScalarResponse, TimeShift
 from inflight.effects.sources import EffectSource, own_effects
 from inflight.effects.vector_sensor import Affine, Nonlinearity, Temperature, VectorSensor
 from inflight.errors import ModelError
@@ -27,6 +27,7 @@ _LIBRARY: tuple[type[Effect], ...] = (
     sensor_channels.ChannelAngle,
     sensor_channels.AdcTemperature,
     magnetic.CrossTalk,
+    ScalarResponse,
     TimeShift,
     Oscillator,
     ScalarBias,

@@ -13,6 +13,7 @@ from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.effects.rates import slope
 from inflight.mission import Mission
 from inflight.sensors import Sensor
+from inflight.time import SECOND
 
 
 class TimeShift(Effect):
@@ -39,6 +40,32 @@ class TimeShift(Effect):
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return the one candidate there is."""
         return [{}]
+
+
+class ScalarResponse(Effect):
+    """A scalar reading that is a mean over some time: ``F + half_variance d2F/dt2``, as a bandwidth makes it.
+
+    To second order a symmetric response of standard deviation s (in time) adds ``s^2 / 2`` times the second
+    rate of change: 0.11 s^2 for a Gaussian of 0.28 Hz, 8 pT over the poles of a low orbit. The rate is that
+    of the corrected vector field over a minute, in which it hardly changes.
+    """
+
+    family = "clock"
+    acts_on = ("scalar",)
+    half_variance = Parameter("s^2", step=1e-2, sigma=1.0)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading of a slow instrument; (time,) nT."""
+        return np.asarray(reading + _bent(values, samples))
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading of an instrument without delay or mean; (time,) nT."""
+        return np.asarray(reading - _bent(values, samples))
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return none: it is known from an instrument's description, and looks like its neighbours' scale."""
+        return []
 
 
 class Oscillator(Effect):
@@ -98,6 +125,25 @@ class Heading(Effect):
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
         """Return the one candidate there is."""
         return [{}]
+
+
+#: Seconds between the two rates that tell how a rate changes.
+_BEND_STEP = 20.0
+
+
+def _bent(values: Values, samples: xr.Dataset) -> Floats:
+    """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where nothing tells it."""
+    size, stamps = strength(samples), np.asarray(samples["tt2000"].values, dtype=np.int64)
+    usual = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    reach = max(1, round(_BEND_STEP / usual))
+    out = np.zeros_like(size)
+    if size.size > 2 * reach:
+        before, here, after = size[: -2 * reach], size[reach:-reach], size[2 * reach :]
+        span = (stamps[2 * reach :] - stamps[: -2 * reach]) / (2.0 * SECOND)
+        bend = (before - 2.0 * here + after) / span**2
+        whole = np.isfinite(bend) & (np.abs(span - reach * usual) < 0.5 * usual)
+        out[reach:-reach] = np.where(whole, bend, 0.0)
+    return np.asarray(values["half_variance"]) * out
 
 
 def _shifted(values: Values, samples: xr.Dataset) -> Floats:

@@ -19,6 +19,8 @@ from inflight.estimators.running import windowed
 #: windows: at the ends of a mission and beside a long gap a mean is that of another time.
 COVERAGE, _LEAN = 0.6, 0.05
 _FEWEST = 5
+#: Harmonics of the window that its mean does not see.
+_REPEATS = 3
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ def running_mean(
 
     Days count alike, whatever their sigma, so that a window of one turn of local time (260.5 d) removes
     what repeats with it. The uncertainty is that of a mean of correlated days, from the scatter about the
-    running mean and its memory. The window must lie within the span; gaps inside it may not lean it to one
-    side.
+    running mean, less what repeats with the window, and its memory. The window must lie within the span; gaps
+    inside it may not lean it to one side.
 
     Parameters
     ----------
@@ -98,12 +100,22 @@ def running_mean(
             f"no window of {window:g} days has {100 * coverage:.0f} % of its days, evenly on both sides",
             remedy="use a shorter window, or a longer span",
         )
-    left = np.where(defined & known, value - mean, np.nan)
+    left = _without_repeats(mjd, np.where(defined & known, value - mean, np.nan), window)
     sigma = np.sqrt(_variance_of_day(left, float(np.ptp(mjd)) / window) / np.maximum(count, 1.0))
     nan = np.nan
     return RunningMean(
         mjd, np.where(defined, mean, nan), np.where(defined, sigma, nan), share, float(window), unit
     )
+
+
+def _without_repeats(mjd: Floats, left: Floats, window: float) -> Floats:
+    """Take out what repeats with the window: it does not enter the window's mean, whatever its size."""
+    known = np.isfinite(left)
+    turns = [2 * np.pi * k * mjd / window for k in range(1, _REPEATS + 1)]
+    rows = np.stack([wave(turn) for turn in turns for wave in (np.cos, np.sin)], axis=1)
+    if known.sum() < 2 * rows.shape[1]:
+        return left
+    return np.asarray(left - rows @ np.linalg.lstsq(rows[known], left[known])[0])
 
 
 def _variance_of_day(left: Floats, means: float) -> float:

@@ -63,7 +63,7 @@ class Origin:
         """Say it in a sentence."""
         if not self.determined:
             return "the origin of the logarithm is NOT DETERMINED: its interval has no lower end"
-        return f"origin MJD {self.mjd:.1f} +- {self.sigma:.1f} (95 %: {self.low:.1f} to {self.high:.1f})"
+        return f"origin MJD {self.mjd:.2f} +- {self.sigma:.2g} (95 %: {self.low:.2f} to {self.high:.2f})"
 
 
 @dataclass(frozen=True)
@@ -350,6 +350,9 @@ def sandwich(
     bread = np.linalg.inv(matrix[grid] * np.outer(unit, unit) + np.eye(free.size))
     influence = (scores[:, free] * unit / variance) @ bread
     spread = long_run_covariance(influence, functions) + bread @ bread
+    # Fewer blocks than parameters leave scores that are too small: never surer than white residuals are.
+    lift = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(spread), 1e-300), 1.0))
+    spread *= np.outer(lift, lift)
     out = np.zeros_like(matrix)
     out[grid] = spread * np.outer(unit, unit)
     return np.asarray(out)

@@ -49,7 +49,7 @@ def trend_figure(fit: TrendFit, table: xr.Dataset, parameters: list[str], factor
         bars = table["sigma"].sel(parameter=name).values * factor
         error_bars(plot, middle[thin], shown[thin], bars[thin], colour, 0.35)
         plot.scatter(middle, shown, color=colour, size=3, alpha=0.4)
-        label = name.rsplit("[", maxsplit=1)[-1].rstrip("]")
+        label = f"{name.rsplit('[', maxsplit=1)[-1].rstrip(']')}: {fit.trends[name].time}"
         curve = (value[:, index] - base) * factor
         band(plot, mjd_of(times), curve, sigma[:, index] * factor, colour)
         plot.line(

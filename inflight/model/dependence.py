@@ -1,9 +1,10 @@
 """How a value may depend on time: the functions of time its coefficients multiply.
 
 ``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``parabola``: ``a + b x + c x^2`` with
-``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value for each interval between the times ``at``; ``spline``: values at the
-times ``at``, with lines or a natural cubic between them, and the outer ones held beyond; ``block``: one
-value a calibration interval, held in a table.
+``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value
+for each interval between the times ``at``; ``spline``: values at the times ``at``, with lines or a natural
+cubic between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in a
+table.
 """
 
 from __future__ import annotations
@@ -154,7 +155,7 @@ def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event]
             f"'{key}': time {time!r} is unknown{did_you_mean(time, TIMES)}",
             remedy=f"one of {', '.join(TIMES)}",
         )
-    wanted = {trend: ("t0", "per") for trend in TRENDS}
+    wanted = dict.fromkeys(TRENDS, ("t0", "per"))
     wanted |= {"event": ("at", "events"), "spline": ("at", "interpolation")}
     if stray := [name for name in KEYS if name in entry and name not in wanted.get(time, ())]:
         raise ModelError(

@@ -15,8 +15,10 @@ from inflight.simulate.defects import apply_defects
 from inflight.simulate.field import external_field, main_field
 from inflight.simulate.grid import Float, Grid, Sampling, interpolate
 from inflight.simulate.orbit import EARTH_RADIUS, Geometry, geometry, node_local_time, sunlight
+from inflight.simulate.parameters import Parameters
 from inflight.simulate.power import Currents, currents, switched
 from inflight.simulate.randomness import generator
+from inflight.simulate.second import as_second, in_second_axes, second_effects
 from inflight.simulate.settings import SimulationSettings
 from inflight.simulate.stray import Pair, stray_fields
 from inflight.simulate.thermal import temperatures
@@ -35,14 +37,15 @@ class SimulatedDay:
     Attributes
     ----------
     instruments : dict of Dataset
-        fgm, ovm, tq, hk, att, orb, with the variables of the delivered files along ``record``;
-        ``Epoch`` is TT2000. One whose day is missing is not in it.
+        fgm, ovm, tq, hk, att, orb, and fgm2 when asked for, with the variables of the delivered
+        files along ``record``; ``Epoch`` is TT2000. One whose day is missing is not in it.
     truth : Dataset
         Undamaged, along ``record`` at the cadence of the magnetometers: ``FIELD`` (record, axis)
         and ``STRENGTH`` of the ambient field at the stamp, ``STRAY_VECTOR``, ``STRAY_SCALAR``
         (record, axis) the spacecraft's field at the sensors, all nT in spacecraft axes; ``T_EFF``
         degC that acts on the coil, ``SUNLIT``, ``I_PANEL`` (record, panel) A. Attributes hold
-        effects, hidden ones, parameters and the nine parameters at noon, as JSON.
+        effects, hidden ones, parameters and the nine parameters at noon, as JSON. With a second
+        fluxgate also ``STRAY_SECOND``, spacecraft axes, and its nine parameters.
     """
 
     day: np.datetime64
@@ -74,6 +77,8 @@ def simulate_day(settings: SimulationSettings, day: DayLike) -> SimulatedDay:
         "att": scene.attitude(),
         "orb": scene.orbit(),
     }
+    if settings.second_fluxgate:
+        instruments["fgm2"] = scene.second_fluxgate()
     damaged = apply_defects(instruments, settings.defects, settings.seed, scene.number)
     return SimulatedDay(scene.day, damaged, scene.truth())
 
@@ -180,23 +185,43 @@ class _Scene:
 
     def fluxgate(self) -> xr.Dataset:
         """What the vector instrument delivers."""
+        field = self.field(self.times) + self.stray[0]
+        return self._fluxgate(field, self.parameters, self.effects, "")
+
+    @cached_property
+    def stray_second(self) -> Float:
+        """Field of the spacecraft at the second fluxgate."""
+        flow, parameters = self.power(self.settings.cadence), as_second(self.parameters)
+        return stray_fields(self.times.seconds, flow, self.torquer, parameters, self.effects)[0]
+
+    def second_fluxgate(self) -> xr.Dataset:
+        """What the second vector instrument delivers."""
+        field = in_second_axes(self.field(self.times) + self.stray_second, self.parameters)
+        return self._fluxgate(field, as_second(self.parameters), second_effects(self.effects), "second ")
+
+    def _fluxgate(
+        self, field: Float, parameters: Parameters, effects: frozenset[str], stream: str
+    ) -> xr.Dataset:
+        """What a vector instrument in a field, its own axes, delivers; `stream` begins its noises' names."""
         recorded, acting, electronics = self.temperatures
         seconds, settings = self.times.seconds, self.settings
         sensed = fluxgate.reading(
-            self.field(self.times) + self.stray[0],
-            fluxgate.scale_factors(seconds, self.parameters, self.effects),
-            fluxgate.thermal_factors(acting, electronics, self.parameters, self.effects),
-            fluxgate.offsets(seconds, acting, self.parameters, self.effects, self.seed),
-            parameters=self.parameters,
-            effects=self.effects,
+            field,
+            fluxgate.scale_factors(seconds, parameters, effects),
+            fluxgate.thermal_factors(acting, electronics, parameters, effects),
+            fluxgate.offsets(seconds, acting, parameters, effects, self.seed),
+            parameters=parameters,
+            effects=effects,
         )
-        sensed += self._noise("fluxgate", sensed.shape, settings.vector_noise)
+        sensed += self._noise(f"{stream}fluxgate", sensed.shape, settings.vector_noise)
         shape = (self.times.count,)
+        coil = recorded + self._noise(f"{stream}coil thermistor", shape, 0.003)
+        converter = electronics + self._noise(f"{stream}adc thermistor", shape, 0.003)
         return _delivery(
             self.times,
             FGM_RAW=_rounded(sensed, settings.resolution),
-            T_CSC=_rounded(recorded + self._noise("coil thermistor", shape, 0.003), 0.01),
-            T_ADC=_rounded(electronics + self._noise("adc thermistor", shape, 0.003), 0.01),
+            T_CSC=_rounded(coil, 0.01),
+            T_ADC=_rounded(converter, 0.01),
             FGM_FLAG=np.zeros(shape, dtype=np.uint8),
         )
 
@@ -260,18 +285,24 @@ class _Scene:
             SUNLIT=self.light,
         )
         truth["I_PANEL"] = ("record", "panel"), self.power(self.settings.cadence).panels
+        if self.settings.second_fluxgate:
+            truth["STRAY_SECOND"] = ("record", "axis"), self.stray_second
+            truth.attrs["nine_parameters_second"] = self._nine(as_second(self.parameters))
         radius = float(np.linalg.norm(self.geometry.position[-1]))
         return truth.assign_attrs(
             day=str(self.day),
             effects=json.dumps(sorted(self.effects)),
             hidden=json.dumps(sorted(self.settings.hide)),
             parameters=json.dumps(self.parameters.as_dict()),
-            nine_parameters=json.dumps(
-                fluxgate.nine_parameters((self.start + self.end) / 2 / SECOND, self.parameters, self.effects)
-            ),
+            nine_parameters=self._nine(self.parameters),
             altitude_km=radius - EARTH_RADIUS,
             node_local_time_h=float(node_local_time(self.times.seconds[:1], self.parameters)[0]),
         )
+
+    def _nine(self, parameters: Parameters) -> str:
+        """Return the nine parameters at noon as JSON."""
+        noon = (self.start + self.end) / 2 / SECOND
+        return json.dumps(fluxgate.nine_parameters(noon, parameters, self.effects))
 
 
 def _continuous(quaternions: Float) -> Float:

@@ -11,7 +11,7 @@ from inflight.simulate.randomness import generator
 
 #: Stands for "no value" in every delivered variable of type float.
 FILL = 99999.9
-_FIELDS = {"fgm": "FGM_RAW", "ovm": "F"}
+_FIELDS = {"fgm": "FGM_RAW", "fgm2": "FGM_RAW", "ovm": "F"}
 
 
 def apply_defects(
@@ -65,7 +65,7 @@ def _spikes(data: xr.Dataset, instrument: str, random: np.random.Generator, day:
 
 def _flags(data: xr.Dataset, instrument: str, random: np.random.Generator, day: int) -> xr.Dataset:
     del day
-    if instrument != "fgm":
+    if _FIELDS.get(instrument) != "FGM_RAW":
         return data
     field, flag = data["FGM_RAW"].copy(deep=True), data["FGM_FLAG"].copy(deep=True)
     for _ in range(2):

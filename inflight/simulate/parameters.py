@@ -107,6 +107,16 @@ class Parameters:
     heater_period: float = 2820.0
     heater_duty: float = 0.45
 
+    #: The second fluxgate, there when asked for; all of it chosen. Metres; the turn from sensor to
+    #: spacecraft axes as a rotation vector, degrees; then as for the first one.
+    second_position: Vector = (4.85, 0.0, 0.0)
+    second_rotation: Vector = (0.040, -0.025, 0.060)
+    second_scale_constant: Vector = (1.00061210, 0.99982450, 1.00140330)
+    second_scale_log: Vector = (2.7500e-4, 3.0500e-4, 2.9000e-4)
+    second_offset: Vector = (-14.320, 31.870, 8.450)
+    second_angles: Vector = (89.95310, 90.04120, 89.97240)
+    second_temperature_linear: Vector = (30.1e-6, 29.8e-6, 30.9e-6)
+
     #: Extra effects, off unless asked for; nT, nT/K, 1/K, nT per nT/s, seconds.
     day_night_field: Vector = (0.0, 0.0, 0.65)
     unrecorded_heater_field: Vector = (0.0, 0.0, 0.35)

@@ -86,6 +86,8 @@ class SimulationSettings(BaseModel):
     #: Root mean square of the common external field, nT a component.
     external_field: Annotated[float, Field(ge=0)] = 5.0
     defects: tuple[Defect, ...] = ("gaps",)
+    #: Deliver a second fluxgate, `fgm2`.
+    second_fluxgate: bool = False
     #: Values of `Parameters` that differ from CHAMP's, by name.
     overrides: dict[str, Any] = {}
 

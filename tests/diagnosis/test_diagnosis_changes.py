@@ -4,9 +4,11 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from diagnosis_cases import DAY, POLAR, SECOND, STEP_S, case_of, flight_of, read
+from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, flight_of, read
 
 from inflight.diagnosis.changes import Carriers, batches, drifts, episodes, steps
+from inflight.diagnosis.moments import at_its_moment
+from inflight.lines import told_period
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, BLOCK_DAYS = 14, 0.25
@@ -52,8 +54,7 @@ def test_a_step_of_an_angle_is_found_as_such_and_not_as_a_clock():
     assert effect.axes == ("xz",)
     for one in effect.coefficients:
         truth = ANGLE_DEG if one.name == "misalignment[xz]" else 0.0
-        # The moment is between two edges of blocks: a little of the step is missing.
-        assert abs(one.value - truth) < 4 * one.sigma + 0.02 * ANGLE_DEG
+        assert abs(one.value - truth) < 4 * one.sigma
         assert (one.unit, one.at) == ("deg", "fgm")
 
 
@@ -76,12 +77,20 @@ def test_the_moment_is_told_with_how_sharp_it_is(residual):
     case, effect = stepped(), only_effect(residual)
     truth = int(case.flight.tt2000[0]) + int(AT_DAYS * DAY)
     off = abs(int(to_tt2000(parse_utc(effect.at[0]))) - truth) / SECOND
-    assert off <= effect.at_sigma_s
-    # Two blocks at most: every edge but few is tried.
-    assert effect.at_sigma_s <= 2 * BLOCK_DAYS * 86_400
+    # Samples are two minutes apart, and a change shows in the first one behind it.
+    assert off <= 3 * effect.at_sigma_s + 0.5 * STEP_S
+    assert STEP_S / 12**0.5 < effect.at_sigma_s < 0.1 * BLOCK_DAYS * 86_400
     told = told_of(residual)
-    assert f"{effect.at[0][:16].replace('T', ' ')} +- 6 h" in told.sentence
-    assert told.as_json()["effects"][0]["at_sigma_s"] == pytest.approx(BLOCK_DAYS * 86_400)
+    when = effect.at[0].rstrip("Z").replace("T", " ")
+    assert f"{when} +- {told_period(effect.at_sigma_s)}" in told.sentence
+    assert told.as_json()["effects"][0]["at_sigma_s"] == effect.at_sigma_s
+
+
+@pytest.mark.parametrize("residual", [0, 1, 2])
+def test_a_change_at_its_moment_leaves_the_noise(residual):
+    told = told_of(residual)
+    assert told.residual["held_out_after_nT"] < 1.02 * NOISE_NT
+    assert told.remaining["verdict"] == "NOTHING_LEFT"
 
 
 def test_a_drift_has_no_moment():
@@ -118,3 +127,67 @@ def test_a_batch_scores_what_all_changes_together_score(monkeypatch):
     for form, scores in apart.scores.items():
         np.testing.assert_allclose(scores.gain, whole.scores[form].gain[order], rtol=1e-6, atol=1e-9)
         np.testing.assert_allclose(apart.p[form], whole.p[form][order])
+
+
+# Episodes, and what moves a moment.
+
+FROM_DAYS, TO_DAYS = 5.13, 8.37
+
+
+@lru_cache(maxsize=1)
+def visited():
+    """Residual of a clock that is wrong for three days, from and until moments within blocks."""
+    flight = flight_of(POLAR, DAYS)
+    days = STEP_S * np.arange(flight.tt2000.size) / 86_400
+    strength = np.linalg.norm(flight["field"], axis=1)
+    early = SHIFT_S * np.gradient(strength, STEP_S) * ((days >= FROM_DAYS) & (days < TO_DAYS))
+    return case_of(
+        flight, [read(flight, 4, 0.0, -early)], block_days=BLOCK_DAYS, channels=("heater_current",)
+    )
+
+
+def test_begin_and_end_of_an_episode_are_found_with_their_error():
+    case = visited()
+    told = case.diagnose(0, draws=500)
+    (effect,) = told.effects
+    assert effect.name.startswith("clock_episode@"), told.sentence
+    first = int(case.flight.tt2000[0])
+    for at, truth in zip(effect.at, (FROM_DAYS, TO_DAYS), strict=True):
+        off = abs(int(to_tt2000(parse_utc(at))) - first - truth * DAY) / SECOND
+        assert off <= 3 * effect.at_sigma_s + 0.5 * STEP_S
+    assert effect.at_sigma_s < 1800
+    assert told.residual["held_out_after_nT"] < 1.02 * NOISE_NT
+    assert told.remaining["verdict"] == "NOTHING_LEFT"
+
+
+def put_to_its_moment():
+    """A search that took a clock step at an edge, and the same at its moment instead."""
+    case = stepped()
+    search, material = case.search(2), case.material(2)
+    at_edge = next(one for one in search.table().options if one.name == "clock_step@2024-03-09T00:00:00")
+    search.add(at_edge)
+    exact = at_its_moment(search, material, at_edge)
+    search.drop(at_edge)
+    search.add(exact)
+    return search, material, at_edge, exact
+
+
+def test_whatever_may_change_is_held_against_a_step_at_the_same_moment():
+    search, _, _, exact = put_to_its_moment()
+    when = exact.name.partition("@")[2]
+    offered = {one.name for one in search.table(without=exact).options}
+    assert {f"{kind}_step@{when}" for kind in ("offset", "scale", "angle", "clock")} <= offered
+
+
+def test_a_moment_that_is_found_already_stays():
+    search, material, _, exact = put_to_its_moment()
+    assert at_its_moment(search, material, exact) is exact
+
+
+def test_a_change_that_comes_back_knows_the_columns_that_joined_meanwhile():
+    search, _, at_edge, exact = put_to_its_moment()
+    search.drop(exact)
+    search.add(at_edge)
+    one, other = search.raw.index([*at_edge.columns, *exact.columns])
+    total = search.raw.total
+    assert total[one, other] ** 2 > 0.9 * total[one, one] * total[other, other]

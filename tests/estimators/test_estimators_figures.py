@@ -39,9 +39,8 @@ def trend_figures():
     table = table_of(edges, np.array([nine_at(day + 7.5) for day in edges]) + noise, SIZES, NINE, width=15.0)
     equations = equations_of_table(table)
     origin = int(tt2000_of(150.0))
-    fit = fit_trends(
-        equations, dict.fromkeys(SCALES, make_trend("log", middles(equations), origin)), PRIOR_SIGMA
-    )
+    log = make_trend("log", middles(equations), origin)
+    fit = fit_trends(equations, dict.fromkeys(SCALES, log), PRIOR_SIGMA)
     found = compare_trends(equations, SCALES, PRIOR_SIGMA, t0=origin)
     steps = table_jumps(table)
     smooth = trend_jumps(lambda times: fit.at(times)[0], steps.at)
@@ -78,17 +77,14 @@ def behaviour_figures():
     shift[1000:1004] += 0.012
     means = [running_mean(MJD, value, window, unit="nT") for window in (60.0, 260.0)]
     events = MJD[10::40] - 0.1
+    spectrum = parameter_spectrum(MJD, value, sigma, trials=10, unit="nT")
+    loop = hysteresis_loop(MJD, warm, value + 0.03 * np.cos(2 * np.pi * MJD / 130), "nT")
+    steps = event_steps(MJD, value + 0.5 * (events[20] < MJD), sigma, events, unit="nT")
     return [
-        behaviour.parameter_spectrum_figure(
-            parameter_spectrum(MJD, value, sigma, trials=10, unit="nT"), "offset z"
-        ),
+        behaviour.parameter_spectrum_figure(spectrum, "offset z"),
         behaviour.running_means_figure(MJD, value, means, "offset z"),
-        behaviour.loop_figure(
-            hysteresis_loop(MJD, warm, value + 0.03 * np.cos(2 * np.pi * MJD / 130), "nT"), "z"
-        ),
-        behaviour.steps_figure(
-            event_steps(MJD, value + 0.5 * (MJD > 1000), sigma, events, unit="nT"), "offset z"
-        ),
+        behaviour.loop_figure(loop, "offset z"),
+        behaviour.steps_figure(steps, "offset z"),
         behaviour.clock_figure(clock_faults(MJD, shift, np.full(MJD.size, 4e-4)), shift),
     ]
 

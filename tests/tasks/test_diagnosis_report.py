@@ -17,7 +17,7 @@ from inflight.catalog.workspace import Workspace
 from inflight.diagnosis.pictures import MAP_COLUMNS, MAP_ROWS, Seen, along_field, epoch, heat_maps, sizes_of
 from inflight.diagnosis.responses import responses
 from inflight.diagnosis.series import Features, Series
-from inflight.diagnosis.tradeoffs import cross_talk, holding, shifts_of, trials, waterfall
+from inflight.diagnosis.tradeoffs import cross_talk, shifts_of, trials, waterfall
 from inflight.errors import CatalogError
 from inflight.tasks import diagnosis_report as module
 from inflight.tasks.diagnose import DiagnoseSettings, material_of, prepare, search_of
@@ -242,7 +242,7 @@ def test_the_steps_of_the_waterfall_join_and_end_at_the_held_out_error(searched)
 def test_looking_changes_nothing(searched):
     search, material, _ = searched
     before = list(search.accepted)
-    holding(search, [])
+    search.holding([])
     waterfall(search, material)
     trials(search, material, [option.name for option in search.options])
     assert search.accepted == before

@@ -77,6 +77,17 @@ def offset_step(day: str, reading: np.ndarray) -> np.ndarray:
     return np.array([1.5, 0.0, 0.0]) * (days_since_start(day) >= 2)
 
 
+def offset_step_within_a_block(day: str, reading: np.ndarray) -> np.ndarray:
+    """From 07:23 of the third day on, the same."""
+    return np.array([1.5, 0.0, 0.0]) * (days_since_start(day) >= 2 + (7 * 60 + 23) / 1440)
+
+
+def bias_episode_within_blocks(day: str, reading: np.ndarray) -> np.ndarray:
+    """From 05:10 of the second to 11:40 of the third day the scalar sensor reads 0.6 nT more."""
+    t = days_since_start(day)
+    return 0.6 * ((t >= 1 + (5 * 60 + 10) / 1440) & (t < 2 + (11 * 60 + 40) / 1440))
+
+
 def offset_drift(day: str, reading: np.ndarray) -> np.ndarray:
     """An offset that grows by 0.8 nT/d on z."""
     return np.array([0.0, 0.0, 0.8]) * (days_since_start(day) - 2)
@@ -195,6 +206,7 @@ def test_the_products_use_the_new_model_and_again_the_old_one(workspace, bench):
     [
         (lagged, nothing, "channel_field(heater_current)", "channel_field"),
         (offset_step, nothing, "offset_step@2024-03-03", "offset_step"),
+        (offset_step_within_a_block, nothing, "offset_step@2024-03-03T07:23", "offset_step"),
         (offset_drift, nothing, "offset_drift", "affine"),
         (scale_drift, nothing, "scale_drift", "affine"),
         (scale_step, nothing, "scale_step@2024-03-03", "scale_step"),
@@ -203,6 +215,12 @@ def test_the_products_use_the_new_model_and_again_the_old_one(workspace, bench):
         (angle_drift, nothing, "angle_drift", "affine"),
         (nothing, bias_drift, "bias_drift", "scalar_bias"),
         (nothing, clock_drift, "clock_drift", "time_shift"),
+        (
+            nothing,
+            bias_episode_within_blocks,
+            "bias_episode@2024-03-02T05:10/2024-03-03T11:40",
+            "bias_step",
+        ),
         (nothing, bias_episode, "bias_episode@2024-03-02/2024-03-04", "bias_step"),
     ],
 )
@@ -226,6 +244,25 @@ def test_whatever_is_added_takes_the_products_to_the_noise(tmp_path, hidden, sca
     assert [one.name for one in again.additions] or effect == "bias_step"
     fitted = again._fit(*again._ground(again.additions, again.dropped), again.additions)
     assert np.sqrt(fitted.held_out) == pytest.approx(told["error"]["held_out_nT"][1], rel=0.02)
+
+
+def test_auto_puts_a_step_into_the_model_at_its_moment(tmp_path):
+    made = make_heated_workspace(tmp_path / "made", offset_step_within_a_block)
+    cat, mission = Catalog(made.root), made.mission()
+    found, steps = Workbench(cat, mission).auto()
+    (one,) = found.effects
+    told = np.datetime64(one.at[0].rstrip("Z"))
+    off = abs(told - np.datetime64("2024-03-03T07:23")) / np.timedelta64(1, "s")
+    assert off < 3 * one.at_sigma_s < 600
+    added = current_model(cat, mission).model.effects[-1]
+    assert added.effect.label() == "offset_step"
+    assert np.datetime64(added.effect.given["at"].rstrip("Z")) == told
+    assert steps[-1].held_out[1] == pytest.approx(found.residual["held_out_after_nT"], rel=0.01)
+    assert steps[-1].held_out[1] == pytest.approx(NOISE, rel=0.05)
+    assert residual_of_products(made) == pytest.approx(NOISE, rel=0.05)
+    again = Workbench(cat, mission)
+    fitted = again._fit(*again._ground(again.additions, again.dropped), again.additions)
+    assert np.sqrt(fitted.held_out) == pytest.approx(steps[-1].held_out[1], rel=0.02)
 
 
 def test_a_lag_between_those_of_the_bank_is_found(tmp_path):

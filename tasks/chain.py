@@ -1,0 +1,198 @@
+"""A day of the whole chain: its own fit, its wide equations, and what only fast samples can witness.
+
+One look at a day's samples makes all that later steps are computed from: normal equations of everything
+the model lets data move, the equations of the torquers' band, epochs of currents that step, and means of
+channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import BlockFit
+from inflight.catalog import Catalog
+from inflight.chain import wide_equations, with_nine
+from inflight.comparison import Rows, rows_of
+from inflight.errors import SamplesError
+from inflight.estimators.current_steps import find_steps
+from inflight.estimators.epochs import epochs_of
+from inflight.estimators.torquer_band import band_equations
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
+from inflight.tasks.chain_parts import alike, pack_parts
+from inflight.tasks.needs import channel_homes
+from inflight.time import Int64, day_bounds
+from inflight.units import factor_and_offset
+
+#: Bumped by hand when the numbers of the chain's days change.
+CHAIN_VERSION = 1
+#: Kinds of channels whose currents may step.
+CURRENTS = ("solar_current", "battery_current", "camera_current", "heater", "current")
+
+
+@dataclass(frozen=True)
+class Witnesses:
+    """Channels the chain looks at beside the model's own.
+
+    Attributes
+    ----------
+    currents : tuple of str
+        Scalar currents, the one of the solar array first where there is one.
+    torquer : str
+        Three torquer currents; empty when the mission has none.
+    """
+
+    currents: tuple[str, ...]
+    torquer: str
+
+    @classmethod
+    def of(cls, mission: Mission) -> Witnesses:
+        """Return those of a mission, by the kinds of its channels."""
+        kinds = {
+            name: mission.instruments[instrument].channels[channel]
+            for name, (instrument, channel) in channel_homes(mission).items()
+        }
+        currents = [
+            name
+            for kind in CURRENTS
+            for name, one in kinds.items()
+            if one.kind == kind and not one.axis_names
+        ]
+        torquers = [name for name, one in kinds.items() if one.kind == "torquer_current"]
+        return cls(tuple(currents), torquers[0] if torquers else "")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them."""
+        return (*self.currents, *((self.torquer,) if self.torquer else ()))
+
+
+def chain_batch(
+    cat: Catalog, mission: Mission, model: Model, job: Job, witnesses: Witnesses, min_coverage: float
+) -> Outcome:
+    """Make the chain's days of a batch and write them as one segment; parameters as `calibrate_batch`."""
+    return make_days(
+        cat, job, lambda day: chain_day(cat, mission, model, day, job, witnesses, min_coverage), alike
+    )
+
+
+def chain_day(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    job: Job,
+    witnesses: Witnesses,
+    min_coverage: float,
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return all that one day says, and a report of its own fit.
+
+    Raises
+    ------
+    CalibrationError
+        As `inflight.tasks.calibrate.calibrate_day`.
+    """
+    fitted = fit_day(cat, mission, model, day, job, None, min_coverage)
+    span = day_bounds(day)
+    attributes = {
+        "comparison": model.comparison,
+        "model": model.sha,
+        "cadence_ns": fitted.step,
+        "filter": "raw",
+    }
+    wide = wide_equations(model, fitted.samples, fitted.fit.value, span, attributes)
+    rows = rows_of(with_nine(model, fitted.fit.value), fitted.samples)
+    residual = np.where(rows.good, rows.residual[:, 0], np.nan)
+    parts = {
+        "band": _band(fitted.samples, residual, rows, witnesses),
+        "epoch": _epochs(fitted.samples, residual, rows, witnesses),
+        "channel": _means(fitted.samples, witnesses.names),
+    }
+    dataset = wide.dataset.assign(_own_fit(fitted.fit))
+    return pack_parts(dataset, parts), fitted.report
+
+
+def _own_fit(fit: BlockFit) -> dict[str, Any]:
+    """Return the day's own nine parameters with their covariance, and what they leave."""
+    return {
+        "fit": (("block", "nine"), fit.value[None]),
+        "fit_covariance": (("block", "nine", "other_nine"), fit.covariance[None]),
+        "before": ("block", np.array([fit.before])),
+        "after": ("block", np.array([fit.after])),
+        "used": ("block", np.array([fit.used], dtype=np.int64)),
+    }
+
+
+def _band(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnesses) -> xr.Dataset | None:
+    """Return the equations of the torquers' band; None without torquers or a stretch long enough."""
+    if not witnesses.torquer or witnesses.torquer not in samples:
+        return None
+    channel = samples[witnesses.torquer]
+    current = np.asarray(channel.values, dtype=np.float64)
+    current = current * factor_and_offset(str(channel.attrs.get("units", "A")), "A")[0]
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    try:
+        return band_equations(stamps, residual, _unit(rows.field), current)
+    except SamplesError:
+        return None
+
+
+def _epochs(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnesses) -> xr.Dataset | None:
+    """Return the epochs at which the first current steps; None when it never does."""
+    there = [name for name in witnesses.currents if name in samples]
+    if not there:
+        return None
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    channel = samples[there[0]]
+    own = _own_readings(stamps, channel)
+    with_field = samples.assign(field=(("time", "axis"), rows.field, {"units": "nT"}))
+    try:
+        values = np.asarray(channel.values, dtype=np.float64)[own]
+        steps = find_steps(stamps[own], values, unit=str(channel.attrs["units"]))
+        found = epochs_of(with_field, residual, steps, channel=there[0], others=there[1:])
+    except SamplesError:
+        return None
+    return found if found.sizes["epoch"] else None
+
+
+def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
+    """Return which samples are a channel's own readings, where it is slower than the samples; (time,).
+
+    What alignment put between two readings knows nothing of steps, and has none of their noise.
+    """
+    cadence = int(channel.attrs.get("cadence_ns", 0))
+    usual = int(np.median(np.diff(stamps))) if stamps.size > 1 else cadence
+    if cadence <= usual:
+        return np.ones(stamps.size, dtype=bool)
+    number = (stamps - stamps[0] + usual // 2) // cadence
+    return np.asarray(np.concatenate([[True], np.diff(number) > 0]))
+
+
+def _means(samples: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Return mean, spread and number of the readings of channels over the day, component by component."""
+    titles, rows = [], []
+    for name in (one for one in names if one in samples):
+        values = np.asarray(samples[name].values, dtype=np.float64)
+        for index, column in enumerate(values.reshape(len(values), -1).T):
+            known = column[np.isfinite(column)]
+            titles.append(name if values.ndim == 1 else f"{name}[{'xyz'[index] if index < 3 else index}]")
+            told = (known.mean(), known.std()) if known.size else (np.nan, np.nan)
+            rows.append((*told, float(known.size)))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 3)
+    return xr.Dataset(
+        {name: ("channel", table[:, place]) for place, name in enumerate(("mean", "spread", "count"))},
+        coords={"channel": titles},
+    )
+
+
+def _unit(field: Floats) -> Floats:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(field / np.linalg.norm(field, axis=1, keepdims=True))

@@ -1,0 +1,78 @@
+"""Tables of a run: made only when their content is new, staged, and certified at publication."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog, Day, Run
+from inflight.model import Model
+from inflight.tasks.planning import Plan
+from inflight.tasks.reprocess_chain import tables_key
+from inflight.tasks.tables import TABLES_VERSION, content_keys
+from inflight.time import day_bounds
+
+
+@dataclass(frozen=True)
+class SolvedTables:
+    """Tables of a run: the one products take, and what is to be certified at publication.
+
+    Attributes
+    ----------
+    model : Model
+        What products are made with.
+    notes : dict of str to str
+        Tables that could not be made, and why.
+    """
+
+    used: xr.Dataset
+    ids: dict[str, int]
+    certify: list[tuple[int, int, int, str | None]]
+    model: Model
+    notes: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class TableKeeper:
+    """Stages tables that are not there yet with the same content, and says which to certify."""
+
+    cat: Catalog
+    made: Plan
+    run: Run
+    days: Mapping[np.datetime64, Day]
+    ids: dict[str, int] = field(default_factory=dict)
+    certify: list[tuple[int, int, int, str | None]] = field(default_factory=list)
+
+    def table(self, kind: str, make: Callable[[], xr.Dataset]) -> xr.Dataset:
+        """Return a table, known or made and staged."""
+        name, key = f"{self.made.settings.comparison}-{kind}", self._key(kind)
+        known = [record for record in self.cat.tables(name) if record.key == key and not record.damaged]
+        if known:
+            table, self.ids[kind] = self.cat.table_by_id(known[-1].id), known[-1].id
+        else:
+            table = make()
+            start, end = self._bounds(table)
+            self.ids[kind] = self.run.stage_table(
+                name, table, start=start, end=end, parents=list(self.days.values()), key=key
+            )
+        bounds = self._bounds(table)
+        if not known or (None, *bounds) not in known[-1].certified:
+            self.certify.append((self.ids[kind], *bounds, None))
+        return table
+
+    def _key(self, kind: str) -> str:
+        made = self.made
+        if made.settings.is_chain:
+            return tables_key(made, kind, self.days)
+        told = [kind, str(made.settings.window_days), str(TABLES_VERSION), made.context]
+        return hashlib.sha256("".join([*content_keys(self.days), *told]).encode()).hexdigest()
+
+    def _bounds(self, table: xr.Dataset) -> tuple[int, int]:
+        """Return the span a table holds for: its intervals', or that of all days."""
+        if "start" in table and table["start"].dims == ("interval",):
+            return int(table["start"].values[0]), int(table["end"].values[-1])
+        return day_bounds(min(self.days))[0], day_bounds(max(self.days))[1]

@@ -1,0 +1,145 @@
+"""The whole chain as one reprocess, on simulated days at two seconds: everything put in comes back."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from benchmarks.archive import simulated_workspace
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.simulate import SimulationSettings
+from inflight.simulate.parameters import Parameters
+from inflight.simulate.stray import coefficients
+from inflight.tasks.reprocess import ReprocessSettings, reprocess
+
+DAYS = 24
+CONTINUOUS = ReprocessSettings(table="continuous", trend="linear", batch_days=12)
+SETTINGS = SimulationSettings(seed=3, cadence=2)
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory) -> tuple[Catalog, dict]:
+    """A mission that went through the chain once; the catalog and the report."""
+    folder = tmp_path_factory.mktemp("chain") / "champ"
+    cat = simulated_workspace(folder, DAYS, settings=SETTINGS, model="champ-chain.yaml", workers=1)
+    # A sample every two seconds knows nothing of a response of half a second.
+    model = folder / "models" / "champ-chain.yaml"
+    told = model.read_text(encoding="utf-8")
+    model.write_text(told.replace("value: 0.11, sigma: 0.02", "value: 0.0, sigma: 0.02"), encoding="utf-8")
+    report = reprocess(cat, Workspace.open(folder).mission(), settings=CONTINUOUS)
+    return cat, report.as_json()
+
+
+def newest(cat: Catalog, kind: str) -> xr.Dataset:
+    return cat.table_by_id(cat.tables(f"main-{kind}")[-1].id)
+
+
+def differences(truth: Parameters) -> dict[str, float]:
+    """Return what the residual can tell of the truth, by the names of the model's values."""
+    of = coefficients(truth)
+    out = {"time_shift.seconds": truth.time_shift, "scalar_bias.bias": 0.0}
+    for place, axis in enumerate("xyz"):
+        for name in ("camera", "battery", "heater"):
+            out[f"{name}.coefficient[{axis}]"] = float((of[name][0] - of[name][1])[place])
+        for number, panel in enumerate(("left", "right", "top")):
+            pair = of[f"panel_{panel}"]
+            out[f"solar_array.panels[{axis}{number}]"] = float((pair[0] - pair[1])[place])
+        out[f"temperature.linear[{axis}]"] = truth.temperature_linear[place]
+        out[f"temperature.quadratic[{axis}]"] = truth.temperature_quadratic
+        out[f"nonlinearity.quadratic[{axis}]"] = truth.quadratic[place]
+        out[f"nonlinearity.cubic[{axis}]"] = truth.cubic[place]
+    return out
+
+
+def test_the_residual_falls_to_the_noise_that_was_put_in(chain):
+    _, report = chain
+    assert report["days"]["done"] == DAYS
+    # Noise of both instruments and the rounding of their readings to 0.01 nT.
+    floor = np.sqrt(SETTINGS.vector_noise**2 + SETTINGS.scalar_noise**2 + 2 * 0.01**2 / 12)
+    assert report["residual"]["before_nT"] > 30
+    assert report["residual"]["after_nT"] == pytest.approx(floor, rel=0.05)
+
+
+def test_injected_coefficients_come_back_within_their_stated_errors(chain):
+    cat, _ = chain
+    table = newest(cat, "trend")
+    value = dict(zip(table["parameter"].values.tolist(), table["value"].values, strict=True))
+    sigma = dict(zip(table["parameter"].values.tolist(), table["sigma"].values, strict=True))
+    pulls = np.array(
+        [(value[name] - truth) / sigma[name] for name, truth in differences(SETTINGS.parameters).items()]
+    )
+    # Days at one local time tell panels, battery and temperature apart by picotesla: the noise of the
+    # thermistor shows. Of 41 numbers one may be beyond three sigma by chance and another by that.
+    assert np.sum(np.abs(pulls) > 3) <= 2
+    assert np.abs(pulls).max() < 5
+    # Neither too sure nor too modest, all together.
+    assert 0.6 < np.sqrt(np.mean(pulls**2)) < 1.5
+
+
+def test_products_do_not_jump_from_day_to_day(chain):
+    cat, _ = chain
+    table = newest(cat, "continuous")
+    steps = np.abs(np.diff(table["value"].values, axis=0))
+    assert table.sizes["interval"] == DAYS
+    # A straight line in time: every day's step is the same.
+    assert np.ptp(steps[:, :3], axis=0).max() < 1e-12
+    assert steps[:, 3:].max() == 0.0
+    model = cat.model_text("champ-chain-continuous")[2]
+    assert "time: linear" in model
+
+
+def test_every_table_is_certified_and_has_an_uncertainty(chain):
+    cat, report = chain
+    for kind in (
+        "continuous",
+        "trend",
+        "own-fit",
+        "current-steps",
+        "panels",
+        "torquer-band",
+        "torquer-band-mean",
+    ):
+        record = cat.tables(f"main-{kind}")[-1]
+        table = cat.table_by_id(record.id)
+        assert record.certified, kind
+        assert np.isfinite(table["sigma"].values).all(), kind
+        assert np.all(table["sigma"].values >= 0), kind
+    # What could not be made says why.
+    assert "window" in report["left_out"]["torquer-mean"]
+
+
+def test_products_tell_the_slow_part_of_the_residual_and_leave_it_in(chain):
+    cat, _ = chain
+    day = cat.days("l2/field", states=("published",))[3]
+    product = cat.read(day)
+    term = product["correction_distribution"]
+    assert term.attrs["applied"] == "no"
+    assert term.attrs["period_s"] == 80.0
+    # White noise alone puts a little into the filter's band, and nothing else is left.
+    assert 0 < term.attrs["rms_nT"] < 0.5 * day.report["after_nT"]
+    along = np.einsum("ta,ta->t", term.values, product["field_sensor"].values)
+    strength = np.linalg.norm(product["field_sensor"].values, axis=1)
+    size = np.linalg.norm(term.values, axis=1)
+    np.testing.assert_allclose(np.abs(along), size * strength, rtol=1e-3, atol=20.0)
+
+
+def test_offsets_from_the_spread_are_nothing_but_noise(chain):
+    cat, _ = chain
+    table = newest(cat, "z-offset")
+    assert table.sizes["interval"] == DAYS
+    assert np.abs(table["slope"].values / table["sigma_slope"].values).max() < 5
+
+
+def test_the_same_call_has_nothing_to_do(chain):
+    cat, _ = chain
+    again = reprocess(cat, Workspace.open(cat.workspace).mission(), settings=CONTINUOUS).as_json()
+    assert again["days"]["unchanged"] == DAYS
+    assert again["days"]["done"] == 0
+    assert len(cat.tables("main-continuous")) == 1
+
+
+def test_daily_fits_wander_by_what_they_do_not_know(chain):
+    cat, _ = chain
+    own, common = newest(cat, "own-fit"), newest(cat, "continuous")
+    apart = (own["value"].values - common["value"].values)[:, 6:]
+    assert np.abs(apart).max() < 2.0
