@@ -208,14 +208,7 @@ class Catalog:
         return self.read(found, variables)
 
     def read(self, day: Day, variables: Iterable[str] | None = None, *, dated: bool = True) -> xr.Dataset:
-        """Read a day by its record, published or only verified; no database access, safe in workers.
-
-        Parameters
-        ----------
-        dated : bool
-            Give it the coordinate ``time``, UTC; without it, ``tt2000`` alone tells the times, and a day
-            costs a third less.
-        """
+        """Read a day by its record; no database access. Not `dated`, it has no ``time``, and costs less."""
         if not day.segment:
             raise CatalogError(f"'{day.dataset}' is {day.state} and has no data", day=str(day.day))
         return read_one_day(self.workspace, day, variables, dated)

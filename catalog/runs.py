@@ -296,9 +296,8 @@ class Run:
             select(DayRow).where(DayRow.run_id == self.id, DayRow.dataset_id == dataset, DayRow.day == day)
         )
         if row is None:
-            row = DayRow(
-                run_id=self.id, dataset_id=dataset, day=day, context=self.context, state=DAY_STATES[0]
-            )
+            told = {"run_id": self.id, "dataset_id": dataset, "context": self.context}
+            row = DayRow(day=day, state=DAY_STATES[0], **told)
             session.add(row)
         elif row.state == "published":
             raise CatalogError("this run has already published it", day=str(day), remedy="start another run")
@@ -306,8 +305,8 @@ class Run:
 
     def _staged_row(self, session: Session, dataset: int, store: StoreRow, told: SegmentRow) -> DayRow:
         row = self._own_row(session, dataset, as_date(told.day))
-        partial = str(told.report.get("partial", ""))
-        row.state, row.cause, row.message = "verified", "partial" if partial else "", partial
+        row.state, row.message = "verified", str(told.report.get("partial", ""))
+        row.cause = "partial" if row.message else ""
         row.store_id, row.start, row.stop, row.key = store.id, told.start, told.stop, told.key
         row.first_tt2000, row.last_tt2000 = told.first_tt2000, told.last_tt2000
         row.count, row.step_ns, row.report = told.count, told.step_ns, dict(told.report)

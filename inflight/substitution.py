@@ -254,10 +254,19 @@ def substitute(
 
 
 def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
-    """Return what is missing of each channel the model uses: (time,) or (time, component), by name."""
-    names = sorted(set().union(*(_factors(entry, samples) for entry in model.effects)))
-    lost = {name: ~np.isfinite(np.asarray(samples[name].values, dtype=np.float64)) for name in names}
-    return {name: one for name, one in lost.items() if one.any()}
+    """Return what is missing of each channel the model uses: (time,) or (time, component), by name.
+
+    A channel is not missed where the sensor has no reading that its effect could be taken out of.
+    """
+    found: dict[str, Rows] = {}
+    for entry in model.effects:
+        reading = np.asarray(samples[entry.sensor.role].values, dtype=np.float64)
+        there = np.isfinite(reading if reading.ndim == 1 else reading.sum(axis=1))
+        for name in sorted(_factors(entry, samples)):
+            lost = ~np.isfinite(np.asarray(samples[name].values, dtype=np.float64))
+            lost &= there if lost.ndim == 1 else there[:, None]
+            found[name] = found[name] | lost if name in found else lost
+    return {name: found[name] for name in sorted(found) if found[name].any()}
 
 
 class _LeftOut(Effect):

@@ -120,13 +120,13 @@ def spread_of(product: xr.Dataset, good: np.ndarray, span: tuple[int, int]) -> d
 
 def _rounded(product: xr.Dataset) -> xr.Dataset:
     """Round each variable to its stored step and say so, so that a store holds what a user reads."""
-    out = product
+    rounded = {}
     for name, variable in product.data_vars.items():
         step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
         if step is not None and variable.dtype.kind == "f":
-            rounded = np.round(variable.values / step) * step
-            out = out.assign({name: (variable.dims, rounded, {**variable.attrs, "resolution": step})})
-    return out
+            values = np.round(variable.values / step) * step
+            rounded[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
+    return product.assign(rounded)
 
 
 def table_row_hash(table: xr.Dataset, tt2000: int) -> str:

@@ -20,7 +20,7 @@ from inflight.errors import InflightError, SamplesError
 from inflight.estimators.epoch_fits import fit_step
 from inflight.estimators.epochs import join_epochs
 from inflight.estimators.panels import choose_panels
-from inflight.estimators.secular import running_mean
+from inflight.estimators.secular import carried_mean
 from inflight.estimators.torquer_band import daily_fits, fit_band, join_equations, robust_mean
 from inflight.estimators.z_offset import noise_of, offsets_from_spread
 from inflight.mission import Mission
@@ -145,7 +145,7 @@ def _torquer_mean(read: Sequence[xr.Dataset], model: Model, window: float) -> xr
             count.append(float(part["count"].values[places].min()))
     if not days:
         raise SamplesError("no day has torquer currents", remedy="see the missing days of their channel")
-    return running_mean(np.array(days), np.array(value), np.array(count), window=window).table()
+    return carried_mean(np.array(days), np.array(value), np.array(count), window=window).table()
 
 
 def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset | str:

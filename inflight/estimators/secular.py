@@ -29,14 +29,14 @@ ETA = 7.1
 #: Days of the running mean: the local time falls by 24 h.
 WINDOW = 260.0
 AXES = ("x", "y", "z")
-#: How a value came about; codes of `RunningMean.state`.
+#: How a value came about; codes of `CarriedMean.state`.
 STATES = ("whole", "partial", "interpolated", "held")
 #: A window counts as whole from this coverage on.
 _WHOLE = 0.999
 
 
 @dataclass(frozen=True)
-class RunningMean:
+class CarriedMean:
     """Running mean of daily means; every day from the first to the last has a value.
 
     Attributes
@@ -94,9 +94,9 @@ def _by_day(day: Int64) -> xr.Dataset:
     )
 
 
-def running_mean(
+def carried_mean(
     day: Int64, value: Floats, count: Floats, *, window: float = WINDOW, least: float = 0.9
-) -> RunningMean:
+) -> CarriedMean:
     """Return the centred running mean of daily mean currents, carried to the days that have none.
 
     Parameters
@@ -115,7 +115,7 @@ def running_mean(
 
     Returns
     -------
-    RunningMean
+    CarriedMean
         `sigma` holds the scatter of days, ``(1 - coverage)`` times the spread of the daily values in
         the window (the missing part may be any part of the local time's cycle), and the change of the
         mean over the time a value was carried.
@@ -143,7 +143,7 @@ def running_mean(
     state = np.where(coverage >= _WHOLE, 0, 1).astype(np.int8)
     mean, sigma, state = _carried(mean, sigma, state, good, spread[good].max(axis=0))
     days = first + np.arange(daily.shape[0], dtype=np.int64)
-    return RunningMean(days, mean, sigma, coverage, state, daily, window)
+    return CarriedMean(days, mean, sigma, coverage, state, daily, window)
 
 
 def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats]:
@@ -222,12 +222,12 @@ def _change_over(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknow
     return change
 
 
-def remanent_field(mean: RunningMean, *, eta: float = ETA, eta_sigma: float = 0.0) -> xr.Dataset:
+def remanent_field(mean: CarriedMean, *, eta: float = ETA, eta_sigma: float = 0.0) -> xr.Dataset:
     """Return the body's remanent field at the scalar sensor, one interval a day.
 
     Parameters
     ----------
-    mean : RunningMean
+    mean : CarriedMean
     eta, eta_sigma : float
         nT/A at the scalar sensor.
 
@@ -298,7 +298,7 @@ class EtaFit:
         return self.difference / share, self.difference_sigma / abs(share)
 
 
-def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block: int = 60) -> EtaFit:
+def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: CarriedMean, *, block: int = 60) -> EtaFit:
     """Fit dB to ``e.(0, mean I_y, mean I_z)`` and a constant field.
 
     A constant remanent field looks like an offset of the vector sensor, so only the change of the mean
@@ -314,7 +314,7 @@ def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: RunningMean, *, block:
         Of [e_x, e_y, e_z | dB], dB in nT, of each day.
     rows : ndarray, shape (given,)
         Samples behind each.
-    mean : RunningMean
+    mean : CarriedMean
     block : int
         Days of a cluster: at least three times as long as the residual's slow errors last.
 

@@ -7,7 +7,7 @@ import xarray as xr
 from bokeh.models import BoxAnnotation, Span
 from bokeh.plotting import figure
 
-from inflight.estimators.secular import STATES, RunningMean
+from inflight.estimators.secular import STATES, CarriedMean
 from inflight.estimators.torquer_band import BAND
 from inflight.figures.style import (
     AFTER,
@@ -79,12 +79,12 @@ def band_figure(spectra: xr.Dataset, low: float = 0.02, high: float = 0.1) -> fi
     return plot
 
 
-def running_mean_figures(mean: RunningMean, field: xr.Dataset) -> list[figure]:
+def carried_mean_figures(mean: CarriedMean, field: xr.Dataset) -> list[figure]:
     """Draw daily and running means of the torquer currents, and the remanent field they tell.
 
     Parameters
     ----------
-    mean : RunningMean
+    mean : CarriedMean
     field : xarray.Dataset
         Of `secular.remanent_field`. Where the window was not covered the line is dashed.
     """

@@ -20,7 +20,7 @@ from inflight.estimators.distribution import PERIOD, distribute
 from inflight.estimators.epoch_fits import fit_step
 from inflight.estimators.epochs import epochs_of, join_epochs
 from inflight.estimators.panels import choose_panels
-from inflight.estimators.secular import fit_eta, running_mean
+from inflight.estimators.secular import carried_mean, fit_eta
 from inflight.estimators.torquer_band import band_equations, daily_fits, join_equations, robust_mean
 from inflight.scorecard import continuous_parameters
 from inflight.scorecard.figure import recovered
@@ -183,7 +183,7 @@ def _eta_of(grams: Floats, count: float, over: float, seed: int) -> float:
     slow = _ETA_SLOW * random.standard_normal((_ETA_DAYS // 20 + 1, 3))[np.arange(_ETA_DAYS) // 20]
     field = _ETA * (over - 1.0) * current * [0.0, 1.0, 1.0] + [0.3, -0.2, 0.1] + slow
     gram = _grams_with(grams[np.arange(_ETA_DAYS) % len(grams)], field, count, random)
-    mean = running_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
+    mean = carried_mean(day, daily, np.full(_ETA_DAYS, 86_400.0))
     return fit_eta(day, gram, np.full(_ETA_DAYS, count), mean).at_scalar(over)[0]
 
 

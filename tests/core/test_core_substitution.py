@@ -108,6 +108,16 @@ def test_nothing_missing_means_nothing_is_done():
     assert substitute(model, without(samples, "solar_current"), {}) is None, "no effect uses it"
 
 
+def test_a_channel_is_not_missed_where_there_is_no_reading():
+    model = model_with("torquer", "oscillator")
+    samples = without(model.disturb(true_samples(0)), "frequency_ratio", "scalar")
+    assert substitute(model, samples, {}) is None
+    also = without(samples, "torquer_current")
+    stand = substitute(model, also, typical_of(also, "torquer_current"))
+    assert stand is not None
+    assert set(stand.rows) == {"torquer_current"}
+
+
 def test_only_the_missing_component_of_a_channel_is_replaced():
     model = model_with("torquer")
     samples = model.disturb(true_samples(0))

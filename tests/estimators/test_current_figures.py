@@ -10,10 +10,10 @@ from epoch_cases import epochs_of_days, make_day, steps_of, stored_epochs
 from inflight.effects.panel_light import schedule
 from inflight.estimators.epoch_fits import stack
 from inflight.estimators.panels import against_local_time, choose_panels
-from inflight.estimators.secular import remanent_field, running_mean
+from inflight.estimators.secular import carried_mean, remanent_field
 from inflight.estimators.torquer_band import COLUMNS
 from inflight.figures.epochs import local_time_figure, stack_figures, steps_figure
-from inflight.figures.torquers import band_figure, coefficient_figures, running_mean_figures
+from inflight.figures.torquers import band_figure, carried_mean_figures, coefficient_figures
 
 
 def labels(plot):
@@ -88,8 +88,8 @@ def test_the_band_is_shown_before_and_after():
 
 def test_what_was_held_is_dashed():
     day = 11323 + np.arange(400)
-    mean = running_mean(day, np.full((400, 3), 0.04), np.ones(400))
-    plots = running_mean_figures(mean, remanent_field(mean))
+    mean = carried_mean(day, np.full((400, 3), 0.04), np.ones(400))
+    plots = carried_mean_figures(mean, remanent_field(mean))
     dashed = [one for one in plots[1].renderers if getattr(one.glyph, "line_dash", []) not in ([], "solid")]
     assert len(dashed) == 3
     assert np.isfinite(dashed[0].data_source.data["y"]).sum() == (mean.state > 1).sum() > 0
