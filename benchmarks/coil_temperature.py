@@ -21,10 +21,10 @@ from inflight.errors import CalibrationError
 from inflight.estimators.coil_temperature import (
     CoilBlock,
     coil_equations,
-    compare_temperatures,
     fit_coil,
 )
 from inflight.estimators.rows import NINE, joined
+from inflight.estimators.temperature_rivals import compare_temperatures
 from inflight.mission import Mission
 from inflight.model import Model, make_effect
 from inflight.sensors import sensors_of

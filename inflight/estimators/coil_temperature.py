@@ -23,7 +23,7 @@ from inflight.effects.base import AXES
 from inflight.effects.rates import slope
 from inflight.errors import CalibrationError
 from inflight.estimators.absorption import left
-from inflight.estimators.clusters import ClusteredFit, mean_of_clusters, solve_clusters
+from inflight.estimators.clusters import ClusteredFit, solve_clusters
 from inflight.estimators.rows import NINE, block_equations, joined, nine_columns, places
 from inflight.estimators.trend_equations import at_one_reference
 from inflight.time import GAP, SECOND, Int64
@@ -34,8 +34,6 @@ KINDS = ("linear", "quadratic", "rate", "quadratic_rate")
 PRIOR = (1e-4, 1e-6, 3600.0)
 #: Turns of the fit; lags of samples are settled to this part of their sigma, in so many formations.
 _TURNS, _SETTLED, _FORMATIONS = 12, 0.1, 8
-#: A rival is no worse than the best while it is within this many sigmas of it.
-_TIE = 2.0
 #: Chance that a lag is told of a temperature that nothing follows.
 FALSE_ALARM = 0.01
 #: Rows of a fit: three of each coefficient, and the lag.
@@ -217,11 +215,11 @@ def fit_coil(
     CalibrationError
         A column is missing, or there are too few blocks.
     """
-    gram, count = _left_of_each(equations, channel, each)
-    return _solved(gram, count, channel, lag, reference, prior)
+    gram, count = left_of_each(equations, channel, each)
+    return solved(gram, count, channel, lag, reference, prior)
 
 
-def _left_of_each(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
+def left_of_each(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
     """Return [12 columns | residual] of the blocks less what their own columns explain, physical units."""
     data = at_one_reference(equations).dataset
     own = [f"{channel}.{kind}[{axis}]" for kind in KINDS for axis in AXES]
@@ -233,7 +231,7 @@ def _left_of_each(equations: NormalEquations, channel: str, each: Sequence[str])
     return np.asarray(gram / np.outer(size, size)), np.asarray(data["count"].values)
 
 
-def _parameters(value: Floats) -> tuple[Floats, Floats]:
+def coefficients_of(value: Floats) -> tuple[Floats, Floats]:
     """Return the 12 coefficients of 7 unknowns (linear, quadratic, change of lag), and (12, 7) slopes."""
     linear, quadratic, change = value[:3], value[3:_LAG], value[_LAG]
     found = np.concatenate([value[:_LAG], change * linear, change * quadratic])
@@ -244,7 +242,7 @@ def _parameters(value: Floats) -> tuple[Floats, Floats]:
     return found, slopes
 
 
-def _solved(
+def solved(
     gram: Floats,
     count: Floats,
     channel: str,
@@ -298,7 +296,7 @@ def _turned(gram: Floats, value: Floats) -> Floats:
 
     Their solution is the unknowns themselves, not a change of them, so that a prior holds them at 0.
     """
-    found, slopes = _parameters(value)
+    found, slopes = coefficients_of(value)
     found = found - slopes @ value
     turn = np.zeros((13, 8))
     turn[:-1, :-1], turn[:-1, -1], turn[-1, -1] = slopes, -found, -1.0
@@ -357,108 +355,3 @@ def _formed(blocks: Sequence[CoilBlock], channel: str, lag: float, reference: fl
         except CalibrationError:
             continue
     return joined(made)
-
-
-@dataclass(frozen=True)
-class TemperatureRival:
-    """A temperature judged on blocks that were not fitted; `score` is the rms left, nT."""
-
-    channel: str
-    score: float
-    behind: float
-    behind_sigma: float
-
-    @property
-    def ties(self) -> bool:
-        """True when held-out blocks do not tell it from the best."""
-        return self.behind <= _TIE * self.behind_sigma
-
-
-@dataclass(frozen=True)
-class TemperatureChoice:
-    """Temperatures, and none, on held-out blocks; the best first."""
-
-    rivals: tuple[TemperatureRival, ...]
-
-    def told(self) -> str:
-        """Say which is best, and which are tied with it."""
-        best, *others = self.rivals
-        ties = [one.channel for one in others if one.ties]
-        worse = [
-            f"{one.channel} ({one.behind / one.behind_sigma:.1f} sigma)" for one in others if not one.ties
-        ]
-        told = f"{best.channel} leaves least of held-out blocks"
-        told += f"; tied with it: {', '.join(ties)}" if ties else ""
-        return told + (f"; worse: {', '.join(worse)}" if worse else "")
-
-    def table(self) -> xr.Dataset:
-        """Return the scores: dim channel."""
-        rows = self.rivals
-        return xr.Dataset(
-            {
-                "value": ("channel", np.array([one.score for one in rows]), {"units": "nT"}),
-                "behind": ("channel", np.array([one.behind for one in rows]), {"units": "nT2"}),
-                "sigma": ("channel", np.array([one.behind_sigma for one in rows]), {"units": "nT2"}),
-                "tied": ("channel", np.array([one.ties for one in rows])),
-            },
-            coords={"channel": [one.channel for one in rows]},
-            attrs={"told": self.told()},
-        )
-
-
-#: The rival that has no temperature at all.
-NONE = "none"
-
-
-def compare_temperatures(
-    equations: NormalEquations,
-    channels: Sequence[str],
-    *,
-    folds: int = 5,
-    each: Sequence[str] = NINE,
-    prior: tuple[float, float, float] = PRIOR,
-) -> TemperatureChoice:
-    """Judge temperatures, and none, by what they leave of contiguous blocks that were not fitted.
-
-    Parameters
-    ----------
-    equations : NormalEquations
-        With the columns of every channel, each at a lag of its own.
-    channels : sequence of str
-    folds : int
-        Contiguous parts of the span.
-    each, prior
-        As for `fit_coil`; the columns of `each` are fitted in held-out blocks too, alike for all rivals.
-
-    Raises
-    ------
-    CalibrationError
-        When training blocks are fewer than five.
-    """
-    squares: dict[str, Floats] = {}
-    count = equations.dataset["count"].values
-    for channel in channels:
-        gram, rows = _left_of_each(equations, channel, each)
-        squares.setdefault(NONE, gram[:, -1, -1] / rows)
-        squares[channel] = _held_out(gram, rows, channel, folds, prior) / rows
-    which = np.arange(len(count))
-    whole = {name: float(np.average(one, weights=count)) for name, one in squares.items()}
-    best = min(whole, key=lambda name: whole[name])
-    rivals = []
-    for name in sorted(whole, key=lambda name: whole[name]):
-        behind, sigma = mean_of_clusters(squares[name] - squares[best], count, which)
-        rivals.append(TemperatureRival(name, float(np.sqrt(whole[name])), behind, sigma))
-    return TemperatureChoice(tuple(rivals))
-
-
-def _held_out(
-    gram: Floats, count: Floats, channel: str, folds: int, prior: tuple[float, float, float]
-) -> Floats:
-    """Return the sum of squares of each block at the fit of the other folds; (block,) nT^2."""
-    out = np.empty(len(gram))
-    for part in np.array_split(np.arange(len(gram)), folds):
-        rest = np.delete(np.arange(len(gram)), part)
-        fit = _solved(gram[rest], count[rest], channel, 0.0, 0.0, prior).fit
-        at = np.append(_parameters(fit.value)[0], 1.0)
-        out[part] = np.einsum("i,bij,j->b", at, gram[part], at)
-    return out

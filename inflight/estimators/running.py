@@ -1,7 +1,8 @@
 """Weighted means of daily values in a window that moves over the days, whose ends count by the part inside.
 
 One way for a parameter whose mean is undefined where the window is not (`behaviour.running_mean`) and for
-currents that a correction needs on every day (`secular.carried_mean`): both are means of this module.
+currents that a correction needs on every day (`secular.carried_mean`). Both are means of this module; they
+differ in what they say of days without one: nothing, or the mean carried there with a wider sigma.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ import numpy as np
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.estimators.coil_temperature import CoilFit, TemperatureChoice
+from inflight.estimators.coil_temperature import CoilFit
+from inflight.estimators.temperature_rivals import TemperatureChoice
 from inflight.figures.style import (
     AFTER,
     COMPONENTS,

@@ -114,7 +114,7 @@ def _arrays(scene: Scene, both: bool) -> tuple[xr.Dataset, Floats]:
         share = schedule(np.array([day.local_time])) if both else np.array([[1.0, 0.0]])
         coefficient = (share @ np.reshape(PANELS, (2, 3)))[0] / _SPLIT[0]
         for repeat in range(_REPEATS):
-            random = np.random.default_rng([11, mjd, repeat])
+            random = np.random.default_rng([21, mjd, repeat])
             current = _SUN[0] + (_SUN[1] - _SUN[0]) * _switched(day, random)
             residual = _disturbed(day, current[:, None] * coefficient, random)
             parts.append(_epochs(day, residual, current, "solar_current"))
@@ -140,7 +140,7 @@ def field_of_camera(scene: Scene) -> float:
     """Return the change of dB along z of the camera's current, nT/mA."""
     parts = []
     for mjd in DAYS:
-        day, random = scene.once(fast_day, mjd), np.random.default_rng([12, mjd])
+        day, random = scene.once(fast_day, mjd), np.random.default_rng([22, mjd])
         current = _DAZZLED * _switched(day, random)
         field = current[:, None] * np.array([0.0, 0.0, 1e3 * CAMERA])
         parts.append(_epochs(day, _disturbed(day, field, random), current, "camera_current"))
@@ -154,10 +154,10 @@ def change_of_matrix(scene: Scene) -> tuple[float, ...]:
         day = scene.once(fast_day, mjd)
         times = Sampling.of_span(int(day.stamps[0]), int(day.stamps[-1]) + SECOND, SECOND)
         for seed in range(_BAND_REPEATS):
-            current = torquer_currents(times, Parameters(), seed, mjd)
+            current = torquer_currents(times, Parameters(), 10 + seed, mjd)
             # F lacks e.(change I): it stays in dB = |B| - F with a minus.
             field = -current @ np.reshape(CHANGE, (3, 3)).T
-            residual = _disturbed(day, field, np.random.default_rng([13, mjd, seed]))
+            residual = _disturbed(day, field, np.random.default_rng([23, mjd, seed]))
             parts.append(band_equations(day.stamps, residual, day.direction, current))
     found = robust_mean(daily_fits(join_equations(parts)))
     return tuple((-found["value"].values).ravel())

@@ -14,18 +14,15 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import Reference, fit_block
 from inflight.calibration.equations import NormalEquations
-from inflight.estimators.behaviour import slope_of
-from inflight.estimators.clock_faults import clock_faults
 from inflight.estimators.coil_temperature import CoilBlock, fit_coil_samples
 from inflight.estimators.days import tt2000_of
-from inflight.estimators.event_steps import WEEKDAYS, week_pattern
 from inflight.estimators.jumps import table_jumps, trend_jumps
 from inflight.estimators.rows import block_equations, joined, nine_columns
 from inflight.estimators.trend_equations import make_trend
 from inflight.estimators.trend_origin import fit_origin
 from inflight.estimators.trends import TrendFit, fit_trends
 from inflight.estimators.z_offset import day_statistics, spread_law
-from inflight.scorecard import continuous_parameters, residual
+from inflight.scorecard import continuous_parameters
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.scalar_calibration import (
     ANGLES,
@@ -50,20 +47,10 @@ _WRONG_ORIGIN = 100.0
 _BOUNDARIES = (500, 3000)
 #: Noise^2 of eq. 3.6, and rms and error of the daily offsets that it is told from, nT.
 _REGRESSION_NOISE, _OFFSET_RMS, _OFFSET_ERROR, _OFFSET_DAYS = 0.0390, 0.5, 0.01, 60
-#: Drift of the z offset, nT/d; a day's scatter and a wave of 260.5 d beside it, nT (chosen).
-_DRIFT, _SCATTER, _WAVE = -0.00024, 0.2, 0.15
-#: The clock fault: first and last day, s, and a day's scatter (chosen), s.
-_FAULT, _CLOCK_SCATTER = (3164, 3167, 0.012), 0.0005
-#: Slopes of Fig. 4.21 by day and by night, nT: in this order their difference has the sign of section 4.3.
-_SLOPES = (0.18, -0.47)
-#: Fewest samples of a day's light or dark part.
-_SIDE = 300
 #: Coil: linear (ppm/K) and quadratic (1/K^2) coefficients, lag (s) and reference (degC, chosen).
 _COIL, _QUADRATIC, _LAG, _REFERENCE = (29.6, 30.37, 30.46), 4e-8, 100.0, 10.0
 #: Three times the inverse of the columns' information for the mean over seeds.
 _COIL_SCATTER = (0.081, 0.59, 0.024, 0.45)
-#: MJD mod 7 of the reset day.
-WEDNESDAY = WEEKDAYS.index("Wednesday")
 
 
 def day_equations(scene: Scene, mjd: float, number: int, seed: int) -> NormalEquations:
@@ -166,65 +153,6 @@ def regression(scene: Scene) -> tuple[float, float]:
     return float(factor), float(noise)
 
 
-def drift(scene: Scene) -> float:
-    """Return the mean over seeds of a drift put into daily offsets, nT/d."""
-    days = np.arange(204.5, 3204.5)
-    found = []
-    for seed in range(SEEDS):
-        wave = _WAVE * np.cos(2.0 * np.pi * days / 260.5)
-        value = _DRIFT * days + wave + np.random.default_rng([4, seed]).normal(0.0, _SCATTER, days.size)
-        found.append(slope_of(days, value, np.full(days.size, _SCATTER), periods=(260.5,)).slope)
-    return float(np.mean(found))
-
-
-def weekday_of_resets(scene: Scene) -> tuple[float, ...]:
-    """Return MJD mod 7 of the day on which an offset is found to step, least and largest over seeds.
-
-    The offset steps on Wednesdays by as much, rms, as single days scatter. NaN where no day stands out.
-    """
-    days, found = np.arange(204.5, 3204.5), []
-    for seed in range(SEEDS):
-        generator = np.random.default_rng([5, seed])
-        steps = np.where(np.floor(days) % 7 == WEDNESDAY, generator.normal(size=days.size), 0.0)
-        # A reset at noon: half of it is in the mean of its own day.
-        value = np.cumsum(steps) - 0.5 * steps + generator.normal(size=days.size)
-        pattern = week_pattern(days, value)
-        found.append(float(pattern.day) if pattern.found else np.nan)
-    return float(np.min(found)), float(np.max(found))
-
-
-def fault_of_clock(scene: Scene) -> tuple[float, float, float]:
-    """Return first and last day and size of the only fault found; mean over seeds, NaN where more are."""
-    days, found = np.arange(2700.5, 3400.5), []
-    for seed in range(SEEDS):
-        shift = 0.015 + np.random.default_rng([6, seed]).normal(0.0, _CLOCK_SCATTER, days.size)
-        shift += np.where((days > _FAULT[0]) & (days < _FAULT[1] + 1), _FAULT[2], 0.0)
-        faults = clock_faults(days, shift, np.full(days.size, _CLOCK_SCATTER)).faults
-        one = faults[0] if len(faults) == 1 else None
-        found.append((one.first, one.last, one.shift) if one else (np.nan,) * 3)
-    first, last, size = np.mean(found, axis=0)
-    return float(first), float(last), float(size)
-
-
-def slopes_by_day_and_night(scene: Scene) -> tuple[float, float]:
-    """Return the slopes of dB on Bz/F by day and by night of a field that was put in, nT."""
-    sums = np.zeros((2, 2))
-    for seed in range(SEEDS):
-        for mjd in DAYS:
-            day = scene.day(mjd)
-            field = _SLOPES[0] * day.sunlit + _SLOPES[1] * (1.0 - day.sunlit)
-            noise = np.random.default_rng([7, seed, mjd]).normal(0.0, NOISE, day.sunlit.size)
-            left = field * day.direction[:, 2] + noise
-            for index, side in enumerate((day.sunlit == 1.0, day.sunlit == 0.0)):
-                # Orbits in full sun have no night to take a slope of.
-                if side.sum() >= _SIDE:
-                    one = day_statistics(left, day.direction, *day.span, good=side)
-                    # A short night sees few directions: its slope says little.
-                    weight = float((one["count"] * one["geometry"]).item())
-                    sums[index] += weight * np.array([float(one["slope"].item()), 1.0])
-    return float(sums[0, 0] / sums[0, 1]), float(sums[1, 0] / sums[1, 1])
-
-
 def time_shift(scene: Scene) -> float:
     """Return the mean over days and seeds of a shift of the scalar stamps fitted beside the nine, s."""
     found = []
@@ -265,7 +193,7 @@ def coil(scene: Scene) -> tuple[float, ...]:
     return tuple(np.mean([_coil(scene, seed) for seed in range(SEEDS)], axis=0))
 
 
-SECTION, TELLS = continuous_parameters.SECTION, residual.SECTION
+SECTION = continuous_parameters.SECTION
 _SOURCE = "Yin 2010, section 3.3"
 
 FIGURES = (
@@ -387,49 +315,5 @@ FIGURES = (
         (0.0105, 0.0007),
         lambda scene: scene.once(regression),
         why="The noise was put in and is returned; the slope is geometry's own, see z-offset.slope.",
-    ),
-    recovered(
-        "offset.drift-recovered",
-        TELLS,
-        "drift of daily z offsets that scatter by 0.2 nT beside a wave of 260.5 d, 3000 days",
-        "nT/d",
-        "Yin 2010, section 4.1.2",
-        _DRIFT,
-        # Three times 2.1e-6, and the last printed digit is 1e-5.
-        0.000006,
-        drift,
-    ),
-    recovered(
-        "resets.recovered",
-        TELLS,
-        "MJD mod 7 of the weekday on which an offset is found to step, least and largest over seeds",
-        "1",
-        "Yin 2010, section 4.1.2: Wednesdays",
-        (float(WEDNESDAY), float(WEDNESDAY)),
-        0.0,
-        weekday_of_resets,
-    ),
-    recovered(
-        "clock-fault.recovered",
-        TELLS,
-        "first and last day, and size, of the only fault found in 700 daily time shifts",
-        "d, d, s",
-        "Yin 2010, section 4.2.2, Fig. 4.18",
-        tuple(float(one) for one in _FAULT),
-        # The days exactly, the shift to its last printed digit.
-        (0.0, 0.0, 0.0005),
-        lambda scene: scene.once(fault_of_clock),
-        why="Found without being told where: this proves the estimator, not the fault.",
-    ),
-    recovered(
-        "day-night.slopes",
-        TELLS,
-        "slopes of dB on Bz/F by day and by night of a field put into days that have a night",
-        "nT",
-        "Yin 2010, Fig. 4.21; which is by day follows from the sign of the angles of section 4.3",
-        _SLOPES,
-        # Three times 0.7 pT, and the penumbra belongs to neither; half of the last printed digit.
-        0.005,
-        slopes_by_day_and_night,
     ),
 )

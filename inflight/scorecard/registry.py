@@ -13,6 +13,7 @@ from inflight.scorecard import (
     day_and_night,
     recovered_fields,
     recovered_parameters,
+    recovered_residual,
     residual,
     scalar_calibration,
     spacecraft_fields,
@@ -35,6 +36,7 @@ _MODULES = (
     day_and_night,
     recovered_parameters,
     recovered_fields,
+    recovered_residual,
 )
 
 

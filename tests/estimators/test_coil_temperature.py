@@ -8,14 +8,13 @@ from estimator_cases import polar_field
 
 from inflight.errors import CalibrationError
 from inflight.estimators.coil_temperature import (
-    NONE,
     CoilBlock,
     coil_equations,
-    compare_temperatures,
     fit_coil,
     fit_coil_samples,
 )
 from inflight.estimators.rows import joined
+from inflight.estimators.temperature_rivals import NONE, compare_temperatures
 from inflight.figures.coil_temperature import rivals_figure, scale_curves_figure
 from inflight.time import SECOND
 

