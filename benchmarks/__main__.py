@@ -1,4 +1,4 @@
-"""Print all benchmarks: ``python -m benchmarks [nine] [pipeline] [front] [search]``."""
+"""Print all benchmarks: nine, pipeline, front, search, chain (``python -m benchmarks --help``)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     parser = argparse.ArgumentParser(description="Speed and memory of Inflight")
     parser.add_argument(
-        "which", nargs="*", choices=["nine", "pipeline", "front", "search", []], help="all when absent"
+        "which",
+        nargs="*",
+        choices=["nine", "pipeline", "front", "search", "chain", []],
+        help="all when absent",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archive, made once and kept")
     parser.add_argument("--days", type=int, default=90, help="days of the archive")
     given = parser.parse_args()
-    which = given.which or ["nine", "pipeline", "front", "search"]
+    which = given.which or ["nine", "pipeline", "front", "search", "chain"]
 
     from benchmarks.archive import simulated_workspace
+    from benchmarks.chain import whole_chain
     from benchmarks.nine import nine_parameters
     from benchmarks.pipeline import front_door, memory_and_speed
     from benchmarks.search import evidence_pass, ranking
@@ -35,6 +39,8 @@ def main() -> None:
             print("\n".join(memory_and_speed(folder)), flush=True)
         if "search" in which:
             print("\n".join([*evidence_pass(cat), *ranking()]), flush=True)
+        if "chain" in which:
+            print("\n".join(whole_chain(given.days, folder.with_name(f"{folder.name}-chain"))), flush=True)
         if "front" in which:
             print("\n".join(front_door()), flush=True)
 
