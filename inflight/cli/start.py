@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: The shipped mission that the simulator flies.
 SIMULATED_MISSION = "champ"
+#: The same with a second fluxgate: made with `new`, before it is simulated.
+WITH_SECOND = "champ-two-fluxgates"
 
 
 def register(app: typer.Typer) -> None:
@@ -93,7 +95,8 @@ def simulate(
 ) -> None:
     """Write day files like a real mission delivers, into the workspace's data folder.
 
-    A folder that is no workspace becomes one of the simulated mission.
+    A folder that is no workspace becomes one of the simulated mission. A workspace of
+    champ-two-fluxgates gets the files of a second fluxgate, too.
     """
     from inflight.catalog.workspace import Workspace
     from inflight.tasks.report import RunReport
@@ -120,9 +123,10 @@ def simulate(
 def _require_simulated(workspace: Workspace) -> None:
     """Refuse to put simulated files among the measurements of another mission."""
     named = workspace.mission().mission
-    if named != SIMULATED_MISSION:
+    if named not in (SIMULATED_MISSION, WITH_SECOND):
         raise SettingsError(
-            f"{workspace.root} holds mission {named!r}; only {SIMULATED_MISSION!r} is simulated",
+            f"{workspace.root} holds mission {named!r}; only {SIMULATED_MISSION!r} and {WITH_SECOND!r} are "
+            "simulated",
             remedy="name a new folder with --workspace",
         )
 

@@ -4,9 +4,11 @@ import json
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
 from inflight.simulate import Parameters, SimulationSettings, effect_names, simulate_day
 from inflight.simulate.fluxgate import reading, solve_reading
@@ -264,3 +266,52 @@ def test_ordinary_gaps_are_short_and_few():
         for name in ("fgm", "ovm")
     ]
     assert 0 < sum(lost) < 8 * 400
+
+
+def test_a_second_fluxgate_changes_nothing_of_the_others():
+    settings = SimulationSettings(cadence=10, defects=("gaps", "flags", "spikes"))
+    alone = simulate_day(settings, "2005-01-02")
+    both = simulate_day(settings.model_copy(update={"second_fluxgate": True}), "2005-01-02")
+    assert set(both.instruments) - set(alone.instruments) == {"fgm2"}
+    for name, data in alone.instruments.items():
+        xr.testing.assert_identical(both.instruments[name], data)
+    xr.testing.assert_identical(both.truth.drop_vars("STRAY_SECOND").drop_attrs(), alone.truth.drop_attrs())
+
+
+@pytest.mark.parametrize("effect", ["day_night", "eddy", "hysteresis", "offset_steps", "adc_temperature"])
+def test_what_is_at_one_sensor_only_does_not_reach_the_second_fluxgate(effect):
+    plain = SimulationSettings(cadence=10, second_fluxgate=True, defects=())
+    moved, still = (
+        simulate_day(settings, "2005-01-05").instruments
+        for settings in (plain.model_copy(update={"include": (effect,)}), plain)
+    )
+    assert np.array_equal(moved["fgm2"]["FGM_RAW"].values, still["fgm2"]["FGM_RAW"].values)
+    assert not np.array_equal(moved["fgm"]["FGM_RAW"].values, still["fgm"]["FGM_RAW"].values)
+
+
+def test_the_second_fluxgate_is_in_the_field_of_the_same_dipoles_at_its_own_place():
+    near = SimulationSettings(cadence=10, second_fluxgate=True, defects=(), without=("torquer",))
+    there = near.model_copy(update={"overrides": {"second_position": [4.75, 0.0, 0.0]}})
+    truth = simulate_day(there, "2005-01-02").truth
+    assert np.allclose(truth["STRAY_SECOND"].values, truth["STRAY_VECTOR"].values, atol=1e-9)
+    farther = simulate_day(near, "2005-01-02").truth
+    camera_and_body = np.abs(farther["STRAY_SECOND"].values).mean(axis=0)
+    assert (camera_and_body < np.abs(farther["STRAY_VECTOR"].values).mean(axis=0)).all()
+
+
+def test_the_nine_parameters_of_the_second_fluxgate_are_in_the_truth():
+    settings = SimulationSettings(
+        cadence=10,
+        second_fluxgate=True,
+        defects=(),
+        vector_noise=0.0,
+        resolution=0.0,
+        without=tuple(name for name in STANDARD_EFFECTS if name not in ("ageing", "misalignment", "offset")),
+    )
+    day = simulate_day(settings, "2005-01-02")
+    nine = json.loads(day.truth.attrs["nine_parameters_second"])
+    k = np.diag(nine["scale_factor"])
+    k[0, 1], k[0, 2], k[1, 2] = np.cos(np.radians(nine["misalignment"]))
+    corrected = (day.instruments["fgm2"]["FGM_RAW"].values - nine["offset"]) @ k.T
+    turn = Rotation.from_rotvec(settings.parameters.second_rotation, degrees=True)
+    assert np.abs(turn.apply(corrected) - day.truth["FIELD"].values).max() < 0.02

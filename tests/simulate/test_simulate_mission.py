@@ -90,8 +90,10 @@ def as_model(tree, mission, tmp_path):
     return Model.parse(path.read_text(), mission, "model.yaml")
 
 
-def test_every_channel_of_the_mission_is_in_the_files_with_its_unit(mission, tmp_path):
-    wanted = SimulationSettings(days=1, cadence=10)
+@pytest.mark.parametrize(("name", "second"), [("champ", False), ("champ-two-fluxgates", True)])
+def test_every_channel_of_the_mission_is_in_the_files_with_its_unit(name, second, tmp_path):
+    mission = Mission.parse((MISSIONS / f"{name}.yaml").read_text(), name)
+    wanted = SimulationSettings(days=1, cadence=10, second_fluxgate=second)
     simulate(wanted, tmp_path, workers=1)
     for name, instrument in mission.instruments.items():
         (pattern,) = mission.files(name).pattern
