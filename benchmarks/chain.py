@@ -1,4 +1,4 @@
-"""The whole chain of a mission: wall time and memory from archive to tables and products, against the floor."""
+"""The whole chain of a mission: time and memory from archive to tables and products, and their floor."""
 
 from __future__ import annotations
 

@@ -191,8 +191,7 @@ def calibrate_day(
     CalibrationError
         As `fit_day`.
     """
-    begun = _Begun.of(cat, mission, model, day, job, reference)
-    done = begun.without_fit() if begun.lacks_channels(min_coverage) else begun.fitted(min_coverage)
+    done = fit_day(cat, mission, model, day, job, reference, min_coverage)
     attributes = {
         "comparison": model.comparison,
         "model": model.sha,
@@ -212,14 +211,15 @@ def fit_day(
     reference: Sequence[float] | None,
     min_coverage: float,
 ) -> FittedDay:
-    """Read a day's samples and fit the nine parameters to them.
+    """Read a day's samples and fit the nine parameters to them; nothing is fitted where only channels lack.
 
     Raises
     ------
     CalibrationError
         When too few samples are usable, fewer than `min_coverage`, or the fit does not settle.
     """
-    return _Begun.of(cat, mission, model, day, job, reference).fitted(min_coverage)
+    begun = _Begun.of(cat, mission, model, day, job, reference)
+    return begun.without_fit() if begun.lacks_channels(min_coverage) else begun.fitted(min_coverage)
 
 
 @dataclass(frozen=True)

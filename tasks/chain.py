@@ -18,7 +18,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import BlockFit
 from inflight.catalog import Catalog
-from inflight.chain import wide_equations, with_nine
+from inflight.chain import empty_equations, wide_equations, with_nine
 from inflight.comparison import Rows, rows_of
 from inflight.errors import SamplesError
 from inflight.estimators.current_steps import find_steps
@@ -108,6 +108,10 @@ def chain_day(
         "cadence_ns": fitted.step,
         "filter": "raw",
     }
+    if not fitted.fit.used:
+        # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
+        empty = empty_equations(model, span, attributes).dataset.assign(_own_fit(fitted.fit))
+        return pack_parts(empty, {"channel": _means(fitted.samples, witnesses.names)}), fitted.report
     wide = wide_equations(model, fitted.samples, fitted.fit.value, span, attributes)
     rows = rows_of(with_nine(model, fitted.fit.value), fitted.samples)
     residual = np.where(rows.good, rows.residual[:, 0], np.nan)

@@ -42,10 +42,8 @@ def alike(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     whole: dict[str, xr.Variable] = {}
     for day in days:
         whole |= {str(key): day[key].variable for key in day.variables if str(key) not in whole}
-    return [
-        day.assign({key: xr.zeros_like(one) for key, one in whole.items() if key not in day.variables})
-        for day in days
-    ]
+    blank = {key: xr.zeros_like(one) if "block" in one.dims else one for key, one in whole.items()}
+    return [day.assign({key: one for key, one in blank.items() if key not in day.variables}) for day in days]
 
 
 def part_of(days: Sequence[xr.Dataset], name: str) -> list[xr.Dataset]:

@@ -25,6 +25,7 @@ from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import Progress, RunReport
 from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
+from inflight.tasks.stand_ins import partial_problems
 from inflight.tasks.tables import (
     MOST_BEND,
     daily_table,
@@ -246,7 +247,7 @@ def reprocess(
         run.record_no_work(made.product, made.no_work)
         days = _equations(cat, mission, made, run, spread, book)
         if not days:
-            return _report(made, run, book, [], {"residual": {}})
+            return _report(cat, made, run, book, [], {"residual": {}})
         tables = (solve_chain if made.settings.is_chain else solve)(cat, made, run, days)
         same = produce(cat, mission, made, run, tables, spread, book)
         if made.settings.is_chain:
@@ -258,7 +259,7 @@ def reprocess(
             "model": {"name": tables.model.name, "version": tables.model.version},
             "left_out": tables.notes,
         }
-    return _report(made, run, book, same, extra)
+    return _report(cat, made, run, book, same, extra)
 
 
 def _keep_offsets(
@@ -339,7 +340,7 @@ def _residual(cat: Catalog, made: Plan) -> dict[str, Any]:
 
 
 def _report(
-    made: Plan, run: Run, book: _Book, same: Sequence[np.datetime64], extra: dict[str, Any]
+    cat: Catalog, made: Plan, run: Run, book: _Book, same: Sequence[np.datetime64], extra: dict[str, Any]
 ) -> RunReport:
     counts = {
         "planned": len(made.days) + len(made.no_work),
@@ -359,6 +360,9 @@ def _report(
         }
         for day, message in made.no_work.items()
     ]
+    problems += partial_problems(
+        day for day in cat.days(made.product, states=("published",)) if day.day in made.keys
+    )
     return RunReport(
         "reprocess",
         run.id,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from inflight.calibration import NormalEquations
 from inflight.catalog import Catalog, Day, Run
 from inflight.chain import Continuous, continuous_table, fit_mission
 from inflight.errors import InflightError, SamplesError
@@ -74,15 +75,19 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
     read = [cat.read(day) for day in ordered]
     settings = made.settings
     origin = None if settings.origin is None else int(to_tt2000(np.datetime64(settings.origin, "ns")))
-    equations = equations_of_days(read)
+    every = equations_of_days(read)
+    full = np.flatnonzero(every.dataset["count"].values > 0)
+    equations = NormalEquations(every.dataset.isel(block=full))
     found = fit_mission(equations, made.model, settings.trend, origin)
     noise = np.array([float(day["after"].values[0]) for day in read])
+    # A day that could not be fitted is taken to be as noisy as the others.
+    noise = np.where(every.dataset["count"].values > 0, noise, np.median(noise[full]))
     out = Chained(found)
-    out.tables["continuous"] = continuous_table(equations, found, noise)
+    out.tables["continuous"] = continuous_table(every, found, noise)
     out.tables["trend"] = found.fit.table()
     if found.choice is not None:
         out.tables["trend-choice"] = found.choice.table()
-    out.tables["own-fit"] = _own_fits(read, found)
+    out.tables["own-fit"] = _own_fits([read[place] for place in full], found)
     makers: dict[str, Callable[[], xr.Dataset]] = {
         "torquer-band": lambda: fit_band(_band(read), by="day").table(),
         "torquer-band-daily": lambda: daily_fits(_band(read)),

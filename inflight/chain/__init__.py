@@ -1,13 +1,14 @@
 """The chain of a whole mission: a day's statistics, and what all days together say."""
 
 from inflight.chain.continuous import Continuous, continuous_model, continuous_table, fit_mission
-from inflight.chain.wide import BIN_S, terms_of, wide_equations, with_nine
+from inflight.chain.wide import BIN_S, empty_equations, terms_of, wide_equations, with_nine
 
 __all__ = [
     "BIN_S",
     "Continuous",
     "continuous_model",
     "continuous_table",
+    "empty_equations",
     "fit_mission",
     "terms_of",
     "wide_equations",

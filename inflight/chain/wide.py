@@ -119,6 +119,13 @@ def wide_equations(
     return _packed(terms, gram, float(binned.weight.sum()), span, attributes)
 
 
+def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> NormalEquations:
+    """Return the equations of a block that tells nothing; parameters as `wide_equations`."""
+    terms = terms_of(model)
+    width = sum(len(term.columns) for term in terms) + 1
+    return _packed(terms, np.zeros((1, width, width)), 0.0, span, attributes)
+
+
 def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
     """Return which samples lie between two readings of a slower channel that are far apart; (time,).
 

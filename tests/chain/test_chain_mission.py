@@ -1,12 +1,16 @@
 """The whole chain as one reprocess, on simulated days at two seconds: everything put in comes back."""
 
+import datetime as dt
+import shutil
+
 import numpy as np
 import pytest
 import xarray as xr
 
 from benchmarks.archive import simulated_workspace
-from inflight.catalog import Catalog
+from inflight.catalog import Catalog, Day
 from inflight.catalog.workspace import Workspace
+from inflight.flags import Flag
 from inflight.simulate import SimulationSettings
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.stray import coefficients
@@ -143,3 +147,38 @@ def test_daily_fits_wander_by_what_they_do_not_know(chain):
     own, common = newest(cat, "own-fit"), newest(cat, "continuous")
     apart = (own["value"].values - common["value"].values)[:, 6:]
     assert np.abs(apart).max() < 2.0
+
+
+def test_a_day_without_housekeeping_gets_a_product_with_a_wider_uncertainty(chain, tmp_path):
+    cat, _ = chain
+    folder = tmp_path / "champ"
+    shutil.copytree(cat.workspace, folder, symlinks=True)
+    lost, mine = SETTINGS.start + dt.timedelta(days=5), Catalog(folder)
+    with mine.run("test", {}) as run:
+        empty = _without_values(mine, lost)
+        told = {str(name): {"coverage": 0.0} for name in empty.data_vars if empty[name].dtype.kind == "f"}
+        run.stage("l1/power", empty, day=str(lost), key="lost", report={"channels": told})
+        run.publish()
+    report = reprocess(mine, Workspace.open(folder).mission(), settings=CONTINUOUS).as_json()
+    assert report["days"]["failed"] == 0
+    told = [one for one in report["problems"] if one["day"] == str(lost)]
+    assert [one["cause"] for one in told] == ["partial"]
+    before, after = (one.read(_day(one, lost)) for one in (cat, mine))
+    assert np.isfinite(after["field_sensor"].values).mean() > 0.99
+    assert (after["flag"].values & np.uint32(Flag.CHANNEL_MISSING) != 0).mean() > 0.99
+    # What the uncertainty grew by is about as much as the field is off.
+    widened = np.sqrt(after["uncertainty"].values ** 2 - before["uncertainty"].values ** 2)
+    off = np.abs(after["field_sensor"].values - before["field_sensor"].values)
+    assert np.nanmedian(widened[:, 2]) > 0.05
+    assert 0.3 < np.sqrt(np.nanmean(off[:, 2] ** 2) / np.nanmean(widened[:, 2] ** 2)) < 1.5
+
+
+def _day(cat: Catalog, day: dt.date) -> Day:
+    return next(one for one in cat.days("l2/field", states=("published",)) if str(one.day) == str(day))
+
+
+def _without_values(cat: Catalog, day: dt.date) -> xr.Dataset:
+    """Return a day of housekeeping with stamps and no readings."""
+    held = next(one for one in cat.days("l1/power", states=("published",)) if str(one.day) == str(day))
+    data = cat.read(held)
+    return data.map(lambda one: one * np.nan if one.dtype.kind == "f" else one, keep_attrs=True)
