@@ -12,6 +12,7 @@ from inflight.estimators.epoch_fits import stack
 from inflight.estimators.panels import against_local_time, choose_panels
 from inflight.figures.epochs import local_time_figure, stack_figures
 from inflight.figures.page import html_table
+from inflight.tasks.chain_daily import node_times
 from inflight.tasks.chain_results import ChainResults
 from inflight.tasks.chain_sections import Part, matrix_table, with_error
 
@@ -41,10 +42,10 @@ def current_steps(found: ChainResults) -> Part:
         "at": "difference",
         "placebo": float(table.attrs["placebo"]),
     }
+    count, days = table.attrs["epochs"], table.attrs["days"]
     part.say(
-        f"{table.attrs['epochs']} steps of the {told} on {table.attrs['days']} days. The residual's own "
-        "steps tell the field per ampere at the vector sensor less that at the scalar sensor; whatever follows the orbit "
-        "does not enter. Where nothing steps the same contrasts scatter by "
+        f"{count} steps of the {told} on {days} days. The residual's own steps tell the field per ampere at "
+        "the vector sensor less that at the scalar sensor; what follows the orbit does not enter. Where nothing steps the same contrasts scatter by "
         f"{table.attrs['placebo']:.2f} of their white noise."
     )
     part.text.append(matrix_table("nT/A, difference", names, _AXES, value, sigma))
@@ -129,9 +130,10 @@ def _choice(part: Part, found: ChainResults, epochs: xr.Dataset) -> None:
     scores = {name: table[name].values for name in ("score", "behind", "behind_sigma", "ties")}
     chosen = str(table.attrs["chosen"])
     value, sigma = table["value"].values, table["sigma"].values
+    sentence = str(table.attrs["sentence"]).replace("_", " ")
     part.fields |= {
         "chosen": chosen,
-        "sentence": str(table.attrs["sentence"]),
+        "sentence": sentence,
         "value": value,
         "sigma": sigma,
         "unit": "nT/A",
@@ -140,7 +142,7 @@ def _choice(part: Part, found: ChainResults, epochs: xr.Dataset) -> None:
             for index, name in enumerate(names)
         ],
     }
-    part.say(f"{table.attrs['sentence']}. Taken: {chosen.replace('_', ' ')}, the simplest that is as good.")
+    part.say(f"{sentence}. Taken: {chosen.replace('_', ' ')}, the simplest that is as good.")
     cells = [
         (
             name.replace("_", " "),
@@ -157,11 +159,11 @@ def _choice(part: Part, found: ChainResults, epochs: xr.Dataset) -> None:
 
 
 def _by_local_time(part: Part, epochs: xr.Dataset) -> None:
-    if "local_time" not in epochs:
+    local_time = node_times(epochs)
+    if local_time is None:
         raise SamplesError(
             "epochs do not know the orbit's local time", remedy="give the mission the orbit's positions"
         )
-    local_time = epochs["local_time"].values
     course = against_local_time(epochs, local_time)
     known = np.isfinite(course.value).all(axis=1)
     if known.sum() < 2:

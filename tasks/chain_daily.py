@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
+from inflight.catalog import Catalog, Day
 from inflight.chain import Continuous
 from inflight.chain.daily import daily_parameters, shift_columns
-from inflight.errors import CalibrationError, InflightError
+from inflight.errors import CalibrationError, InflightError, SamplesError
 from inflight.estimators.clock_faults import ClockFaults, clock_faults
 from inflight.estimators.days import mjd_of
+from inflight.estimators.node_time import node_local_time
 from inflight.estimators.periods import KNOWN_PERIODS, ParameterSpectrum, parameter_spectrum
 from inflight.mission import Mission
-from inflight.time import DAY
+from inflight.model import Model
+from inflight.tasks.needs import channel_homes
+from inflight.time import DAY, day_bounds
 
 #: Shortest period that daily values are asked for, days.
 SHORTEST = 10.0
 #: Two stated periods closer than this part of them are one.
 _SAME = 1e-3
+#: Orbits of a day: the slow wave of a temperature repeats so often.
+_TURNS = 15
 
 
 def daily_after(equations: NormalEquations, found: Continuous) -> xr.Dataset:
@@ -90,6 +96,71 @@ def faults_table(daily: xr.Dataset) -> xr.Dataset:
         },
         attrs={"told": "; ".join(found.told()), "limit": found.limit},
     )
+
+
+def node_times(epochs: xr.Dataset) -> Floats | None:
+    """Return the local time of the ascending node at each epoch, h; None where the orbit is not known."""
+    if not {"local_time", "orbit_phase", "latitude"} <= set(map(str, epochs.data_vars)):
+        return None
+    return node_local_time(*(epochs[name].values for name in ("local_time", "orbit_phase", "latitude")))
+
+
+def daily_temperatures(
+    cat: Catalog, mission: Mission, model: Model, days: Sequence[np.datetime64]
+) -> xr.Dataset:
+    """Return daily means of the temperatures, those the model uses first.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims interval, channel: `value`, `spread` within the day, `sigma` (that of a mean whose spread is one
+        slow wave: the spread over the root of the turns, at most the spread), degC; `start`, `end`. NaN on
+        days without readings.
+
+    Raises
+    ------
+    SamplesError
+        When the mission has no temperature, or none was archived.
+    """
+    used = {name for entry in model.effects for name in entry.effect.channels}
+    homes = {
+        name: home
+        for name, home in channel_homes(mission).items()
+        if mission.instruments[home[0]].channels[home[1]].kind == "temperature"
+    }
+    names = sorted(homes, key=lambda name: name not in used)
+    table = np.full((len(days), len(names), 3), np.nan)
+    for column, name in enumerate(names):
+        instrument, channel = homes[name]
+        archived = {day.day: day for day in cat.days(f"l1/{instrument}", states=("published",))}
+        for row, day in enumerate(days):
+            if day in archived:
+                table[row, column] = _mean_of(cat, archived[day], channel)
+    if not np.isfinite(table[..., 0]).any():
+        raise SamplesError(
+            f"no day has one of the temperatures {', '.join(names) or '(none are stated)'}",
+            remedy="state a channel of kind 'temperature' in the mission's file",
+        )
+    each, bounds = ("interval", "channel"), np.array([day_bounds(day) for day in days], dtype=np.int64)
+    units = {"units": "degC"}
+    return xr.Dataset(
+        {name: (each, table[..., place], units) for place, name in enumerate(("value", "spread", "sigma"))}
+        | {
+            "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
+            "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
+        },
+        coords={"channel": names},
+    )
+
+
+def _mean_of(cat: Catalog, day: Day, channel: str) -> tuple[float, float, float]:
+    """Return mean, spread and error of a channel's readings on a day."""
+    values = np.asarray(cat.read(day, [channel])[channel].values, dtype=np.float64)
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return (np.nan,) * 3
+    spread = float(known.std())
+    return float(known.mean()), spread, spread / np.sqrt(min(known.size, _TURNS))
 
 
 def stated_periods(mission: Mission | None) -> dict[str, float]:

@@ -14,7 +14,8 @@ from inflight.mission import Mission
 from inflight.tasks.chain_behaviour import behaviour, clock, temperature
 from inflight.tasks.chain_currents import current_steps, panels
 from inflight.tasks.chain_results import ChainResults, chain_results
-from inflight.tasks.chain_sections import Part, coefficients, jumps, offsets, residual, torquers, trend
+from inflight.tasks.chain_sections import Part, coefficients, jumps, residual, trend
+from inflight.tasks.chain_torquers import offsets, torquers
 
 #: In the order of the page.
 SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (

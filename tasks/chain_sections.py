@@ -1,4 +1,4 @@
-"""Sections of a chain's report on what was fitted: coefficients, trend, jumps, torquers, offsets."""
+"""Sections of a chain's report on what was fitted: residual, coefficients, trend, jumps."""
 
 from __future__ import annotations
 
@@ -16,20 +16,18 @@ from inflight.calibration.sensor import PARTS, vector_sensor_of
 from inflight.chain import terms_of
 from inflight.errors import InflightError
 from inflight.estimators.jumps import Jumps, table_jumps, trend_jumps
-from inflight.estimators.secular import RunningMean, remanent_field
 from inflight.estimators.trend_choice import Rival, TrendComparison
-from inflight.estimators.z_offset import OffsetsFromSpread
-from inflight.figures.chain import band_level_figure, continuous_figure, prior_figure
+from inflight.figures.chain import continuous_figure, prior_figure
 from inflight.figures.naming import distinct, short_parameter
 from inflight.figures.page import html_table
 from inflight.figures.residual import daily_figure
-from inflight.figures.torquers import coefficient_figures, running_mean_figures
 from inflight.figures.trends import comparison_figure, jumps_figure
-from inflight.figures.z_offset import offsets_figure
 from inflight.model.timed import component_names
 from inflight.tasks.chain_results import ChainResults
 from inflight.time import Int64, to_utc
 
+#: Numbers smaller than this are written with an exponent.
+_PLAIN = 1e-3
 #: How the nine parameters are shown: part, title, factor, unit.
 SHOWN = (
     ("scale_factor", "Scale factors", 1e6, "ppm"),
@@ -88,7 +86,7 @@ def with_error(value: float, sigma: float) -> str:
     if not 0.0 < sigma < float("inf"):
         return f"{value:.5g}"
     place = floor(log10(sigma)) - 1
-    if -7 <= place <= 0:
+    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
         return f"{value:.{-place}f} ± {sigma:.{-place}f}"
     digits = max(1, floor(log10(max(abs(value), sigma))) - place)
     return f"{value:.{digits}e} ± {sigma:.1e}"
@@ -152,7 +150,7 @@ def coefficients(found: ChainResults) -> Part:
 
 def coefficient_rows(found: ChainResults) -> list[dict[str, Any]]:
     """Return the coefficients as plain rows; a shift is None where nothing was known beforehand."""
-    table, prior = found.tables["trend"], _priors(found)
+    table, prior, units = found.tables["trend"], _priors(found), _units(found)
     rows = []
     for index, name in enumerate(map(str, table["parameter"].values)):
         value, sigma = float(table["value"].values[index]), float(table["sigma"].values[index])
@@ -163,7 +161,7 @@ def coefficient_rows(found: ChainResults) -> list[dict[str, Any]]:
                 "name": name,
                 "value": value,
                 "sigma": sigma,
-                "unit": str(table["units"].values[index]),
+                "unit": units.get(name.split("*")[0], str(table["units"].values[index])),
                 "determined": bool(table["determined"].values[index]),
                 "time": str(table["time"].values[index]),
                 "prior": at,
@@ -182,6 +180,16 @@ def _priors(found: ChainResults) -> dict[str, tuple[float, float]]:
         for name, value, sigma in zip(term.columns, values, term.sigma, strict=True):
             out[name] = (float(value), float(sigma))
     return out
+
+
+def _units(found: ChainResults) -> dict[str, str]:
+    """Return the units the model states, by column."""
+    return {
+        name: timed.parameter.unit
+        for term in terms_of(found.model)
+        for timed in term.entry.parameters.values()
+        for name in timed.columns
+    }
 
 
 def _coefficient_table(rows: Sequence[dict[str, Any]]) -> str:
@@ -206,8 +214,8 @@ def trend(found: ChainResults) -> Part:
     part.fields = {"kind": kind, "origin": origin}
     part.say(
         f"Scale factors follow a {kind} trend in time{f'; {origin}' if origin else ''}; angles and offsets "
-        "have one value. Points are each day's own, with everything else at the fit of all days; the line and "
-        "its band of one sigma are the fit's."
+        "have one value. Points are each day's own, with everything else at the fit of all days; the line is "
+        "the fit's. Its sigma is mostly common to all days: a field that both sensors may share, say."
     )
     daily = found.tables.get("daily-after")
     if daily is None:
@@ -290,124 +298,3 @@ def nine_at(found: ChainResults, times: Int64) -> Floats:
         size = len(component_names(value.key, value.parameter))
         columns.append(np.broadcast_to(value.at(times), (times.size, size)))
     return np.concatenate(columns, axis=1)
-
-
-def torquers(found: ChainResults) -> Part:
-    """The band of the torquers' modulation before and after, the matrix, and the running mean of currents."""
-    part = Part("torquers", "Magneto-torquers")
-    matrix, equations = found.tables.get("torquer-band"), found.band
-    if matrix is None or equations is None:
-        part.lack("Matrix from the band at 20 s", found.why("torquer-band"))
-    else:
-        _matrix(part, matrix, equations)
-    daily, mean = found.tables.get("torquer-band-daily"), found.tables.get("torquer-band-mean")
-    if daily is None or mean is None:
-        part.lack(
-            "Matrix of each day", found.why("torquer-band-daily" if daily is None else "torquer-band-mean")
-        )
-    else:
-        part.plots += coefficient_figures(daily, mean)
-    running = found.tables.get("torquer-mean")
-    if running is None:
-        part.lack("Running mean of the currents", found.why("torquer-mean"))
-    else:
-        _running(part, running)
-    return part
-
-
-def _matrix(part: Part, matrix: xr.Dataset, equations: xr.Dataset) -> None:
-    value, sigma = matrix["value"].values, matrix["sigma"].values
-    day, before, after = band_levels(equations, value)
-    axes = [str(name) for name in matrix["axis"].values]
-    size = [float(np.sqrt(np.mean(one**2))) for one in (before, after)]
-    part.fields["matrix"] = {
-        "value": value,
-        "sigma": sigma,
-        "for_scalar": -value,
-        "unit": "nT/A",
-        "at": "difference",
-        "band_before_nT": size[0],
-        "band_after_nT": size[1],
-    }
-    part.say(
-        "What the torquers' matrices lack, vector less scalar sensor, nT/A, by the band around the "
-        "modulation's 20 s alone. When the vector sensor's matrix is right, its negative is added to the "
-        f"scalar sensor's. The band holds {size[0]:.3g} nT before and {size[1]:.3g} nT with it."
-    )
-    columns = [f"coil {one}" for one in matrix["coil"].values]
-    part.text.append(matrix_table("field along", axes, columns, value, sigma))
-    part.plots.append(band_level_figure(day, before, after))
-
-
-def band_levels(equations: xr.Dataset, value: Floats) -> tuple[Int64, Floats, Floats]:
-    """Return days' starts and the residual's level in the band before and after a matrix; nT a sample.
-
-    Parameters
-    ----------
-    equations : xarray.Dataset
-        Of `band_equations`.
-    value : ndarray, shape (3, 3)
-        nT/A, axis by coil.
-    """
-    gram, rows = equations["gram"].values, equations["rows"].values
-    step = np.append(-value.reshape(-1), 1.0)
-    after = np.einsum("i,tij,j->t", step, gram, step)
-    day, which = np.unique(equations["day"].values, return_inverse=True)
-    count = np.maximum(np.bincount(which, weights=rows), 1.0)
-    sums = [np.bincount(which, weights=one) for one in (gram[:, -1, -1], after)]
-    first = np.array([equations["start"].values[which == index].min() for index in range(day.size)])
-    before, left = (np.sqrt(np.maximum(one, 0.0) / count) for one in sums)
-    return first, before, left
-
-
-def _running(part: Part, table: xr.Dataset) -> None:
-    days = to_utc(table["start"].values).astype("datetime64[D]").astype(np.int64)
-    arrays = [table[name].values for name in ("value", "sigma", "coverage", "state", "daily")]
-    mean = RunningMean(days, *arrays, float(table.attrs.get("window_days", 260.0)))
-    last = int(np.argmax(mean.coverage))
-    part.fields["running_mean"] = {
-        "sentence": mean.sentence,
-        "coverage": [float(mean.coverage.min()), float(mean.coverage.max())],
-        "best_day_A": mean.value[last],
-        "best_day_sigma_A": mean.sigma[last],
-    }
-    part.say(
-        f"{mean.sentence}; the window is covered by {mean.coverage.min():.0%} to {mean.coverage.max():.0%}."
-    )
-    part.plots += running_mean_figures(mean, remanent_field(mean))
-
-
-def offsets(found: ChainResults) -> Part:
-    """Daily offsets along z from the spread of the products' residual."""
-    part = Part("offsets_from_spread", "Offsets from the spread of the residual")
-    table = found.tables.get("z-offset")
-    if table is None:
-        part.lack("Offsets of each day", found.why("z-offset"))
-        return part
-    name = str(table["parameter"].values[0])
-    columns = {
-        key: table[key].values[:, 0] for key in ("value", "sigma", "wrong_sign", "slope", "sigma_slope")
-    }
-    seen, nan = table["determined"].values[:, 0].astype(bool), np.full(table.sizes["interval"], np.nan)
-    told = OffsetsFromSpread(
-        nan,
-        nan,
-        **columns,
-        seen=seen,
-        start=table["start"].values,
-        end=table["end"].values,
-        axis=name.rsplit("[", maxsplit=1)[-1].rstrip("]"),
-    )
-    part.fields = {
-        "days": int(seen.size),
-        "seen": int(seen.sum()),
-        "rms_nT": float(np.sqrt(np.mean(told.value**2))),
-        "slope_rms_nT": float(np.sqrt(np.mean(told.slope**2))),
-    }
-    part.say(
-        f"On {seen.sum()} of {seen.size} days the spread of the products' residual is above its noise "
-        f"(hollow marks: the others); the offsets it tells are {part.fields['rms_nT']:.3g} nT rms, those of "
-        f"the slope {part.fields['slope_rms_nT']:.3g} nT. A spread has no sign: it takes the slope's."
-    )
-    part.plots.append(offsets_figure(told))
-    return part

@@ -27,7 +27,14 @@ from inflight.estimators.z_offset import noise_of, offsets_from_spread
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.chain import CHAIN_VERSION, Witnesses
-from inflight.tasks.chain_daily import daily_after, faults_table, periods_of, stated_periods
+from inflight.tasks.chain_daily import (
+    daily_after,
+    daily_temperatures,
+    faults_table,
+    node_times,
+    periods_of,
+    stated_periods,
+)
 from inflight.tasks.chain_parts import equations_of_days, part_of
 from inflight.tasks.planning import Plan
 from inflight.tasks.tables import content_keys
@@ -36,7 +43,7 @@ from inflight.time import day_of, to_tt2000
 #: Days whose spread tells what the noise alone makes of it, at least.
 _FEWEST_DAYS = 5
 #: Bumped by hand when the numbers of the chain's tables change.
-CHAIN_TABLES_VERSION = 3
+CHAIN_TABLES_VERSION = 4
 
 #: Attributes of tables: what all of one run are made from; and, of ``trend``, what could not be made and why.
 MADE_FROM, LEFT_OUT = "made_from", "left_out"
@@ -96,6 +103,7 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, made.model, settings.mean_days),
         "daily-after": lambda: daily_after(equations, found),
+        "daily-temperature": lambda: daily_temperatures(cat, _mission(cat, made), made.model, sorted(days)),
         "clock-faults": lambda: _clock_faults(out),
         "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(_mission(cat, made))),
     }
@@ -157,7 +165,7 @@ def _band(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
 def _panels(read: Sequence[xr.Dataset]) -> xr.Dataset:
     epochs = join_epochs(part_of(read, "epoch"))
-    return choose_panels(epochs).table()
+    return choose_panels(epochs, node_times(epochs)).table()
 
 
 def _torquer_mean(read: Sequence[xr.Dataset], model: Model, window: float) -> xr.Dataset:
@@ -172,7 +180,11 @@ def _torquer_mean(read: Sequence[xr.Dataset], model: Model, window: float) -> xr
             count.append(float(part["count"].values[places].min()))
     if not days:
         raise SamplesError("no day has torquer currents", remedy="see the missing days of their channel")
-    return carried_mean(np.array(days), np.array(value), np.array(count), window=window).table()
+    return (
+        carried_mean(np.array(days), np.array(value), np.array(count), window=window)
+        .table()
+        .assign_attrs(window_days=window)
+    )
 
 
 def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset | str:

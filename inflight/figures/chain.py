@@ -26,6 +26,8 @@ from inflight.figures.style import (
 _WIDE = 560
 #: Error bars drawn at most, and pixels of a row of coefficients.
 _BARS, _ROW = 60, 15
+#: A band is left out when it is so many times wider than the values.
+_HIDES = 3.0
 
 
 def prior_figure(names: Sequence[str], shift: Floats, sigma: Floats, determined: Sequence[bool]) -> figure:
@@ -51,7 +53,9 @@ def prior_figure(names: Sequence[str], shift: Floats, sigma: Floats, determined:
     )
     reach = 1.1 * max(float(np.max(np.abs(shift) + sigma)), 1.5)
     plot.x_range = Range1d(-reach, reach)
-    plot.hbar(y=rows, left=-1.0, right=1.0, height=1.0, color=REFERENCE, alpha=0.12)
+    plot.hbar(
+        y=rows, left=-1.0, right=1.0, height=1.0, fill_color=REFERENCE, fill_alpha=0.12, line_color=None
+    )
     source = ColumnDataSource({"y": rows, "low": shift - sigma, "high": shift + sigma})
     bars = Whisker(base="y", lower="low", upper="high", dimension="width", source=source, line_color=AFTER)
     for head in (bars.lower_head, bars.upper_head):
@@ -87,8 +91,14 @@ def continuous_figure(daily: xr.Dataset, table: xr.Dataset, title: str, factor: 
         label = str(name).rsplit("[", maxsplit=1)[-1].rstrip("]")
         plot.scatter(when, shown, color=colour, size=3, alpha=0.5)
         values = factor * (common["value"].values - base)
-        band(plot, curve, values, factor * common["sigma"].values, colour)
-        plot.line(curve, values, color=colour, line_width=2, legend_label=label)
+        sigma = factor * common["sigma"].values
+        reach = float(np.nanmax(np.abs(shown)) + np.nanmedian(bars))
+        # A band many times wider than all that is to be seen hides it; the label tells its size.
+        if np.nanmedian(sigma) < _HIDES * reach:
+            band(plot, curve, values, sigma, colour)
+        plot.line(
+            curve, values, color=colour, line_width=2, legend_label=f"{label} ± {np.nanmedian(sigma):.2g}"
+        )
     legend_below(plot)
     return plot
 
