@@ -112,7 +112,8 @@ def _periods(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
 
 def _means(part: Part, daily: xr.Dataset) -> None:
     """Draw running means of all parameters; a window that does not fit is told once."""
-    mjd, why = middles(daily), {}
+    mjd = middles(daily)
+    why: dict[str, str] = {}
     for name, (factor, unit) in shown_as(daily).items():
         left, _ = left_of(daily, name, factor)
         means = []
@@ -153,7 +154,9 @@ def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
         )
         return
     at = mjd_of(np.array([int(to_tt2000(_instant(one.at))) for one in events], dtype=np.int64))
-    mjd, why, told = middles(daily), {}, {}
+    mjd = middles(daily)
+    why: dict[str, str] = {}
+    told: dict[str, Any] = {}
     for name, (factor, unit) in shown_as(daily).items():
         left, sigma = left_of(daily, name, factor)
         try:
@@ -177,7 +180,9 @@ def _instant(text: Any) -> np.datetime64:
 
 def _weekdays(part: Part, daily: xr.Dataset) -> None:
     """Tell whether parameters step on one day of the week."""
-    mjd, why, told = middles(daily), {}, {}
+    mjd = middles(daily)
+    why: dict[str, str] = {}
+    told: dict[str, str] = {}
     for name, (factor, unit) in shown_as(daily).items():
         try:
             told[name] = week_pattern(mjd, left_of(daily, name, factor)[0], unit=unit).told()
@@ -232,7 +237,7 @@ def temperature(found: ChainResults) -> Part:
     part.say(
         f"Daily means of {channel.replace('_', ' ')}; parameters are each day's own less the continuous ones."
     )
-    why = {}
+    why: dict[str, str] = {}
     for name, (factor, unit) in shown_as(daily).items():
         left, sigma = left_of(daily, name, factor)
         both = np.isfinite(left) & np.isfinite(degrees)

@@ -45,8 +45,8 @@ def current_steps(found: ChainResults) -> Part:
     count, days = table.attrs["epochs"], table.attrs["days"]
     part.say(
         f"{count} steps of the {told} on {days} days. The residual's own steps tell the field per ampere at "
-        "the vector sensor less that at the scalar sensor; what follows the orbit does not enter. Where nothing steps the same contrasts scatter by "
-        f"{table.attrs['placebo']:.2f} of their white noise."
+        "the vector sensor less that at the scalar sensor; what follows the orbit does not enter. Where "
+        f"nothing steps the same contrasts scatter by {table.attrs['placebo']:.2f} of their white noise."
     )
     part.text.append(matrix_table("nT/A, difference", names, _AXES, value, sigma))
     _confounding(part, table)
@@ -63,14 +63,13 @@ def current_steps(found: ChainResults) -> Part:
 def _confounding(part: Part, table: xr.Dataset) -> None:
     names = [str(name) for name in table["confounder"].values]
     numbers = zip(table["correlation"].values, table["slope"].values, strict=True)
-    rows = [
-        {"channel": name, "correlation": float(one), "slope": float(slope)}
-        for name, (one, slope) in zip(names, numbers, strict=True)
+    rows = [(name, float(one), float(slope)) for name, (one, slope) in zip(names, numbers, strict=True)]
+    part.fields["confounding"] = [
+        {"channel": name, "correlation": one, "slope": slope} for name, one, slope in rows
     ]
-    part.fields["confounding"] = rows
     if not rows:
         return
-    cells = [(row["channel"], f"{row['correlation']:+.3f}", f"{row['slope']:+.3g}") for row in rows]
+    cells = [(name, f"{one:+.3f}", f"{slope:+.3g}") for name, one, slope in rows]
     part.say("Channels that step with it: the coefficient holds their field times the last column.")
     part.text.append(html_table(("channel", "correlation of steps", "its step for 1 A"), cells))
 

@@ -241,12 +241,14 @@ def rivals_of(table: xr.Dataset) -> TrendComparison:
     """Return a comparison of trends from its table."""
     rivals = [
         Rival(
-            str(table["kind"].values[index]),
-            int(table["coefficients"].values[index]),
-            *(float(table[name].values[index]) for name in ("value", "behind", "sigma_behind")),
-            bool(table["tied"].values[index]),
+            kind=str(one["kind"].item()),
+            coefficients=int(one["coefficients"]),
+            rms=float(one["value"]),
+            behind=float(one["behind"]),
+            sigma_behind=float(one["sigma_behind"]),
+            tied=bool(one["tied"]),
         )
-        for index in range(table.sizes["kind"])
+        for one in (table.isel(kind=index) for index in range(table.sizes["kind"]))
     ]
     unit = str(table["units"].values[0])
     return TrendComparison(tuple(rivals), str(table.attrs["chosen"]), int(table.attrs["folds"]), unit)

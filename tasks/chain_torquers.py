@@ -6,10 +6,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.estimators.secular import CarriedMean, remanent_field
+from inflight.estimators.secular import WINDOW, CarriedMean, remanent_field
 from inflight.estimators.z_offset import OffsetsFromSpread
 from inflight.figures.chain import band_level_figure
-from inflight.figures.torquers import coefficient_figures, carried_mean_figures
+from inflight.figures.torquers import carried_mean_figures, coefficient_figures
 from inflight.figures.z_offset import offsets_figure
 from inflight.tasks.chain_results import ChainResults
 from inflight.tasks.chain_sections import Part, matrix_table
@@ -86,8 +86,8 @@ def band_levels(equations: xr.Dataset, value: Floats) -> tuple[Int64, Floats, Fl
 
 def _running(part: Part, table: xr.Dataset) -> None:
     days = to_utc(table["start"].values).astype("datetime64[D]").astype(np.int64)
-    arrays = [table[name].values for name in ("value", "sigma", "coverage", "state", "daily")]
-    mean = CarriedMean(days, *arrays, float(table.attrs.get("window_days", 260.0)))
+    arrays = {name: table[name].values for name in ("value", "sigma", "coverage", "state", "daily")}
+    mean = CarriedMean(day=days, window=float(table.attrs.get("window_days", WINDOW)), **arrays)
     last = int(np.argmax(mean.coverage))
     part.fields["running_mean"] = {
         "sentence": mean.sentence,
