@@ -62,7 +62,8 @@ def test_page_has_every_section_and_needs_nothing_but_itself(told):
     made, page = told
     for part in made.parts:
         assert f"<h2>{part.heading}</h2>" in page
-    assert 'src="http' not in page
+    assert "<script src" not in page
+    assert "<link" not in page
     assert page.count("data-root-id") >= 15
 
 
