@@ -1,0 +1,143 @@
+"""Tables of what is left to wander from day to day: parameters after the continuous fit, faults, periods."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.chain import Continuous
+from inflight.chain.daily import daily_parameters, shift_columns
+from inflight.errors import CalibrationError, InflightError
+from inflight.estimators.clock_faults import ClockFaults, clock_faults
+from inflight.estimators.days import mjd_of
+from inflight.estimators.periods import KNOWN_PERIODS, ParameterSpectrum, parameter_spectrum
+from inflight.mission import Mission
+from inflight.time import DAY
+
+#: Shortest period that daily values are asked for, days.
+SHORTEST = 10.0
+#: Two stated periods closer than this part of them are one.
+_SAME = 1e-3
+
+
+def daily_after(equations: NormalEquations, found: Continuous) -> xr.Dataset:
+    """Return each day's nine parameters and time shift, everything else at the continuous fit.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Wide ones of the days.
+    found : Continuous
+        Fitted to them.
+    """
+    return daily_parameters(equations, found, shift_columns(found.model))
+
+
+def middles(table: xr.Dataset) -> Floats:
+    """Return the middles of a table's intervals as days since 2000-01-01; (interval,)."""
+    return mjd_of(table["start"].values // 2 + table["end"].values // 2)
+
+
+def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:
+    """Return the clock faults that daily time shifts tell, and these shifts (interval,), s.
+
+    Raises
+    ------
+    CalibrationError
+        When no day tells a time shift, or too few do.
+    """
+    names = [str(name) for name in daily["parameter"].values if ".seconds" in str(name)]
+    if not names:
+        raise CalibrationError(
+            "the model has no time shift that data may move",
+            remedy="give the model an effect 'time_shift' with a sigma",
+        )
+    value, sigma = (daily[part].sel(parameter=names[0]).values for part in ("value", "sigma"))
+    return clock_faults(middles(daily), value, sigma), value
+
+
+def stated_periods(mission: Mission | None) -> dict[str, float]:
+    """Return the periods that daily parameters are asked for, days: the orbit's, and the mission's own.
+
+    Those shorter than ten days do not show in daily values.
+    """
+    out = dict(KNOWN_PERIODS)
+    for name, length in (mission.periods if mission is not None else {}).items():
+        days = length / DAY
+        if days < SHORTEST:
+            continue
+        same = next((key for key, other in out.items() if abs(other - days) < _SAME * days), None)
+        if same is None:
+            out[f"{name}, {days:g} d"] = days
+        else:
+            out = {f"{name}, {key}" if key == same else key: value for key, value in out.items()}
+    return out
+
+
+def spectra_of(
+    daily: xr.Dataset, known: Mapping[str, float], shown: Mapping[str, tuple[float, str]]
+) -> tuple[dict[str, ParameterSpectrum], dict[str, str]]:
+    """Return the spectrum of each daily parameter less the continuous one, and why some have none.
+
+    Parameters
+    ----------
+    known : mapping of str to float
+        Periods to tell by name, days.
+    shown : mapping of str to (float, str)
+        Factor and unit of parameters; as they are where absent.
+    """
+    found, why, mjd = {}, {}, middles(daily)
+    for name in map(str, daily["parameter"].values):
+        one = daily.sel(parameter=name)
+        factor, unit = shown.get(name, (1.0, str(one["units"].item())))
+        left = factor * (one["value"].values - one["continuous"].values)
+        try:
+            found[name] = parameter_spectrum(
+                mjd, left, factor * one["sigma"].values, known, shortest=SHORTEST, unit=unit
+            )
+        except InflightError as error:
+            why[name] = error.message
+    return found, why
+
+
+def periods_of(daily: xr.Dataset, known: Mapping[str, float]) -> xr.Dataset:
+    """Return the amplitudes of named periods in the daily parameters.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims parameter, period: `value`, `sigma` (in `units`), `false_alarm`, `determined`; `days` (period);
+        NaN where the span does not resolve a period, which the attribute ``told`` says of each parameter.
+
+    Raises
+    ------
+    CalibrationError
+        When no parameter has days enough for a spectrum.
+    """
+    found, why = spectra_of(daily, known, {})
+    if not found:
+        raise CalibrationError(next(iter(why.values())), remedy="use a longer span")
+    each = ("parameter", "period")
+    rows = [one.named for one in found.values()]
+    return xr.Dataset(
+        {
+            name: (each, np.array([[getattr(peak, field) for peak in row] for row in rows]))
+            for name, field in (
+                ("value", "amplitude"),
+                ("sigma", "sigma"),
+                ("false_alarm", "false_alarm"),
+                ("determined", "resolved"),
+            )
+        }
+        | {
+            "units": ("parameter", np.array([one.unit for one in found.values()], dtype="U16")),
+            "days": ("period", np.array(list(known.values())), {"units": "d"}),
+        },
+        coords={"parameter": list(found), "period": list(known)},
+        attrs={"told": json.dumps({name: one.told() for name, one in found.items()})},
+    )
