@@ -61,6 +61,37 @@ def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:
     return clock_faults(middles(daily), value, sigma), value
 
 
+def faults_table(daily: xr.Dataset) -> xr.Dataset:
+    """Return what each day's clock was off by, and the faults there were; one interval a day.
+
+    Returns
+    -------
+    xarray.Dataset
+        dim interval: `value`, time shift less what is usual around the day, and `sigma`, what days scatter
+        by, s; `fault`, the number of the fault a day belongs to, 0 for none; `start`, `end`. The attribute
+        ``told`` says each fault.
+
+    Raises
+    ------
+    CalibrationError
+        As `faults_of`.
+    """
+    found, shift = faults_of(daily)
+    number = np.zeros(shift.size, dtype=np.int64)
+    for index, one in enumerate(found.faults, start=1):
+        number[(found.mjd >= one.first) & (found.mjd < one.last + 1)] = index
+    return xr.Dataset(
+        {
+            "value": ("interval", shift - found.usual, {"units": "s"}),
+            "sigma": ("interval", found.scatter, {"units": "s"}),
+            "fault": ("interval", number),
+            "start": ("interval", daily["start"].values, {"scale": "TT2000"}),
+            "end": ("interval", daily["end"].values, {"scale": "TT2000"}),
+        },
+        attrs={"told": "; ".join(found.told()), "limit": found.limit},
+    )
+
+
 def stated_periods(mission: Mission | None) -> dict[str, float]:
     """Return the periods that daily parameters are asked for, days: the orbit's, and the mission's own.
 

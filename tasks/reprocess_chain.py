@@ -27,7 +27,7 @@ from inflight.estimators.z_offset import noise_of, offsets_from_spread
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.chain import CHAIN_VERSION, Witnesses
-from inflight.tasks.chain_daily import daily_after, faults_of, periods_of, stated_periods
+from inflight.tasks.chain_daily import daily_after, faults_table, periods_of, stated_periods
 from inflight.tasks.chain_parts import equations_of_days, part_of
 from inflight.tasks.planning import Plan
 from inflight.tasks.tables import content_keys
@@ -36,7 +36,7 @@ from inflight.time import day_of, to_tt2000
 #: Days whose spread tells what the noise alone makes of it, at least.
 _FEWEST_DAYS = 5
 #: Bumped by hand when the numbers of the chain's tables change.
-CHAIN_TABLES_VERSION = 2
+CHAIN_TABLES_VERSION = 3
 
 #: Attributes of tables: what all of one run are made from; and, of ``trend``, what could not be made and why.
 MADE_FROM, LEFT_OUT = "made_from", "left_out"
@@ -119,7 +119,7 @@ def _made(out: Chained, name: str) -> xr.Dataset:
 
 
 def _clock_faults(out: Chained) -> xr.Dataset:
-    return faults_of(_made(out, "daily-after"))[0].table()
+    return faults_table(_made(out, "daily-after"))
 
 
 def _mission(cat: Catalog, made: Plan) -> Mission:
