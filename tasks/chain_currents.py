@@ -182,5 +182,4 @@ def _by_local_time(part: Part, epochs: xr.Dataset) -> None:
             strict=True,
         )
     ]
-    model = next(one for one in choose_panels(epochs, local_time).models if one.name == "two_panels")
-    part.plots.append(local_time_figure(course, model))
+    part.plots.append(local_time_figure(course, choose_panels(epochs, local_time).chosen))

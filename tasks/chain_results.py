@@ -21,6 +21,7 @@ from inflight.tasks.chain_parts import part_of
 from inflight.tasks.models import preflight_model
 from inflight.tasks.planning import equations_of, product_of
 from inflight.tasks.reprocess_chain import LEFT_OUT, MADE_FROM, spread_offsets
+from inflight.time import day_bounds
 
 #: Tables of the chain; ``window`` is that of another reprocessing, for comparison.
 TABLES = (
@@ -67,6 +68,8 @@ class ChainResults:
         Of the tables.
     left_out : dict of str to str
         Why a table is not there.
+    reports : mapping of datetime64[D] to mapping
+        Of the products that were made with the continuous fit.
     """
 
     mission: Mission
@@ -79,6 +82,7 @@ class ChainResults:
     tables: dict[str, xr.Dataset]
     ids: dict[str, int]
     left_out: dict[str, str] = field(default_factory=dict)
+    reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
 
     def why(self, name: str) -> str:
         """Return why a table is not there."""
@@ -126,7 +130,7 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
     days = [
         day
         for day in cat.days(equations_of(comparison, True), states=("published",))
-        if record.start <= _start(day) < record.end
+        if record.start <= day_bounds(day.day)[0] < record.end
     ]
     days.sort(key=lambda day: day.day)
     if not days:
@@ -136,14 +140,17 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
         json.loads(tables["trend"].attrs.get(LEFT_OUT, "{}")) if "trend" in tables else {}
     )
     ids = {name: one.id for name, (one, _) in held.items()}
+    reports = _products(cat, comparison)
     for name in ("z-offset", "window"):
         _beside(cat, comparison, name, tables, ids, left_out)
     if "z-offset" not in tables:
-        left_out["z-offset"] = _no_offsets(cat, comparison)
+        left_out["z-offset"] = _no_offsets(reports)
     model = _looked_with(cat, mission, comparison, days[0])
     version, fitted = _fitted(cat, mission, model)
     read = [_read(cat, day) for day in days]
-    return ChainResults(mission, comparison, model, fitted, version, days, read, tables, ids, left_out)
+    return ChainResults(
+        mission, comparison, model, fitted, version, days, read, tables, ids, left_out, reports
+    )
 
 
 def _newest(
@@ -180,18 +187,15 @@ def _beside(
         )
 
 
-def _no_offsets(cat: Catalog, comparison: str) -> str:
-    reports: Mapping[np.datetime64, Mapping[str, Any]] = {
-        day.day: day.report for day in cat.days(product_of(comparison), states=("published",))
-    }
+def _products(cat: Catalog, comparison: str) -> dict[np.datetime64, Mapping[str, Any]]:
+    """Return the reports of products; only those of the continuous fit tell the spread of their residual."""
+    found = cat.days(product_of(comparison), states=("published",))
+    return {day.day: day.report for day in found if day.report.get("spread")}
+
+
+def _no_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> str:
     told = spread_offsets(reports)
     return told if isinstance(told, str) else "products were made anew since; reprocess makes the table"
-
-
-def _start(day: Day) -> int:
-    from inflight.time import day_bounds
-
-    return day_bounds(day.day)[0]
 
 
 def _read(cat: Catalog, day: Day) -> xr.Dataset:

@@ -27,7 +27,7 @@ from inflight.tasks.chain_results import ChainResults
 from inflight.time import Int64, to_utc
 
 #: Numbers smaller than this are written with an exponent.
-_PLAIN = 1e-3
+_PLAIN = 1e-4
 #: How the nine parameters are shown: part, title, factor, unit.
 SHOWN = (
     ("scale_factor", "Scale factors", 1e6, "ppm"),
@@ -107,21 +107,31 @@ def residual(found: ChainResults) -> Part:
     table = found.tables["continuous"]
     before = np.array([float(day["before"].values[0]) for day in found.read])
     own = np.array([float(day["after"].values[0]) for day in found.read])
-    after = table["after"].values
+    nan = float("nan")
+    after = np.array([float(found.reports.get(day.day, {}).get("after_nT", nan)) for day in found.days])
     weight = np.maximum(table["count"].values, 0.0)
     rms = [_rms(one, weight) for one in (before, own, after)]
-    part.fields = dict(zip(("before_nT", "own_fit_nT", "continuous_nT"), rms, strict=True))
+    part.fields = dict(zip(("before_nT", "own_fit_nT", "products_nT"), rms, strict=True))
     part.say(
-        f"{rms[0]:.4g} nT before, {rms[1]:.4g} nT with each day's own nine parameters, "
-        f"{rms[2]:.4g} nT with the values of all days together."
+        f"{rms[0]:.4g} nT before, {rms[1]:.4g} nT with each day's own nine parameters and all else as "
+        f"known before; {rms[2]:.4g} nT in the products, with the values of all days together."
+        if np.isfinite(rms[2])
+        else f"{rms[0]:.4g} nT before, {rms[1]:.4g} nT with each day's own nine parameters."
     )
-    when = to_utc(table["start"].values)
-    part.plots.append(daily_figure(when, before, after, float("nan"), ("before", "all days together")))
+    if not np.isfinite(after).all():
+        count = int(np.isfinite(after).sum())
+        part.lack(
+            "Residual of all products",
+            f"{count} of {after.size} days have products of this fit; 'inflight reprocess' makes them",
+        )
+    shown, name = (after, "all days together") if np.isfinite(rms[2]) else (own, "own nine")
+    part.plots.append(daily_figure(to_utc(table["start"].values), before, shown, nan, ("before", name)))
     return part
 
 
 def _rms(values: Floats, weight: Floats) -> float:
-    return float(np.sqrt(np.average(values**2, weights=weight))) if weight.sum() else float("nan")
+    use = np.isfinite(values) & (weight > 0)
+    return float(np.sqrt(np.average(values[use] ** 2, weights=weight[use]))) if use.any() else float("nan")
 
 
 def coefficients(found: ChainResults) -> Part:

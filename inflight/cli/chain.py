@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,9 +45,11 @@ def _print(console: Console, fields: Mapping[str, Any]) -> None:
     size = sections["residual"]
     first, last = fields["span"]
     console.print(f"{fields['model']}: {fields['days']} days, {first} to {last}", style="bold", markup=False)
+    product = size["products_nT"]
+    after = f", {product:.4g} nT in the products of all days together" if isfinite(product) else ""
     lines = [
-        f"residual {size['before_nT']:.4g} nT before, {size['own_fit_nT']:.4g} nT with each day's own nine, "
-        f"{size['continuous_nT']:.4g} nT with all days together",
+        f"residual {size['before_nT']:.4g} nT before, {size['own_fit_nT']:.4g} nT with each day's own nine"
+        f"{after}",
         f"scale factors: {sections['trend']['kind']}; {sections['trend'].get('told', 'no rivals compared')}",
         *_coefficients(sections["coefficients"]["items"]),
         *(sections["clock_faults"].get("told") or []),

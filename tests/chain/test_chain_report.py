@@ -40,6 +40,8 @@ def told(workspace):
 def test_fields_are_plain_and_hold_every_section(told):
     fields = json.loads(to_json(told[0].as_json()))
     assert fields["days"] == DAYS
+    residual = fields["sections"]["residual"]
+    assert residual["products_nT"] < residual["own_fit_nT"] < 0.1 * residual["before_nT"]
     assert fields["span"] == ["2005-01-01", "2005-01-12"]
     assert set(fields["sections"]) == {part.key for part in told[0].parts}
     assert len(told[0].parts) == len(SECTIONS)
@@ -97,7 +99,10 @@ def test_a_dipole_on_the_boom_shares_its_difference_by_the_cube_of_distance(told
 def test_jumps_of_windows_stand_against_none_of_the_continuous_parameters(workspace, told):
     cat, mission = Catalog(workspace), Workspace.open(workspace).mission()
     reprocess(cat, mission, settings=ReprocessSettings(table="window", window_days=4))
-    fields = chain_report(cat, mission).as_json()["sections"]["jumps"]
+    sections = chain_report(cat, mission).as_json()["sections"]
+    # These products are the windows' now.
+    assert sections["residual"]["absent"]
+    fields = sections["jumps"]
     assert not fields["absent"]
     assert fields["boundaries"] >= 2
     assert fields["continuous_rms_nT"] < 1e-6 < fields["window_rms_nT"]
