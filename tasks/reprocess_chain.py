@@ -7,6 +7,7 @@ fitted model, whose scale factors are functions of time, so that no day jumps ag
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,7 +18,7 @@ import xarray as xr
 from inflight.calibration import NormalEquations
 from inflight.catalog import Catalog, Day, Run
 from inflight.chain import Continuous, continuous_table, fit_mission
-from inflight.errors import InflightError, SamplesError
+from inflight.errors import CalibrationError, InflightError, SamplesError
 from inflight.estimators.epoch_fits import fit_step
 from inflight.estimators.epochs import join_epochs
 from inflight.estimators.panels import choose_panels
@@ -27,6 +28,14 @@ from inflight.estimators.z_offset import noise_of, offsets_from_spread
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.chain import CHAIN_VERSION, Witnesses
+from inflight.tasks.chain_daily import (
+    daily_after,
+    daily_temperatures,
+    faults_table,
+    node_times,
+    periods_of,
+    stated_periods,
+)
 from inflight.tasks.chain_parts import equations_of_days, part_of
 from inflight.tasks.planning import Plan
 from inflight.tasks.tables import content_keys
@@ -35,7 +44,10 @@ from inflight.time import day_of, to_tt2000
 #: Days whose spread tells what the noise alone makes of it, at least.
 _FEWEST_DAYS = 5
 #: Bumped by hand when the numbers of the chain's tables change.
-CHAIN_TABLES_VERSION = 1
+CHAIN_TABLES_VERSION = 4
+
+#: Attributes of tables: what all of one run are made from; and, of ``trend``, what could not be made and why.
+MADE_FROM, LEFT_OUT = "made_from", "left_out"
 
 
 @dataclass
@@ -95,13 +107,36 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
         "current-steps": lambda: fit_step(join_epochs(part_of(read, "epoch"))).table(),
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, made.model, settings.mean_days),
+        "daily-after": lambda: daily_after(equations, found),
+        "daily-temperature": lambda: daily_temperatures(cat, _mission(cat, made), made.model, sorted(days)),
+        "clock-faults": lambda: _clock_faults(out),
+        "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(_mission(cat, made))),
     }
     for name, make in makers.items():
         try:
             out.tables[name] = make()
         except InflightError as error:
             out.left_out[name] = error.message
+    # Tables of older runs stay certified where this one has none: a reader must know which belong together.
+    same = tables_key(made, "", days)[:16]
+    for table in out.tables.values():
+        table.attrs[MADE_FROM] = same
+    out.tables["trend"].attrs[LEFT_OUT] = json.dumps(out.left_out)
     return out
+
+
+def _made(out: Chained, name: str) -> xr.Dataset:
+    if name not in out.tables:
+        raise CalibrationError(out.left_out[name], remedy="see the table it is made from")
+    return out.tables[name]
+
+
+def _clock_faults(out: Chained) -> xr.Dataset:
+    return faults_table(_made(out, "daily-after"))
+
+
+def _mission(cat: Catalog, made: Plan) -> Mission:
+    return Mission.parse(cat.context(made.context).mission_text)
 
 
 def _own_fits(read: Sequence[xr.Dataset], found: Continuous) -> xr.Dataset:
@@ -135,7 +170,7 @@ def _band(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
 def _panels(read: Sequence[xr.Dataset]) -> xr.Dataset:
     epochs = join_epochs(part_of(read, "epoch"))
-    return choose_panels(epochs).table()
+    return choose_panels(epochs, node_times(epochs)).table()
 
 
 def _torquer_mean(read: Sequence[xr.Dataset], model: Model, window: float) -> xr.Dataset:
@@ -150,7 +185,11 @@ def _torquer_mean(read: Sequence[xr.Dataset], model: Model, window: float) -> xr
             count.append(float(part["count"].values[places].min()))
     if not days:
         raise SamplesError("no day has torquer currents", remedy="see the missing days of their channel")
-    return carried_mean(np.array(days), np.array(value), np.array(count), window=window).table()
+    return (
+        carried_mean(np.array(days), np.array(value), np.array(count), window=window)
+        .table()
+        .assign_attrs(window_days=window)
+    )
 
 
 def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dataset | str:

@@ -1,0 +1,78 @@
+"""The verb ``chain``: what all days together told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from inflight.cli.pipeline import ComparisonOption
+from inflight.cli.results import page_path
+from inflight.cli.session import Session, verb
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb of this module."""
+    verb(app, "chain")(chain)
+
+
+def chain(
+    session: Session,
+    *,
+    comparison: ComparisonOption = "main",
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write the page with every figure here.", show_default=False)
+    ] = None,
+) -> None:
+    """Tell what 'reprocess --table continuous' found: coefficients, trends, currents, what wanders."""
+    from inflight.tasks.chain_report import chain_report
+
+    workspace = session.open_workspace()
+    page = page_path(html) if html else None
+    fields = chain_report(session.open_catalog(), workspace.mission(), comparison, page).as_json()
+    session.emit(fields, lambda console: _print(console, fields))
+
+
+def _print(console: Console, fields: Mapping[str, Any]) -> None:
+    """Print residual, trend, what went far from what was known, what was found, and what is not told."""
+    sections = fields["sections"]
+    size = sections["residual"]
+    first, last = fields["span"]
+    console.print(f"{fields['model']}: {fields['days']} days, {first} to {last}", style="bold", markup=False)
+    product = size["products_nT"]
+    after = f", {product:.4g} nT in the products of all days together" if isfinite(product) else ""
+    lines = [
+        f"residual {size['before_nT']:.4g} nT before, {size['own_fit_nT']:.4g} nT with each day's own nine"
+        f"{after}",
+        f"scale factors: {sections['trend']['kind']}; {sections['trend'].get('told', 'no rivals compared')}",
+        *_coefficients(sections["coefficients"]["items"]),
+        *(sections["clock_faults"].get("told") or []),
+    ]
+    for line in lines:
+        console.print(f"  {line}", soft_wrap=True, markup=False)
+    for section in sections.values():
+        for what, why in section["absent"].items():
+            console.print(f"  not told: {what}: {why}", soft_wrap=True, markup=False, style="dim")
+    page = fields["path"] or "none; --html FILE writes it with every figure"
+    console.print(f"  page: {page}", soft_wrap=True, markup=False)
+
+
+def _coefficients(items: list[Mapping[str, Any]]) -> list[str]:
+    known = sum(one["determined"] for one in items)
+    out = [f"{len(items)} coefficients, {known} determined; beyond 3 sigma of what was known before:"]
+    far = [one for one in items if abs(one["shift_sigma"] or 0.0) > 3.0]
+    out += [
+        f"  {one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']} ({one['shift_sigma']:+.1f})"
+        for one in sorted(far, key=lambda one: -abs(one["shift_sigma"]))
+    ]
+    return (
+        out
+        if far
+        else [out[0].replace("beyond 3 sigma of what", "none is beyond 3 sigma of what").rstrip(":")]
+    )

@@ -1,0 +1,245 @@
+"""Tables of what is left to wander from day to day: parameters after the continuous fit, faults, periods."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.catalog import Catalog, Day
+from inflight.chain import Continuous
+from inflight.chain.daily import daily_parameters, shift_columns
+from inflight.errors import CalibrationError, InflightError, SamplesError
+from inflight.estimators.clock_faults import ClockFaults, clock_faults
+from inflight.estimators.days import mjd_of
+from inflight.estimators.node_time import node_local_time
+from inflight.estimators.periods import KNOWN_PERIODS, ParameterSpectrum, parameter_spectrum
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.tasks.needs import channel_homes
+from inflight.time import DAY, day_bounds
+
+#: Shortest period that daily values are asked for, days.
+SHORTEST = 10.0
+#: Two stated periods closer than this part of them are one.
+_SAME = 1e-3
+#: Orbits of a day: the slow wave of a temperature repeats so often.
+_TURNS = 15
+
+
+def daily_after(equations: NormalEquations, found: Continuous) -> xr.Dataset:
+    """Return each day's nine parameters and time shift, everything else at the continuous fit.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Wide ones of the days.
+    found : Continuous
+        Fitted to them.
+    """
+    return daily_parameters(equations, found, shift_columns(found.model))
+
+
+def middles(table: xr.Dataset) -> Floats:
+    """Return the middles of a table's intervals as days since 2000-01-01; (interval,)."""
+    return mjd_of(table["start"].values // 2 + table["end"].values // 2)
+
+
+def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:
+    """Return the clock faults that daily time shifts tell, and these shifts (interval,), s.
+
+    Raises
+    ------
+    CalibrationError
+        When no day tells a time shift, or too few do.
+    """
+    names = [str(name) for name in daily["parameter"].values if ".seconds" in str(name)]
+    if not names:
+        raise CalibrationError(
+            "the model has no time shift that data may move",
+            remedy="give the model an effect 'time_shift' with a sigma",
+        )
+    value, sigma = (daily[part].sel(parameter=names[0]).values for part in ("value", "sigma"))
+    return clock_faults(middles(daily), value, sigma), value
+
+
+def faults_table(daily: xr.Dataset) -> xr.Dataset:
+    """Return what each day's clock was off by, and the faults there were; one interval a day.
+
+    Returns
+    -------
+    xarray.Dataset
+        dim interval: `value`, time shift less what is usual around the day, and `sigma`, what days scatter
+        by, s; `fault`, the number of the fault a day belongs to, 0 for none; `start`, `end`. The attribute
+        ``told`` says each fault.
+
+    Raises
+    ------
+    CalibrationError
+        As `faults_of`.
+    """
+    found, shift = faults_of(daily)
+    number = np.zeros(shift.size, dtype=np.int64)
+    for index, one in enumerate(found.faults, start=1):
+        number[(found.mjd >= one.first) & (found.mjd < one.last + 1)] = index
+    return xr.Dataset(
+        {
+            "value": ("interval", shift - found.usual, {"units": "s"}),
+            "sigma": ("interval", found.scatter, {"units": "s"}),
+            "fault": ("interval", number),
+            "start": ("interval", daily["start"].values, {"scale": "TT2000"}),
+            "end": ("interval", daily["end"].values, {"scale": "TT2000"}),
+        },
+        attrs={"told": "; ".join(found.told()), "limit": found.limit},
+    )
+
+
+def node_times(epochs: xr.Dataset) -> Floats | None:
+    """Return the local time of the ascending node at each epoch, h; None where the orbit is not known."""
+    if not {"local_time", "orbit_phase", "latitude"} <= set(map(str, epochs.data_vars)):
+        return None
+    return node_local_time(*(epochs[name].values for name in ("local_time", "orbit_phase", "latitude")))
+
+
+def daily_temperatures(
+    cat: Catalog, mission: Mission, model: Model, days: Sequence[np.datetime64]
+) -> xr.Dataset:
+    """Return daily means of the temperatures, those the model uses first.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims interval, channel: `value`, `spread` within the day, `sigma` (that of a mean whose spread is one
+        slow wave: the spread over the root of the turns, at most the spread), degC; `start`, `end`. NaN on
+        days without readings.
+
+    Raises
+    ------
+    SamplesError
+        When the mission has no temperature, or none was archived.
+    """
+    used = {name for entry in model.effects for name in entry.effect.channels}
+    homes = {
+        name: home
+        for name, home in channel_homes(mission).items()
+        if mission.instruments[home[0]].channels[home[1]].kind == "temperature"
+    }
+    names = sorted(homes, key=lambda name: name not in used)
+    table = np.full((len(days), len(names), 3), np.nan)
+    for column, name in enumerate(names):
+        instrument, channel = homes[name]
+        archived = {day.day: day for day in cat.days(f"l1/{instrument}", states=("published",))}
+        for row, day in enumerate(days):
+            if day in archived:
+                table[row, column] = _mean_of(cat, archived[day], channel)
+    if not np.isfinite(table[..., 0]).any():
+        raise SamplesError(
+            f"no day has one of the temperatures {', '.join(names) or '(none are stated)'}",
+            remedy="state a channel of kind 'temperature' in the mission's file",
+        )
+    each, bounds = ("interval", "channel"), np.array([day_bounds(day) for day in days], dtype=np.int64)
+    units = {"units": "degC"}
+    return xr.Dataset(
+        {name: (each, table[..., place], units) for place, name in enumerate(("value", "spread", "sigma"))}
+        | {
+            "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
+            "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
+        },
+        coords={"channel": names},
+    )
+
+
+def _mean_of(cat: Catalog, day: Day, channel: str) -> tuple[float, float, float]:
+    """Return mean, spread and error of a channel's readings on a day."""
+    values = np.asarray(cat.read(day, [channel])[channel].values, dtype=np.float64)
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return (np.nan,) * 3
+    spread = float(known.std())
+    return float(known.mean()), spread, spread / np.sqrt(min(known.size, _TURNS))
+
+
+def stated_periods(mission: Mission | None) -> dict[str, float]:
+    """Return the periods that daily parameters are asked for, days: the orbit's, and the mission's own.
+
+    Those shorter than ten days do not show in daily values.
+    """
+    out = dict(KNOWN_PERIODS)
+    for name, length in (mission.periods if mission is not None else {}).items():
+        days = length / DAY
+        if days < SHORTEST:
+            continue
+        same = next((key for key, other in out.items() if abs(other - days) < _SAME * days), None)
+        if same is None:
+            out[f"{name}, {days:g} d"] = days
+        else:
+            out = {f"{name}, {key}" if key == same else key: value for key, value in out.items()}
+    return out
+
+
+def spectra_of(
+    daily: xr.Dataset, known: Mapping[str, float], shown: Mapping[str, tuple[float, str]]
+) -> tuple[dict[str, ParameterSpectrum], dict[str, str]]:
+    """Return the spectrum of each daily parameter less the continuous one, and why some have none.
+
+    Parameters
+    ----------
+    known : mapping of str to float
+        Periods to tell by name, days.
+    shown : mapping of str to (float, str)
+        Factor and unit of parameters; as they are where absent.
+    """
+    found, why, mjd = {}, {}, middles(daily)
+    for name in map(str, daily["parameter"].values):
+        one = daily.sel(parameter=name)
+        factor, unit = shown.get(name, (1.0, str(one["units"].item())))
+        left = factor * (one["value"].values - one["continuous"].values)
+        try:
+            found[name] = parameter_spectrum(
+                mjd, left, factor * one["sigma"].values, known, shortest=SHORTEST, unit=unit
+            )
+        except InflightError as error:
+            why[name] = error.message
+    return found, why
+
+
+def periods_of(daily: xr.Dataset, known: Mapping[str, float]) -> xr.Dataset:
+    """Return the amplitudes of named periods in the daily parameters.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims parameter, period: `value`, `sigma` (in `units`), `false_alarm`, `determined`; `days` (period);
+        NaN where the span does not resolve a period, which the attribute ``told`` says of each parameter.
+
+    Raises
+    ------
+    CalibrationError
+        When no parameter has days enough for a spectrum.
+    """
+    found, why = spectra_of(daily, known, {})
+    if not found:
+        raise CalibrationError(next(iter(why.values())), remedy="use a longer span")
+    each = ("parameter", "period")
+    rows = [one.named for one in found.values()]
+    return xr.Dataset(
+        {
+            name: (each, np.array([[getattr(peak, field) for peak in row] for row in rows]))
+            for name, field in (
+                ("value", "amplitude"),
+                ("sigma", "sigma"),
+                ("false_alarm", "false_alarm"),
+                ("determined", "resolved"),
+            )
+        }
+        | {
+            "units": ("parameter", np.array([one.unit for one in found.values()], dtype="U16")),
+            "days": ("period", np.array(list(known.values())), {"units": "d"}),
+        },
+        coords={"parameter": list(found), "period": list(known)},
+        attrs={"told": json.dumps({name: one.told() for name, one in found.items()})},
+    )

@@ -1,0 +1,91 @@
+"""All results of a mission's chain: as fields for programs, and as one page that needs nothing but itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from inflight import __version__
+from inflight.catalog import Catalog
+from inflight.figures.page import html_page
+from inflight.mission import Mission
+from inflight.tasks.chain_behaviour import behaviour, clock, temperature
+from inflight.tasks.chain_currents import current_steps, panels
+from inflight.tasks.chain_results import ChainResults, chain_results
+from inflight.tasks.chain_sections import Part, coefficients, jumps, residual, trend
+from inflight.tasks.chain_torquers import offsets, torquers
+
+#: In the order of the page.
+SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (
+    residual,
+    coefficients,
+    trend,
+    jumps,
+    current_steps,
+    panels,
+    torquers,
+    offsets,
+    behaviour,
+    clock,
+    temperature,
+)
+
+
+@dataclass(frozen=True)
+class ChainReport:
+    """Results of a chain, section by section; `path` is the page, when one was written."""
+
+    found: ChainResults
+    parts: tuple[Part, ...]
+    path: Path | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON; `absent` says what the span cannot tell, and why."""
+        found = self.found
+        return {
+            "command": "chain",
+            "comparison": found.comparison,
+            "model": found.version,
+            "span": found.span,
+            "days": len(found.days),
+            "tables": {name: f"{found.comparison}-{name}" for name in sorted(found.tables)},
+            "sections": {part.key: part.fields | {"absent": part.absent} for part in self.parts},
+            "path": str(self.path) if self.path else "",
+        }
+
+
+def chain_report(
+    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None
+) -> ChainReport:
+    """Tell what the whole chain found, and write the page of it when a path is given.
+
+    Parameters
+    ----------
+    output : Path, optional
+        Where the page goes; written whole, by one rename.
+
+    Raises
+    ------
+    SettingsError, CatalogError
+        As `inflight.tasks.chain_results.chain_results`.
+    """
+    found = chain_results(cat, mission, comparison)
+    parts = tuple(make(found) for make in SECTIONS)
+    if output is not None:
+        page = chain_page(found, parts)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = output.with_name(f".{output.name}.part")
+        unfinished.write_text(page, encoding="utf-8")
+        unfinished.replace(output)
+    return ChainReport(found, parts, output)
+
+
+def chain_page(found: ChainResults, parts: tuple[Part, ...]) -> str:
+    """Return the page as HTML."""
+    first, last = found.span
+    title = f"{found.mission.mission}: all days together, {first} to {last}"
+    made = f"{found.version}; {len(found.days)} days; inflight {__version__}."
+    footer = " ".join(part for part in (made, found.mission.acknowledgement) if part)
+    return html_page(title, [(part.heading, part.text, part.plots) for part in parts], footer)
