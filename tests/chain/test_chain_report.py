@@ -114,7 +114,9 @@ def test_verb_prints_and_writes_the_page(workspace, tmp_path, capsys):
         main(["chain", "-w", str(workspace), "--html", str(page)])
     assert ended.value.code == 0
     shown = capsys.readouterr().out
-    assert "all days together" in shown
+    assert "12 days, 2005-01-01 to 2005-01-12" in shown
+    assert "nan" not in shown
+    assert "not told: Steps on event days" in shown
     assert str(page) in shown
     assert page.is_file()
 
