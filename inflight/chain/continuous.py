@@ -204,7 +204,7 @@ def _nine(model: Model) -> list[str]:
 
 def _units(model: Model) -> dict[str, str]:
     return {
-        name: term.entry.effect.parameters()[name[len(term.key) + 1 :].split("[")[0]].unit
+        name: term.entry.parameters[name[len(term.key) + 1 :].split("[")[0]].parameter.unit
         for term in terms_of(model)
         for name in term.columns
     }
