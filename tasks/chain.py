@@ -21,6 +21,7 @@ from inflight.catalog import Catalog
 from inflight.chain import empty_equations, wide_equations, with_nine
 from inflight.comparison import Rows, rows_of
 from inflight.errors import SamplesError
+from inflight.estimators.contrasts import in_amperes
 from inflight.estimators.current_steps import find_steps
 from inflight.estimators.epochs import epochs_of
 from inflight.estimators.torquer_band import band_equations
@@ -30,10 +31,9 @@ from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
 from inflight.tasks.chain_parts import alike, pack_parts
 from inflight.tasks.needs import channel_homes
 from inflight.time import Int64, day_bounds
-from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the chain's days change.
-CHAIN_VERSION = 1
+CHAIN_VERSION = 2
 #: Kinds of channels whose currents may step.
 CURRENTS = ("solar_current", "battery_current", "camera_current", "heater", "current")
 
@@ -139,9 +139,7 @@ def _band(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnesse
     """Return the equations of the torquers' band; None without torquers or a stretch long enough."""
     if not witnesses.torquer or witnesses.torquer not in samples:
         return None
-    channel = samples[witnesses.torquer]
-    current = np.asarray(channel.values, dtype=np.float64)
-    current = current * factor_and_offset(str(channel.attrs.get("units", "A")), "A")[0]
+    current, _ = in_amperes(samples[witnesses.torquer])
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     try:
         return band_equations(stamps, residual, _unit(rows.field), current)
@@ -181,10 +179,10 @@ def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]
 
 
 def _means(samples: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return mean, spread and number of the readings of channels over the day, component by component."""
+    """Return mean, spread and number of the readings of channels over the day, component by component; A."""
     titles, rows = [], []
     for name in (one for one in names if one in samples):
-        values = np.asarray(samples[name].values, dtype=np.float64)
+        values, _ = in_amperes(samples[name])
         for index, column in enumerate(values.reshape(len(values), -1).T):
             known = column[np.isfinite(column)]
             titles.append(name if values.ndim == 1 else f"{name}[{'xyz'[index] if index < 3 else index}]")

@@ -103,10 +103,10 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
     makers: dict[str, Callable[[], xr.Dataset]] = {
         "torquer-band": lambda: fit_band(_band(read), by="day").table(),
         "torquer-band-daily": lambda: daily_fits(_band(read)),
-        "torquer-band-mean": lambda: robust_mean(daily_fits(_band(read))),
+        "torquer-band-mean": lambda: robust_mean(_made(out, "torquer-band-daily")),
         "current-steps": lambda: fit_step(join_epochs(part_of(read, "epoch"))).table(),
         "panels": lambda: _panels(read),
-        "torquer-mean": lambda: _torquer_mean(read, made.model, settings.mean_days),
+        "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
         "daily-after": lambda: daily_after(equations, found),
         "daily-temperature": lambda: daily_temperatures(cat, _mission(cat, made), made.model, sorted(days)),
         "clock-faults": lambda: _clock_faults(out),
@@ -173,7 +173,7 @@ def _panels(read: Sequence[xr.Dataset]) -> xr.Dataset:
     return choose_panels(epochs, node_times(epochs)).table()
 
 
-def _torquer_mean(read: Sequence[xr.Dataset], model: Model, window: float) -> xr.Dataset:
+def _torquer_mean(read: Sequence[xr.Dataset], window: float) -> xr.Dataset:
     """Return the running mean of the torquer currents, A."""
     days, value, count = [], [], []
     for day, part in ((one, part) for one in read for part in part_of([one], "channel")):

@@ -53,7 +53,7 @@ class Series:
             values = np.where(samples["weight"].values > 0, values, np.nan)
         field = np.asarray(samples["field"].values, dtype=np.float64)
         direction = field / np.linalg.norm(field, axis=1, keepdims=True)
-        found = [_in_amperes(samples[name]) for name in names]
+        found = [in_amperes(_one_current(samples[name])) for name in names]
         places = {name: samples[name].values.astype(np.float64) for name in _PLACES if name in samples}
         return cls(
             np.asarray(samples["tt2000"].values, dtype=np.int64),
@@ -70,13 +70,18 @@ class Series:
         return slice(*(int(i) for i in np.searchsorted(self.stamps, [start, end])))
 
 
-def _in_amperes(series: xr.DataArray) -> tuple[Floats, str]:
-    """Return a channel (time,) in A where it is a current, else as it is, and its unit."""
-    unit = str(series.attrs.get("units", "1"))
+def _one_current(series: xr.DataArray) -> xr.DataArray:
+    """Return the channel, which must be one number a time."""
     if series.ndim != 1:
         raise SamplesError(
             f"has dims {series.dims}, one current expected", channel=str(series.name), remedy="take one axis"
         )
+    return series
+
+
+def in_amperes(series: xr.DataArray) -> tuple[Floats, str]:
+    """Return a channel (time, ...) in A where it is a current, else as it is, and its unit."""
+    unit = str(series.attrs.get("units", "1"))
     try:
         factor, offset = factor_and_offset(unit, "A")
     except ValueError:

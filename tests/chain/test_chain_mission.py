@@ -14,7 +14,10 @@ from inflight.flags import Flag
 from inflight.simulate import SimulationSettings
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.stray import coefficients
+from inflight.simulate.torquers import mean_current
+from inflight.tasks.chain_parts import part_of
 from inflight.tasks.reprocess import ReprocessSettings, reprocess
+from inflight.time import SECOND
 
 DAYS = 24
 CONTINUOUS = ReprocessSettings(table="continuous", trend="linear", batch_days=12)
@@ -140,6 +143,16 @@ def test_the_same_call_has_nothing_to_do(chain):
     assert again["days"]["unchanged"] == DAYS
     assert again["days"]["done"] == 0
     assert len(cat.tables("main-continuous")) == 1
+
+
+def test_a_day_of_the_chain_keeps_its_currents_in_amperes(chain):
+    cat, _ = chain
+    day = cat.read(cat.days("equations/main/chain", states=("published",))[7])
+    part = part_of([day], "channel")[0]
+    told = dict(zip(part["channel"].values.tolist(), part["mean"].values, strict=True))
+    truth = mean_current(day["start"].values / SECOND, SETTINGS.parameters)
+    found = [told[f"torquer_current[{axis}]"] for axis in "xyz"]
+    np.testing.assert_allclose(found, truth[0], atol=2e-3)
 
 
 def test_daily_fits_wander_by_what_they_do_not_know(chain):
