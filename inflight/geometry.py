@@ -110,6 +110,12 @@ def to_nec(field: Floats, attitude: Floats, position: Floats | None, frame: str)
     return itrf_to_nec(turned, position)
 
 
+def direction_of(field: Floats) -> Floats:
+    """Return unit vectors along a field (time, 3); NaN where it is nothing or missing."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(field / np.linalg.norm(field, axis=1, keepdims=True))
+
+
 def orbit_phase(latitude: Floats, latitude_rate: Floats) -> Floats:
     """Return the argument of latitude of a near-polar orbit, 0 at the ascending node; (time,) deg.
 

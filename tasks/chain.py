@@ -25,6 +25,7 @@ from inflight.estimators.contrasts import in_amperes
 from inflight.estimators.current_steps import find_steps
 from inflight.estimators.epochs import epochs_of
 from inflight.estimators.torquer_band import band_equations
+from inflight.geometry import direction_of
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
@@ -142,7 +143,7 @@ def _band(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnesse
     current, _ = in_amperes(samples[witnesses.torquer])
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     try:
-        return band_equations(stamps, residual, _unit(rows.field), current)
+        return band_equations(stamps, residual, direction_of(rows.field), current)
     except SamplesError:
         return None
 
@@ -193,8 +194,3 @@ def _means(samples: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
         {name: ("channel", table[:, place]) for place, name in enumerate(("mean", "spread", "count"))},
         coords={"channel": titles},
     )
-
-
-def _unit(field: Floats) -> Floats:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(field / np.linalg.norm(field, axis=1, keepdims=True))

@@ -16,6 +16,7 @@ from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError
 from inflight.failures import Coordinate, find_failures, measure
 from inflight.flags import UNUSABLE, Flag
+from inflight.geometry import direction_of
 from inflight.lines import Line, find_lines, known_periods
 from inflight.mission import Mission
 from inflight.resolving import resolve_lines
@@ -201,9 +202,7 @@ def _add_spectra(digest: _Digest, product: xr.Dataset, before: Floats, after: Fl
     step = int(np.median(np.diff(stamps))) if stamps.size > 1 else SECOND
     slot = np.round((stamps - stamps[0]) / step).astype(np.int64)
     grid = np.full((int(slot[-1]) + 1, 5), np.nan)
-    field_ = product["field_sensor"].values
-    with np.errstate(invalid="ignore", divide="ignore"):
-        direction = field_ / np.linalg.norm(field_, axis=1, keepdims=True)
+    direction = direction_of(product["field_sensor"].values)
     grid[slot] = np.column_stack([before, after, direction])
     cadence = step / SECOND
     digest.floors.append(noise_floor(grid[:, 1], cadence))

@@ -13,6 +13,7 @@ from inflight.catalog import Catalog
 from inflight.errors import CalibrationError
 from inflight.estimators.z_offset import day_statistics
 from inflight.flags import UNUSABLE, Flag
+from inflight.geometry import direction_of
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.product import day_parameters, level2
@@ -108,9 +109,7 @@ def produce_day(
 
 def spread_of(product: xr.Dataset, good: np.ndarray, span: tuple[int, int]) -> dict[str, Any]:
     """Return what a day's residual tells of an offset along z, as plain numbers; empty for too little."""
-    field = product["field_sensor"].values
-    with np.errstate(invalid="ignore", divide="ignore"):
-        direction = field / np.linalg.norm(field, axis=1, keepdims=True)
+    direction = direction_of(product["field_sensor"].values)
     try:
         found = day_statistics(product["residual"].values, direction, *span, good=good)
     except CalibrationError:

@@ -18,6 +18,7 @@ from inflight.calibration.robust import TO_SIGMA
 from inflight.comparison import Rows as NativeRows
 from inflight.diagnosis.bursts import bursts, is_signal, told_of
 from inflight.diagnosis.columns import Rows
+from inflight.geometry import direction_of
 from inflight.time import GAP, SECOND, Int64
 
 #: A sample is a spike when it is this many sigma from the median of its neighbours, sigma being that of the
@@ -174,9 +175,7 @@ def coarsen(
             )
     field, _ = bin_means(rows.field, stamps, edges, good)
     data["field"] = xr.Variable(("time", "axis"), field, {"units": "nT"})
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unit = field / np.linalg.norm(field, axis=1, keepdims=True)
-    data["field_direction"] = xr.Variable(("time", "axis"), unit, {"units": "1"})
+    data["field_direction"] = xr.Variable(("time", "axis"), direction_of(field), {"units": "1"})
     seen = weight > 0
     directions = {
         name: bin_means(np.asarray(one), stamps, edges, good)[0] for name, one in rows.directions.items()

@@ -15,6 +15,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.diagnosis.columns import Rows
+from inflight.geometry import direction_of
 from inflight.time import SECOND, Int64
 
 _ROLES = ("vector", "scalar", "inboard", "outboard")
@@ -205,10 +206,7 @@ class Series:
                 part = self[name] if name in self.channels else self._measured(name)
                 unit = self.features.units[self.features.names.index(name)]
                 data.setdefault(name, xr.Variable(("time", "axis")[: part.ndim], part, {"units": unit}))
-        field = self._measured("field")
-        with np.errstate(invalid="ignore", divide="ignore"):
-            unit = field / np.linalg.norm(field, axis=1, keepdims=True)
-        data["field_direction"] = xr.Variable(("time", "axis"), unit)
+        data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))
         residual = self["residual"].reshape(len(self.values), -1)
         directions = {name: self.direction(name) for name in self.features.sensors}
         return Rows(xr.Dataset(data), residual, directions, turn, self["weight"])

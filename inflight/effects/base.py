@@ -15,6 +15,7 @@ from inflight.effects.coefficients import product_factor
 from inflight.effects.naming import did_you_mean, slowed, snake_case
 from inflight.effects.parameter import Parameter
 from inflight.errors import ModelError, SamplesError
+from inflight.geometry import direction_of
 from inflight.sensors import Sensor
 from inflight.time import parse_duration, parse_utc, to_tt2000, to_utc
 from inflight.units import factor_and_offset
@@ -368,9 +369,7 @@ def direction(samples: xr.Dataset) -> Floats:
     """Return the unit vector of the best present field estimate; (time, axis), vector sensor axes."""
     if "field_direction" in samples:
         return np.asarray(samples["field_direction"].values, dtype=np.float64)
-    field = best_field(samples)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(field / np.linalg.norm(field, axis=1, keepdims=True))
+    return direction_of(best_field(samples))
 
 
 def multiply(flat: Floats, vectors: Floats) -> Floats:

@@ -11,6 +11,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration.robust import robust_sigma
 from inflight.errors import SamplesError
+from inflight.geometry import direction_of
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
@@ -52,7 +53,7 @@ class Series:
         if "weight" in samples:
             values = np.where(samples["weight"].values > 0, values, np.nan)
         field = np.asarray(samples["field"].values, dtype=np.float64)
-        direction = field / np.linalg.norm(field, axis=1, keepdims=True)
+        direction = direction_of(field)
         found = [in_amperes(_one_current(samples[name])) for name in names]
         places = {name: samples[name].values.astype(np.float64) for name in _PLACES if name in samples}
         return cls(

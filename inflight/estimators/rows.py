@@ -21,6 +21,7 @@ from inflight.calibration.sensor import SCALE, UNITS, Reference, kernel_paramete
 from inflight.effects.base import AXES
 from inflight.errors import CalibrationError
 from inflight.estimators.absorption import gram_inverse
+from inflight.geometry import direction_of
 from inflight.time import Int64
 
 #: Nine parameters of a perfect sensor: scale factors, angles (deg), offsets (nT).
@@ -61,11 +62,6 @@ def nine_columns(field: Floats, value: Floats = PERFECT) -> dict[str, Floats]:
     angles = [x * reading[1] * turn[0], x * reading[2] * turn[1], y * reading[2] * turn[2]]
     offsets = list(-matrix.T @ np.stack([x, y, z]))
     return dict(zip(NINE, [*scale, *angles, *offsets], strict=True))
-
-
-def direction_of(field: Floats) -> Floats:
-    """Return unit vectors along a field (time, 3)."""
-    return np.asarray(field / np.linalg.norm(field, axis=1, keepdims=True))
 
 
 def field_columns(

@@ -13,7 +13,8 @@ from inflight.arrays import Floats
 from inflight.calibration.equations import NormalEquations
 from inflight.estimators.day_night import switched_columns
 from inflight.estimators.daylight import orbit_period
-from inflight.estimators.rows import block_equations, direction_of, nine_columns
+from inflight.estimators.rows import block_equations, nine_columns
+from inflight.geometry import direction_of
 from inflight.simulate.field import main_field
 from inflight.simulate.grid import STEP, Grid
 from inflight.simulate.orbit import EARTH_RADIUS, geometry, node_local_time, sunlight

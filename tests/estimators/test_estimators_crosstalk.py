@@ -11,7 +11,8 @@ from inflight.errors import CalibrationError, SamplesError
 from inflight.estimators.absorption import left, taken_over
 from inflight.estimators.crosstalk import Ignored, correlation, cross_talk
 from inflight.estimators.day_night import SWITCHED, switched_columns
-from inflight.estimators.rows import NINE, PERFECT, block_equations, direction_of, joined, nine_columns
+from inflight.estimators.rows import NINE, PERFECT, block_equations, joined, nine_columns
+from inflight.geometry import direction_of
 
 DAYS = (300, 1450, 2000, NOON, MIDNIGHT)
 
