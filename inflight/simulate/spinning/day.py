@@ -211,10 +211,9 @@ class _Scene:
 
     def slow(self) -> xr.Dataset:
         """Temperatures and shadow every ten seconds."""
-        seconds, warm, dark = self._heat
-        inside = slice(_WARM_UP // _SLOW, None)
+        seconds, _, dark = self._heat
         stamps = Sampling.of_span(self.start, self.end, _SLOW * SECOND).tt2000
-        inside = slice(inside.start, inside.start + stamps.size)
+        inside = slice(_WARM_UP // _SLOW, _WARM_UP // _SLOW + stamps.size)
         box = 20.0 + 4.0 * np.sin(2.0 * np.pi * (seconds - self.first) / 21_000.0)
         return _delivery(
             stamps,
