@@ -94,7 +94,8 @@ class _Scene:
     @cached_property
     def _heat(self) -> tuple[Float, Float, np.ndarray]:
         """Seconds, temperature of the sensor and shadow every ten seconds from the warm-up on."""
-        seconds = self.start / SECOND + np.arange(-_WARM_UP, (self.end - self.start) // SECOND + _SLOW, _SLOW)
+        steps = np.arange(-_WARM_UP, (self.end - self.start) // SECOND + _SLOW, _SLOW)
+        seconds = np.asarray(self.start / SECOND + steps, dtype=np.float64)
         dark = ambient.in_shadow(ambient.position(seconds, self.parameters))
         target = np.where(dark, _COLD, _WARM) + 3.0 * np.sin(2.0 * np.pi * (seconds - self.first) / 30_000.0)
         keep = np.exp(-_SLOW / _RELAX)
@@ -191,7 +192,7 @@ class _Scene:
         return _delivery(stamps, SPIN_PERIOD=np.rint(period * 1e5) / 1e5)
 
     def _pulse_times(self) -> Int64:
-        """Return when the Sun is seen, TT2000, to a microsecond: the phase is turned round by Newton's method."""
+        """Return when the Sun is seen, TT2000 to a microsecond: Newton's method turns the phase round."""
         p = self.parameters
         seconds = np.array([self.start, self.end]) / SECOND
         first, last = (self._phase(seconds) + p.pulse_angle) / (2.0 * np.pi)
@@ -201,7 +202,7 @@ class _Scene:
             off = self._phase(guess) + p.pulse_angle - 2.0 * np.pi * turns
             guess = guess - off * p.spin_period / (2.0 * np.pi)
         stamps = np.rint(guess * 1e6).astype(np.int64) * 1000
-        return stamps[(stamps >= self.start) & (stamps < self.end)]
+        return np.asarray(stamps[(stamps >= self.start) & (stamps < self.end)], dtype=np.int64)
 
     def currents(self) -> xr.Dataset:
         """Currents as recorded, mA, at the samples of the magnetometer."""

@@ -94,7 +94,9 @@ class SpinningParameters:
             raise SettingsError(
                 f"no parameter {', '.join(unknown)}", remedy=f"there are {', '.join(sorted(known))}"
             )
-        given = {key: tuple(value) if isinstance(value, list) else value for key, value in overrides.items()}
+        given: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in overrides.items()
+        }
         return replace(self, **given)
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""Spinning spacecraft: phase, spin fits, the parameters that the spin tells apart, folding."""
