@@ -13,6 +13,7 @@ from inflight.catalog import Catalog
 from inflight.derived import Part, parse, product
 from inflight.diagnosis.coarse import channel_on, grid
 from inflight.diagnosis.library import Told
+from inflight.effects.families import NO_CAUSE
 from inflight.geometry import add_geometry
 from inflight.mission import Mission
 from inflight.tasks.needs import channel_homes
@@ -54,7 +55,7 @@ class ChannelReader:
         for need in self.needs:
             instrument, name = homes[need.name]
             channel = self.mission.instruments[instrument].channels[name]
-            if not channel.axis_names and channel.kind not in ("attitude", "position"):
+            if not channel.axis_names and channel.kind not in NO_CAUSE:
                 found.append(need.name)
         return found
 

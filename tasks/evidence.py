@@ -17,7 +17,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
-from inflight.comparison import filter_rows, rows_of
+from inflight.comparison import RowFilter, rows_of
 from inflight.diagnosis.bursts import Outliers
 from inflight.diagnosis.coarse import coarsen
 from inflight.diagnosis.columns import Rows, design, turns_of
@@ -209,13 +209,11 @@ def _day_evidence(
     derived: DerivedChannels,
     day: np.datetime64,
 ) -> tuple[Evidence, Evidence, Rows, dict[str, Any]]:
-    rows, sums, band_good = day_rows(cat, mission, made, index, derived, day)
+    rows, sums, kept = day_rows(cat, mission, made, index, derived, day)
     columns = design(made.library.all_terms, rows)
-    if band_good is not None:
-        flat = columns.reshape(len(columns), -1)
-        kept = filter_rows(flat, made.cadence_ns / SECOND, band_good[0], band_good[1])
-        columns = np.nan_to_num(kept).reshape(columns.shape)
     stamps = rows.samples["tt2000"].values
+    if kept is not None:
+        columns = np.nan_to_num(kept.keep(columns, stamps, rows.weight > 0))
     edges = derived.reader.edges(day)
     cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
     parts = parts_of(stamps, cuts)
@@ -244,8 +242,8 @@ def day_rows(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Rows, dict[str, Any], tuple[Any, Any] | None]:
-    """Return a day's rows on the library's cadence, sums over its native samples, and its band if any."""
+) -> tuple[Rows, dict[str, Any], RowFilter | None]:
+    """Return a day's rows on the library's cadence, sums over its native samples, and its filter if any."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
     start, end = day_bounds(day)
@@ -259,8 +257,7 @@ def day_rows(
     rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
     rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
     sums |= _floor(native.residual, native.good, samples["tt2000"].values)
-    band = (native.band, rows.weight > 0) if native.band is not None else None
-    return rows, sums, band
+    return rows, sums, native.kept
 
 
 def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:

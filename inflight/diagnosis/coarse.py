@@ -203,7 +203,7 @@ def _outliers(
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
     """Return which samples are spikes and which in bursts; (time,), no sample in both, and words on these."""
     none = np.zeros(len(stamps), dtype=bool)
-    if rows.band is not None:
+    if rows.kept is not None:
         # What went through a filter has no wild samples left.
         return none, none, told_of([], stamps, none)
     single = spikes(np.where(usable[:, None], rows.residual, np.nan))

@@ -1,15 +1,14 @@
 """A day of a turning sensor folded into synthetic turns: what the spin tells, in a few thousand samples.
 
 The field outside turns with the spin in the sensor and changes slowly; what the sensor and the spacecraft add
-stands still in the body. In each interval of many turns the slow change of the outside field is taken out in
-payload axes, and a Fourier sum of the phase is fitted to what is left. Its values at even phases are the
-interval's *synthetic turn*: readings of a sensor that turned once in a steady field. Spin tones of any effect,
-and of any channel that goes with the spin, are kept as they are; natural changes between them are not.
+stands still in the body. In each interval of many turns the slow change of the outside field is taken out
+in payload axes, and a Fourier sum of the phase is fitted to what is left. Its values at even phases are
+the interval's *synthetic turn*: readings of a sensor that turned once in a steady field. Spin tones of any
+effect, and of any channel that goes with the spin, are kept as they are; natural changes between are not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,7 @@ from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag
 from inflight.spin.harmonics import Complex, Harmonics, harmonics_of
-from inflight.time import SECOND, Int64, to_utc
+from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 
 #: Phases of a synthetic turn, and the highest harmonic it holds.
 SECTORS, ORDER = 12, 5
@@ -58,6 +57,32 @@ class Folding:
         """Return the folding whose intervals hold about so many turns and divide a day."""
         wanted = turns * spin_ns / SECOND
         return cls(min(_LENGTHS_S, key=lambda one: abs(np.log(one / wanted))) * SECOND)
+
+    def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return rows of folded samples less their interval's mean, which the outside field decides.
+
+        A linear filter, the same for residuals and columns; NaN where a sample is not good.
+
+        Parameters
+        ----------
+        values : ndarray, shape (time, ...)
+        stamps : ndarray of int64, shape (time,)
+            TT2000 of the folded samples.
+        good : ndarray of bool, shape (time,)
+        """
+        flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+        used = good & np.isfinite(flat).all(axis=1)
+        interval = (
+            (stamps - day_bounds(day_of(stamps[:1])[0])[0]) // self.interval_ns if stamps.size else stamps
+        )
+        own, place = np.unique(interval, return_inverse=True)
+        count = np.bincount(place[used], minlength=own.size).astype(np.float64)
+        total = np.zeros((own.size, flat.shape[1]))
+        np.add.at(total, place[used], flat[used])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out = flat - (total / count[:, None])[place]
+        out[~used] = np.nan
+        return out.reshape(np.shape(values))
 
     @property
     def cadence_ns(self) -> int:
@@ -164,8 +189,6 @@ class _Day:
         # A wild sample also pulls its turn's fit: its neighbours must not go with it.
         around = np.full(self.turns, np.nan)
         finite = good & np.isfinite(off)
-        for place in range(2):
-            del place
         np.fmax.at(around, self.turn[finite], off[finite])
         worst = off >= np.where(np.isfinite(around), around, np.inf)[self.turn] * (1.0 - 1e-12)
         return np.asarray(finite & worst & (off > _WILD * _TO_SIGMA * max(usual, 1e-6)))
@@ -250,31 +273,3 @@ def _nearest(knots: Floats, values: Floats) -> npt.NDArray[np.int64]:
     after = np.clip(np.searchsorted(knots, values), 1, knots.size - 1)
     closer = np.abs(knots[after] - values) < np.abs(values - knots[after - 1])
     return np.where(closer, after, after - 1).astype(np.int64)
-
-
-def intervals_of(stamps: Int64, folding: Folding, origin: int) -> npt.NDArray[np.int64]:
-    """Return the interval that each folded sample belongs to."""
-    return np.asarray((stamps - origin) // folding.interval_ns, dtype=np.int64)
-
-
-def without_means(values: Floats, interval: npt.NDArray[np.int64], good: Sequence[bool]) -> Floats:
-    """Return rows less their interval's mean, which the outside field decides; (time, ...).
-
-    A linear filter, the same for residuals and columns; NaN where a sample is not good.
-
-    Parameters
-    ----------
-    values : ndarray, shape (time, ...)
-    interval : ndarray of int, shape (time,)
-    good : ndarray of bool, shape (time,)
-    """
-    flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-    used = np.asarray(good, dtype=bool) & np.isfinite(flat).all(axis=1)
-    own, place = np.unique(interval, return_inverse=True)
-    count = np.bincount(place[used], minlength=own.size).astype(np.float64)
-    total = np.zeros((own.size, flat.shape[1]))
-    np.add.at(total, place[used], flat[used])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        out = flat - (total / count[:, None])[place]
-    out[~used] = np.nan
-    return out.reshape(np.shape(values))
