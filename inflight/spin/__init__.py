@@ -1,1 +1,1 @@
-"""Spinning spacecraft: phase, spin fits, the parameters that the spin tells apart, folding."""
+"""Calibration from the spin: phase, spin fits, and what tones at the spin period tell of a magnetometer."""
