@@ -27,6 +27,8 @@ _LINES, _TONES = 2, 4
 _CHUNK = 16
 #: The direction of the field must keep this much of its turn with the phase: less is another period.
 _COHERENT = 0.5
+#: Why a sub-interval below that is left out.
+NOT_TURNING = "not turning with the phase"
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class SpinTones:
         Part of the spins that samples cover.
     coherence : ndarray, shape (sub,)
         1 where the field turns with the phase, 0 where it does not.
+    mean : ndarray, shape (sub, 2)
+        Bx and By averaged over the spins, nT: a first guess of large offsets.
     excluded : tuple of (str, ndarray of bool of shape (sub,))
         Why sub-intervals are left out.
     parameters : TwelveParameters
@@ -67,6 +71,7 @@ class SpinTones:
     largest_axial: Floats
     filled: Floats
     coherence: Floats
+    mean: Floats
     excluded: tuple[tuple[str, Bools], ...]
     parameters: TwelveParameters
     blocks: int
@@ -103,19 +108,13 @@ def spin_tones(
     parameters : TwelveParameters
         The readings are corrected with these.
 
-    Raises
-    ------
-    CalibrationError
-        No sub-interval is usable, or the field does not turn with the phase.
     """
     parts = [
         _block_sums(readings, phase, layout, parameters, slice(low, low + _CHUNK))
         for low in range(0, layout.start.size, _CHUNK)
     ]
     sums = [np.concatenate(one) for one in zip(*parts, strict=True)]
-    found = _of_blocks(layout, stamps, parameters, *sums)
-    _refuse_nothing(found, readings, phase, layout, parameters)
-    return found
+    return _of_blocks(layout, stamps, parameters, *sums)
 
 
 def _block_sums(
@@ -238,10 +237,13 @@ def _of_blocks(
         largest_axial=layout.over_blocks(levels[:, 4]).max(axis=1) + nan,
         filled=filled,
         coherence=coherence + nan,
+        mean=layout.over_blocks(inner[:, 0, -len(SERIES) :][:, :2]).sum(axis=1)
+        / np.maximum(count, 1.0)[:, None]
+        + nan[:, None],
         excluded=(
             ("too few samples", ~enough),
             *layout.excluded(),
-            ("not turning with the phase", enough & (coherence < _COHERENT)),
+            (NOT_TURNING, enough & (coherence < _COHERENT)),
         ),
         parameters=parameters,
         blocks=settings.blocks,
@@ -282,22 +284,27 @@ def _noise(left: Floats, count: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(square) / half, amplitude / half
 
 
-def _refuse_nothing(
-    found: SpinTones, readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters
-) -> None:
-    """Raise where no sub-interval is left, and say the likeliest cause."""
-    reasons = dict(found.excluded)
-    turning = reasons["not turning with the phase"]
-    others = np.zeros_like(turning)
+def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Layout) -> None:
+    """Check that the field turns with the phase and that there is something to fit.
+
+    Raises
+    ------
+    CalibrationError
+        No sub-interval is usable, or the field does not turn with the phase.
+    """
+    turning, others = np.zeros((2, found.start.size), dtype=np.bool_)
     for name, hit in found.excluded:
-        others |= hit & (name != "not turning with the phase")
-    judged = ~others
-    if turning.sum() > 0.5 * judged.sum() > 0:
-        ratio = turn_ratio(parameters.correct(readings), phase, layout.good)
+        if name == NOT_TURNING:
+            turning = hit
+        else:
+            others |= hit
+    judged = int((~others).sum())
+    if turning.sum() > 0.5 * judged > 0:
+        ratio = turn_ratio(found.parameters.correct(readings), phase, layout.good)
         raise CalibrationError(
-            f"the field does not turn with the phase in {int(turning.sum())} of {int(judged.sum())} "
-            f"sub-intervals: it turns by {ratio:.5f} of the phase",
-            remedy="look at the spin period, the Sun pulses and the direction of the spin",
+            f"the field does not turn with the phase in {int(turning.sum())} of {judged} sub-intervals: "
+            f"it turns by {ratio:.5f} of the phase",
+            remedy="look at the spin period, the Sun pulses, the direction of the spin and the offsets",
         )
     if not found.usable.any():
         raise CalibrationError(
