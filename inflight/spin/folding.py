@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag
-from inflight.spin.harmonics import Complex, Harmonics, harmonics_of
+from inflight.spin.fourier import Complex, FourierSums, fourier_sums
 from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 
 #: Phases of a synthetic turn, and the highest harmonic it holds.
@@ -30,7 +30,7 @@ TURNS = 100
 _LENGTHS_S = tuple(length for length in range(SECTORS, 21_601, SECTORS) if 86_400 % length == 0)
 #: An interval is used with this part of its samples.
 _LEAST = 0.5
-#: Harmonics of one turn's fit: offsets stand at the first in payload axes, gains at the second.
+#: FourierSums of one turn's fit: offsets stand at the first in payload axes, gains at the second.
 _TURN_ORDER = 2
 #: A sample is wild when it is this many sigma from its turn's fit, by the median of the day's deviations.
 _WILD, _TO_SIGMA = 8.0, 1.4826
@@ -168,7 +168,7 @@ class _Day:
         slow = self._slow(payload, good)
         steady = payload - (slow - self._interval_means(slow, good)[self.interval])
         good = good & np.isfinite(steady).all(axis=1)
-        found = harmonics_of(
+        found = fourier_sums(
             np.where(good[:, None], steady, 0.0),
             np.where(self.known, self.phase, 0.0),
             self.interval,
@@ -193,9 +193,9 @@ class _Day:
         worst = off >= np.where(np.isfinite(around), around, np.inf)[self.turn] * (1.0 - 1e-12)
         return np.asarray(finite & worst & (off > _WILD * _TO_SIGMA * max(usual, 1e-6)))
 
-    def _of_turns(self, values: Complex, good: npt.NDArray[np.bool_]) -> Harmonics:
+    def _of_turns(self, values: Complex, good: npt.NDArray[np.bool_]) -> FourierSums:
         phase = np.where(self.known, self.phase, 0.0)
-        return harmonics_of(values, phase, self.turn, self.turns, _TURN_ORDER, good)
+        return fourier_sums(values, phase, self.turn, self.turns, _TURN_ORDER, good)
 
     def _slow(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
         """Return the change that is slower than the spin: a smooth line through the turns' means."""
@@ -228,7 +228,7 @@ class _Day:
                 out[:, column] = (total[0] + 1j * total[1]) / count
         return out
 
-    def _sectors(self, found: Harmonics, good: npt.NDArray[np.bool_]) -> Complex:
+    def _sectors(self, found: FourierSums, good: npt.NDArray[np.bool_]) -> Complex:
         """Return sums at the phases of a synthetic turn, one after another; (time, column)."""
         usual = self.folding.interval_ns / max(1.0, float(np.median(np.diff(self.stamps))))
         values = found.at(self.folding.phases)
@@ -245,7 +245,7 @@ class _Day:
         steady = complex_values - (slow - self._interval_means(slow, known)[self.interval])
         usable = known & np.isfinite(steady).all(axis=1)
         phase = np.where(self.known, self.phase, 0.0)
-        found = harmonics_of(
+        found = fourier_sums(
             np.where(usable[:, None], steady, 0.0), phase, self.interval, self.intervals, ORDER, usable
         )
         out = self._sectors(found, usable).real

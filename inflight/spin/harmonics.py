@@ -1,115 +1,332 @@
-"""Fourier sums of unevenly sampled turns, many at once: moments of the phase make all normal equations."""
+"""Tones at the spin and at twice the spin of Bz and of the spin-plane modulus, with their natural noise.
+
+The field is not despun (Plaschke et al. 2019, section 5.3). Each block of spins loses a line of its own, and
+the tones are fitted to what is left, so that gaps and uneven sampling do no harm; for whole evenly sampled
+spins they are the paper's Fourier components ``(2/N) sum x exp(-i w t)``. The same sums are made of the
+derivatives of Bz and the modulus by each parameter: estimates then need no more of the samples.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.errors import CalibrationError
+from inflight.spin.equation import TwelveParameters
+from inflight.spin.layout import WIDEST_STEP, Bools, Layout
+from inflight.time import Int64
 
-Complex = npt.NDArray[np.complex128]
-#: A group is solved when its normal equations are this far from singular: with gaps they may be.
-_WORST_CONDITION = 1e6
+#: Columns of sums: the field, its spin-plane modulus m, u = Bx/m, v = By/m and their products with the field.
+SERIES = ("x", "y", "z", "m", "u", "v", "xu", "xv", "zu", "zv")
+_Z, _M, _U, _V = (SERIES.index(name) for name in ("z", "m", "u", "v"))
+#: Lines of a block, tones (cos, sin at the spin and twice), and columns beside each tone.
+_LINES, _TONES = 2, 4
+#: Blocks worked on at once: their columns stay in the cache.
+_CHUNK = 16
+#: The direction of the field must keep this much of its turn with the phase: less is another period.
+_COHERENT = 0.5
+#: Why a sub-interval below that is left out.
+NOT_TURNING = "not turning with the phase"
 
 
 @dataclass(frozen=True)
-class Harmonics:
-    """Complex Fourier sums, one a group of samples.
+class SpinTones:
+    """Tones of every sub-interval at some parameters; sub-intervals without any are NaN.
 
     Attributes
     ----------
-    coefficients : ndarray of complex, shape (group, 2 H + 1, column)
-        Of exp(i h phase), h from -H to H; NaN where a group has too few samples.
-    count : ndarray, shape (group,)
-        Samples used.
+    start, end : ndarray of int64, shape (sub,)
+        TT2000 of the first and the last sample.
+    tones : ndarray, shape (sub, 4, series)
+        cos and sin at the spin, cos and sin at twice the spin, of `SERIES`, nT (or 1).
+    noise : ndarray, shape (sub, 3)
+        Standard deviation that natural fluctuations give to cos or sin of Bz and of the modulus at the spin
+        and of the modulus at twice the spin, nT: from all neighbouring frequencies.
+    amplitude : ndarray, shape (sub, 3)
+        Fa, Fp, F2p of Plaschke et al. (2019): the larger of the two neighbours' amplitudes, nT.
+    least_modulus, least_axial, largest_axial : ndarray, shape (sub,)
+        min Bp, min and max of the size of Bz, nT.
+    filled : ndarray, shape (sub,)
+        Part of the spins that samples cover.
+    coherence : ndarray, shape (sub,)
+        1 where the field turns with the phase, 0 where it does not.
+    mean : ndarray, shape (sub, 2)
+        Bx and By averaged over the spins, nT: a first guess of large offsets.
+    excluded : tuple of (str, ndarray of bool of shape (sub,))
+        Why sub-intervals are left out.
+    parameters : TwelveParameters
+    blocks : int
+        A sub-interval shares blocks with this many before and after, itself included.
     """
 
-    coefficients: Complex
-    count: Floats
+    start: Int64
+    end: Int64
+    tones: Floats
+    noise: Floats
+    amplitude: Floats
+    least_modulus: Floats
+    least_axial: Floats
+    largest_axial: Floats
+    filled: Floats
+    coherence: Floats
+    mean: Floats
+    excluded: tuple[tuple[str, Bools], ...]
+    parameters: TwelveParameters
+    blocks: int
 
     @property
-    def mean(self) -> Complex:
-        """The part without phase; (group, column)."""
-        return np.asarray(self.coefficients[:, self.coefficients.shape[1] // 2])
+    def usable(self) -> Bools:
+        """Sub-intervals that nothing speaks against; (sub,)."""
+        bad = np.zeros(self.start.size, dtype=np.bool_)
+        for _, hit in self.excluded:
+            bad |= hit
+        return ~bad
 
-    def at(self, phase: Floats) -> Complex:
-        """Return the sums at phases (point,), the same for all groups; (group, point, column)."""
-        order = self.coefficients.shape[1] // 2
-        waves = np.exp(1j * np.outer(phase, np.arange(-order, order + 1)))
-        return np.asarray(np.einsum("ph,ghc->gpc", waves, self.coefficients))
-
-    def along(self, phase: Floats, group: npt.NDArray[np.int64]) -> Complex:
-        """Return each sample's value of its own group's sum; (time, column)."""
-        order = self.coefficients.shape[1] // 2
-        out = np.zeros((phase.size, self.coefficients.shape[2]), dtype=np.complex128)
-        for place, harmonic in enumerate(range(-order, order + 1)):
-            out += self.coefficients[group, place] * np.exp(1j * harmonic * phase)[:, None]
-        return out
+    def told(self) -> str:
+        """Return how many sub-intervals there are and why some are left out."""
+        lost = ", ".join(f"{int(hit.sum())} {name}" for name, hit in self.excluded if hit.any())
+        return f"{int(self.usable.sum())} of {self.start.size} sub-intervals" + (f"; {lost}" if lost else "")
 
 
-def harmonics_of(
-    values: Complex,
-    phase: Floats,
-    group: npt.NDArray[np.int64],
-    groups: int,
-    order: int,
-    good: npt.NDArray[np.bool_],
-) -> Harmonics:
-    """Fit Fourier sums of the phase to each group of samples, by least squares.
-
-    The normal equations of exp(i h phase) are moments of the phase alone, so that a day's turns cost a few
-    sums over its samples and one batch of small systems.
+def spin_tones(
+    readings: Floats, phase: Floats, stamps: Int64, layout: Layout, parameters: TwelveParameters
+) -> SpinTones:
+    """Return the tones of a record under some parameters.
 
     Parameters
     ----------
-    values : ndarray of complex, shape (time, column)
+    readings : ndarray, shape (time, 3)
+        Temperature-corrected, sensor axes, nT.
     phase : ndarray, shape (time,)
-        Radians.
-    group : ndarray of int, shape (time,)
-        Group of each sample, never falling, below `groups`.
-    order : int
-        Highest harmonic H.
-    good : ndarray of bool, shape (time,)
-        Samples to be used.
+        Unwrapped spin phase, rad.
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    layout : Layout
+        From `lay_out` of the same record.
+    parameters : TwelveParameters
+        The readings are corrected with these.
+
     """
-    used = np.flatnonzero(good)
-    starts = np.searchsorted(group[used], np.arange(groups + 1))
-    wave, angle = np.exp(1j * phase[used]), np.ones(used.size, dtype=np.complex128)
-    data = values[used]
-    moments = np.empty((groups, 2 * order + 1), dtype=np.complex128)
-    right = np.empty((groups, 2 * order + 1, values.shape[1]), dtype=np.complex128)
-    for harmonic in range(2 * order + 1):
-        moments[:, harmonic] = _sums(angle[:, None], starts)[:, 0]
-        if harmonic <= order:
-            right[:, order + harmonic] = _sums(data * np.conj(angle)[:, None], starts)
-            right[:, order - harmonic] = _sums(data * angle[:, None], starts)
-        angle = angle * wave
-    count = moments[:, 0].real.copy()
-    return Harmonics(_solved(moments, right, order), count)
+    parts = [
+        _block_sums(readings, phase, layout, parameters, slice(low, low + _CHUNK))
+        for low in range(0, layout.start.size, _CHUNK)
+    ]
+    sums = [np.concatenate(one) for one in zip(*parts, strict=True)]
+    return _of_blocks(layout, stamps, parameters, *sums)
 
 
-def _sums(values: Complex, starts: npt.NDArray[np.int64]) -> Complex:
-    """Return the sums of rows from each start to the next; (group, column)."""
-    out = np.zeros((starts.size - 1, values.shape[1]), dtype=np.complex128)
-    filled = np.flatnonzero(np.diff(starts))
-    if filled.size:
-        out[filled] = np.add.reduceat(values, starts[filled], axis=0)
-    return out
+def _block_sums(
+    readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters, part: slice
+) -> tuple[Floats, Floats, Floats]:
+    """Return sums of some blocks.
+
+    (block, 6, column) of lines and tones times all columns, (block, 16, 2) of neighbouring frequencies times
+    Bz and modulus, and (block, 5): samples, covered phase, least modulus, least and largest size of Bz.
+    """
+    start, stop = layout.start[part], layout.stop[part]
+    length = max(int((stop - start).max()), 1)
+    index = start[:, None] + np.arange(length)
+    inside = index < stop[:, None]
+    np.minimum(index, phase.size - 1, out=index)
+    own = layout.good[index] & inside
+    angle = np.where(own, phase[index], 0.0)
+    field = parameters.correct(readings[index].reshape(-1, 3)).reshape(*index.shape, 3)
+    weight = own.astype(np.float64)
+    columns = np.empty((start.size, _LINES + _TONES + 16 + len(SERIES), length))
+    _fill_basis(columns, angle, weight, layout.settings.neighbours)
+    series = columns[:, -len(SERIES) :]
+    _fill_series(series, field, own)
+    transposed = columns.transpose(0, 2, 1)
+    inner = columns[:, : _LINES + _TONES] @ transposed
+    both = np.ascontiguousarray(series[:, [_Z, _M]]).transpose(0, 2, 1)
+    beside = columns[:, _LINES + _TONES : -len(SERIES)] @ both
+    return inner, beside, _levels(angle, own, series)
 
 
-def _solved(moments: Complex, right: Complex, order: int) -> Complex:
-    """Solve the groups' normal equations; NaN where they are nearly singular."""
-    size = 2 * order + 1
-    difference = np.arange(size)[None, :] - np.arange(size)[:, None]
-    gram = moments[:, np.abs(difference)]
-    gram = np.where(difference[None] < 0, np.conj(gram), gram)
-    out = np.full(right.shape, np.nan + 0j)
-    enough = moments[:, 0].real >= size
-    if enough.any():
-        spread = np.linalg.eigvalsh(gram[enough])
-        sound = np.flatnonzero(enough)[spread[:, 0] * _WORST_CONDITION > spread[:, -1]]
-        if sound.size:
-            out[sound] = np.linalg.solve(gram[sound], right[sound])
-    return out
+def _fill_basis(columns: Floats, angle: Floats, weight: Floats, neighbours: tuple[float, float]) -> None:
+    """Fill in line, tones and neighbouring frequencies; all are 0 where the weight is."""
+    count = np.maximum(weight.sum(axis=1, keepdims=True), 1.0)
+    middle = (angle * weight).sum(axis=1, keepdims=True) / count
+    columns[:, 0] = weight
+    columns[:, 1] = (angle - middle) * weight
+    size = np.abs(columns[:, 1]).max(axis=1, keepdims=True)
+    columns[:, 1] /= np.where(size > 0.0, size, 1.0)
+    cos, sin = np.cos(angle), np.sin(angle)
+    cos *= weight
+    sin *= weight
+    columns[:, 2], columns[:, 3] = cos, sin
+    np.subtract(cos * cos, sin * sin, out=columns[:, 4])
+    np.multiply(2.0 * cos, sin, out=columns[:, 5])
+    at = _LINES + _TONES
+    for tone in (2, 4):
+        for distance in neighbours:
+            near, far = np.cos(distance * angle), np.sin(distance * angle)
+            c, s = columns[:, tone], columns[:, tone + 1]
+            cc, ss, sc, cs = c * near, s * far, s * near, c * far
+            columns[:, at], columns[:, at + 1] = cc + ss, sc - cs  # below the tone
+            columns[:, at + 2], columns[:, at + 3] = cc - ss, sc + cs  # above it
+            at += 4
+
+
+def _fill_series(series: Floats, field: Floats, own: Bools) -> None:
+    """Fill in the columns of `SERIES`; all are 0 where a sample is not of use."""
+    for axis in range(3):
+        series[:, axis] = np.where(own, field[..., axis], 0.0)
+    x, y, z = series[:, 0], series[:, 1], series[:, 2]
+    np.sqrt(x * x + y * y, out=series[:, _M])
+    inverse = 1.0 / np.maximum(series[:, _M], 1e-12)
+    np.multiply(x, inverse, out=series[:, _U])
+    np.multiply(y, inverse, out=series[:, _V])
+    u, v = series[:, _U], series[:, _V]
+    for at, (one, two) in enumerate(((x, u), (x, v), (z, u), (z, v)), start=_V + 1):
+        np.multiply(one, two, out=series[:, at])
+
+
+def _levels(angle: Floats, own: Bools, series: Floats) -> Floats:
+    """Return samples, covered phase, least modulus, least and largest size of Bz; (block, 5)."""
+    step = np.diff(angle, axis=1)
+    covers = own[:, 1:] & own[:, :-1] & (step <= WIDEST_STEP)
+    axial = np.abs(series[:, _Z])
+    far = np.where(own, 0.0, np.inf)
+    return np.stack(
+        [
+            own.sum(axis=1).astype(np.float64),
+            np.where(covers, step, 0.0).sum(axis=1),
+            (series[:, _M] + far).min(axis=1),
+            (axial + far).min(axis=1),
+            axial.max(axis=1),
+        ],
+        axis=1,
+    )
+
+
+def _of_blocks(
+    layout: Layout, stamps: Int64, parameters: TwelveParameters, inner: Floats, beside: Floats, levels: Floats
+) -> SpinTones:
+    """Return the tones of all sub-intervals from the sums of blocks."""
+    settings = layout.settings
+    covered = levels[:, 1] / settings.turn
+    # The step from one block to the next is in neither.
+    filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
+    enough = filled >= settings.filled
+    tone_sums, beside = _without_lines(inner, beside, covered > 0.1)
+    windows = [layout.over_blocks(one) for one in (tone_sums, beside)]
+    summed = windows[0].sum(axis=1)
+    gram = np.where(enough[:, None, None], summed[:, :, :_TONES], np.eye(_TONES))
+    tones = np.linalg.solve(gram, summed[:, :, -len(SERIES) :])
+    # What the neighbours see beyond the tones themselves.
+    crossed = windows[0][..., _TONES : -len(SERIES)]
+    left = windows[1] - np.einsum("sbte,std->sbed", crossed, tones[:, :, [_Z, _M]])
+    count = layout.over_blocks(levels[:, 0]).sum(axis=1)
+    noise, amplitude = _noise(left, np.maximum(count, 1.0))
+    coherence = 0.5 * np.hypot(
+        tones[:, 0, _U] - tones[:, 1, _V], tones[:, 1, _U] + tones[:, 0, _V]
+    )
+    low, high = layout.over_blocks(layout.start)[:, 0], layout.over_blocks(layout.stop)[:, -1]
+    nan = np.where(enough, 0.0, np.nan)
+    return SpinTones(
+        start=stamps[np.minimum(low, stamps.size - 1)],
+        end=stamps[np.maximum(high - 1, 0)],
+        tones=tones + nan[:, None, None],
+        noise=noise + nan[:, None],
+        amplitude=amplitude + nan[:, None],
+        least_modulus=layout.over_blocks(levels[:, 2]).min(axis=1) + nan,
+        least_axial=layout.over_blocks(levels[:, 3]).min(axis=1) + nan,
+        largest_axial=layout.over_blocks(levels[:, 4]).max(axis=1) + nan,
+        filled=filled,
+        coherence=coherence + nan,
+        mean=layout.over_blocks(inner[:, 0, -len(SERIES) :][:, :2]).sum(axis=1)
+        / np.maximum(count, 1.0)[:, None]
+        + nan[:, None],
+        excluded=(
+            ("too few samples", ~enough),
+            *layout.excluded(),
+            (NOT_TURNING, enough & (coherence < _COHERENT)),
+        ),
+        parameters=parameters,
+        blocks=settings.blocks,
+    )
+
+
+def _without_lines(inner: Floats, beside: Floats, known: Bools) -> tuple[Floats, Floats]:
+    """Return the sums of tones and of neighbours of what a line in each block leaves."""
+    lines = inner[:, :_LINES]
+    gram = np.where(known[:, None, None], lines[:, :, :_LINES], np.eye(_LINES))
+    slopes = np.linalg.solve(gram, lines)
+    tones = inner[:, _LINES:] - lines[:, :, _LINES : _LINES + _TONES].transpose(0, 2, 1) @ slopes
+    near = slice(_LINES + _TONES, -len(SERIES))
+    both = slopes[:, :, [_Z - len(SERIES), _M - len(SERIES)]]
+    rest = beside - lines[:, :, near].transpose(0, 2, 1) @ both
+    use = known[:, None, None]
+    return np.where(use, tones, 0.0)[:, :, _LINES:], np.where(use, rest, 0.0)
+
+
+def _noise(left: Floats, count: Floats) -> tuple[Floats, Floats]:
+    """Return noise and amplitudes (sub, 3) from what neighbours see in each block; (sub, block, 16, 2).
+
+    Blocks add up: the variance of their sum is the sum of their squares, whichever way they are turned, and
+    gives twice the degrees of freedom of the sub-interval's own amplitudes.
+    """
+    square = np.stack(
+        [
+            (left[:, :, :8, 0] ** 2).mean(axis=2).sum(axis=1),
+            (left[:, :, :8, 1] ** 2).mean(axis=2).sum(axis=1),
+            (left[:, :, 8:, 1] ** 2).mean(axis=2).sum(axis=1),
+        ],
+        axis=1,
+    )
+    whole = left.sum(axis=1).reshape(-1, 2, 2, 2, 2, 2)  # sub, tone, distance, side, cos/sin, z/m
+    size = np.hypot(whole[:, :, 0, :, 0], whole[:, :, 0, :, 1]).max(axis=2)  # sub, tone, z/m
+    amplitude = np.stack([size[:, 0, 0], size[:, 0, 1], size[:, 1, 1]], axis=1)
+    half = 0.5 * count[:, None]
+    return np.sqrt(square) / half, amplitude / half
+
+
+def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Layout) -> None:
+    """Check that the field turns with the phase and that there is something to fit.
+
+    Raises
+    ------
+    CalibrationError
+        No sub-interval is usable, or the field does not turn with the phase.
+    """
+    turning, others = np.zeros((2, found.start.size), dtype=np.bool_)
+    for name, hit in found.excluded:
+        if name == NOT_TURNING:
+            turning = hit
+        else:
+            others |= hit
+    judged = int((~others).sum())
+    if turning.sum() > 0.5 * judged > 0:
+        ratio = turn_ratio(found.parameters.correct(readings), phase, layout.good)
+        raise CalibrationError(
+            f"the field does not turn with the phase in {int(turning.sum())} of {judged} sub-intervals: "
+            f"it turns by {ratio:.5f} of the phase",
+            remedy="look at the spin period, the Sun pulses, the direction of the spin and the offsets",
+        )
+    if not found.usable.any():
+        raise CalibrationError(
+            f"no sub-interval is usable: {found.told()}",
+            remedy="take a longer span, fewer spins a sub-interval, or look at flags and exclusions",
+        )
+
+
+def turn_ratio(field: Floats, phase: Floats, good: Bools) -> float:
+    """Return by how much the field turns in the spin plane while the phase turns by 1; the median of samples.
+
+    Parameters
+    ----------
+    field : ndarray, shape (time, 3)
+        Spin-aligned axes, nT.
+    phase : ndarray, shape (time,)
+        rad.
+    good : ndarray of bool, shape (time,)
+    """
+    angle = np.arctan2(-field[good, 1], field[good, 0])
+    turned = np.diff(angle)
+    turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
+    told = np.diff(phase[good])
+    use = (told > 0.0) & (told < WIDEST_STEP)
+    return float(np.median(turned[use] / told[use])) if use.any() else float("nan")
