@@ -223,7 +223,9 @@ def _covariance(
     noise stated does not: lines at the spin, fluctuations that keep their phase.
     """
     slope = np.repeat(np.maximum(biweight_slope(pull), 0.0), _PAIR, axis=1) * (weight > 0.0)
-    bread = np.linalg.pinv(np.einsum("sri,sr,srj->ij", design, slope, design) + np.diag(prior), hermitian=True)
+    bread = np.linalg.pinv(
+        np.einsum("sri,sr,srj->ij", design, slope, design) + np.diag(prior), hermitian=True
+    )
     pushed = design * (weight * np.repeat(np.maximum(excess, 1.0), _PAIR))[..., None]
     stated = np.einsum("sri,srj->ij", pushed, pushed) + np.diag(prior)
     for apart in range(1, min(blocks, len(pushed))):
