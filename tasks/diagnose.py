@@ -33,7 +33,6 @@ from inflight.tasks.samples import ArchiveIndex
 from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, placebo_shifts, survey
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
-
 #: A record of so few days is cut to what was measured.
 _SHORT_DAYS = 3
 

@@ -29,6 +29,7 @@ from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
+from inflight.spin.folding import Folding
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
@@ -104,8 +105,15 @@ class PassPlan:
     @property
     def series_step(self) -> int:
         """Bins that become one row of the series."""
+        if self.folding is not None:
+            return 1
         wanted = _SERIES_S if len(self.days) > _LONG_DAYS else 0.0
         return max(1, round(wanted * SECOND / self.cadence_ns))
+
+    @property
+    def folding(self) -> Folding | None:
+        """How samples were folded; None of a comparison that folds nothing."""
+        return self.model.layout.folding if self.model.layout is not None else None
 
     @property
     def within_blocks(self) -> bool:
@@ -258,7 +266,10 @@ def day_rows(
     recorded = derived.reader.day(day)
     rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
     rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
-    sums |= _floor(native.residual, native.good, samples["tt2000"].values)
+    if made.folding is None:
+        sums |= _floor(native.residual, native.good, samples["tt2000"].values)
+    else:
+        sums |= _floor_of_turns(samples, native.good, made.folding.sectors)
     return rows, sums, native.kept
 
 
@@ -282,6 +293,25 @@ def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, 
         "floor": level.samples * level.level_nT**2,
         "floor_low": level.samples * level.low_nT**2,
         "floor_high": level.samples * level.high_nT**2,
+    }
+
+
+def _floor_of_turns(samples: xr.Dataset, good: np.ndarray, sectors: int) -> dict[str, float]:
+    """Return what nature leaves in a day's synthetic turns, by the scatter of the turns they are made of."""
+    noise = np.asarray(samples["noise"].values)
+    used = good & np.isfinite(noise) & (samples["weight"].values > 0)
+    total = float(samples["weight"].values[used].sum())
+    if not total > 0:
+        return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
+    square = float(np.sum((samples["weight"].values * noise**2)[used])) / total
+    # Two rows an interval with a sine and a cosine at two harmonics each.
+    unsure = 2.0 * np.sqrt(2.0 / (8.0 * max(used.sum() / sectors, 1.0)))
+    count = float(used.sum())
+    return {
+        "floor_samples": count,
+        "floor": count * square,
+        "floor_low": count * square * max(1.0 - unsure, 0.0),
+        "floor_high": count * square * (1.0 + unsure),
     }
 
 
@@ -345,6 +375,8 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
+    filled = {need.name: stands_in(made.told, need.name) for need in made.channel_needs}
+    series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
         for name in ("count", "square", "inside", "spikes")
@@ -353,12 +385,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         raw[0].joined(raw[1:]),
         white[0].joined(white[1:]),
         within,
-        Series.of(
-            packed,
-            starts,
-            features,
-            {need.name: stands_in(made.told, need.name) for need in made.channel_needs},
-        ),
+        replace(series, turn_rows=made.folding.sectors if made.folding is not None else 1),
         sums,
         _floor_of([day.report for day in ordered]),
         Outliers.of([day.report for day in ordered], made.keep_bursts),

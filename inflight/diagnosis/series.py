@@ -129,6 +129,8 @@ class Series:
         Index of the block each sample belongs to.
     missing : dict of str to ndarray of bool, shape (sample,)
         Where a channel was not recorded; those that lack something.
+    turn_rows : int
+        Rows of a synthetic turn; 1 where nothing is folded.
     """
 
     tt2000: Int64
@@ -136,6 +138,7 @@ class Series:
     block: np.ndarray
     features: Features
     missing: Mapping[str, np.ndarray] = field(default_factory=dict)
+    turn_rows: int = 1
 
     @classmethod
     def of(

@@ -31,6 +31,8 @@ _LENGTHS_S = tuple(length for length in range(SECTORS, 21_601, SECTORS) if 86_40
 #: Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it: no
 #: magnetometer in space tells its spin's tone better than this in a few minutes.
 _QUIET_NT = 1e-3
+#: Power of all harmonics up to the fifth over that of the first two, by nature's spectrum (f^-5/3).
+_HIGHER = 1.25
 #: An interval is used with this part of its samples.
 _LEAST = 0.5
 #: FourierSums of one turn's fit: offsets stand at the first in payload axes, gains at the second.
@@ -206,23 +208,23 @@ class _Day:
         return np.column_stack([plane.real, plane.imag, turned[:, 1].real]), good
 
     def _natural(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
-        """Return what nature adds to an interval's tones, nT, from the scatter of its turns; (interval,)."""
-        fits = self._of_turns(np.where(good[:, None], steady, 0.0), good)
-        # Of the plane the sum across the axis, which gains and offsets do not move: both of its tones.
-        tones = np.concatenate([fits.coefficients[:, [1, 3], 0], 2.0 * fits.coefficients[:, [3], 1]], axis=1)
-        place = np.zeros(self.turns, dtype=np.int64)
-        place[self.turn] = self.interval
-        known = np.isfinite(tones).all(axis=1)
-        count = np.bincount(place[known], minlength=self.intervals).astype(np.float64)
-        total = np.zeros(self.intervals)
+        """Return what nature adds to the rows, nT rms, by the scatter from turn to turn; (interval,)."""
+        modulus = np.abs(steady[:, 0])
+        rows = np.column_stack([steady[:, 1].real, np.where(np.isfinite(modulus), modulus, 0.0)])
+        rows[~good] = 0.0
+        fits = self._of_turns(rows.astype(np.complex128), good)
+        tones = fits.coefficients[:, _TURN_ORDER + 1 :].reshape(self.turns, -1)
+        # Half the square of what changes from turn to turn: tones that grow with the field change slowly.
+        change = 0.5 * np.sum(np.abs(np.diff(tones, axis=0)) ** 2, axis=1)
+        first, place = np.zeros(self.turns, dtype=np.int64), np.zeros(self.turns, dtype=np.int64)
+        place[self.turn], first[self.turn[::-1]] = self.interval, self.interval[::-1]
+        # Each interval has a mean of its own: a turn that lies in two is none.
+        known = np.isfinite(change) & (first[:-1] == place[1:])
+        count = np.bincount(place[1:][known], minlength=self.intervals).astype(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):
-            for tone in tones.T:
-                sums = [
-                    np.bincount(place[known], part[known], self.intervals) for part in (tone.real, tone.imag)
-                ]
-                square = np.bincount(place[known], np.abs(tone[known]) ** 2, self.intervals)
-                total += square / count - np.hypot(*sums) ** 2 / count**2
-            return np.asarray(np.sqrt(np.maximum(total, 0.0) / (len(tones.T) * count)))
+            total = np.bincount(place[1:][known], change[known], self.intervals) / count
+            # Twice the real part of each tone, on average over two rows.
+            return np.asarray(np.sqrt(_HIGHER * total / count))
 
     def _wild(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Return which samples stand far off their own turn's fit."""
@@ -310,6 +312,7 @@ class _Day:
             "spin_phase": xr.Variable("time", phases, phase_attrs),
             "tt2000": xr.Variable("time", stamps),
             "flag": xr.Variable("time", flag),
+            "noise": xr.Variable("time", noise, {"units": "nT"}),
             "weight": xr.Variable("time", np.where(lost | ~np.isfinite(weight), 0.0, weight)),
         }
         return xr.Dataset(made, coords={"time": to_utc(stamps)}).isel(time=inside)
