@@ -29,7 +29,7 @@ from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
-from inflight.spin.folding import Folding
+from inflight.spin.folding import FOLDING_VERSION, Folding
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
@@ -125,6 +125,7 @@ class PassPlan:
         """sha256 of everything but the archive that the evidence is made from."""
         told = {
             "version": EVIDENCE_VERSION,
+            "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
             "model": self.model.text,
             "columns": self.library.columns,
             "shifts": dict(self.library.placebos),
