@@ -1,4 +1,4 @@
-"""Three sensors that are not quite where they should be: exact directions, exact removal, first-order removal.
+"""Sensors that are not quite where they should be: exact directions, exact and first-order removal.
 
 Farrell et al. (1995), eqs. (2) to (20), with sensor 2 at the azimuth 90 degrees + dph2, whose direction is
 therefore ``(-dph2, 1, dth2)`` to first order: eq. (13) starts with *minus* dph2 Bsp cos wt.
@@ -83,7 +83,7 @@ class SensorAngles:
         readings : ndarray, shape (time, 3)
             nT.
         azimuth : bool
-            Also ``B1 + dph1 B1'`` as corrected: B1 - dph1 B2, B2 + dph2 B1 (eq. 32 with its sign reversed, 33).
+            Also B1 - dph1 B2 and B2 + dph2 B1 (eq. 32 with its sign reversed, and eq. 33).
         second : bool
             Also ``e B`` (eq. 35), with e of the elevation alone where `azimuth` is taken out: e with dph in
             it after (32) and (33) counts dph^2 twice.

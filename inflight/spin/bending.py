@@ -7,6 +7,7 @@ Both triads see one spin-plane field; the outer one, turned by the bend, sees it
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -99,7 +100,7 @@ def boom_bending(
     product = line.weight * np.conj(inner.phasor[b, 0]) * outer.phasor[a, 0]
     step = np.zeros(a.size) if window is None else (outer.time[a] - outer.time[a][0]) // round(window * DAY)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(step)) + 1, [a.size]])
-    found = [_angle(product[low:high]) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    found = [_angle(product[low:high]) for low, high in pairwise(edges)]
     value, sigma = np.array(found).T
     turned = (value - mounted + np.pi) % (2 * np.pi) - np.pi
     starts, ends = outer.start[a][edges[:-1]], outer.end[a][edges[1:] - 1] + 1

@@ -1,4 +1,4 @@
-"""From axes that spin to axes that do not, and back (Farrell et al. 1995, eq. 1), and the tone that is left."""
+"""From axes that spin to axes that do not (Farrell et al. 1995, eq. 1), and the tone that is left."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def spin_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -
         Turns of one fit.
     """
     fits = spin_fits(stamps, field, phase, spins=spins, harmonics=2)
-    whole = fits.where(fits.determined.all(axis=1))
+    whole = fits.whole
     means, sigmas = [], []
     for each in (whole.phasor, whole.double):
         means.append(np.abs(each.mean(axis=0)))

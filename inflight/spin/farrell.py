@@ -1,4 +1,4 @@
-"""Slope/Intercept and Beta/Phi: sensor angles and zero levels from spin fits (Farrell et al. 1995, section V).
+"""Slope/Intercept and Beta/Phi: sensor angles and zero levels from spin fits (Farrell et al. 1995, V).
 
 The constants of the spin-plane sensors against that of the spin-axis sensor: the slope is the elevation, the
 intercept the zero level (eq. 23). The phasor of the spin-axis sensor against that of sensor 1: the tilt and
@@ -89,7 +89,7 @@ class FarrellFit:
         return size, self.value[2:4] / size if size > 0 else np.array([1.0, 0.0])
 
     def angles(self, window: int = -1) -> SensorAngles:
-        """Return the directions and zero levels of a window, ready to be removed; sensor 3's zero as given."""
+        """Return the directions and zero levels of a window; sensor 3's zero as it was given."""
         azimuth = self.azimuth_1[0] + np.array([0.0, self.value[4]])
         towards = float(np.arctan2(self.value[3], self.value[2])) + self.azimuth_1[0]
         zero = np.append(self.intercepts.zero[window], self.intercepts.spin_axis_zero[0])
@@ -140,13 +140,13 @@ def farrell(
     sensitivity : ndarray, shape (3,), optional
         nT per unit of the fits; 1 for nT. With counts an elevation is ``slope S1 / S3``, not eq. (34)'s.
     window : float, optional
-        Days of one zero level: each window has its own intercepts, all have the same angles. One for the whole
-        span when absent; a drift within a window goes into its scatter.
+        Days of one zero level: each window has its own intercepts, all have the same angles. One for the
+        whole span when absent; a drift within a window goes into its scatter.
     azimuth_1 : tuple of float
         Azimuth of sensor 1 from XA and its sigma, radians: from before the flight, the spin does not show it.
     spin_axis_zero : tuple of float, optional
-        Zero level of sensor 3 and its sigma, nT. An intercept is ``O1 - dth1 O3``, the zero level only where O3
-        is known.
+        Zero level of sensor 3 and its sigma, nT. An intercept is ``O1 - dth1 O3``, the zero level only
+        where O3 is known.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def farrell(
     """
     if fits.value.shape[1] != 3:
         raise SamplesError(f"fits of {fits.value.shape[1]} sensors found, 3 needed", remedy="give the triad")
-    whole = fits.where(fits.determined.all(axis=1))
+    whole = fits.whole
     if len(whole) < FEWEST:
         raise CalibrationError(
             f"{len(whole)} of {len(fits)} spin fits are whole, at least {FEWEST} needed",

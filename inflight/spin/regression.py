@@ -98,15 +98,15 @@ def fit_line(
         if turn < _ROUNDS - 1:
             weight = _weights(left)
     scores = weight * (np.conj(along) * left + slope * noise) / (square - error)
-    return Line(slope, scores, weight, left, 1.0 - error / square, cross / square)
+    return Line(slope, np.asarray(scores), weight, np.asarray(left), 1.0 - error / square, cross / square)
 
 
 def _refuse_flat(square: float, error: float, weight: Floats, count: int) -> None:
     if not square > 0 or error > _MOST_NOISE * square:
         total = max(float(weight.sum()), 1e-300)
         raise CalibrationError(
-            f"what the line is fitted along changes by {np.sqrt(square / total):.3g} nT rms over {count} fits,"
-            f" and {np.sqrt(error / total):.3g} nT of that is noise",
+            f"what the line is fitted along changes by {np.sqrt(square / total):.3g} nT rms over {count}"
+            f" fits, and {np.sqrt(error / total):.3g} nT of that is noise",
             remedy="take a span in which the field changes more, or fits of more spins",
         )
 
@@ -156,7 +156,7 @@ def instrument_noise(fits: SpinFits) -> Floats:
 
 
 def noise_variance(fits: SpinFits) -> Floats:
-    """Return what the instrument's noise alone makes of the coefficients' variances; (fit, component, coef)."""
+    """Return the coefficients' variances by the instrument's noise alone; (fit, component, coefficient)."""
     noise = instrument_noise(fits)
     variance = np.einsum("fkpp->fkp", fits.covariance)
     unit = np.divide(

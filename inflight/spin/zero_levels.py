@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -112,7 +113,7 @@ class ZeroDrift:
     rate_sigma: Floats
 
     def table(self) -> xr.Dataset:
-        """Return the zero levels, their change since before the flight and their rate, along window, sensor."""
+        """Return the zero levels, their change since before the flight and their rate."""
         both = ("window", "sensor")
         return self.levels.table().assign(
             {
@@ -195,7 +196,7 @@ def _errors_of_means(line: Line, group: Int64, windows: int) -> Floats:
     return np.array(
         [
             sigma_of_mean(parts[a:b]) if b - a >= _OWN_SCATTER else whole / np.sqrt(b - a)
-            for a, b in zip(edges[:-1], edges[1:], strict=True)
+            for a, b in pairwise(edges)
         ]
     )
 
