@@ -155,7 +155,8 @@ def farrell(
     """
     if fits.value.shape[1] != 3:
         raise SamplesError(f"fits of {fits.value.shape[1]} sensors found, 3 needed", remedy="give the triad")
-    whole = fits.whole
+    # While the field jumps, neither its mean nor its tone is one of the spin's.
+    whole = fits.where(fits.determined.all(axis=1) & ~fits.changing.any(axis=1))
     if len(whole) < FEWEST:
         raise CalibrationError(
             f"{len(whole)} of {len(fits)} spin fits are whole, at least {FEWEST} needed",

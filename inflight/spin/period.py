@@ -38,13 +38,14 @@ class PeriodCheck:
     Attributes
     ----------
     period, sigma : float
-        By the field. The sigma takes the field's direction to walk; one that comes back makes it an upper bound.
+        By the field. The sigma takes the direction of the field to walk; where it comes back, it is an upper
+        bound.
     used : float
         Mean period of the phase that is used; NaN when none was given.
     tone : float
         Amplitude of the tone, nT.
     agrees : bool
-        False when the two differ by more than five sigmas.
+        False when the two differ by more than five sigmas; True where the field cannot tell.
     aliased : bool
         The readings are slower than twice a turn of the used period: the field cannot tell.
     """
@@ -114,12 +115,14 @@ def check_period(
     plane = _limited(plane - np.median(plane.real) - 1j * np.median(plane.imag))
     cadence = float(np.median(np.diff(seconds)))
     used = _mean_period(stamps, phase)
+    if used < 2.0 * cadence:
+        nan = float("nan")
+        return PeriodCheck(nan, nan, used, nan, agrees=True, aliased=True)
     coarse = _top(seconds, plane, cadence)
     rate, sigma, tone = _sharpened(seconds, plane, coarse)
     period, error = 1.0 / rate, sigma / rate**2
-    aliased = bool(used < 2.0 * cadence)
-    agrees = aliased or np.isnan(used) or abs(used - period) <= _DOUBT * error
-    return PeriodCheck(period, error, used, tone, bool(agrees), aliased)
+    agrees = np.isnan(used) or abs(used - period) <= _DOUBT * error
+    return PeriodCheck(period, error, used, tone, bool(agrees), aliased=False)
 
 
 def _mean_period(stamps: Int64, phase: Floats | None) -> float:

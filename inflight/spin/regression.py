@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA, biweight
+from inflight.calibration.robust import TO_SIGMA, WEIGHTED_RMS, biweight
 from inflight.errors import CalibrationError
 from inflight.spin.fits import SpinFits
 from inflight.time import Int64
@@ -86,19 +86,30 @@ def fit_line(
             f"{x.size} whole spin fits found, at least {FEWEST} needed", remedy="take a longer span"
         )
     z, v = np.asarray(x, dtype=np.complex128), np.asarray(y, dtype=np.complex128)
-    weight = np.ones(x.size)
+    weight, kept = np.ones(x.size), 1.0
     for turn in range(_ROUNDS):
         across, along = _centred(v, weight, group), _centred(z, weight, group)
         square = float(np.sum(weight * np.abs(along) ** 2))
-        error = float(np.sum(weight * noise))
+        error = kept * float(np.sum(weight * noise))
         cross = complex(np.sum(weight * np.conj(along) * across))
         _refuse_flat(square, error, weight, x.size)
         slope = cross / (square - error)
         left = across - slope * along
         if turn < _ROUNDS - 1:
             weight = _weights(left)
-    scores = weight * (np.conj(along) * left + slope * noise) / (square - error)
+            kept = _kept_noise(weight, left, slope, noise)
+    scores = weight * (np.conj(along) * left + slope * kept * noise) / (square - error)
     return Line(slope, np.asarray(scores), weight, np.asarray(left), 1.0 - error / square, cross / square)
+
+
+def _kept_noise(weight: Floats, left: Complexes, slope: complex, noise: Floats) -> float:
+    """Return what part of the noise along x the weights have left: they favour small residuals, its among them.
+
+    Residuals that are all noise along x keep what the biweight keeps of a Gaussian's variance.
+    """
+    total = float(np.sum(weight * np.abs(left) ** 2))
+    part = abs(slope) ** 2 * float(np.sum(weight * noise)) / total if total > 0 else 0.0
+    return 1.0 - min(part, 1.0) * (1.0 - WEIGHTED_RMS**2)
 
 
 def _refuse_flat(square: float, error: float, weight: Floats, count: int) -> None:
@@ -125,14 +136,24 @@ def group_means(values: Complexes, weight: Floats, group: Int64) -> Complexes:
 
 
 def _weights(left: Complexes) -> Floats:
-    """Return weights from the scatter around each fit, and less for what lies far outside it."""
+    """Return weights from the scatter between neighbouring fits, and less for what lies far outside.
+
+    From their differences: by residuals from zero, fits of a drifting sensor that happen to be near the line
+    would pull it to themselves.
+    """
+    step = np.abs(np.diff(left, prepend=left[:1] + left[0] - left[1]))
+    scatter = TO_SIGMA / np.sqrt(2.0) * _median_around(step)
+    scatter = np.maximum(scatter, np.percentile(scatter, _QUIET))
     size = np.abs(left)
-    width = min(_AROUND, 2 * (size.size // 2) - 1)
-    around = TO_SIGMA * median_filter(size, width, mode="nearest")
-    floor = 1e-3 * max(float(np.median(size)), 1e-12)
-    around = np.maximum(around, floor)
-    weight = biweight(size / around) / around**2
+    usual = np.maximum(TO_SIGMA * _median_around(size), scatter)
+    known = usual > 0
+    pull = np.divide(size, usual, out=np.zeros_like(size), where=known)
+    weight = biweight(pull) * np.divide(1.0, scatter**2, out=np.ones_like(size), where=scatter > 0)
     return np.asarray(weight / weight.max()) if weight.max() > 0 else np.ones(size.size)
+
+
+def _median_around(values: Floats) -> Floats:
+    return np.asarray(median_filter(values, min(_AROUND, 2 * (values.size // 2) - 1), mode="nearest"))
 
 
 def instrument_noise(fits: SpinFits) -> Floats:
