@@ -18,7 +18,7 @@ from inflight.errors import CalibrationError, SamplesError
 from inflight.estimators.longrun import long_run_covariance
 from inflight.spin.angles import SensorAngles
 from inflight.spin.fits import SpinFits
-from inflight.spin.regression import FEWEST, Complexes, Line, fit_line, noise_variance
+from inflight.spin.regression import FEWEST, Complexes, Line, fit_line, noise_doubt, noise_variance
 from inflight.spin.zero_levels import Intercepts, intercepts_of
 from inflight.time import SECOND, Int64
 
@@ -172,6 +172,9 @@ def farrell(
     turned = fit_line(phasor[:, 0], phasor[:, 1], both[:, 0])
     ratio, ratio_scores = _gain_ratio(phasor, both, turned.weight)
     value, covariance = _joined(lines, tilt, turned, (ratio, ratio_scores))
+    # Both slopes lean on one estimate of the noise of sensor 3.
+    doubt = np.array([line.slope.real * (1.0 / line.reliability - 1.0) for line in lines])
+    covariance[:2, :2] += np.outer(doubt, doubt) * noise_doubt(whole)[2] ** 2
     slope_sigma = np.sqrt(np.diag(covariance)[:2])
     intercepts = intercepts_of(whole, constant, lines, slope_sigma, group, spin_axis_zero)
     span = int(whole.start[0]), int(whole.end[-1]) + 1

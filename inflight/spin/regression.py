@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import TO_SIGMA, WEIGHTED_RMS, biweight
+from inflight.calibration.robust import TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope
 from inflight.errors import CalibrationError
 from inflight.spin.fits import SpinFits
 from inflight.time import Int64
@@ -86,7 +86,7 @@ def fit_line(
             f"{x.size} whole spin fits found, at least {FEWEST} needed", remedy="take a longer span"
         )
     z, v = np.asarray(x, dtype=np.complex128), np.asarray(y, dtype=np.complex128)
-    weight, kept = np.ones(x.size), 1.0
+    weight, kept, answer = np.ones(x.size), 1.0, np.ones(x.size)
     for turn in range(_ROUNDS):
         across, along = _centred(v, weight, group), _centred(z, weight, group)
         square = float(np.sum(weight * np.abs(along) ** 2))
@@ -96,9 +96,11 @@ def fit_line(
         slope = cross / (square - error)
         left = across - slope * along
         if turn < _ROUNDS - 1:
-            weight = _weights(left)
+            weight, answer = _weights(left, real=np.isrealobj(x))
             kept = _kept_noise(weight, left, slope, noise)
-    scores = weight * (np.conj(along) * left + slope * kept * noise) / (square - error)
+    # Weights follow the residuals: the slope gives way by more than they say.
+    give = float(np.sum(answer * np.abs(along) ** 2)) / square
+    scores = weight * (np.conj(along) * left + slope * kept * noise) / (square - error) / give
     return Line(slope, np.asarray(scores), weight, np.asarray(left), 1.0 - error / square, cross / square)
 
 
@@ -135,8 +137,8 @@ def group_means(values: Complexes, weight: Floats, group: Int64) -> Complexes:
     return np.asarray((parts[0] + 1j * parts[1]) / np.where(total > 0, total, np.nan))
 
 
-def _weights(left: Complexes) -> Floats:
-    """Return weights from the scatter between neighbouring fits, and less for what lies far outside.
+def _weights(left: Complexes, *, real: bool) -> tuple[Floats, Floats]:
+    """Return weights from the scatter between neighbours, less far outside, and by how much these give way.
 
     From their differences: by residuals from zero, fits of a drifting sensor that happen to be near the line
     would pull it to themselves.
@@ -148,8 +150,12 @@ def _weights(left: Complexes) -> Floats:
     usual = np.maximum(TO_SIGMA * _median_around(size), scatter)
     known = usual > 0
     pull = np.divide(size, usual, out=np.zeros_like(size), where=known)
-    weight = biweight(pull) * np.divide(1.0, scatter**2, out=np.ones_like(size), where=scatter > 0)
-    return np.asarray(weight / weight.max()) if weight.max() > 0 else np.ones(size.size)
+    base = np.divide(1.0, scatter**2, out=np.ones_like(size), where=scatter > 0)
+    weight = base * biweight(pull)
+    # In a plane the weight gives way along the residual only.
+    answer = base * biweight_slope(pull) if real else 0.5 * (weight + base * biweight_slope(pull))
+    most = float(weight.max())
+    return (weight / most, answer / most) if most > 0 else (np.ones(size.size), np.ones(size.size))
 
 
 def _median_around(values: Floats) -> Floats:
@@ -173,6 +179,20 @@ def instrument_noise(fits: SpinFits) -> Floats:
             usual = float(np.median(freedom[known[:, k], k]))
             level = np.sqrt(stats.chi2.ppf(_QUIET / 100.0, usual) / usual)
             out[k] = float(np.percentile(own, _QUIET)) / level
+    return out
+
+
+def noise_doubt(fits: SpinFits) -> Floats:
+    """Return the relative standard deviation of the squares of `instrument_noise`; (component,)."""
+    part = _QUIET / 100.0
+    out = np.zeros(fits.value.shape[1])
+    for k in range(out.size):
+        freedom = (fits.count[:, k] - fits.value.shape[-1])[fits.determined[:, k]]
+        usual = float(np.median(freedom)) if freedom.size else 0.0
+        if usual > 0:
+            place = float(stats.chi2.ppf(part, usual))
+            spread = np.sqrt(part * (1.0 - part) / freedom.size) / stats.chi2.pdf(place, usual)
+            out[k] = float(spread) / place
     return out
 
 

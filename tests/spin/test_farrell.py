@@ -159,7 +159,7 @@ def test_saturated_readings_are_for_the_caller_to_mark_and_then_do_no_harm():
 def test_noise_of_the_spin_axis_sensor_draws_plain_slopes_to_zero_and_not_these():
     angles = SensorAngles(elevation=np.array([0.1, -0.1]))
     plain, fair, sigma = [], [], []
-    for seed in range(40):
+    for seed in range(60):
         rng = np.random.default_rng(seed)
         phase = phase_of(400 * READINGS)
         axial = np.repeat(1.0 + 0.3 * rng.standard_normal(400), READINGS)
@@ -171,7 +171,7 @@ def test_noise_of_the_spin_axis_sensor_draws_plain_slopes_to_zero_and_not_these(
         fair.append(found.value[:2])
         sigma.append(found.sigma[:2])
     signs = np.array([1.0, -1.0])
-    error = np.std(fair) / np.sqrt(40)
+    error = np.std(fair) / np.sqrt(60)
     # Noise makes 0.6^2 / 12 of the variance of 0.3^2 + 0.6^2 / 12.
     assert np.mean(plain @ signs / 2) == pytest.approx(0.1 / (1 + 0.03 / 0.09), rel=0.03)
     assert np.mean(fair @ signs / 2) == pytest.approx(np.arcsin(0.1), abs=4 * error)
@@ -227,12 +227,12 @@ def test_an_intercept_is_the_zero_level_only_when_that_of_sensor_3_is_known():
 
 def test_a_zero_level_that_drifts_is_followed_window_by_window_against_preflight():
     angles, inside, rates = sensors(), [], []
-    for seed in range(20):
-        stamps, readings, phase, _ = record(seed, angles, WEAK, spins=2000)
+    for seed in range(50):
+        stamps, readings, phase, _ = record(seed, angles, WEAK, spins=1000)
         days = (stamps - stamps[0]) / DAY
         drift = np.array([20.0, -10.0])
         readings[:, :2] += days[:, None] * drift
-        found = farrell(spin_fits(stamps, readings, phase), window=0.01, spin_axis_zero=(0.0, 0.0))
+        found = farrell(spin_fits(stamps, readings, phase), window=0.005, spin_axis_zero=(0.0, 0.0))
         levels = found.intercepts
         true = angles.zero[:2] + (levels.time - stamps[0])[:, None] / DAY * drift
         inside.append(np.abs(levels.zero - true) < levels.sigma)
@@ -241,7 +241,7 @@ def test_a_zero_level_that_drifts_is_followed_window_by_window_against_preflight
         np.testing.assert_allclose(change.change, levels.zero - [1.0, -2.2])
         assert (change.change_sigma > 0.1).all()
     assert len(levels.zero) == 7
-    assert 0.58 < np.mean(inside) < 0.78
+    assert 0.60 < np.mean(inside) < 0.78
     assert np.abs(rates).max() < 5.0
     assert 0.50 < np.mean(np.abs(rates) < 1) < 0.85
     assert "from before the flight" in change.told()
