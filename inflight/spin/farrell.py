@@ -18,12 +18,16 @@ from inflight.errors import CalibrationError, SamplesError
 from inflight.estimators.longrun import long_run_covariance
 from inflight.spin.angles import SensorAngles
 from inflight.spin.fits import SpinFits
-from inflight.spin.regression import FEWEST, Complexes, Line, fit_line, noise_doubt, noise_variance
+from inflight.spin.regression import FEWEST, Complexes, Line, Points, fit_line
 from inflight.spin.zero_levels import Intercepts, intercepts_of
 from inflight.time import SECOND, Int64
 
 NAMES = ("elevation_1", "elevation_2", "tilt_x", "tilt_y", "azimuth_2 - azimuth_1", "gain_ratio")
 UNITS = ("rad", "rad", "rad", "rad", "rad", "1")
+#: Within one spin a field that is compressed changes along all axes at once, and what it does near the spin
+#: period leaks into both constants: a slope that no angle has, half a sigma for an hour of single spins.
+#: Over several spins the leak of the one and the mean of the other have no frequency in common.
+SPINS = 8
 #: The azimuth of a tilt is told when the tilt is this many sigmas.
 _SEEN = 3.0
 
@@ -127,6 +131,7 @@ def farrell(
     fits: SpinFits,
     *,
     sensitivity: Floats | None = None,
+    spins: int = SPINS,
     window: float | None = None,
     azimuth_1: tuple[float, float] = (0.0, 0.0),
     spin_axis_zero: tuple[float, float] | None = None,
@@ -139,6 +144,8 @@ def farrell(
         Three components: sensors 1, 2 (spin plane) and 3 (spin axis).
     sensitivity : ndarray, shape (3,), optional
         nT per unit of the fits; 1 for nT. With counts an elevation is ``slope S1 / S3``, not eq. (34)'s.
+    spins : int
+        Fits are averaged over this many spins before lines are fitted, less when there are few.
     window : float, optional
         Days of one zero level: each window has its own intercepts, all have the same angles. One for the
         whole span when absent; a drift within a window goes into its scatter.
@@ -156,27 +163,26 @@ def farrell(
     if fits.value.shape[1] != 3:
         raise SamplesError(f"fits of {fits.value.shape[1]} sensors found, 3 needed", remedy="give the triad")
     # While the field jumps, neither its mean nor its tone is one of the spin's.
-    whole = fits.where(fits.determined.all(axis=1) & ~fits.changing.any(axis=1))
+    whole = fits.where(np.asarray(fits.determined.all(axis=1) & ~fits.changing.any(axis=1)))
     if len(whole) < FEWEST:
         raise CalibrationError(
             f"{len(whole)} of {len(fits)} spin fits are whole, at least {FEWEST} needed",
             remedy="take a longer span, or see why the phase or the readings are missing",
         )
     unit = np.ones(3) if sensitivity is None else np.asarray(sensitivity, dtype=np.float64)
-    constant, phasor = whole.constant * unit, whole.phasor * unit
-    noise = noise_variance(whole) * unit[None, :, None] ** 2
-    group = _windows(whole.time, window)
+    points = Points.of(whole, unit, spins)
+    constant, phasor, noise = points.constant, points.phasor, points.noise
+    group = _windows(points.time, window)
     lines = [fit_line(constant[:, 2], constant[:, k], noise[:, 2, 0], group) for k in (0, 1)]
     both = noise[..., 1] + noise[..., 2]
     tilt = fit_line(phasor[:, 0], phasor[:, 2], both[:, 0])
     turned = fit_line(phasor[:, 0], phasor[:, 1], both[:, 0])
-    ratio, ratio_scores = _gain_ratio(phasor, both, turned.weight)
-    value, covariance = _joined(lines, tilt, turned, (ratio, ratio_scores))
+    value, covariance = _joined(lines, tilt, turned, _gain_ratio(phasor, both, turned.weight))
     # Both slopes lean on one estimate of the noise of sensor 3.
-    doubt = np.array([line.slope.real * (1.0 / line.reliability - 1.0) for line in lines])
-    covariance[:2, :2] += np.outer(doubt, doubt) * noise_doubt(whole)[2] ** 2
+    leaning = np.array([line.slope.real * (1.0 / line.reliability - 1.0) for line in lines])
+    covariance[:2, :2] += np.outer(leaning, leaning) * points.doubt[2] ** 2
     slope_sigma = np.sqrt(np.diag(covariance)[:2])
-    intercepts = intercepts_of(whole, constant, lines, slope_sigma, group, spin_axis_zero)
+    intercepts = intercepts_of(points, lines, slope_sigma, group, spin_axis_zero)
     span = int(whole.start[0]), int(whole.end[-1]) + 1
     plain = np.array([line.plain.real for line in lines])
     sure = np.array([line.reliability for line in lines])

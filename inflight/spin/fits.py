@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from scipy import stats
-from scipy.ndimage import percentile_filter
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import WEIGHTED_RMS
@@ -32,8 +31,8 @@ LEAST_SPREAD = 0.1
 _WILD = 4.0
 #: When more than this part of a fit's readings would be left out, the field has changed: all are kept.
 _MOST_OUT = 0.25
-#: The scale of a fit is that of this many fits around it, by the lower quartile of their rms, so that
-#: outliers in two thirds of the fits do not raise it.
+#: The scale of a fit is that of the group of this many fits it is in, by the lower quartile of their rms, so
+#: that outliers in two thirds of the fits do not raise it.
 _AROUND, _QUARTILE = 31, 25.0
 
 
@@ -293,11 +292,20 @@ def _scale_around(variance: Floats, freedom: Int64) -> Floats:
             continue
         usual = float(np.median(freedom[own, k]))
         level = np.sqrt(stats.chi2.ppf(_QUARTILE / 100.0, usual) / usual)
-        # Fits that are not known take the last one's; they are not asked for.
+        # Fits that are not known take their neighbours'; they are not asked for.
         filled = np.interp(np.arange(rms.shape[0]), np.flatnonzero(own), rms[own, k])
-        quiet = percentile_filter(filled, _QUARTILE, size=min(_AROUND, filled.size), mode="nearest")
+        quiet = _quartile_around(filled)
         out[:, k] = quiet / level
     return out
+
+
+def _quartile_around(values: Floats) -> Floats:
+    """Return the lower quartile of the group of `_AROUND` that each value is in."""
+    groups = max(values.size // _AROUND, 1)
+    low = [np.percentile(values[: groups * _AROUND].reshape(groups, -1), _QUARTILE, axis=1)]
+    if values.size > groups * _AROUND:
+        low.append(np.percentile(values[-_AROUND:], [_QUARTILE]))
+    return np.repeat(np.concatenate(low), _AROUND)[: values.size]
 
 
 def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, unit: str) -> SpinFits:

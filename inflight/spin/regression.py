@@ -105,7 +105,7 @@ def fit_line(
 
 
 def _kept_noise(weight: Floats, left: Complexes, slope: complex, noise: Floats) -> float:
-    """Return what part of the noise along x the weights have left: they favour small residuals, its among them.
+    """Return what part of the noise along x the weights have left, which favour small residuals.
 
     Residuals that are all noise along x keep what the biweight keeps of a Gaussian's variance.
     """
@@ -180,6 +180,61 @@ def instrument_noise(fits: SpinFits) -> Floats:
             level = np.sqrt(stats.chi2.ppf(_QUIET / 100.0, usual) / usual)
             out[k] = float(np.percentile(own, _QUIET)) / level
     return out
+
+
+@dataclass(frozen=True)
+class Points:
+    """Means of neighbouring fits, what the lines are fitted to; arrays along ``point``, nT.
+
+    Attributes
+    ----------
+    start, end : ndarray of int64, shape (point,)
+        TT2000 of the first and of the last reading.
+    constant, phasor : ndarray, shape (point, component)
+    noise : ndarray, shape (point, component, coefficient)
+        Variances by the instrument's noise.
+    doubt : ndarray, shape (component,)
+        Relative standard deviation of these.
+    """
+
+    start: Int64
+    end: Int64
+    constant: Floats
+    phasor: Complexes
+    noise: Floats
+    doubt: Floats
+
+    @property
+    def time(self) -> Int64:
+        """Middles, TT2000; (point,)."""
+        return np.asarray(self.start + (self.end - self.start) // 2)
+
+    @classmethod
+    def of(cls, fits: SpinFits, unit: Floats, spins: int) -> Points:
+        """Return the means of fits over about `spins` spins, less where that leaves too few points.
+
+        Parameters
+        ----------
+        fits : SpinFits
+            Whole ones.
+        unit : ndarray, shape (component,)
+            nT per unit of the fits.
+        spins : int
+        """
+        together = max(1, min(spins // fits.spins, len(fits) // (2 * FEWEST)))
+        block = fits.turn // (together * fits.spins)
+        first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
+        count = np.diff(np.append(first, len(fits)))
+        # Half a block leaks as much as its fits alone.
+        kept = 2 * count >= together
+        number = count.reshape(-1, 1)
+        constant = np.add.reduceat(fits.constant * unit, first) / number
+        phasor = np.add.reduceat(np.asarray(fits.phasor * unit), first) / number
+        noise = np.add.reduceat(noise_variance(fits), first) / number[..., None] ** 2 * unit[:, None] ** 2
+        start, end = fits.start[first], fits.end[first + count - 1]
+        doubt = noise_doubt(fits)
+        means = constant[kept], np.asarray(phasor[kept], dtype=np.complex128)
+        return cls(start[kept], end[kept], *means, noise[kept], doubt)
 
 
 def noise_doubt(fits: SpinFits) -> Floats:

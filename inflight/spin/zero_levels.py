@@ -12,11 +12,10 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
 from inflight.estimators.longrun import sigma_of_mean
-from inflight.spin.fits import SpinFits
-from inflight.spin.regression import Line, group_means
+from inflight.spin.regression import Line, Points, group_means
 from inflight.time import DAY, Int64, utc_text
 
-#: Fits of a window whose scatter tells the error of its mean; with fewer the whole span's is taken.
+#: Points of a window whose scatter tells the error of its mean; with fewer the whole span's is taken.
 _OWN_SCATTER = 30
 
 
@@ -139,8 +138,7 @@ class ZeroDrift:
 
 
 def intercepts_of(
-    fits: SpinFits,
-    constant: Floats,
+    points: Points,
     lines: list[Line],
     slope_sigma: Floats,
     group: Int64,
@@ -150,23 +148,21 @@ def intercepts_of(
 
     Parameters
     ----------
-    fits : SpinFits
-    constant : ndarray, shape (fit, 3)
-        C0, nT.
+    points : Points
     lines : list of Line
         Of sensors 1 and 2 against sensor 3.
     slope_sigma : ndarray, shape (2,)
-    group : ndarray of int64, shape (fit,)
-        Window of each fit.
+    group : ndarray of int64, shape (point,)
+        Window of each point.
     spin_axis_zero : tuple of float, optional
         O3 and its sigma, nT.
     """
     known = (0.0, float("nan")) if spin_axis_zero is None else spin_axis_zero
-    windows = int(group[-1]) + 1
+    windows, constant = int(group[-1]) + 1, points.constant
     shape = (windows, 2)
     intercept, own, common = np.empty(shape), np.empty(shape), np.empty(shape)
     for k, line in enumerate(lines):
-        means = group_means(constant[:, [k, 2]].T[0] + 1j * constant[:, 2], line.weight, group)
+        means = group_means(constant[:, k] + 1j * constant[:, 2], line.weight, group)
         slope = line.slope.real
         intercept[:, k] = means.real - slope * means.imag
         common[:, k] = (known[0] - means.imag) * slope_sigma[k]
@@ -175,8 +171,8 @@ def intercepts_of(
     sigma = np.sqrt(own**2 + common**2 + (slopes * np.nan_to_num(known[1])) ** 2)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(group)) + 1, [group.size]])
     return Intercepts(
-        fits.start[edges[:-1]],
-        fits.end[edges[1:] - 1] + 1,
+        points.start[edges[:-1]],
+        points.end[edges[1:] - 1] + 1,
         intercept,
         intercept + slopes * known[0],
         sigma,

@@ -1,4 +1,4 @@
-"""Slope/Intercept and Beta/Phi: numbers and signs of Farrell et al. (1995), corrected, and what fits recover."""
+"""Slope/Intercept and Beta/Phi: signs and numbers of Farrell et al. (1995), corrected, and recovery."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_angles_come_back_to_a_hundred_thousandth_where_nothing_fluctuates(sign,
 
 
 def test_the_exact_inverse_leaves_nothing_and_first_order_steps_leave_a_nanotesla():
-    """In a spin plane of 10^4 nT, with some tenths of a degree: 0.5-1.7 nT against 83-116 with printed signs."""
+    """In a spin plane of 10^4 nT, with tenths of a degree: up to 1.7 nT, 83-116 with printed signs."""
     angles = SensorAngles(
         np.deg2rad([0.3, -0.4]), np.deg2rad([0.25, -0.32]), np.deg2rad(0.5), np.deg2rad(130.0)
     )
@@ -166,7 +166,7 @@ def test_noise_of_the_spin_axis_sensor_draws_plain_slopes_to_zero_and_not_these(
         field = respin(np.stack([np.full(phase.size, 5.0), np.zeros(phase.size), axial], axis=1), phase)
         noise = rng.standard_normal(field.shape) * [0.01, 0.01, 0.6]
         fits = spin_fits(stamps_of(phase.size), angles.disturb(field) + noise, phase)
-        found = farrell(fits)
+        found = farrell(fits, spins=1)
         plain.append(found.plain_slope)
         fair.append(found.value[:2])
         sigma.append(found.sigma[:2])
@@ -259,7 +259,7 @@ def test_the_spin_tone_leaves_with_the_right_angles_only():
     # Half of Bsp times what the total phase and the ratio of the gains are known to.
     most = 0.5 * 1e4 * np.hypot(found.sigma[4], found.sigma[5])
     assert (clean.twice[:2] < 3 * most).all()
-    assert (clean.twice[:2] < 0.1 * raw.twice[:2]).all()
+    assert (clean.twice[:2] < 0.2 * raw.twice[:2]).all()
     assert clean.table()["value"].dims == ("tone", "component")
 
 
