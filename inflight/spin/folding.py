@@ -82,12 +82,12 @@ class Folding:
         interval = (
             (stamps - day_bounds(day_of(stamps[:1])[0])[0]) // self.interval_ns if stamps.size else stamps
         )
-        own, place = np.unique(interval, return_inverse=True)
-        count = np.bincount(place[used], minlength=own.size).astype(np.float64)
-        total = np.zeros((own.size, flat.shape[1]))
-        np.add.at(total, place[used], flat[used])
+        starts = np.flatnonzero(np.diff(interval, prepend=interval[:1] - 1))
+        lengths = np.diff(starts, append=interval.size)
+        count = np.add.reduceat(used.astype(np.float64), starts) if starts.size else np.zeros(0)
+        total = np.add.reduceat(np.where(used[:, None], flat, 0.0), starts, axis=0) if starts.size else flat
         with np.errstate(invalid="ignore", divide="ignore"):
-            out = flat - (total / count[:, None])[place]
+            out = flat - np.repeat(total / count[:, None], lengths, axis=0)
         out[~used] = np.nan
         return out.reshape(np.shape(values))
 
