@@ -231,14 +231,16 @@ def _covariance(
         stated += (1.0 - apart / blocks) * (shared + shared.T)
     scores = np.einsum("sri,sr->si", design, weight * left)
     seen = long_run_covariance(scores) + np.diag(prior)
-    return np.asarray(bread @ _larger(stated, seen) @ bread)
+    lever = np.einsum("sri,ij,srj->s", pushed, bread, design)
+    alike = lever.sum() ** 2 / max(float(lever @ lever), 1e-300) / blocks
+    return np.asarray(bread @ _larger(stated, seen, 1.0 + 2.0 * np.sqrt(2.0 / max(alike, 1.0))) @ bread)
 
 
-def _larger(one: Floats, other: Floats) -> Floats:
-    """Return a covariance that is no smaller than either in any direction."""
+def _larger(one: Floats, other: Floats, chance: float) -> Floats:
+    """Return a covariance, larger where another is by more than a factor that is chance."""
     own, vectors = np.linalg.eigh(one)
     kept = own > 1e-12 * own.max()
     root, inverse = vectors[:, kept] * np.sqrt(own[kept]), vectors[:, kept] / np.sqrt(own[kept])
     ratio, turn = np.linalg.eigh(inverse.T @ other @ inverse)
     spread = root @ turn
-    return np.asarray((spread * np.maximum(ratio, 1.0)) @ spread.T)
+    return np.asarray((spread * np.where(ratio > chance, ratio, 1.0)) @ spread.T)

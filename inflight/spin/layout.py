@@ -51,8 +51,8 @@ class SubIntervals:
     saturation : float
         A sub-interval with a reading beyond this is left out, nT; the instrument's range.
     neighbours : tuple of 2 floats
-        Distances from the tones, in spin frequencies, at which natural fluctuations are measured. The first
-        gives the published uncertainties (85, 115, 185, 215 %), both the noise of the joint estimate.
+        Distances from the tones, in spin frequencies, at which natural fluctuations are measured: over whole
+        sub-intervals (85, 115, 185, 215 % as published) and in each block alone.
     """
 
     spins: int = 100
@@ -68,16 +68,24 @@ class SubIntervals:
                 f"overlap {self.overlap} cuts {self.spins} spins into parts that are not whole",
                 remedy="take 0, 0.5, 2/3 or 0.75 and a number of spins that divides",
             )
-        if self.spins // round(blocks) < _FEWEST_SPINS:
+        nearest = min(self.neighbours) * self.spins / round(blocks)
+        if self.spins // round(blocks) < _FEWEST_SPINS or nearest < 1.0:
             raise CalibrationError(
-                f"{self.spins // round(blocks)} spins a block, at least {_FEWEST_SPINS} needed",
-                remedy="take longer sub-intervals or less overlap",
+                f"{self.spins // round(blocks)} spins a block with neighbours {nearest:.2g} turns from the tone: "
+                f"at least {_FEWEST_SPINS} spins and 1 turn needed",
+                remedy="take longer sub-intervals, less overlap or neighbours further away",
             )
 
     @property
     def blocks(self) -> int:
         """Blocks of a sub-interval."""
         return round(1.0 / (1.0 - self.overlap))
+
+    @property
+    def distances(self) -> tuple[float, float]:
+        """`neighbours` moved to where the tones leak nothing: whole turns over a sub-interval and over a block."""
+        whole, part = float(self.spins), float(self.spins // self.blocks)
+        return round(self.neighbours[0] * whole) / whole, round(self.neighbours[1] * part) / part
 
     @property
     def turn(self) -> float:
