@@ -204,8 +204,17 @@ def _weights(left: Floats, usable: np.ndarray) -> tuple[Floats, Floats, Floats]:
     """Return the say of each tone (sub, 3), the excess over its noise (3,), and its pull."""
     length = np.hypot(left[:, 0::2], left[:, 1::2])
     excess = np.median(length[usable], axis=0) / _MEDIAN_LENGTH
-    pull = length / (_MEDIAN_LENGTH * np.maximum(excess, 1.0))
+    pull = length / _widened(excess, int(usable.sum()))
     return np.where(usable[:, None], biweight(pull), 0.0), excess, pull
+
+
+def _widened(excess: Floats, count: int) -> Floats:
+    """Return by how much the noise stated is too small, beyond what chance makes of `count` tones; (3,).
+
+    The median of n lengths of two Gaussian numbers has a relative error of ``0.61 / sqrt(n)``; half of them
+    overlap.
+    """
+    return np.where(excess > 1.0 + 2.0 * 0.61 / np.sqrt(max(0.5 * count, 1.0)), excess, 1.0)
 
 
 def _covariance(
@@ -224,7 +233,8 @@ def _covariance(
     """
     slope = np.repeat(np.maximum(biweight_slope(pull), 0.0), _PAIR, axis=1) * (weight > 0.0)
     bread = np.linalg.pinv(np.einsum("sri,sr,srj->ij", design, slope, design) + np.diag(prior), hermitian=True)
-    pushed = design * (weight * np.repeat(np.maximum(excess, 1.0), _PAIR))[..., None]
+    wide = _widened(excess, int((weight.max(axis=1) > 0.0).sum()))
+    pushed = design * (weight * np.repeat(wide, _PAIR))[..., None]
     stated = np.einsum("sri,srj->ij", pushed, pushed) + np.diag(prior)
     for apart in range(1, min(blocks, len(pushed))):
         shared = np.einsum("sri,srj->ij", pushed[apart:], pushed[:-apart])
@@ -233,7 +243,9 @@ def _covariance(
     seen = long_run_covariance(scores) + np.diag(prior)
     lever = np.einsum("sri,ij,srj->s", pushed, bread, design)
     alike = lever.sum() ** 2 / max(float(lever @ lever), 1e-300) / blocks
-    return np.asarray(bread @ _larger(stated, seen, 1.0 + 2.0 * np.sqrt(2.0 / max(alike, 1.0))) @ bread)
+    # The largest eigenvalue that sample covariances of so few scores have by chance (Marchenko and Pastur 1967).
+    chance = (1.0 + np.sqrt(len(prior) / max(alike, 1.0))) ** 2
+    return np.asarray(bread @ _larger(stated, seen, chance) @ bread)
 
 
 def _larger(one: Floats, other: Floats, chance: float) -> Floats:
