@@ -221,9 +221,7 @@ def _of_blocks(
     left = windows[1] - np.einsum("sbte,std->sbed", crossed, tones[:, :, [_Z, _M]])
     count = layout.over_blocks(levels[:, 0]).sum(axis=1)
     noise, amplitude = _noise(left, np.maximum(count, 1.0))
-    coherence = 0.5 * np.hypot(
-        tones[:, 0, _U] - tones[:, 1, _V], tones[:, 1, _U] + tones[:, 0, _V]
-    )
+    coherence = 0.5 * np.hypot(tones[:, 0, _U] - tones[:, 1, _V], tones[:, 1, _U] + tones[:, 0, _V])
     low, high = layout.over_blocks(layout.start)[:, 0], layout.over_blocks(layout.stop)[:, -1]
     nan = np.where(enough, 0.0, np.nan)
     return SpinTones(

@@ -234,7 +234,9 @@ def _covariance(
     # A tone gives way by the slope along its length and by the weight across it.
     slope = 0.5 * (np.maximum(biweight_slope(pull), 0.0) + biweight(pull))
     slope = np.repeat(slope, _PAIR, axis=1) * (weight > 0.0)
-    bread = np.linalg.pinv(np.einsum("sri,sr,srj->ij", design, slope, design) + np.diag(prior), hermitian=True)
+    bread = np.linalg.pinv(
+        np.einsum("sri,sr,srj->ij", design, slope, design) + np.diag(prior), hermitian=True
+    )
     wide = _widened(excess, int((weight.max(axis=1) > 0.0).sum()))
     pushed = design * (weight * np.repeat(wide, _PAIR))[..., None]
     stated = np.einsum("sri,srj->ij", pushed, pushed) + np.diag(prior)

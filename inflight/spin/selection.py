@@ -28,7 +28,8 @@ Statistic = Literal["mean", "median"]
 #: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al. 2019,
 #: section 7), offsets unknown beside any field the sensor is flown for.
 UNKNOWN: Mapping[str, float] = {
-    name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0) for name in SPIN_RELATED
+    name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0)
+    for name in SPIN_RELATED
 }
 #: A mean is made of at least this many estimates.
 FEWEST = 5
@@ -123,7 +124,10 @@ def choose(uncertainty: Floats, wanted: float | None = None, fewest: int = FEWES
     if wanted is not None:
         chosen = known < wanted
         if chosen.sum() < fewest:
-            return none, f"{int(chosen.sum())} below {wanted:.3g}, at least {fewest} needed; best {ranked[0]:.2g}"
+            return (
+                none,
+                f"{int(chosen.sum())} below {wanted:.3g}, at least {fewest} needed; best {ranked[0]:.2g}",
+            )
         return chosen, f"{int(chosen.sum())} below the accuracy wanted, {wanted:.3g}"
     expected = np.sqrt(np.cumsum(ranked[:count] ** 2)) / np.arange(1, count + 1)
     best = fewest + int(np.argmin(expected[fewest - 1 :]))
