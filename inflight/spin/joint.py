@@ -19,7 +19,7 @@ from inflight.estimators.longrun import long_run_covariance
 from inflight.spin.equation import SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.estimates import SpinEquations, spin_equations
 from inflight.spin.harmonics import SpinTones, spin_tones
-from inflight.spin.layout import Layout
+from inflight.spin.layout import Bools, Layout
 from inflight.spin.start import first_tones
 from inflight.time import Int64
 
@@ -67,7 +67,7 @@ class JointEstimate:
     settled: bool
 
     @property
-    def determined(self) -> np.ndarray:
+    def determined(self) -> Bools:
         """Which parameters the record told; (8,)."""
         return np.isfinite(self.sigma)
 
@@ -126,14 +126,15 @@ def joint_estimate(
     """
     tones = first_tones(readings, phase, stamps, layout, present)
     known = _Known.of(present, present_sigma or {})
-    for passes in range(1, _PASSES + 1):
+    parameters, settled, passes = tones.parameters, False, 0
+    while not settled and passes < _PASSES:
+        if passes:
+            tones = spin_tones(readings, phase, stamps, layout, parameters)
+        passes += 1
         fit = _fit(spin_equations(tones), tones, known)
         new = tones.parameters.spin_related() + fit.change
         parameters = tones.parameters.changed(dict(zip(SPIN_RELATED, new.tolist(), strict=True)))
         settled = bool(np.all(np.abs(fit.change) <= _SETTLED * fit.sigma))
-        if settled:
-            break
-        tones = spin_tones(readings, phase, stamps, layout, parameters)
     return JointEstimate(
         new, fit.sigma, fit.covariance, fit.say, fit.excess, tones, parameters, passes, settled
     )
@@ -192,7 +193,7 @@ def _fit(equations: SpinEquations, tones: SpinTones, known: _Known) -> _Fit:
     return _Fit(np.where(told, change / unit, 0.0), sigma, covariance, say, excess)
 
 
-def _inverse(normal: Floats) -> tuple[Floats, np.ndarray]:
+def _inverse(normal: Floats) -> tuple[Floats, Bools]:
     """Return the inverse over what is told, and which parameters lie wholly in it."""
     size, turn = np.linalg.eigh(normal)
     kept = size > _SINGULAR * max(float(size.max()), 1e-300)
@@ -200,7 +201,7 @@ def _inverse(normal: Floats) -> tuple[Floats, np.ndarray]:
     return inverse, (turn[:, ~kept] ** 2).sum(axis=1) < 1e-6
 
 
-def _weights(left: Floats, usable: np.ndarray) -> tuple[Floats, Floats, Floats]:
+def _weights(left: Floats, usable: Bools) -> tuple[Floats, Floats, Floats]:
     """Return the say of each tone (sub, 3), the excess over its noise (3,), and its pull."""
     length = np.hypot(left[:, 0::2], left[:, 1::2])
     excess = np.median(length[usable], axis=0) / _MEDIAN_LENGTH
@@ -247,7 +248,7 @@ def _covariance(
     seen = long_run_covariance(scores) + np.diag(prior)
     lever = np.einsum("sri,ij,srj->s", pushed, bread, design)
     alike = lever.sum() ** 2 / max(float(lever @ lever), 1e-300) / blocks
-    # The largest eigenvalue that sample covariances of so few scores have by chance (Marchenko and Pastur 1967).
+    # The largest eigenvalue that covariances of so few scores have by chance (Marchenko and Pastur 1967).
     chance = (1.0 + np.sqrt(len(prior) / max(alike, 1.0))) ** 2
     return np.asarray(bread @ _larger(stated, seen, chance) @ bread)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -71,7 +72,7 @@ class SubIntervals:
         nearest = min(self.neighbours) * self.spins / round(blocks)
         if self.spins // round(blocks) < _FEWEST_SPINS or nearest < 1.0:
             raise CalibrationError(
-                f"{self.spins // round(blocks)} spins a block with neighbours {nearest:.2g} turns from the tone: "
+                f"{self.spins // round(blocks)} spins a block with neighbours {nearest:.2g} turns away: "
                 f"at least {_FEWEST_SPINS} spins and 1 turn needed",
                 remedy="take longer sub-intervals, less overlap or neighbours further away",
             )
@@ -83,7 +84,7 @@ class SubIntervals:
 
     @property
     def distances(self) -> tuple[float, float]:
-        """`neighbours` moved to where the tones leak nothing: whole turns over a sub-interval and over a block."""
+        """`neighbours` where tones leak nothing: whole turns over a sub-interval and over a block."""
         whole, part = float(self.spins), float(self.spins // self.blocks)
         return round(self.neighbours[0] * whole) / whole, round(self.neighbours[1] * part) / part
 
@@ -120,9 +121,9 @@ class Layout:
 
     def excluded(self) -> tuple[tuple[str, Bools], ...]:
         """Return the reasons with the sub-intervals they hit: one bad block is enough."""
-        return tuple((name, self.over_blocks(hit).any(axis=1)) for name, hit in self.reasons)
+        return tuple((name, np.asarray(self.over_blocks(hit).any(axis=1))) for name, hit in self.reasons)
 
-    def over_blocks(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def over_blocks(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return a view (sub-interval, block of it, ...) of something by block."""
         view = np.lib.stride_tricks.sliding_window_view(values, self.settings.blocks, axis=0)
         return np.moveaxis(view, -1, 1)
