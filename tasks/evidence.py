@@ -132,7 +132,9 @@ class PassPlan:
 
 def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
     """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
-    reader = ChannelReader(cat, mission, made.channel_needs, index, made.cadence_ns, made.span)
+    reader = ChannelReader(
+        cat, mission, made.channel_needs, index, made.cadence_ns, made.span, made.model.comparison
+    )
     derived = DerivedChannels(reader, made.days, made.told, made.library.placebos)
     days_of = {block[0]: block for block in made.blocks}
     return make_days(

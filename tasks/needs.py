@@ -132,6 +132,17 @@ def geometry_channels(mission: Mission) -> list[str]:
     ]
 
 
+def clock_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the channel that tells how a spin comparison's spacecraft is turned; none for others.
+
+    Raises
+    ------
+    SamplesError
+        When the mission has no such channel, or several and the comparison names none.
+    """
+    return _Known(mission).clock(comparison)
+
+
 class _Known:
     """The names a model may use of a mission: its channels, what geometry adds, what is made of both."""
 
@@ -143,13 +154,7 @@ class _Known:
         self.names = set(self.homes) | (set(GEOMETRY) if self.position else set())
 
     def clock(self, comparison: str) -> list[Need]:
-        """Return the channel that tells how a spin comparison's spacecraft is turned; none for others.
-
-        Raises
-        ------
-        SamplesError
-            When the mission has no such channel, or several and the comparison names none.
-        """
+        """Return the series of `clock_of`."""
         entry = self.mission.comparisons[comparison]
         if entry.kind != "spin":
             return []

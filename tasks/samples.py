@@ -195,7 +195,7 @@ def load_samples(
     for need in needs:
         if need is not clock:
             alone = index.stands_alone(need, base, day)
-            channels[need.name] = _series(cat, need, day, index, alone)
+            channels[need.name] = channel_series(cat, need, day, index, alone)
     missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
     if missing:
         raise SamplesError(
@@ -206,7 +206,7 @@ def load_samples(
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
     if clock is not None:
-        told = _series(cat, clock, day, index, alone=False)
+        told = channel_series(cat, clock, day, index, alone=False)
         samples[SPIN_PHASE] = spin_phase(
             mission, model.comparison, clock, told, samples["tt2000"].values, str(day)
         )
@@ -265,7 +265,7 @@ class _Rows(NamedTuple):
         return _Rows(self.values[rows], self.stamps[rows], flag, self.attrs)
 
 
-def _series(
+def channel_series(
     cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, alone: bool
 ) -> xr.DataArray | None:
     """Return a channel of a day, with a margin of its neighbours unless it stands alone."""

@@ -166,6 +166,11 @@ def coarsen(
     residual, count = bin_means(rows.residual, stamps, edges, good)
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
     weight = np.where(count >= _LEAST * usual, np.minimum(count / usual, 1.0), 0.0)
+    if "weight" in samples:
+        told_weight = bin_means(np.asarray(samples["weight"].values, dtype=np.float64), stamps, edges, good)[
+            0
+        ]
+        weight = np.where(weight > 0, weight * told_weight, 0.0)
     data: dict[str, xr.Variable] = dict(channels)
     data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
     for role in ("vector", "scalar", "inboard", "outboard"):

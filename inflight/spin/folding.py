@@ -28,6 +28,9 @@ SECTORS, ORDER = 12, 5
 #: divide a day, with whole seconds from phase to phase.
 TURNS = 100
 _LENGTHS_S = tuple(length for length in range(SECTORS, 21_601, SECTORS) if 86_400 % length == 0)
+#: Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it: no
+#: magnetometer in space tells its spin's tone better than this in a few minutes.
+_QUIET_NT = 1e-3
 #: An interval is used with this part of its samples.
 _LEAST = 0.5
 #: FourierSums of one turn's fit: offsets stand at the first in payload axes, gains at the second.
@@ -111,7 +114,7 @@ def fold(samples: xr.Dataset, folding: Folding, span: tuple[int, int]) -> xr.Dat
     -------
     xarray.Dataset
         Like samples, one turn an interval, evenly spaced; `spin_phase` within a turn. Intervals with less
-        than half of their samples are flagged and NaN.
+        than half of their samples are flagged and NaN; `weight` falls with the natural noise of an interval.
 
     Raises
     ------
@@ -135,6 +138,25 @@ def fold(samples: xr.Dataset, folding: Folding, span: tuple[int, int]) -> xr.Dat
     return day.dressed(made, samples["spin_phase"].attrs)
 
 
+def fold_series(
+    values: Floats, stamps: Int64, phase: Floats, folding: Folding, span: tuple[int, int]
+) -> Floats:
+    """Return a channel on the synthetic turns of a day, (time, ...), as `fold` has it of its own.
+
+    Parameters
+    ----------
+    values : ndarray, shape (sample, ...)
+    stamps, phase : ndarray, shape (sample,)
+        TT2000, and the spin's phase there, rad.
+    folding : Folding
+    span : tuple of int
+        TT2000 bounds of the day.
+    """
+    day = _Day(stamps, phase, folding, span)
+    series = xr.DataArray(values, dims=("time", "component")[: np.ndim(values)])
+    return np.asarray(day.channel(series, day.known).values, dtype=np.float64)
+
+
 _OWN = ("vector", "spin_phase", "tt2000", "flag", "weight")
 
 
@@ -144,6 +166,7 @@ class _Day:
     def __init__(self, stamps: Int64, phase: Floats, folding: Folding, span: tuple[int, int]) -> None:
         self.stamps, self.phase, self.folding, self.span = stamps, phase, folding, span
         self.intervals = max(1, -(-(span[1] - span[0]) // folding.interval_ns))
+        self.noise = np.zeros(self.intervals)
         self.interval = np.clip((stamps - span[0]) // folding.interval_ns, 0, self.intervals - 1)
         self.known = np.isfinite(phase)
         turn = np.floor(np.where(self.known, phase, 0.0) / _TWO_PI).astype(np.int64)
@@ -179,7 +202,27 @@ class _Day:
         turned = self._sectors(found, good)
         back = np.exp(-1j * np.tile(self.folding.phases, self.intervals))
         plane = turned[:, 0] * back
+        self.noise = self._natural(steady, good)
         return np.column_stack([plane.real, plane.imag, turned[:, 1].real]), good
+
+    def _natural(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return what nature adds to an interval's tones, nT, from the scatter of its turns; (interval,)."""
+        fits = self._of_turns(np.where(good[:, None], steady, 0.0), good)
+        # Of the plane the sum across the axis, which gains and offsets do not move: both of its tones.
+        tones = np.concatenate([fits.coefficients[:, [1, 3], 0], 2.0 * fits.coefficients[:, [3], 1]], axis=1)
+        place = np.zeros(self.turns, dtype=np.int64)
+        place[self.turn] = self.interval
+        known = np.isfinite(tones).all(axis=1)
+        count = np.bincount(place[known], minlength=self.intervals).astype(np.float64)
+        total = np.zeros(self.intervals)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for tone in tones.T:
+                sums = [
+                    np.bincount(place[known], part[known], self.intervals) for part in (tone.real, tone.imag)
+                ]
+                square = np.bincount(place[known], np.abs(tone[known]) ** 2, self.intervals)
+                total += square / count - np.hypot(*sums) ** 2 / count**2
+            return np.asarray(np.sqrt(np.maximum(total, 0.0) / (len(tones.T) * count)))
 
     def _wild(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Return which samples stand far off their own turn's fit."""
@@ -258,13 +301,16 @@ class _Day:
         stamps = self.span[0] + step // 2 + step * np.arange(count, dtype=np.int64)
         inside = stamps < self.span[1]
         lost = ~np.isfinite(made["vector"].values).all(axis=1)
+        noise = np.repeat(self.noise, self.folding.sectors)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            weight = np.minimum(1.0, (_QUIET_NT / noise) ** 2)
         flag = np.where(lost, np.uint32(Flag.VECTOR_MISSING), np.uint32(0)).astype(np.uint32)
         phases = np.tile(self.folding.phases, self.intervals)
         made |= {
             "spin_phase": xr.Variable("time", phases, phase_attrs),
             "tt2000": xr.Variable("time", stamps),
             "flag": xr.Variable("time", flag),
-            "weight": xr.Variable("time", (~lost).astype(np.float64)),
+            "weight": xr.Variable("time", np.where(lost | ~np.isfinite(weight), 0.0, weight)),
         }
         return xr.Dataset(made, coords={"time": to_utc(stamps)}).isel(time=inside)
 
