@@ -247,7 +247,8 @@ def _covariance(
     scores = np.einsum("sri,sr->si", design, weight * left)
     seen = long_run_covariance(scores) + np.diag(prior)
     lever = np.einsum("sri,ij,srj->s", pushed, bread, design)
-    alike = lever.sum() ** 2 / max(float(lever @ lever), 1e-300) / blocks
+    # The kernel of the long-run covariance reaches over twice the overlap, and sees so many fewer scores.
+    alike = float(lever.sum()) ** 2 / max(float(np.sum(lever**2)), 1e-300) / (2.0 * blocks)
     # The largest eigenvalue that covariances of so few scores have by chance (Marchenko and Pastur 1967).
     chance = (1.0 + np.sqrt(len(prior) / max(alike, 1.0))) ** 2
     return np.asarray(bread @ _larger(stated, seen, chance) @ bread)
