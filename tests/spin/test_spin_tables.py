@@ -117,7 +117,7 @@ def test_twelve_parameters_say_where_they_came_from():
 
 
 def test_a_new_axial_offset_moves_the_spin_plane_ones_along_so_that_no_tone_comes_back():
-    """The spin plane sees C O: with the third offset 3 nT off, the second is 0.12 nT off until it is known."""
+    """The plane sees C O: with the third offset 3 nT off, the second is 0.12 nT off until it is known."""
     record = two_fields(6, hours=1.0)
     truth = TRUTH.changed({"elevation[2]": -2e-2, "spin_axis[y]": 2e-2})
     found = by_joint(record, truth.disturb(record.field), TwelveParameters())
