@@ -159,15 +159,16 @@ def _fill_basis(columns: Floats, angle: Floats, weight: Floats, neighbours: tupl
     columns[:, 2], columns[:, 3] = cos, sin
     np.subtract(cos * cos, sin * sin, out=columns[:, 4])
     np.multiply(2.0 * cos, sin, out=columns[:, 5])
-    at = _LINES + _TONES
-    for tone in (2, 4):
-        for distance in neighbours:
-            near, far = np.cos(distance * angle), np.sin(distance * angle)
-            c, s = columns[:, tone], columns[:, tone + 1]
+    for place, distance in enumerate(neighbours):
+        near, far = np.cos(distance * angle), np.sin(distance * angle)
+        for tone in range(2):
+            c, s = columns[:, 2 + 2 * tone], columns[:, 3 + 2 * tone]
+            at = _LINES + _TONES + 8 * tone + 4 * place
             cc, ss, sc, cs = c * near, s * far, s * near, c * far
-            columns[:, at], columns[:, at + 1] = cc + ss, sc - cs  # below the tone
-            columns[:, at + 2], columns[:, at + 3] = cc - ss, sc + cs  # above it
-            at += 4
+            np.add(cc, ss, out=columns[:, at])  # below the tone
+            np.subtract(sc, cs, out=columns[:, at + 1])
+            np.subtract(cc, ss, out=columns[:, at + 2])  # above it
+            np.add(sc, cs, out=columns[:, at + 3])
 
 
 def _fill_series(series: Floats, field: Floats, own: Bools) -> None:
