@@ -29,6 +29,8 @@ _ORDER = (
 )
 #: The height of a panel is this many standard deviations of the chosen estimates to either side.
 _TALL = 12.0
+#: And it ends at this many times the threshold: the poorest estimates say nothing.
+_WIDE = 3e3
 
 
 def estimates_figure(selection: Selection, joint: JointEstimate | None = None) -> Any:
@@ -57,6 +59,9 @@ def _estimates_panel(selection: Selection, joint: JointEstimate | None, name: st
     for which, colour, label in ((known & ~chosen, BEFORE, "others"), (known & chosen, NEW, "chosen")):
         plot.scatter(uncertainty[which], value[which], color=colour, size=3, alpha=0.6, legend_label=label)
     span = [float(uncertainty[known].min()), float(uncertainty[known].max())] if known.any() else [1e-6, 1.0]
+    if np.isfinite(selection.threshold[at]):
+        span[1] = min(span[1], _WIDE * float(selection.threshold[at]))
+    plot.x_range = Range1d(0.7 * span[0], 1.4 * span[1])
     if np.isfinite(selection.sigma[at]):
         plot.line(span, [selection.value[at]] * 2, color=AFTER, line_width=2, legend_label="selection")
     if joint is not None and np.isfinite(joint.sigma[at]):
