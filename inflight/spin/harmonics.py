@@ -8,7 +8,7 @@ derivatives of Bz and the modulus by each parameter: estimates then need no more
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,8 @@ _Z, _M, _U, _V = (SERIES.index(name) for name in ("z", "m", "u", "v"))
 _LINES, _TONES = 2, 4
 #: Blocks worked on at once: their columns stay in the cache.
 _CHUNK = 16
+#: Derivatives hold while the field changes by less than this part.
+_SMALL = 0.01
 #: The direction of the field must keep this much of its turn with the phase: less is another period.
 _COHERENT = 0.5
 #: Why a sub-interval below that is left out.
@@ -110,43 +112,106 @@ def spin_tones(
 
     """
     parts = [
-        _block_sums(readings, phase, layout, parameters, slice(low, low + _CHUNK))
-        for low in range(0, layout.start.size, _CHUNK)
+        _block_sums(*_gathered(readings, phase, layout, parameters, low), layout) for low in _chunks(layout)
     ]
     sums = [np.concatenate(one) for one in zip(*parts, strict=True)]
     return _of_blocks(layout, stamps, parameters, *sums)
 
 
-def _block_sums(
+def corrected_tones(
+    readings: Floats, phase: Floats, layout: Layout, before: SpinTones, parameters: TwelveParameters
+) -> SpinTones:
+    """Return tones of Bz and of the modulus under other parameters, and all else as it was before.
+
+    A quarter of the work of `spin_tones`. Derivatives and noise change by the relative change of the field
+    only: for small steps (see `small_step`) they hold.
+
+    Parameters
+    ----------
+    readings, phase, layout
+        As for `spin_tones`.
+    before : SpinTones
+        Of the same record and layout.
+    parameters : TwelveParameters
+    """
+    parts = [_tone_sums(*_gathered(readings, phase, layout, parameters, low)) for low in _chunks(layout)]
+    lost = np.isnan(before.tones[:, 0, _Z])
+    known = np.concatenate([np.isfinite(one[:, 0, 0]) & (one[:, 0, 0] > 2.0) for one in parts])
+    rest = _without_lines(np.concatenate(parts), known)
+    summed = layout.over_blocks(rest).sum(axis=1)
+    gram = np.where(lost[:, None, None], np.eye(_TONES), summed[:, :, :_TONES])
+    tones = before.tones.copy()
+    tones[:, :, [_Z, _M]] = np.linalg.solve(gram, summed[:, :, _TONES:])
+    tones[lost] = np.nan
+    return replace(before, tones=tones, parameters=parameters)
+
+
+def small_step(before: SpinTones, parameters: TwelveParameters) -> bool:
+    """Return True when new parameters change the field by less than 1 %, the spin-plane offsets included."""
+    turned = np.abs(parameters.matrix() @ np.linalg.inv(before.parameters.matrix()) - np.eye(3)).max()
+    shifted = np.abs(np.subtract(parameters.offset, before.parameters.offset)).max()
+    least = before.least_modulus[before.usable]
+    return bool(turned < _SMALL and shifted < _SMALL * float(np.median(least))) if least.size else False
+
+
+def _chunks(layout: Layout) -> list[slice]:
+    """Return the blocks worked on at once."""
+    return [slice(low, low + _CHUNK) for low in range(0, layout.start.size, _CHUNK)]
+
+
+def _gathered(
     readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters, part: slice
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Bools]:
+    """Return angle (block, sample), field (block, sample, 3) and which samples are of use; 0 where not."""
+    start, stop = layout.start[part], layout.stop[part]
+    length = max(int((stop - start).max()), 1)
+    whole = slice(int(start[0]), int(stop[-1]))
+    even = bool(np.all(stop - start == length)) and bool(layout.good[whole].all())
+    if even:
+        own = np.ones((start.size, length), dtype=np.bool_)
+        angle = phase[whole].reshape(own.shape)
+        taken = readings[whole]
+    else:
+        index = start[:, None] + np.arange(length)
+        inside = index < stop[:, None]
+        np.minimum(index, phase.size - 1, out=index)
+        own = layout.good[index] & inside
+        angle = np.where(own, phase[index], 0.0)
+        taken = np.where(own[..., None], readings[index], 0.0).reshape(-1, 3)
+    field = parameters.correct(taken).reshape(*own.shape, 3)
+    if not even:
+        field[~own] = 0.0
+    return angle, field, own
+
+
+def _tone_sums(angle: Floats, field: Floats, own: Bools) -> Floats:
+    """Return sums of lines and tones times themselves, Bz and modulus; (block, 6, 8)."""
+    columns = np.empty((len(angle), _LINES + _TONES + 2, angle.shape[1]))
+    _fill_tones(columns, angle, own.astype(np.float64))
+    columns[:, -2] = field[..., 2]
+    np.hypot(field[..., 0], field[..., 1], out=columns[:, -1])
+    return np.asarray(columns[:, : _LINES + _TONES] @ columns.transpose(0, 2, 1))
+
+
+def _block_sums(angle: Floats, field: Floats, own: Bools, layout: Layout) -> tuple[Floats, Floats, Floats]:
     """Return sums of some blocks.
 
     (block, 6, column) of lines and tones times all columns, (block, 16, 2) of neighbouring frequencies times
     Bz and modulus, and (block, 5): samples, covered phase, least modulus, least and largest size of Bz.
     """
-    start, stop = layout.start[part], layout.stop[part]
-    length = max(int((stop - start).max()), 1)
-    index = start[:, None] + np.arange(length)
-    inside = index < stop[:, None]
-    np.minimum(index, phase.size - 1, out=index)
-    own = layout.good[index] & inside
-    angle = np.where(own, phase[index], 0.0)
-    field = parameters.correct(readings[index].reshape(-1, 3)).reshape(*index.shape, 3)
-    weight = own.astype(np.float64)
-    columns = np.empty((start.size, _LINES + _TONES + 16 + len(SERIES), length))
-    _fill_basis(columns, angle, weight, layout.settings.distances)
+    columns = np.empty((len(angle), _LINES + _TONES + 16 + len(SERIES), angle.shape[1]))
+    _fill_tones(columns, angle, own.astype(np.float64))
+    _fill_neighbours(columns, angle, layout.settings.distances)
     series = columns[:, -len(SERIES) :]
-    _fill_series(series, field, own)
-    transposed = columns.transpose(0, 2, 1)
-    inner = columns[:, : _LINES + _TONES] @ transposed
+    _fill_series(series, field)
+    inner = columns[:, : _LINES + _TONES] @ columns.transpose(0, 2, 1)
     both = np.ascontiguousarray(series[:, [_Z, _M]]).transpose(0, 2, 1)
     beside = columns[:, _LINES + _TONES : -len(SERIES)] @ both
     return inner, beside, _levels(angle, own, series)
 
 
-def _fill_basis(columns: Floats, angle: Floats, weight: Floats, neighbours: tuple[float, float]) -> None:
-    """Fill in line, tones and neighbouring frequencies; all are 0 where the weight is."""
+def _fill_tones(columns: Floats, angle: Floats, weight: Floats) -> None:
+    """Fill in line and tones; all are 0 where the weight is."""
     count = np.maximum(weight.sum(axis=1, keepdims=True), 1.0)
     middle = (angle * weight).sum(axis=1, keepdims=True) / count
     columns[:, 0] = weight
@@ -159,6 +224,10 @@ def _fill_basis(columns: Floats, angle: Floats, weight: Floats, neighbours: tupl
     columns[:, 2], columns[:, 3] = cos, sin
     np.subtract(cos * cos, sin * sin, out=columns[:, 4])
     np.multiply(2.0 * cos, sin, out=columns[:, 5])
+
+
+def _fill_neighbours(columns: Floats, angle: Floats, neighbours: tuple[float, float]) -> None:
+    """Fill in the frequencies beside the tones that are already there."""
     for place, distance in enumerate(neighbours):
         near, far = np.cos(distance * angle), np.sin(distance * angle)
         for tone in range(2):
@@ -171,10 +240,10 @@ def _fill_basis(columns: Floats, angle: Floats, weight: Floats, neighbours: tupl
             np.add(sc, cs, out=columns[:, at + 3])
 
 
-def _fill_series(series: Floats, field: Floats, own: Bools) -> None:
-    """Fill in the columns of `SERIES`; all are 0 where a sample is not of use."""
+def _fill_series(series: Floats, field: Floats) -> None:
+    """Fill in the columns of `SERIES`; all are 0 where the field is."""
     for axis in range(3):
-        series[:, axis] = np.where(own, field[..., axis], 0.0)
+        series[:, axis] = field[..., axis]
     x, y, z = series[:, 0], series[:, 1], series[:, 2]
     np.sqrt(x * x + y * y, out=series[:, _M])
     inverse = 1.0 / np.maximum(series[:, _M], 1e-12)
@@ -212,7 +281,9 @@ def _of_blocks(
     # The step from one block to the next is in neither.
     filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
     enough = filled >= settings.filled
-    tone_sums, beside = _without_lines(inner, beside, covered > 0.1)
+    known = covered > 0.1
+    tone_sums = _without_lines(inner, known)
+    beside = _beside_without_lines(inner, beside, known)
     windows = [layout.over_blocks(one) for one in (tone_sums, beside)]
     summed = windows[0].sum(axis=1)
     gram = np.where(enough[:, None, None], summed[:, :, :_TONES], np.eye(_TONES))
@@ -249,17 +320,25 @@ def _of_blocks(
     )
 
 
-def _without_lines(inner: Floats, beside: Floats, known: Bools) -> tuple[Floats, Floats]:
-    """Return the sums of tones and of neighbours of what a line in each block leaves."""
-    lines = inner[:, :_LINES]
-    gram = np.where(known[:, None, None], lines[:, :, :_LINES], np.eye(_LINES))
-    slopes = np.linalg.solve(gram, lines)
-    tones = inner[:, _LINES:] - lines[:, :, _LINES : _LINES + _TONES].transpose(0, 2, 1) @ slopes
+def _slopes(inner: Floats, known: Bools) -> Floats:
+    """Return the lines (block, 2, column) through all columns of the blocks."""
+    gram = np.where(known[:, None, None], inner[:, :_LINES, :_LINES], np.eye(_LINES))
+    return np.asarray(np.linalg.solve(gram, inner[:, :_LINES]))
+
+
+def _without_lines(inner: Floats, known: Bools) -> Floats:
+    """Return the sums (block, 4, column) of tones times what a line in each block leaves of the columns."""
+    crossed = inner[:, :_LINES, _LINES : _LINES + _TONES].transpose(0, 2, 1)
+    tones = inner[:, _LINES:] - crossed @ _slopes(inner, known)
+    return np.where(known[:, None, None], tones, 0.0)[:, :, _LINES:]
+
+
+def _beside_without_lines(inner: Floats, beside: Floats, known: Bools) -> Floats:
+    """Return the sums (block, 16, 2) of neighbours times what a line leaves of Bz and modulus."""
+    both = _slopes(inner, known)[:, :, [_Z - len(SERIES), _M - len(SERIES)]]
     near = slice(_LINES + _TONES, -len(SERIES))
-    both = slopes[:, :, [_Z - len(SERIES), _M - len(SERIES)]]
-    rest = beside - lines[:, :, near].transpose(0, 2, 1) @ both
-    use = known[:, None, None]
-    return np.where(use, tones, 0.0)[:, :, _LINES:], np.where(use, rest, 0.0)
+    rest = beside - inner[:, :_LINES, near].transpose(0, 2, 1) @ both
+    return np.where(known[:, None, None], rest, 0.0)
 
 
 def _noise(left: Floats, count: Floats) -> tuple[Floats, Floats]:

@@ -18,9 +18,9 @@ from inflight.calibration.robust import biweight, biweight_slope
 from inflight.estimators.longrun import long_run_covariance
 from inflight.spin.equation import SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.estimates import SpinEquations, spin_equations
-from inflight.spin.harmonics import SpinTones, spin_tones
+from inflight.spin.harmonics import SpinTones
 from inflight.spin.layout import Bools, Layout
-from inflight.spin.start import first_tones
+from inflight.spin.start import first_tones, next_tones
 from inflight.time import Int64
 
 #: Passes over the record, rounds of weights, and the change that ends both, in sigmas.
@@ -129,7 +129,7 @@ def joint_estimate(
     parameters, settled, passes = tones.parameters, False, 0
     while not settled and passes < _PASSES:
         if passes:
-            tones = spin_tones(readings, phase, stamps, layout, parameters)
+            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
         fit = _fit(spin_equations(tones), tones, known)
         new = tones.parameters.spin_related() + fit.change

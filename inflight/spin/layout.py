@@ -161,14 +161,17 @@ def lay_out(
     """
     settings = settings or SubIntervals()
     _check_shapes(readings, phase, stamps)
-    usable = np.isfinite(phase) & np.isfinite(readings.sum(axis=1))
+    usable = np.isfinite(phase)
+    for axis in range(3):
+        usable &= np.isfinite(readings[:, axis])
     if good is not None:
         usable &= good
     known = phase if np.isfinite(phase).all() else np.fmax.accumulate(phase)
     edges = _edges(known, settings)
     cut = np.searchsorted(np.maximum.accumulate(known), edges)
     start, stop = cut[:-1].astype(np.int64), cut[1:].astype(np.int64)
-    within = np.flatnonzero(np.abs(readings).max(axis=1, initial=0.0) > settings.saturation)
+    beyond = (readings > settings.saturation) | (readings < -settings.saturation)
+    within = np.flatnonzero(beyond.any(axis=1)) if beyond.any() else np.empty(0, dtype=np.int64)
     reasons = [
         ("saturated", _hit(within, cut)),
         ("phase jump", _hit(_jumps(phase, stamps), cut)),

@@ -20,9 +20,8 @@ from inflight.errors import CalibrationError
 from inflight.estimators.longrun import sigma_of_mean
 from inflight.spin.equation import SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.estimates import PAIRS, SpinEstimates, estimate_pairs
-from inflight.spin.harmonics import spin_tones
 from inflight.spin.layout import Bools, Layout
-from inflight.spin.start import first_tones
+from inflight.spin.start import first_tones, next_tones
 from inflight.time import Int64
 
 Statistic = Literal["mean", "median"]
@@ -176,7 +175,7 @@ def calibrate_by_selection(
     settled, passes = False, 0
     while not settled and passes < _PASSES:
         if passes:
-            tones = spin_tones(readings, phase, stamps, layout, parameters)
+            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
         estimates = estimate_pairs(tones, _spread(scatter))
         found = _Rounds(estimates, known, held, scatter, wanted or {}, statistic)
