@@ -203,7 +203,9 @@ def _edges(phase: Floats, settings: SubIntervals) -> Floats:
             f"{turns / (2.0 * np.pi):.1f} spins of known phase found, {settings.spins} needed",
             remedy="take a longer span, or sub-intervals of fewer spins",
         )
-    return np.asarray(known[0] + settings.turn * np.arange(blocks + 1))
+    # Half a step before the samples: those that fall on an edge would go to either side by rounding.
+    half = 0.5 * float(np.median(np.diff(known[: int(1e4)])))
+    return np.asarray(known[0] - half + settings.turn * np.arange(blocks + 1))
 
 
 def _jumps(phase: Floats, stamps: Int64) -> Int64:
