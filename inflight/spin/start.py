@@ -7,7 +7,6 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.spin.equation import TwelveParameters
 from inflight.spin.harmonics import (
-    SERIES,
     SpinTones,
     check_turning,
     corrected_tones,
@@ -15,6 +14,7 @@ from inflight.spin.harmonics import (
     spin_tones,
 )
 from inflight.spin.layout import Layout
+from inflight.spin.sums import SERIES
 from inflight.time import Int64
 
 #: Above this part of the field an offset bends the modulus too much for one linear step.
