@@ -22,8 +22,10 @@ from inflight.flags import UNUSABLE, Flag
 from inflight.spin.fourier import Complex, FourierSums, fourier_sums
 from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 
-#: Phases of a synthetic turn, and the highest harmonic it holds.
-SECTORS, ORDER = 12, 5
+#: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.
+SECTORS, ORDER = 12, 4
+#: Bumped by hand when the numbers of folded samples change.
+FOLDING_VERSION = 1
 #: Turns an interval should hold (Plaschke et al. 2019, section 5), and seconds intervals may last: such as
 #: divide a day, with whole seconds from phase to phase.
 TURNS = 100
@@ -31,6 +33,8 @@ _LENGTHS_S = tuple(length for length in range(SECTORS, 21_601, SECTORS) if 86_40
 #: Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it: no
 #: magnetometer in space tells its spin's tone better than this in a few minutes.
 _QUIET_NT = 1e-3
+#: Power of all harmonics up to the fifth over that of the first two, by nature's spectrum (f^-5/3).
+_HIGHER = 1.25
 #: An interval is used with this part of its samples.
 _LEAST = 0.5
 #: FourierSums of one turn's fit: offsets stand at the first in payload axes, gains at the second.
@@ -78,12 +82,12 @@ class Folding:
         interval = (
             (stamps - day_bounds(day_of(stamps[:1])[0])[0]) // self.interval_ns if stamps.size else stamps
         )
-        own, place = np.unique(interval, return_inverse=True)
-        count = np.bincount(place[used], minlength=own.size).astype(np.float64)
-        total = np.zeros((own.size, flat.shape[1]))
-        np.add.at(total, place[used], flat[used])
+        starts = np.flatnonzero(np.diff(interval, prepend=interval[:1] - 1))
+        lengths = np.diff(starts, append=interval.size)
+        count = np.add.reduceat(used.astype(np.float64), starts) if starts.size else np.zeros(0)
+        total = np.add.reduceat(np.where(used[:, None], flat, 0.0), starts, axis=0) if starts.size else flat
         with np.errstate(invalid="ignore", divide="ignore"):
-            out = flat - (total / count[:, None])[place]
+            out = flat - np.repeat(total / count[:, None], lengths, axis=0)
         out[~used] = np.nan
         return out.reshape(np.shape(values))
 
@@ -196,9 +200,15 @@ class _Day:
             np.where(self.known, self.phase, 0.0),
             self.interval,
             self.intervals,
-            ORDER,
+            ORDER + 1,
             good,
         )
+        # A harmonic k in the body is k + 1 in payload axes across the spin axis.
+        for place, harmonic in enumerate(range(-ORDER - 1, ORDER + 2)):
+            if not -ORDER <= harmonic - 1 <= ORDER:
+                found.coefficients[:, place, 0] = 0.0
+            if abs(harmonic) > ORDER:
+                found.coefficients[:, place, 1] = 0.0
         turned = self._sectors(found, good)
         back = np.exp(-1j * np.tile(self.folding.phases, self.intervals))
         plane = turned[:, 0] * back
@@ -206,23 +216,23 @@ class _Day:
         return np.column_stack([plane.real, plane.imag, turned[:, 1].real]), good
 
     def _natural(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
-        """Return what nature adds to an interval's tones, nT, from the scatter of its turns; (interval,)."""
-        fits = self._of_turns(np.where(good[:, None], steady, 0.0), good)
-        # Of the plane the sum across the axis, which gains and offsets do not move: both of its tones.
-        tones = np.concatenate([fits.coefficients[:, [1, 3], 0], 2.0 * fits.coefficients[:, [3], 1]], axis=1)
-        place = np.zeros(self.turns, dtype=np.int64)
-        place[self.turn] = self.interval
-        known = np.isfinite(tones).all(axis=1)
-        count = np.bincount(place[known], minlength=self.intervals).astype(np.float64)
-        total = np.zeros(self.intervals)
+        """Return what nature adds to the rows, nT rms, by the scatter from turn to turn; (interval,)."""
+        modulus = np.abs(steady[:, 0])
+        rows = np.column_stack([steady[:, 1].real, np.where(np.isfinite(modulus), modulus, 0.0)])
+        rows[~good] = 0.0
+        fits = self._of_turns(rows.astype(np.complex128), good)
+        tones = fits.coefficients[:, _TURN_ORDER + 1 :].reshape(self.turns, -1)
+        # Half the square of what changes from turn to turn: tones that grow with the field change slowly.
+        change = 0.5 * np.sum(np.abs(np.diff(tones, axis=0)) ** 2, axis=1)
+        first, place = np.zeros(self.turns, dtype=np.int64), np.zeros(self.turns, dtype=np.int64)
+        place[self.turn], first[self.turn[::-1]] = self.interval, self.interval[::-1]
+        # Each interval has a mean of its own: a turn that lies in two is none.
+        known = np.isfinite(change) & (first[:-1] == place[1:])
+        count = np.bincount(place[1:][known], minlength=self.intervals).astype(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):
-            for tone in tones.T:
-                sums = [
-                    np.bincount(place[known], part[known], self.intervals) for part in (tone.real, tone.imag)
-                ]
-                square = np.bincount(place[known], np.abs(tone[known]) ** 2, self.intervals)
-                total += square / count - np.hypot(*sums) ** 2 / count**2
-            return np.asarray(np.sqrt(np.maximum(total, 0.0) / (len(tones.T) * count)))
+            total = np.bincount(place[1:][known], change[known], self.intervals) / count
+            # Twice the real part of each tone, on average over two rows.
+            return np.asarray(np.sqrt(_HIGHER * total / count))
 
     def _wild(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
         """Return which samples stand far off their own turn's fit."""
@@ -310,6 +320,7 @@ class _Day:
             "spin_phase": xr.Variable("time", phases, phase_attrs),
             "tt2000": xr.Variable("time", stamps),
             "flag": xr.Variable("time", flag),
+            "noise": xr.Variable("time", noise, {"units": "nT"}),
             "weight": xr.Variable("time", np.where(lost | ~np.isfinite(weight), 0.0, weight)),
         }
         return xr.Dataset(made, coords={"time": to_utc(stamps)}).isel(time=inside)
