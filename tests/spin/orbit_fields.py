@@ -44,7 +44,7 @@ def spun(field, phase):
 
 
 def fluctuating(mean, density, compression, cadence, generator):
-    """Add turbulence to a mean field (time, 3): its length follows `compression` of it, its direction the rest.
+    """Add turbulence to a mean field (time, 3), `compression` of it to its length, the rest to its direction.
 
     `density` (time,) is the root of the spectral density at 1 Hz, nT/sqrt(Hz).
     """
