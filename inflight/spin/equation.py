@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.coupling import coupling, gains_of, package_to_spin, sensor_axes
 from inflight.errors import CalibrationError
-from inflight.spin.coupling import coupling, gains_of, package_to_spin, sensor_axes
 
 #: The twelve parameters in the order of tables.
 NAMES = (
