@@ -261,7 +261,9 @@ class Search:
         """Return the names of changes that are not asked about: taken, like one taken, banned, hidden."""
         taken = [option.change for option in self.accepted if option.change and option is not without]
         known = [*found, *(option.change for option in self.options if option.change is not None)]
-        gone = {change.name for change in known if any(change.is_like(one) for one in [*taken, *self.hidden])}
+        gone = {change.name for change in known if any(change.is_like(one) for one in taken)}
+        # What is hidden may have been another parameter's change: no data say which.
+        gone |= {change.name for change in known if any(change.is_when(one) for one in self.hidden)}
         gone |= {change.name for change in known if change.mechanism in self.banned}
         gone |= {option.name for option in self.accepted}
         return gone - ({without.name} if without is not None else set())

@@ -19,9 +19,10 @@ from inflight.diagnosis.material import (
     of_known_rows,
 )
 from inflight.diagnosis.refine import refine
-from inflight.diagnosis.rounds import WEAK, Standing, polish, run, settle
+from inflight.diagnosis.rounds import WEAK, polish, run, settle
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.second import look_again
+from inflight.diagnosis.standing import Standing
 from inflight.diagnosis.unknown import Unknown, known_periods, look_at
 from inflight.diagnosis.words import sentence, stopped
 
