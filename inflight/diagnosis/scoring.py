@@ -84,16 +84,43 @@ class Scores:
             return float(hac_t(difference, active)[0])
         return float(promised_t(difference, apart[:, None], active)[0])
 
-    def beats(self, placebos: Sequence[int]) -> Floats:
-        """Return by which t each candidate leaves less than the best placebo; inf when there is none."""
+    def beats(self, placebos: Sequence[int], asked: npt.NDArray[np.bool_], rival_t: float) -> Floats:
+        """Return by which t each candidate leaves less than the best placebo; inf when there is none.
+
+        Parameters
+        ----------
+        placebos : sequence of int
+        asked : ndarray of bool, shape (candidate,)
+            Candidates that are set against the placebo one by one, whatever the two have in common.
+        rival_t : float
+            See `_beyond`.
+        """
         if not placebos:
             return np.full(self.gain.size, np.inf)
         best = placebos[int(np.argmin(self.loss[:, placebos].sum(axis=0)))]
         if self.gain[best] <= 0:
             return self.t
-        # A placebo has nothing to do with an effect: what sets them apart is what each of them contributes.
+        # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
         apart = self.promised + self.promised[:, [best]]
-        return promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
+        out = promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
+        for place in np.flatnonzero(asked & (self.gain > self.gain[best])).tolist():
+            out[place] = max(out[place], self._beyond(place, best, rival_t))
+        return out
+
+    def _beyond(self, place: int, placebo: int, rival_t: float) -> float:
+        """Return the t by which a candidate leaves less than a placebo much like it; 0 when in doubt.
+
+        A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
+        would leave less by the square of the difference of the two contributions, block by block. Where it
+        gains clearly less than that (`rival_t`), the placebo tells something that the candidate does not, and
+        neither is the truth.
+        """
+        apart = self.fits.apart(placebo, place) if self.fits is not None else None
+        if apart is None:
+            return 0.0
+        gained = self.loss[:, placebo] - self.loss[:, place]
+        t = float(promised_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
+        return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
 
     def light(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.changes import Carriers, Change, batches, drifts, episodes, steps
+from inflight.diagnosis.changes import Carriers, batches, drifts, episodes, steps
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
+from inflight.diagnosis.options import Option, Round, Rules, Table
 from inflight.diagnosis.scoring import Present, Scores, folds_of, score, with_changes
+
+__all__ = ["FORMS", "LEAST_KEPT", "Option", "Round", "Rules", "Search", "Table"]
 
 FORMS = ("raw", "within", "white")
 #: An effect of which the calibration leaves less than this part cannot be told from the calibration.
@@ -28,116 +31,6 @@ LEAST_KEPT = 1e-3
 _CLEAR = 50.0
 #: Part of a column that the calibration leaves, from which on it is no matter of the calibration.
 _OWN = 0.05
-
-
-@dataclass(frozen=True)
-class Rules:
-    """When a candidate is taken, and what counts as a rival.
-
-    Attributes
-    ----------
-    t, gain, p : float
-        Held-out t and gain at least, family-wise p at most, of an addition.
-    keep_t, keep_gain : float
-        Of an effect that stays when the others are there.
-    rival_t : float
-        Rivals lose to the winner by less than this t.
-    draws, seed : int
-        Flips of signs.
-    rounds : int
-        Additions at most.
-    blocks : int
-        Fewest independent blocks a verdict is given from.
-    """
-
-    t: float = 3.0
-    gain: float = 0.01
-    p: float = 0.05
-    keep_t: float = 3.0
-    keep_gain: float = 0.005
-    rival_t: float = 2.0
-    draws: int = 2000
-    seed: int = 0
-    rounds: int = 8
-    blocks: int = 20
-
-    def standing(self, worth: tuple[float, float]) -> float:
-        """Return how far (gain, t) of an effect are above what keeps it: it stays from 1 on."""
-        gain, t = worth
-        return min(gain / self.keep_gain, t / self.keep_t)
-
-
-@dataclass(frozen=True, eq=False)
-class Option:
-    """Something that can be added to the model: a candidate of the library, or a change in time."""
-
-    name: str
-    mechanism: str
-    family: str
-    columns: tuple[str, ...]
-    channels: tuple[str, ...] = ()
-    terms: tuple[str, ...] = ()
-    lag_s: float = 0.0
-    agnostic: bool = False
-    placebo: bool = False
-    change: Change | None = None
-    lag_sigma_s: float | None = None
-
-    @property
-    def interleaved(self) -> bool:
-        """True when blocks around those held out must be among the fitted (see `Change`)."""
-        return self.change is not None and self.change.interleaved
-
-
-@dataclass
-class Table:
-    """Scores of all options in one round; arrays over options, by form."""
-
-    options: list[Option]
-    scores: dict[str, Scores]
-    p: dict[str, Floats]
-    beats_placebo: dict[str, Floats]
-
-    def light(self) -> Table:
-        """Return the table without what was fitted to folds, which holds on to gigabytes of evidence."""
-        return replace(self, scores={form: one.light() for form, one in self.scores.items()})
-
-    def passing(self, rules: Rules) -> dict[str, np.ndarray]:
-        """Return, a form, which options may be added."""
-        real = np.array([not option.placebo for option in self.options], dtype=bool)
-        raw = self.scores["raw"]
-        # What only a filtered form shows must at least show the right way in the residual itself.
-        agreed = {
-            "raw": real,
-            "within": real & (raw.t > 0),
-            "white": real & (raw.gain > 0.5 * rules.gain) & (raw.t > 1),
-        }
-        return {
-            form: agreed[form]
-            & (self.scores[form].t > rules.t)
-            & (self.scores[form].gain > rules.gain)
-            & (self.p[form] < rules.p)
-            & (self.beats_placebo[form] > rules.t)
-            for form in self.scores
-        }
-
-
-@dataclass(frozen=True)
-class Round:
-    """One addition or removal, for the ledger."""
-
-    number: int
-    action: str
-    name: str
-    family: str
-    gain: float
-    t: float
-    p: float
-    form: str
-
-    def as_json(self) -> dict[str, object]:
-        """Return the fields by name."""
-        return dict(vars(self))
 
 
 @dataclass
@@ -329,7 +222,11 @@ class Search:
         real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
         p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
         placebos = [place for place, option in enumerate(options) if option.placebo]
-        return Table(options, scores, p, {form: one.beats(placebos) for form, one in scores.items()})
+        beats = {
+            form: one.beats(placebos, self.rules.shown(one, p[form]), self.rules.rival_t)
+            for form, one in scores.items()
+        }
+        return Table(options, scores, p, beats)
 
     def _changes(self, without: Option | None) -> Iterator[tuple[list[Option], Evidence, Present]]:
         """Yield options bound to a time, some at a time with the evidence of their columns alone."""
