@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,16 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.diagnosis.changes import Change
-from inflight.diagnosis.scoring import Scores
+from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.scoring import Index, Scores
+
+#: An effect of which the calibration leaves less than this part cannot be told from the calibration.
+LEAST_KEPT = 1e-3
+#: An effect of its usual size that explains less than so many times a row's variance could not be seen: three
+#: sigma, of residuals correlated over several rows.
+_CLEAR = 50.0
+#: Part of a column that the calibration leaves, from which on it is no matter of the calibration.
+_OWN = 0.05
 
 
 @dataclass(frozen=True)
@@ -122,3 +132,32 @@ class Round:
     def as_json(self) -> dict[str, object]:
         """Return the fields by name."""
         return dict(vars(self))
+
+
+def is_seen(
+    raw: Evidence, form: Evidence, columns: Sequence[str], base: Index, usual: Floats, variance: float
+) -> bool:
+    """Return True when an effect of its usual size would stand out of what the calibration leaves.
+
+    Parameters
+    ----------
+    raw, form : Evidence
+        Before and after the calibration was absorbed.
+    columns : sequence of str
+        Of the effect.
+    base : ndarray of int
+        Columns of the calibration that the effect may share a constant with.
+    usual : ndarray, shape (column,)
+        Usual size of each column.
+    variance : float
+        Of a row, nT^2.
+    """
+    whole = np.diag(raw.centred(raw.index(columns), base))
+    left = np.diag(form.total)[form.index(columns)]
+    kept = np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), 0.0)
+    # What the calibration hardly touches is seen or not by the data; of what it nearly takes over, the
+    # usual size says whether the rest can be.
+    own = np.diag(raw.total)[raw.index(columns)]
+    clear = left > _OWN * own
+    clear |= left * usual[: len(left)] ** 2 > _CLEAR * variance
+    return bool(np.any((kept >= LEAST_KEPT) & clear))

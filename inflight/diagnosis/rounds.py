@@ -55,8 +55,6 @@ class Standing:
 _FEW, _PART = 12, 0.3
 #: Puts what was taken into its best form.
 Refiner = Callable[[Option], Option]
-
-
 #: Returns a table with p-values of what flips of signs cannot be sure of.
 Closer = Callable[[Table], Table]
 
@@ -99,11 +97,16 @@ def run(
         _note(search, "add", option, table, place, form)
         taken = _taken(search, option, refiner)
         search.rounds[-1] = replace(search.rounds[-1], name=taken.name)
+        if search.is_hidden(taken):
+            search.hide(taken)
+            _note(search, "undo", taken, table, place, form)
+            continue
         _drop_idle(search)
         if option.mechanism not in {one.mechanism for one in search.accepted}:
             search.banned.add(option.mechanism)
         if table.scores[form].gain[place] < _GREAT and _swallowed(search, before):
             search.accepted = list(before)
+            search.recut()
             search.banned.add(option.mechanism)
             _note(search, "undo", option, table, place, form)
     search.ran_out = True
@@ -113,19 +116,16 @@ def run(
 def _taken(search: Search, option: Option, refiner: Refiner | None) -> Option:
     """Put an option into the model, in its best form; return that."""
     search.add(option)
-    better = refiner(option) if refiner is not None else option
-    if better is not option:
-        search.drop(option)
-        search.add(better)
-    return better
+    if refiner is not None:
+        search.swap(option, better := refiner(option))
+        return better
+    return option
 
 
 def polish(search: Search, refiner: Refiner) -> None:
     """Refine everything once more: what was taken early was refined while the others were missing."""
     for option in list(search.accepted):
-        better = refiner(option)
-        if better is not option:
-            search.accepted[search.accepted.index(option)] = better
+        search.swap(option, refiner(option))
 
 
 def _swallowed(search: Search, before: dict[Option, float]) -> bool:

@@ -126,6 +126,25 @@ class Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
         return replace(self, fits=None)
 
+    def of_whole(self, whole: float) -> Scores:
+        """Return the scores in units in which the held-out loss without a candidate is `whole`, nT^2."""
+        own = float(self.loss0.sum())
+        unit = whole / own if own > 0 else 1.0
+        return replace(
+            self, loss0=self.loss0 * unit, loss=self.loss * unit, promised=self.promised * unit, fits=None
+        )
+
+    def only(self, kept: npt.NDArray[np.bool_]) -> Scores:
+        """Return the scores with nothing gained by the candidates that are not kept."""
+        return replace(
+            self,
+            loss=np.where(kept, self.loss, self.loss0[:, None]),
+            gain=self.gain * kept,
+            t=self.t * kept,
+            explained=self.explained * kept,
+            promised=self.promised * kept,
+        )
+
     def joined(self, found: Scores, seen: bool) -> Scores:
         """Return these scores with further candidates behind; all zero when this form does not see them.
 

@@ -54,7 +54,8 @@ class Cause:
     `field_vector`, `field_scalar` (time, 3) nT at the sensors; `gain` (time, 3) the reading is divided by
     ``1 - gain``; `ageing` (time, 3) relative growth of the scale factors; `bend` quadratic and cubic
     terms (2, 3) of the linearisation, 1/nT and 1/nT^2; `shift` (time,) s by which the scalar sensor is
-    early; `bias` (time,) nT of the scalar sensor. `coefficients` are dicts quantity, axis, value, unit, at.
+    early; `bias` (time,) nT of the scalar sensor; `offset` (time, 3) nT of the vector sensor's reading.
+    `coefficients` are dicts quantity, axis, value, unit, at.
     """
 
     name: str
@@ -67,12 +68,13 @@ class Cause:
     bend: np.ndarray | None = None
     shift: np.ndarray | None = None
     bias: np.ndarray | None = None
+    offset: np.ndarray | None = None
     coefficients: tuple[dict[str, Any], ...] = ()
     told: dict[str, Any] = field(default_factory=dict)
 
     def scaled(self, size: float) -> Cause:
         """Return the cause `size` times as large."""
-        arrays = ("field_vector", "field_scalar", "gain", "ageing", "bend", "shift", "bias")
+        arrays = ("field_vector", "field_scalar", "gain", "ageing", "bend", "shift", "bias", "offset")
         changed = {key: getattr(self, key) * size for key in arrays if getattr(self, key) is not None}
         grown = tuple(one | {"value": float(one["value"] * size)} for one in self.coefficients)
         return replace(self, **changed, coefficients=grown)
@@ -83,6 +85,8 @@ class Cause:
         vector = np.zeros_like(b)
         if self.field_vector is not None:
             vector = vector + self.field_vector
+        if self.offset is not None:
+            vector = vector + self.offset
         if self.field_scalar is not None:
             vector = vector - self.field_scalar
         if self.gain is not None:
@@ -244,8 +248,8 @@ def offset_step(world: World, rng: np.random.Generator) -> Cause:
     """Return offsets that jump once, at a time nobody told."""
     axis, at = _axis(rng), rng.uniform(0.3, 0.7) * world.track.seconds[-1]
     after = (world.track.seconds >= at)[:, None] * axis
-    told = _coefficients("step", axis, "nT")
-    return Cause("offset step", ("offset_step",), (), after, coefficients=told, told={"at_s": float(at)})
+    told = _coefficients("step", axis, "nT", "vector")
+    return Cause("offset step", ("offset_step",), offset=after, coefficients=told, told={"at_s": float(at)})
 
 
 def angle_step(world: World, rng: np.random.Generator) -> Cause:

@@ -100,7 +100,7 @@ def _vector(world: World, causes: Sequence[Cause], nine: Nine) -> np.ndarray:
         straight = e.copy()
         for _ in range(6):
             e = straight - e * e * (quadratic + cubic * e)
-    return e + nine.offset
+    return e + nine.offset + sum(c.offset for c in causes if c.offset is not None)
 
 
 def _scalar(world: World, causes: Sequence[Cause]) -> np.ndarray:
