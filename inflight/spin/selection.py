@@ -177,7 +177,7 @@ def calibrate_by_selection(
         if passes:
             tones = next_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
-        estimates = estimate_pairs(tones, _spread(scatter))
+        estimates = estimate_pairs(tones, spread_of(scatter))
         found = _Rounds(estimates, known, held, scatter, wanted or {}, statistic)
         found.run()
         parameters, held, scatter = found.put_in(), found.held, found.scatter
@@ -197,7 +197,7 @@ def calibrate_by_selection(
     )
 
 
-def _spread(scatter: Floats) -> dict[str, float]:
+def spread_of(scatter: Floats) -> dict[str, float]:
     """Return the uncertainty of the pairs held that the published uncertainties need."""
     return {
         pair: float(max(scatter[SPIN_RELATED.index(name)] for name in names)) for pair, names in PAIRS.items()
