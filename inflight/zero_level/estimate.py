@@ -145,9 +145,11 @@ class Question:
         known = np.sqrt(np.diag(covariance)) < self.bound / np.sqrt(3.0)
         return np.asarray(known & np.asarray(self.free))
 
-    def chosen(self, method: str, intervals: Intervals, used: Bools | None) -> Bools:
-        """Return the intervals to use; raise when there are too few."""
-        mask = intervals.lively & (True if used is None else np.asarray(used, dtype=bool))
+    def chosen(
+        self, method: str, intervals: Intervals, used: Bools | None, *, lively: bool = True
+    ) -> Bools:
+        """Return the intervals to use, if `lively` without those of noise only; raise when there are too few."""
+        mask = (intervals.lively if lively else np.full(len(intervals), True)) & (True if used is None else np.asarray(used, dtype=bool))
         if mask.sum() < FEWEST_INTERVALS:
             raise CalibrationError(
                 f"{method}: {int(mask.sum())} of {mask.size} intervals are of its kind and hold more than noise, {FEWEST_INTERVALS} needed",
@@ -156,13 +158,15 @@ class Question:
         return mask
 
 
-def informed(slopes: Floats, free: Bools) -> tuple[Floats, Floats]:
+def informed(slopes: Floats, free: Bools, least: float = _TOLD) -> tuple[Floats, Floats]:
     """Return the inverse of the summed slopes in the directions they tell, and the projector on these.
 
     Parameters
     ----------
     slopes : ndarray, shape (interval, 3, 3)
     free : ndarray of bool, shape (3,)
+    least : float
+        A direction is told by so many standard deviations of its own information.
 
     Returns
     -------
@@ -173,7 +177,8 @@ def informed(slopes: Floats, free: Bools) -> tuple[Floats, Floats]:
     value, vector = np.linalg.eigh(0.5 * (total + total.T))
     each = np.einsum("ia,kij,ja->ka", keep @ vector, slopes, keep @ vector)
     spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each)), 0.0))
-    told = (np.abs(value) > _TOLD * spread) & (np.abs(value) > 1e-12 * max(float(np.abs(value).max()), 1e-300))
+    size = np.abs(value)
+    told = (size > least * spread) & (size > 1e-12 * max(float(size.max()), 1e-300))
     good = vector[:, told]
     # The slopes need not be symmetric; in the directions told they are inverted as they are.
     inverse = good @ np.linalg.inv(good.T @ total @ good) @ good.T if told.any() else np.zeros_like(total)

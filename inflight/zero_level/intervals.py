@@ -117,7 +117,7 @@ class Intervals:
                 remedy="take a longer span, or shorter intervals",
             )
         noise = np.array([noise_of(values[:, axis])[0] for axis in range(3)])
-        return cls(*filled, np.maximum(noise, white), white, cadence, notes)
+        return cls(*filled, noise, white, cadence, notes)
 
     def __len__(self) -> int:
         return len(self.start)
@@ -156,7 +156,8 @@ class Intervals:
     def lively(self) -> Bools:
         """Whether more than noise fluctuates; (interval,)."""
         total = np.trace(self.covariance, axis1=1, axis2=2)
-        return np.asarray(total > _ABOVE_NOISE * np.sum(self.noise**2))
+        noise = 3.0 * self.white**2 or np.sum(self.noise**2)
+        return np.asarray(total > _ABOVE_NOISE * noise)
 
     @property
     def neighbours(self) -> Bools:

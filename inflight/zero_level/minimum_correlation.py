@@ -31,8 +31,11 @@ def balance(intervals: Intervals, offset: Floats) -> Floats:
 
 
 def changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, Floats, Bools]:
-    """Return dB (interval, pair), dn (interval, pair, 3), B of the pair, and which pairs there are."""
-    field = intervals.field - offset
+    """Return dB (interval, pair), dn (interval, pair, 3), B of the pair, and which pairs there are.
+
+    The offset has shape (3,), or (interval, 3) when each interval has its own.
+    """
+    field = intervals.field - _each(offset)
     size = np.linalg.norm(field, axis=2)
     pair = intervals.neighbours & (size[:, 1:] > 0) & (size[:, :-1] > 0)
     safe = np.where(np.isfinite(size) & (size > 0), size, 1.0)
@@ -64,7 +67,7 @@ def minimum_correlation(
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(NAME, intervals, used)
+    mask = question.chosen(NAME, intervals, used, lively=False)  # noise drops out
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
         return joint_equations(intervals, offset)
@@ -80,7 +83,7 @@ def minimum_correlation(
 def joint_equations(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats]:
     """Return ``sum dB dn`` (interval, 3) and M (interval, 3, 3) of the pairs of each interval."""
     change, turn, size, pair = changes(intervals, offset)
-    middle = np.nan_to_num(0.5 * (intervals.field[:, 1:] + intervals.field[:, :-1]) - offset)
+    middle = np.nan_to_num(0.5 * (intervals.field[:, 1:] + intervals.field[:, :-1]) - _each(offset))
     unit = middle / np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-300)
     squeezed = np.where(pair, (change / size) ** 2, 0.0)
     scores = np.einsum("kp,kpi->ki", change, turn)
@@ -88,3 +91,7 @@ def joint_equations(intervals: Intervals, offset: Floats) -> tuple[Floats, Float
     along = np.einsum("kp,kpi,kpj->kij", squeezed, unit, unit, optimize=True)
     across = squeezed.sum(axis=1)[:, None, None] * np.eye(3) - along
     return scores, rotation - across
+
+
+def _each(offset: Floats) -> Floats:
+    return offset[:, None, :] if offset.ndim == 2 else offset
