@@ -17,7 +17,7 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance
-from inflight.zero_level.davis_smith import davis_smith
+from inflight.zero_level.davis_smith import davis_smith, least_variance
 from inflight.zero_level.estimate import Estimate, Question
 from inflight.zero_level.intervals import Bools, Intervals
 from inflight.zero_level.minimum_correlation import minimum_correlation
@@ -117,7 +117,7 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
     """Estimate the offset by every method on the intervals that suit it.
 
     Davis-Smith and Wang-Pan take Alfvenic intervals, the mirror mode compressional ones, minimum
-    correlation either all compressional ones or all others, whichever are more (both together would cancel). Which intervals are which depends
+    correlation all but compressional ones (both together would cancel). Which intervals are which depends
     on the offset: both are found in turn until the kinds stay.
 
     Raises
@@ -126,15 +126,32 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
         No method tells anything, with the reason of each.
     """
     question = question or Question()
-    offset = _first(intervals, question)
-    seen: list[Kinds] = []
+    found, failed = [], []
+    for near in _starts(intervals, question):
+        try:
+            found.append(_from(intervals, question, near))
+        except CalibrationError as error:
+            failed.append(error)
+    if not found:
+        raise failed[0]
+    # Under a wrong offset turning looks like compression and both get mixed: the right one leaves most intervals pure, and methods that agree.
+    found.sort(key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
+    best = found[0]
+    rivals = [one for one in found[1:] if not _agrees(best.estimate, one.estimate)]
+    told = tuple(f"another start leads elsewhere: {one.estimate.told()}" for one in rivals)
+    return replace(best, estimate=best.estimate.because(*told))
+
+
+def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
+    """Estimate from one offset to begin with."""
+    offset, seen = near, []
     for _ in range(_ROUNDS):
         found = kinds(intervals, offset)
-        methods, refused = _each(intervals, found, question)
+        methods, refused = _each(intervals, found, replace(question, near=tuple(offset)))
         if not methods:
             raise CalibrationError(
                 f"no method tells an offset ({found.told()}): {'; '.join(refused)}",
-                remedy="take a longer span or one in which the field turns or is compressed along changing directions",
+                remedy="take a longer span, or one in which the field turns or is compressed along changing directions",
             )
         best = weighted(methods, question)
         if any(_same(found, one) for one in seen):
@@ -150,9 +167,19 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
     return Combined(_widened(best, pairs), tuple(methods), pairs, found, tuple(refused))
 
 
-def _first(intervals: Intervals, question: Question) -> Floats:
-    """Return an offset that needs no selection: of minimum correlation, else what was known."""
-    return minimum_correlation(intervals, None, question).solution
+def _starts(intervals: Intervals, question: Question) -> list[Floats]:
+    """Return offsets to begin with: what is known, and what the two simplest rules say of all intervals alike."""
+    start = np.asarray(question.start, dtype=np.float64)
+    least = np.clip(least_variance(intervals, question), start - question.bound, start + question.bound)
+    try:
+        return [start, least, mirror_mode(intervals, None, question).solution]
+    except CalibrationError:
+        return [start, least]
+
+
+def _agrees(one: Estimate, other: Estimate) -> bool:
+    pair = agreement(one, other)
+    return pair is None or pair.agrees
 
 
 def _same(one: Kinds, other: Kinds) -> bool:
@@ -163,14 +190,11 @@ def _same(one: Kinds, other: Kinds) -> bool:
 
 def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[Estimate], list[str]]:
     """Return what each method says of its intervals, and why others say nothing."""
-    # Compression and rotation tell with opposite signs: of both kinds the more frequent.
-    squeezed = found.compressional
-    alike = squeezed if 2 * squeezed.sum() > squeezed.size else ~squeezed
     suited: tuple[tuple[Method, Bools], ...] = (
         (davis_smith, found.alfvenic),
         (wang_pan, found.alfvenic),
         (mirror_mode, found.compressional),
-        (minimum_correlation, alike),
+        (minimum_correlation, ~found.compressional),
     )
     methods, refused = [], []
     for method, used in suited:

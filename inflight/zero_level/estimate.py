@@ -21,6 +21,8 @@ _TOLD = 2.0
 #: Standard deviation given to a direction that is not told, in bounds.
 _UNTOLD = 1e3
 _ROUNDS, _SETTLED = 60, 1e-4
+#: Largest step, in bounds, and the least true slope, in slopes stepped by.
+_STRIDE, _LEAST_ANSWER = 0.2, 0.3
 #: No interval is taken to hold more than this part of what all tell, when it is left out.
 _MOST_SHARE = 0.7
 #: Every axis.
@@ -134,11 +136,14 @@ class Question:
         Offsets known beforehand, nT.
     bound : float
         The offset lies within this many nT of the start.
+    near : tuple of float, optional
+        Where methods begin to look, nT; their own choice when absent.
     """
 
     free: tuple[bool, bool, bool] = ALL
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bound: float = BOUND
+    near: tuple[float, float, float] | None = None
 
     def determined(self, covariance: Floats) -> Bools:
         """Return which axes are known better than the bound says: uniform within it; (3,)."""
@@ -158,7 +163,7 @@ class Question:
         return mask
 
 
-def informed(slopes: Floats, free: Bools, least: float = _TOLD) -> tuple[Floats, Floats]:
+def informed(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]:
     """Return the inverse of the summed slopes in the directions they tell, and the projector on these.
 
     Parameters
@@ -192,6 +197,9 @@ def solve(
     used: Bools,
     question: Question,
     answer: Slopes | None = None,
+    *,
+    first: Floats | None = None,
+    signed: bool = False,
 ) -> Estimate:
     """Solve a method's equations and give the solution its uncertainty.
 
@@ -203,6 +211,10 @@ def solve(
         Scores and the slopes to step by.
     answer : callable, optional
         By how much the scores truly give way where weights follow the offset; the slopes when absent.
+    first : ndarray, shape (3,), optional
+        Where to begin to look; the question's start when absent.
+    signed : bool
+        The slopes of intervals may have either sign and cancel: a direction must stand out of their scatter.
 
     Raises
     ------
@@ -210,25 +222,49 @@ def solve(
         When the solution does not settle within the bound.
     """
     free, start = np.asarray(question.free), np.asarray(question.start, dtype=np.float64)
-    offset, settled = start.copy(), False
+    within = (start - question.bound, start + question.bound)
+    begin = question.near or (start if first is None else first)
+    offset, settled = np.clip(np.where(free, begin, start), *within), False
     for _ in range(_ROUNDS):
         scores, slopes = equations(offset)
-        inverse, told = informed(slopes[used], free)
-        step = inverse @ scores[used].sum(axis=0)
+        step = informed(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
         settled = bool(np.abs(step).max() < _SETTLED)
-        offset = np.clip(offset + step, start - question.bound, start + question.bound)
+        # Far from the zero the slopes are those of another field: no step leaves their reach.
+        step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
+        offset = np.clip(offset + step, *within)
         if settled:
             break
-    at_edge = free & (np.abs(offset - start) >= question.bound)
+    inverse, told = informed(slopes[used], free, _TOLD if signed else 0.0)
     if answer is not None:
         slopes = answer(offset)
-        inverse, told = informed(slopes[used], free)
+        inverse = answering(inverse, slopes[used].sum(axis=0))
+    at_edge = free & (np.abs(offset - start) >= question.bound)
     notes = []
     if at_edge.any() or not settled:
         where = ", ".join(np.array(AXES)[at_edge]) or "all axes"
         notes.append(f"no zero within {question.bound:g} nT of the start ({where})")
         told = np.zeros((3, 3))
     return _estimate(method, offset, (scores, slopes, inverse, told), intervals, used, question, tuple(notes))
+
+
+def answering(inverse: Floats, answer: Floats) -> Floats:
+    """Return the inverse of how the summed scores truly give way, in the directions that are told.
+
+    Weights that follow the offset lessen it; where chance makes it very small it is taken as `_LEAST_ANSWER`
+    of the steps' slopes.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (3, 3)
+        Of the slopes stepped by (`informed`).
+    answer : ndarray, shape (3, 3)
+    """
+    size, vector = np.linalg.eigh(0.5 * (inverse + inverse.T))
+    told = size > 1e-12 * max(float(size.max()), 1e-300)
+    root = vector[:, told] * np.sqrt(size[told])
+    ratio, turn = np.linalg.eigh(root.T @ (0.5 * (answer + answer.T)) @ root)
+    spread = root @ turn
+    return np.asarray((spread / np.maximum(ratio, _LEAST_ANSWER)) @ spread.T)
 
 
 def _estimate(

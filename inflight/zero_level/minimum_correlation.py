@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.zero_level.davis_smith import least_variance
 from inflight.zero_level.estimate import Estimate, Question, solve
 from inflight.zero_level.intervals import Bools, Intervals
 
@@ -72,7 +73,9 @@ def minimum_correlation(
     def equations(offset: Floats) -> tuple[Floats, Floats]:
         return joint_equations(intervals, offset)
 
-    found = solve(NAME, equations, intervals, mask, question)
+    # Correlations vanish far out, too: the zero is looked for from the least variance of the square.
+    first = least_variance(intervals.where(mask), question)
+    found = solve(NAME, equations, intervals, mask, question, first=first, signed=True)
     ratio = float(balance(intervals.where(mask), found.solution))
     told = f"compression over rotation is {ratio:.2f}"
     if not found.determined[np.asarray(question.free)].all():

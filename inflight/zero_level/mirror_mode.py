@@ -14,7 +14,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import biweight, biweight_slope, robust_sigma
-from inflight.zero_level.estimate import Estimate, Question, informed, solve
+from inflight.zero_level.estimate import Estimate, Question, answering, informed, solve
 from inflight.zero_level.intervals import Bools, Intervals
 
 NAME = "mirror mode"
@@ -74,6 +74,7 @@ def mirror_mode(intervals: Intervals, used: Bools | None = None, question: Quest
     found = solve(NAME, equations, intervals, mask, question, answer)
     miss, pull, size, _, _ = leaning(found.solution)
     square = np.sum(miss**2, axis=1) * biweight(pull) / size**2
-    inverse, _ = informed(answer(found.solution)[mask], np.asarray(question.free))
+    inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse = answering(inverse, answer(found.solution)[mask].sum(axis=0))
     most = inverse @ np.sum((square[:, None] * (mean - found.solution))[mask], axis=0)
     return found.pulled(most / np.sqrt(3.0), "turning of the mean field within intervals")

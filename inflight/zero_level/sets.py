@@ -11,7 +11,8 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance
 from inflight.time import DAY, SECOND, Int64
-from inflight.zero_level.estimate import BOUND, Estimate, informed
+from inflight.zero_level.davis_smith import least_variance
+from inflight.zero_level.estimate import BOUND, Estimate, Question, informed
 from inflight.zero_level.intervals import AXES, Bools, Intervals
 from inflight.zero_level.minimum_correlation import NAME, joint_equations
 
@@ -183,22 +184,22 @@ def correlation_sets(
     which, first = np.unique(number, return_index=True)
     rows = [np.flatnonzero(number == one) for one in which]
     rows = [row for row in rows if row.size >= _PARTS // 2]
-    value = np.array([_zero(intervals.where(row), bound, np.asarray(free)) for row in rows]).reshape(-1, 3)
+    value = np.array([_zero(intervals.where(row), Question(free, bound=bound)) for row in rows]).reshape(-1, 3)
     start = np.array([intervals.start[row[0]] for row in rows], dtype=np.int64)
     end = np.array([intervals.end[row[-1]] for row in rows], dtype=np.int64)
     return Sets(value, start, end)
 
 
-def _zero(part: Intervals, bound: float, free: Bools) -> Floats:
-    """Return the offset of one set; NaN when it is not told or not within the bound."""
-    offset = np.zeros(3)
+def _zero(part: Intervals, question: Question) -> Floats:
+    """Return the offset of one set; NaN when there is no zero within the bound."""
+    offset, free = least_variance(part, question), np.asarray(question.free)
     for _ in range(_ROUNDS):
         scores, slopes = joint_equations(part, offset)
         # A set that tells little shows in the scatter of the sets.
         inverse, _ = informed(slopes, free, 0.0)
         step = inverse @ scores.sum(axis=0)
         offset = offset + step
-        if np.abs(offset).max() >= bound:
+        if np.abs(offset).max() >= question.bound:
             return np.full(3, np.nan)
         if np.abs(step).max() < _SETTLED:
             return offset

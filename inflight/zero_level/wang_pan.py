@@ -14,7 +14,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.zero_level.davis_smith import compression, moments
-from inflight.zero_level.estimate import Estimate, Question, informed, solve
+from inflight.zero_level.estimate import Estimate, Question, answering, informed, solve
 from inflight.zero_level.intervals import Bools, Intervals
 
 NAME = "wang-pan"
@@ -68,7 +68,8 @@ def wang_pan(intervals: Intervals, used: Bools | None = None, question: Question
     found = solve(NAME, equations, intervals, mask, question, answer)
     left, weight = parts(found.solution)
     along = weight[:, None] * np.einsum("kij,kj->ki", np.eye(3) - across, left)
-    inverse, _ = informed(answer(found.solution)[mask], np.asarray(question.free))
+    inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse = answering(inverse, answer(found.solution)[mask].sum(axis=0))
     return found.pulled(inverse @ along[mask].sum(axis=0), "errors of the lines' directions")
 
 
