@@ -60,9 +60,8 @@ def kinds_figure(kinds: Kinds) -> figure:
         (kinds.neither, REFERENCE, "neither"),
     )
     for chosen, colour, label in parts:
-        plot.scatter(
-            kinds.compression[chosen], kinds.rotation[chosen], color=colour, size=5, alpha=0.7, legend_label=label
-        )
+        x, y = kinds.compression[chosen], kinds.rotation[chosen]
+        plot.scatter(x, y, color=colour, size=5, alpha=0.7, legend_label=label)
     for limit in (ALFVENIC, COMPRESSIONAL):
         plot.add_layout(Span(location=limit, dimension="height", line_color=REFERENCE, line_dash="dashed"))
     legend_below(plot)
@@ -70,7 +69,7 @@ def kinds_figure(kinds: Kinds) -> figure:
 
 
 def scatter_figure(found: Sequence[Scatter]) -> figure:
-    """Draw how the scatter falls with hours, the root of three axes' mean square, beside the published figures."""
+    """Draw how the scatter falls with hours, root mean square of three axes, beside published figures."""
     plot = plain_figure(
         "Scatter of the recovered zero level", "hours", "nT", width=470, x_axis_type="log", y_axis_type="log"
     )

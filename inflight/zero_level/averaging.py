@@ -111,7 +111,9 @@ def rule_of(spin_period: float, sampling: float, averaging: float, *, strict: bo
     return rule
 
 
-def largest_leak(spin_period: float, sampling: float, averaging: float, turning: tuple[float, float]) -> float:
+def largest_leak(
+    spin_period: float, sampling: float, averaging: float, turning: tuple[float, float]
+) -> float:
     """Return the largest component that averages of a turning field leave, nT.
 
     The samples k T_s in [j dt, (j + 1) dt) are averaged; the field is
@@ -148,7 +150,7 @@ def averages(
         s; see `rule_of`.
     good : ndarray of bool, shape (time,), optional
     coverage : float
-        Spans with fewer than this part of the most samples are NaN: a hole in a span breaks the rule.
+        Spans with fewer than this part of the samples that fit are NaN: a hole in a span breaks the rule.
 
     Returns
     -------
@@ -161,8 +163,8 @@ def averages(
     size = int(span[-1]) + 1
     count = np.bincount(span[use], minlength=size)
     sums = np.stack([np.bincount(span[use], column, minlength=size) for column in field[use].T], axis=1)
-    # One sample fewer is the usual change between spans when the samples are no whole part of them.
-    needed = np.floor(coverage * count.max() + 1e-9) - (coverage >= 1.0 and np.ptp(count) == 1)
-    kept = (count >= max(needed, 1))[:, None]
+    cadence = float(np.median(np.diff(tt2000)))
+    edges = np.ceil(np.arange(size + 1) * length / cadence - 0.5)
+    kept = (count >= np.maximum(coverage * np.diff(edges), 1))[:, None]
     mean = np.divide(sums, count[:, None], out=np.full_like(sums, np.nan), where=kept)
     return tt2000[0] + np.arange(size) * length + length // 2, mean

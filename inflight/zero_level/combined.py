@@ -29,6 +29,8 @@ Method = Callable[[Intervals, Bools | None, Question | None], Estimate]
 
 #: Two methods disagree when chance gives their difference less often than this.
 DISAGREE = 0.01
+#: So rarely that one of the methods must be wrong, and no mean of them is told.
+APART = 1e-4
 #: Rounds of selection and estimate.
 _ROUNDS = 8
 
@@ -61,7 +63,8 @@ class Agreement:
     def told(self) -> str:
         """Say it in a sentence."""
         verb = "agree" if self.agrees else "DISAGREE"
-        return f"{self.first} and {self.second} {verb}: chi2 {self.chi2:.1f} of {self.axes} axes, p {self.chance:.2g}"
+        size = f"chi2 {self.chi2:.1f} of {self.axes} axes, p {self.chance:.2g}"
+        return f"{self.first} and {self.second} {verb}: {size}"
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ class Combined:
     Attributes
     ----------
     estimate : Estimate
-        Widened by the root of the largest reduced chi2 where methods disagree.
+        Widened by the root of the largest reduced chi2 where methods disagree by more than chance gives once
+        in a hundred; nothing is told where chance gives it less than once in ten thousand.
     methods : tuple of Estimate
         What each method said of its own intervals.
     agreement : tuple of Agreement
@@ -134,7 +138,8 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
             failed.append(error)
     if not found:
         raise failed[0]
-    # Under a wrong offset turning looks like compression and both get mixed: the right one leaves most intervals pure, and methods that agree.
+    # Under a wrong offset turning looks like compression and both get mixed: the right one leaves most
+    # intervals pure, and methods that agree.
     found.sort(key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
     best = found[0]
     rivals = [one for one in found[1:] if not _agrees(best.estimate, one.estimate)]
@@ -144,14 +149,14 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
 
 def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
     """Estimate from one offset to begin with."""
-    offset, seen = near, []
+    offset, seen = near, list[Kinds]()
     for _ in range(_ROUNDS):
         found = kinds(intervals, offset)
         methods, refused = _each(intervals, found, replace(question, near=tuple(offset)))
         if not methods:
             raise CalibrationError(
                 f"no method tells an offset ({found.told()}): {'; '.join(refused)}",
-                remedy="take a longer span, or one in which the field turns or is compressed along changing directions",
+                remedy="take a longer span, or one in which the field turns more",
             )
         best = weighted(methods, question)
         if any(_same(found, one) for one in seen):
@@ -168,7 +173,7 @@ def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
 
 
 def _starts(intervals: Intervals, question: Question) -> list[Floats]:
-    """Return offsets to begin with: what is known, and what the two simplest rules say of all intervals alike."""
+    """Return offsets to begin with: what is known, and what two simple rules say of all intervals alike."""
     start = np.asarray(question.start, dtype=np.float64)
     least = np.clip(least_variance(intervals, question), start - question.bound, start + question.bound)
     try:
@@ -183,9 +188,7 @@ def _agrees(one: Estimate, other: Estimate) -> bool:
 
 
 def _same(one: Kinds, other: Kinds) -> bool:
-    return bool(
-        (one.alfvenic == other.alfvenic).all() and (one.compressional == other.compressional).all()
-    )
+    return bool((one.alfvenic == other.alfvenic).all() and (one.compressional == other.compressional).all())
 
 
 def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[Estimate], list[str]]:
@@ -228,7 +231,9 @@ def weighted(methods: list[Estimate], question: Question) -> Estimate:
         (share @ (one.solution - start) for share, one in zip(shares, methods, strict=True)), np.zeros(3)
     )
     influence = np.sum([one.influence @ share.T for share, one in zip(shares, methods, strict=True)], axis=0)
-    systematic = np.sum([share @ one.systematic @ share.T for share, one in zip(shares, methods, strict=True)], axis=0)
+    systematic = np.sum(
+        [share @ one.systematic @ share.T for share, one in zip(shares, methods, strict=True)], axis=0
+    )
     used = np.any([one.used for one in methods], axis=0)
     covariance = long_run_covariance(influence) + systematic
     determined = question.determined(covariance)
@@ -270,4 +275,8 @@ def _widened(estimate: Estimate, pairs: tuple[Agreement, ...]) -> Estimate:
         estimate, covariance=factor * estimate.covariance, influence=np.sqrt(factor) * estimate.influence,
         systematic=factor * estimate.systematic,
     )  # fmt: skip
-    return wider.because(*(pair.told() for pair in apart))
+    told = tuple(pair.told() for pair in apart)
+    if min(pair.chance for pair in apart) < APART:
+        blind = replace(wider, determined=np.zeros(3, dtype=bool))
+        return blind.because(*told, "one of these is wrong: no mean is told")
+    return wider.because(*told)

@@ -7,10 +7,11 @@ between intervals do not enter. The same equations hold in a turning frame: O is
 
 White noise adds its variance to A and that times the mean field to b, which pulls the offset towards the
 mean field: both are taken off when the noise is stated. (Estimated from the readings it would hold
-turbulence, and taking that off pulls by more than the noise does.) Compressions of variance C along the field B_0 add C B_0 to b. The method as published is pulled by
-``inverse(A) sum(C B_0)``, whence Leinweber et al. (2008) search for pure rotations. C is seen in the
-corrected field, so the pull is taken off here: ``(A - C) O = b - C mean(B)``. That is minimum correlation
-over whole intervals, and as blind where compression equals rotation.
+turbulence, and taking that off pulls by more than the noise does.) Compressions of variance C along the
+field B_0 add C B_0 to b. The method as published is pulled by ``inverse(A) sum(C B_0)``, whence Leinweber
+et al. (2008) search for pure rotations. C is seen in the corrected field, so the pull is taken off here:
+``(A - C) O = b - C mean(B)``. That is minimum correlation over whole intervals, and as blind where
+compression equals rotation.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ NAME = "davis-smith"
 
 
 def moments(intervals: Intervals) -> tuple[Floats, Floats]:
-    """Return A (interval, 3, 3), nT^2, and b (interval, 3), nT^3, of each interval, without the white noise stated."""
+    """Return A (interval, 3, 3), nT^2, and b (interval, 3), nT^3, without the white noise stated."""
     delta, count = intervals.fluctuation, intervals.count
     square = np.nan_to_num(0.5 * np.sum(intervals.field**2, axis=2))
     b = np.einsum("ksi,ks->ki", delta, square) / count[:, None]
@@ -40,7 +41,9 @@ def compression(intervals: Intervals, offset: Floats) -> Floats:
     return np.asarray(np.nansum((size - mean[:, None]) ** 2, axis=1) / intervals.count)
 
 
-def davis_smith(intervals: Intervals, used: Bools | None = None, question: Question | None = None, corrected: bool = True) -> Estimate:
+def davis_smith(
+    intervals: Intervals, used: Bools | None = None, question: Question | None = None, corrected: bool = True
+) -> Estimate:
     """Estimate the offset from the least variance of the square of the field.
 
     Parameters
@@ -84,7 +87,7 @@ def least_variance(intervals: Intervals, question: Question) -> Floats:
     a, b = moments(intervals)
     start, weight = np.asarray(question.start), intervals.count[:, None]
     inverse, _ = informed(weight[..., None] * a, np.asarray(question.free), 0.0)
-    return start + inverse @ np.sum(weight * (b - a @ start), axis=0)
+    return np.asarray(start + inverse @ np.sum(weight * (b - a @ start), axis=0))
 
 
 def compression_pull(intervals: Intervals, found: Estimate, question: Question) -> Floats:
@@ -93,4 +96,5 @@ def compression_pull(intervals: Intervals, found: Estimate, question: Question) 
     rest = np.maximum(compression(part, found.solution) - part.white**2, 0.0)
     slopes = part.count[:, None, None] * moments(part)[0]
     inverse, _ = informed(slopes, np.asarray(question.free), 0.0)
-    return inverse @ np.sum(part.count[:, None] * rest[:, None] * (part.mean - found.solution), axis=0)
+    weight = (part.count * rest)[:, None]
+    return np.asarray(inverse @ np.sum(weight * (part.mean - found.solution), axis=0))

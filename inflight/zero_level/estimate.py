@@ -1,4 +1,4 @@
-"""What every method returns: an offset with its covariance, what of it is determined, and from which intervals."""
+"""What every method returns: an offset with its covariance, what is determined, and from which intervals."""
 
 from __future__ import annotations
 
@@ -150,14 +150,15 @@ class Question:
         known = np.sqrt(np.diag(covariance)) < self.bound / np.sqrt(3.0)
         return np.asarray(known & np.asarray(self.free))
 
-    def chosen(
-        self, method: str, intervals: Intervals, used: Bools | None, *, lively: bool = True
-    ) -> Bools:
-        """Return the intervals to use, if `lively` without those of noise only; raise when there are too few."""
-        mask = (intervals.lively if lively else np.full(len(intervals), True)) & (True if used is None else np.asarray(used, dtype=bool))
+    def chosen(self, method: str, intervals: Intervals, used: Bools | None, *, lively: bool = True) -> Bools:
+        """Return the intervals to use, without those of noise only if `lively`; raise for too few."""
+        mask = (intervals.lively if lively else np.full(len(intervals), True)) & (
+            True if used is None else np.asarray(used, dtype=bool)
+        )
         if mask.sum() < FEWEST_INTERVALS:
             raise CalibrationError(
-                f"{method}: {int(mask.sum())} of {mask.size} intervals are of its kind and hold more than noise, {FEWEST_INTERVALS} needed",
+                f"{method}: {int(mask.sum())} of {mask.size} intervals are of its kind and above noise, "
+                f"{FEWEST_INTERVALS} needed",
                 remedy="take a longer span, or another method",
             )
         return mask
@@ -304,11 +305,16 @@ def _without(scores: Floats, slopes: Floats, inverse: Floats) -> Floats:
     share = slopes @ inverse
     own = np.linalg.norm(share, axis=(1, 2), keepdims=True)
     share = share * np.minimum(1.0, _MOST_SHARE / np.maximum(own, 1e-300))
-    return np.einsum("ij,kj->ki", inverse, np.linalg.solve(np.eye(3) - share, scores[..., None])[..., 0])
+    alone = np.linalg.solve(np.eye(3) - share, scores[..., None])[..., 0]
+    return np.asarray(alone @ inverse.T)
 
 
 def _why(determined: Bools, question: Question, told: Floats) -> tuple[str, ...]:
-    lost = [axis for axis, known, asked in zip(AXES, determined, question.free, strict=True) if asked and not known]
+    lost = [
+        axis
+        for axis, known, asked in zip(AXES, determined, question.free, strict=True)
+        if asked and not known
+    ]
     if not lost:
         return ()
     none = not told.any()

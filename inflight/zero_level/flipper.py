@@ -1,4 +1,4 @@
-"""A flipper turns two sensors into each other's place: what belongs to them, and what to the spacecraft (Helios).
+"""A flipper turns two sensors into each other's place: what is theirs, and what the spacecraft's (Helios).
 
 Before the flip sensor 1 lies along x and sensor 3 along z, after it 3 along x and 1 against z. With offsets
 C1, C3 of the sensors' package and fields S_x, S_z of the spacecraft the corrections found are
@@ -49,7 +49,9 @@ class Flipped:
 
     def told(self) -> str:
         """Say it in a sentence."""
-        parts = [f"{name} {v:.2f} +- {s:.2f} nT" for name, v, s in zip(PARTS, self.value, self.sigma, strict=True)]
+        parts = [
+            f"{name} {v:.2f} +- {s:.2f} nT" for name, v, s in zip(PARTS, self.value, self.sigma, strict=True)
+        ]
         return f"{', '.join(parts)}; sensor 2 and the spacecraft's field along it cannot be told apart"
 
     def table(self) -> xr.Dataset:

@@ -80,7 +80,12 @@ def correlation(field: Floats, axis: int, corrections: Floats, pairs: Bools) -> 
 
 
 def axis_in_turn(
-    field: Floats, joined: Bools | None = None, *, bound: float = 3.0, rounds: int = 10, axes: tuple[int, ...] = (0, 1, 2)
+    field: Floats,
+    joined: Bools | None = None,
+    *,
+    bound: float = 3.0,
+    rounds: int = 10,
+    axes: tuple[int, ...] = (0, 1, 2),
 ) -> AxisInTurn:
     """Find the corrections axis by axis.
 
@@ -101,7 +106,8 @@ def axis_in_turn(
         Too few pairs.
     """
     there = np.isfinite(field).all(axis=1)
-    joined = there[1:] & there[:-1] & (True if joined is None else joined)
+    pairs_there = there[1:] & there[:-1]
+    joined = np.asarray(pairs_there if joined is None else pairs_there & joined)
     offset, history = np.zeros(3), []
     crossings, used, settled = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64), False
     for _ in range(rounds):
@@ -111,7 +117,7 @@ def axis_in_turn(
             used[axis] = pairs.sum()
             if pairs.sum() < FEWEST_SAMPLES:
                 raise CalibrationError(
-                    f"{int(pairs.sum())} pairs 30 to 150 degrees from axis {axis} found, {FEWEST_SAMPLES} needed",
+                    f"{int(pairs.sum())} pairs 30 to 150 degrees from axis {axis}, {FEWEST_SAMPLES} needed",
                     remedy="take a longer span, or another axis",
                 )
             step, crossings[axis] = _zero(field - offset, axis, pairs, bound)

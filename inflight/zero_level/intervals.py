@@ -1,4 +1,4 @@
-"""A record cut into intervals of one length, without spikes, saturation and gaps, and what fluctuates in each.
+"""A record in intervals of one length, without spikes, saturation and gaps, and what fluctuates in each.
 
 All methods work on the same intervals, so that their errors can be compared interval by interval.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from inflight.time import GAP, SECOND, Int64
 Bools = npt.NDArray[np.bool_]
 
 AXES = ("x", "y", "z")
-#: Fewest intervals of an estimate: fewer do not tell their own scatter (its sigma is known to 25 % from eight).
+#: Fewest intervals of an estimate: eight tell their own scatter to 25 %.
 FEWEST_INTERVALS = 8
 #: Fewest samples of an interval: a covariance of three components has six numbers.
 FEWEST_SAMPLES = 16
@@ -101,8 +102,9 @@ class Intervals:
             Too few samples or intervals.
         """
         times, values = _checked(tt2000, field)
-        use = np.isfinite(values).all(axis=1) & (True if good is None else np.asarray(good, dtype=bool))
-        use, notes = _cleaned(values, use)
+        finite = np.isfinite(values).all(axis=1)
+        allowed = np.ones(len(values), dtype=bool) if good is None else np.asarray(good, dtype=bool)
+        use, notes = _cleaned(values, np.asarray(finite & allowed))
         times, values = times[use], values[use]
         if times.size < FEWEST_SAMPLES:
             raise CalibrationError(
@@ -113,7 +115,7 @@ class Intervals:
         filled = _filled(times, values, length_s, cadence)
         if len(filled[0]) < fewest:
             raise CalibrationError(
-                f"{len(filled[0])} intervals of {length_s:g} s with at least half their samples found, {fewest} needed",
+                f"{len(filled[0])} intervals of {length_s:g} s at least half full found, {fewest} needed",
                 remedy="take a longer span, or shorter intervals",
             )
         noise = np.array([noise_of(values[:, axis])[0] for axis in range(3)])
@@ -125,7 +127,8 @@ class Intervals:
     def where(self, chosen: Bools | npt.NDArray[np.int64]) -> Intervals:
         """Return some of the intervals; a boolean mask (interval,) or indices."""
         parts = ("tt2000", "field", "start", "end")
-        return replace(self, **{name: getattr(self, name)[chosen] for name in parts})
+        kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in parts}
+        return replace(self, **kept)
 
     def less(self, offset: Floats) -> Intervals:
         """Return the same readings less an offset (3,), nT."""
@@ -171,7 +174,7 @@ class Intervals:
         """Return the intervals of several records of one cadence, in the order given."""
         width = max(part.field.shape[1] for part in parts)
         one = parts[0]
-        arrays = {
+        arrays: dict[str, Any] = {
             spec.name: np.concatenate([_widened(getattr(part, spec.name), width) for part in parts])
             for spec in fields(one)
             if spec.name in ("tt2000", "field", "start", "end")

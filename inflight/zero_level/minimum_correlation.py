@@ -25,7 +25,7 @@ NAME = "minimum correlation"
 
 
 def balance(intervals: Intervals, offset: Floats) -> Floats:
-    """Return compression over rotation, ``<dB^2/B^2> / (<dn^2>/2)``, of all pairs: the method is blind at 1."""
+    """Return compression over rotation, ``<dB^2/B^2> / (<dn^2>/2)``, of all pairs: blind at 1."""
     change, turn, size, pair = changes(intervals, offset)
     squeezed = np.sum((change / size) ** 2, where=pair)
     return np.asarray(squeezed / max(0.5 * float(np.sum(turn**2, where=pair[..., None])), 1e-300))

@@ -1,11 +1,12 @@
-r"""Mirror modes (Plaschke and Narita 2016; in three dimensions Plaschke et al. 2017): compressions along the field.
+r"""Mirror modes (Plaschke and Narita 2016; in 3-D Plaschke et al. 2017): compressions lie along the field.
 
-In a mirror mode the direction D of most variance is that of the mean field: :math:`D \times (\bar B - O) = 0`.
-One interval tells the offset across D; intervals with different D tell all of it. The form of 2016,
-:math:`O_z = \bar B_z - |\bar B_{xy}| \tan` (elevation of D), is what is left when x and y are known.
-
-With b the direction of the corrected mean field the equations are :math:`\sum P_b D (b \cdot D) / |\bar B - O| = 0`:
-errors of D enter once, and do not pull the offset along the field as they would when P_D stood there.
+In a mirror mode the direction D of most variance is that of the mean field: the cross product of D and
+:math:`\bar B - O` is zero. One interval tells the offset across D; intervals with different D tell all of
+it. The form of 2016, O_z = mean B_z less the mean in the spin plane times the tangent of D's elevation, is
+what is left when x and y are known. With b the direction of the corrected mean field the equations are
+:math:`\sum P_b D (b \cdot D) / |\bar B - O| = 0`: errors of D enter once, and do not pull the offset along
+the field as they would when P_D stood there. Errors of b do, by at most ``sum(angle^2 b / |B|)`` over the
+slopes: the field may turn within an interval. That enters the covariance; longer intervals lessen it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ def most_variance(intervals: Intervals) -> Floats:
     return np.asarray(vectors[:, :, 2])
 
 
-def mirror_mode(intervals: Intervals, used: Bools | None = None, question: Question | None = None) -> Estimate:
+def mirror_mode(
+    intervals: Intervals, used: Bools | None = None, question: Question | None = None
+) -> Estimate:
     """Estimate the offset from the direction of most variance.
 
     Parameters

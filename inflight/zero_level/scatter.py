@@ -102,7 +102,9 @@ def scatter_with_hours(
                 values.append(np.stack([one.solution, one.sigma]))
         rows.append(_row(np.array(values).reshape(-1, 2, 3), draws))
     if all(row[2] < 0.5 for row in rows):
-        raise CalibrationError("no number of hours tells an offset in half of its draws", remedy="take a longer record")
+        raise CalibrationError(
+            "no number of hours tells an offset in half of its draws", remedy="take a longer record"
+        )
     return Scatter(
         name, np.asarray(hours, dtype=np.float64), np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]), np.array([row[2] for row in rows]),

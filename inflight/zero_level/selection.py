@@ -34,7 +34,7 @@ class Kinds:
     compression : ndarray
         Variance of the size over that of the vector, 0 to 1.
     rotation : ndarray
-        Root mean square of the turning, radians.
+        Root mean square of the turning over that of the field: radians while it is small.
     alfvenic, compressional : ndarray of bool
     start, end : ndarray of int64
         TT2000.
@@ -87,7 +87,7 @@ def kinds(intervals: Intervals, offset: Floats) -> Kinds:
     mean = np.linalg.norm(intervals.mean - offset, axis=1)
     squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
     part = np.minimum(squeezed / total, 1.0)
-    rotation = np.sqrt(np.maximum(total - squeezed, 0.0)) / np.maximum(mean, 1e-12)
+    rotation = np.sqrt(np.maximum(total - squeezed, 0.0) / (mean**2 + total))
     lively = intervals.lively
     elongated = own[:, 2] > _ELONGATED * own[:, 1]
     return Kinds(

@@ -1,4 +1,4 @@
-"""Corrections of sets of successive averages, their scatter and their trend (IMP-8: 72 sets of 1440, table 3)."""
+"""Corrections of sets of successive averages, their scatter and trend (IMP-8: 72 sets of 1440, table 3)."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.calibration.robust import robust_sigma
 from inflight.errors import CalibrationError
 from inflight.estimators.longrun import long_run_covariance
+from inflight.estimators.robust_fit import robust_fit
 from inflight.time import DAY, SECOND, Int64
 from inflight.zero_level.davis_smith import least_variance
 from inflight.zero_level.estimate import BOUND, Estimate, Question, informed
@@ -29,13 +31,14 @@ class Sets:
 
     Attributes
     ----------
-    value : ndarray, shape (set, 3)
-        nT; NaN for a set that tells not every axis within the bound.
+    value, sigma : ndarray, shape (set, 3)
+        nT; the error from the parts of the set. NaN for a set without a zero within the bound.
     start, end : ndarray of int64, shape (set,)
         TT2000.
     """
 
     value: Floats
+    sigma: Floats
     start: Int64
     end: Int64
 
@@ -45,7 +48,7 @@ class Sets:
         return np.asarray(np.isfinite(self.value).all(axis=1))
 
     def mean(self) -> Estimate:
-        """Return the mean of the sets, its covariance from their scatter.
+        """Return the mean of the sets, its covariance from their scatter; outlying sets lose their say.
 
         Raises
         ------
@@ -53,19 +56,33 @@ class Sets:
             Fewer than three sets tell an offset.
         """
         used = self._enough()
-        value = self.value[used].mean(axis=0)
+        value, sigma = self.value[used], self.sigma[used]
+        fits = [robust_fit(np.ones((len(value), 1)), value[:, i], sigma[:, i] ** 2, 1.0) for i in range(3)]
+        mean = np.array([fit.value[0] for fit in fits])
+        weight = np.stack([fit.say for fit in fits], axis=1) / (sigma**2 + [fit.scatter**2 for fit in fits])
         influence = np.zeros_like(self.value)
-        influence[used] = (self.value[used] - value) / used.sum()
-        small = used.sum() / (used.sum() - 1)
-        covariance = small * long_run_covariance(influence[used])
-        reasons = (f"{int((~used).sum())} of {used.size} sets tell no offset",) if not used.all() else ()
+        influence[used] = weight * (value - mean) / weight.sum(axis=0)
+        spread = np.sqrt([fit.covariance[0, 0] for fit in fits])
+        shared = long_run_covariance(influence[used])
+        size = np.sqrt(np.maximum(np.diag(shared), 1e-300))
+        covariance = shared * np.outer(spread / size, spread / size)
+        lost = int((~used).sum() + sum(fit.outlying for fit in fits))
+        told = f"{lost} of {used.size} sets have no zero nearby, or one far from those of the others"
         return Estimate(
-            f"{NAME}, sets", value, covariance, np.full(3, True), influence, used, self.start, self.end,
-            np.zeros((3, 3)), reasons,
-        )  # fmt: skip
+            f"{NAME}, sets",
+            mean,
+            covariance,
+            np.full(3, True),
+            influence,
+            used,
+            self.start,
+            self.end,
+            np.zeros((3, 3)),
+            (told,) if lost else (),
+        )
 
     def trend(self) -> SetTrend:
-        """Return the line c = a t + b of each axis, t in days from the middle of the sets.
+        """Return the line c = a t + b of each axis, t in days from the middle; outlying sets lose their say.
 
         Raises
         ------
@@ -74,16 +91,15 @@ class Sets:
         """
         used = self._enough()
         middle = (self.start // 2 + self.end // 2)[used]
-        centre = int(round(float(np.mean(middle - middle[0])))) + int(middle[0])
+        centre = round(float(np.mean(middle - middle[0]))) + int(middle[0])
         days = (middle - centre) / DAY
         columns = np.column_stack([days, np.ones_like(days)])
-        values = self.value[used]
-        inverse = np.linalg.inv(columns.T @ columns)
-        fit = inverse @ columns.T @ values
-        left = values - columns @ fit
-        scatter = np.sqrt(np.sum(left**2, axis=0) / (len(values) - 2))
-        error = np.sqrt(np.diag(inverse))[:, None] * scatter
-        return SetTrend(fit[0], error[0], fit[1], error[1], scatter, centre, int(used.sum()))
+        value, variance = self.value[used], self.sigma[used] ** 2
+        fits = [robust_fit(columns, value[:, i], variance[:, i], 2.0) for i in range(3)]
+        line = np.array([fit.value for fit in fits]).T
+        error = np.sqrt([np.diag(fit.covariance) for fit in fits]).T
+        scatter = np.array([robust_sigma(fit.left) for fit in fits])
+        return SetTrend(line[0], error[0], line[1], error[1], scatter, centre, int(used.sum()))
 
     def _enough(self) -> Bools:
         used = self.told
@@ -95,12 +111,11 @@ class Sets:
         return used
 
     def table(self) -> xr.Dataset:
-        """Return the values along set and parameter; sigma is the scatter of the sets."""
-        scatter = np.full(3, np.nan) if self.told.sum() < 2 else np.std(self.value[self.told], axis=0, ddof=1)
+        """Return the values along set and parameter."""
         return xr.Dataset(
             {
                 "value": (("set", "parameter"), self.value, {"units": "nT"}),
-                "sigma": (("set", "parameter"), np.broadcast_to(scatter, self.value.shape).copy()),
+                "sigma": (("set", "parameter"), self.sigma),
                 "units": ("parameter", np.array(["nT"] * 3)),
                 "start": ("set", self.start, {"scale": "TT2000"}),
                 "end": ("set", self.end, {"scale": "TT2000"}),
@@ -111,7 +126,7 @@ class Sets:
 
 @dataclass(frozen=True)
 class SetTrend:
-    """c = a t + b; all (3,), and errors that take the sets as independent.
+    """c = a t + b; all (3,), and errors from the scatter of the sets.
 
     Attributes
     ----------
@@ -120,7 +135,7 @@ class SetTrend:
     level, sigma_level : ndarray
         b, nT, at the middle.
     scatter : ndarray
-        Standard deviation of a set about the line, nT.
+        Robust standard deviation of a set about the line, nT.
     middle : int
         TT2000.
     sets : int
@@ -181,26 +196,28 @@ def correlation_sets(
     parts = max(size // _PARTS, 16)
     intervals = Intervals.of(tt2000, averages, parts * cadence, good, fewest=_PARTS // 2)
     number = (intervals.start - intervals.start[0]) // round(parts * cadence * SECOND) // _PARTS
-    which, first = np.unique(number, return_index=True)
-    rows = [np.flatnonzero(number == one) for one in which]
+    rows = [np.flatnonzero(number == one) for one in np.unique(number)]
     rows = [row for row in rows if row.size >= _PARTS // 2]
-    value = np.array([_zero(intervals.where(row), Question(free, bound=bound)) for row in rows]).reshape(-1, 3)
+    question = Question(free, bound=bound)
+    found = np.array([_zero(intervals.where(row), question) for row in rows]).reshape(-1, 2, 3)
     start = np.array([intervals.start[row[0]] for row in rows], dtype=np.int64)
     end = np.array([intervals.end[row[-1]] for row in rows], dtype=np.int64)
-    return Sets(value, start, end)
+    return Sets(found[:, 0], found[:, 1], start, end)
 
 
 def _zero(part: Intervals, question: Question) -> Floats:
-    """Return the offset of one set; NaN when there is no zero within the bound."""
+    """Return the offset of one set and its error; NaN when there is no zero within the bound; (2, 3)."""
     offset, free = least_variance(part, question), np.asarray(question.free)
     for _ in range(_ROUNDS):
         scores, slopes = joint_equations(part, offset)
-        # A set that tells little shows in the scatter of the sets.
+        # A set that tells little has a large error, and shows in the scatter of the sets.
         inverse, _ = informed(slopes, free, 0.0)
         step = inverse @ scores.sum(axis=0)
+        step = step * min(1.0, 0.2 * question.bound / max(float(np.abs(step).max()), 1e-300))
         offset = offset + step
         if np.abs(offset).max() >= question.bound:
-            return np.full(3, np.nan)
+            break
         if np.abs(step).max() < _SETTLED:
-            return offset
-    return np.full(3, np.nan)
+            influence = scores @ inverse.T
+            return np.stack([offset, np.sqrt(np.sum(influence**2, axis=0)) + 1e-9])
+    return np.full((2, 3), np.nan)

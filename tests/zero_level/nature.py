@@ -10,7 +10,9 @@ def power_law(count, generator, columns=1, slope=5.0 / 3.0, longest=450):
     size = 2 * count
     frequency = np.fft.rfftfreq(size)
     amplitude = np.maximum(frequency, 1.0 / longest) ** (-slope / 2)
-    phases = generator.normal(size=(frequency.size, columns)) + 1j * generator.normal(size=(frequency.size, columns))
+    phases = generator.normal(size=(frequency.size, columns)) + 1j * generator.normal(
+        size=(frequency.size, columns)
+    )
     series = np.fft.irfft(amplitude[:, None] * phases, size, axis=0)[:count]
     return series / np.sqrt(np.mean(amplitude**2) * 2 * (frequency.size / size**2) * 2)
 
@@ -34,7 +36,9 @@ def solar_wind(generator, hours=24.0, cadence=16.0, size=6.0, spread=0.5, compre
     return stamps(count, cadence), field + noise * generator.normal(size=field.shape)
 
 
-def magnetosheath(generator, hours=20.0, cadence=4.0, size=20.0, squeezed=0.25, turning=0.06, noise=0.02, drape=0.5):
+def magnetosheath(
+    generator, hours=20.0, cadence=4.0, size=20.0, squeezed=0.25, turning=0.06, noise=0.02, drape=0.5
+):
     """Return times and field of mirror modes: the size varies along a direction that wanders for hours."""
     count = round(hours * 3600 / cadence)
     mean = unit(generator.normal(size=3))
