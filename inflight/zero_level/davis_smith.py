@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.zero_level.estimate import Estimate, Question, informed, solve
+from inflight.zero_level.estimate import Estimate, Question, informed, likeliest, solve
 from inflight.zero_level.intervals import Bools, Intervals
 
 NAME = "davis-smith"
@@ -77,9 +77,16 @@ def davis_smith(
             slope = slope - squeezed[:, None, None] * np.eye(3)
         return weight * left, weight[..., None] * slope
 
-    first = least_variance(intervals.where(mask), question) if corrected else None
-    found = solve(NAME, equations, intervals, mask, question, first=first, signed=corrected)
-    return found if corrected else found.pulled(compression_pull(intervals, found, question), "compressions")
+    if not corrected:
+        found = solve(NAME, equations, intervals, mask, question, turning=True)
+        return found.pulled(compression_pull(intervals, found, question), "compressions")
+    part = intervals.where(mask)
+    each = [
+        solve(NAME, equations, intervals, mask, question, first=first, signed=True)
+        for first in question.begins(least_variance(part, question))
+    ]
+    # The offset under which the size of the field varies least.
+    return likeliest(each, lambda one: -float(np.sum(compression(part, one.solution) * part.count)))
 
 
 def least_variance(intervals: Intervals, question: Question) -> Floats:

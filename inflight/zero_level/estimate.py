@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -137,13 +137,19 @@ class Question:
     bound : float
         The offset lies within this many nT of the start.
     near : tuple of float, optional
-        Where methods begin to look, nT; their own choice when absent.
+        Where methods begin to look, nT; when absent the start and what simpler rules say.
     """
 
     free: tuple[bool, bool, bool] = ALL
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bound: float = BOUND
     near: tuple[float, float, float] | None = None
+
+    def begins(self, other: Floats) -> list[Floats]:
+        """Return where to begin to look: `near`, else the start and another offset."""
+        if self.near is not None:
+            return [np.asarray(self.near, dtype=np.float64)]
+        return [np.asarray(self.start, dtype=np.float64), other]
 
     def determined(self, covariance: Floats) -> Bools:
         """Return which axes are known better than the bound says: uniform within it; (3,)."""
@@ -201,6 +207,7 @@ def solve(
     *,
     first: Floats | None = None,
     signed: bool = False,
+    turning: bool = False,
 ) -> Estimate:
     """Solve a method's equations and give the solution its uncertainty.
 
@@ -216,6 +223,8 @@ def solve(
         Where to begin to look; the question's start when absent.
     signed : bool
         The slopes of intervals may have either sign and cancel: a direction must stand out of their scatter.
+    turning : bool
+        Readings in turning axes will do; else an offset within the readings' own cloud is none.
 
     Raises
     ------
@@ -224,7 +233,7 @@ def solve(
     """
     free, start = np.asarray(question.free), np.asarray(question.start, dtype=np.float64)
     within = (start - question.bound, start + question.bound)
-    begin = question.near or (start if first is None else first)
+    begin = start if first is None else first
     offset, settled = np.clip(np.where(free, begin, start), *within), False
     for _ in range(_ROUNDS):
         scores, slopes = equations(offset)
@@ -245,7 +254,15 @@ def solve(
         where = ", ".join(np.array(AXES)[at_edge]) or "all axes"
         notes.append(f"no zero within {question.bound:g} nT of the start ({where})")
         told = np.zeros((3, 3))
+    if not turning and intervals.where(used).around(offset):
+        notes.append("the zero found lies within the readings themselves")
+        told = np.zeros((3, 3))
     return _estimate(method, offset, (scores, slopes, inverse, told), intervals, used, question, tuple(notes))
+
+
+def likeliest(found: Sequence[Estimate], merit: Callable[[Estimate], float]) -> Estimate:
+    """Return the estimate that tells most axes, among equals that of the largest merit."""
+    return max(found, key=lambda one: (int(one.determined.sum()), merit(one)))
 
 
 def answering(inverse: Floats, answer: Floats) -> Floats:

@@ -20,7 +20,7 @@ from inflight.zero_level.intervals import FEWEST_SAMPLES, Bools
 #: Angles from the axis, degrees.
 NEAREST, FARTHEST = 30.0, 150.0
 #: Points of V(c), and a round that moves less than this ends it, nT.
-_POINTS, _SETTLED = 81, 1e-3
+_POINTS, _SETTLED = 41, 1e-3
 
 
 @dataclass(frozen=True)

@@ -162,6 +162,14 @@ class Intervals:
         noise = 3.0 * self.white**2 or np.sum(self.noise**2)
         return np.asarray(total > _ABOVE_NOISE * noise)
 
+    def around(self, offset: Floats) -> bool:
+        """Whether an offset lies within the readings themselves: there a direction has no meaning.
+
+        The field left is then, in half of the intervals, smaller than what fluctuates.
+        """
+        left = np.sum((self.mean - offset) ** 2, axis=1)
+        return bool(np.median(left / np.trace(self.covariance, axis1=1, axis2=2)) < 1.0)
+
     @property
     def neighbours(self) -> Bools:
         """Whether sample s + 1 follows sample s without a gap; (interval, sample - 1)."""
@@ -205,12 +213,12 @@ def _checked(tt2000: Int64, field: Floats) -> tuple[Int64, Floats]:
 def _cleaned(values: Floats, use: Bools) -> tuple[Bools, tuple[str, ...]]:
     """Return usable samples without spikes and saturation, and what was left out."""
     missing, kept = int((~use).sum()), use.copy()
-    stuck = np.zeros_like(use)
-    stuck[use] = _saturated(values[use])
-    kept &= ~stuck
     spikes = np.zeros_like(use)
     spikes[kept] = _spikes(values[kept])
     kept &= ~spikes
+    stuck = np.zeros_like(use)
+    stuck[kept] = _saturated(values[kept])
+    kept &= ~stuck
     told = ((missing, "missing or flagged"), (int(stuck.sum()), "saturated"), (int(spikes.sum()), "spikes"))
     return kept, tuple(f"{number} readings left out: {why}" for number, why in told if number)
 

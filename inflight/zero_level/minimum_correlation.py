@@ -18,7 +18,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.zero_level.davis_smith import least_variance
-from inflight.zero_level.estimate import Estimate, Question, solve
+from inflight.zero_level.estimate import Estimate, Question, likeliest, solve
 from inflight.zero_level.intervals import Bools, Intervals
 
 NAME = "minimum correlation"
@@ -73,10 +73,17 @@ def minimum_correlation(
     def equations(offset: Floats) -> tuple[Floats, Floats]:
         return joint_equations(intervals, offset)
 
-    # Correlations vanish far out, too: the zero is looked for from the least variance of the square.
-    first = least_variance(intervals.where(mask), question)
-    found = solve(NAME, equations, intervals, mask, question, first=first, signed=True)
-    ratio = float(balance(intervals.where(mask), found.solution))
+    part = intervals.where(mask)
+    # Correlations vanish far out and within the readings, too: of several zeros that is taken at which
+    # compression and rotation differ most.
+    found = likeliest(
+        [
+            solve(NAME, equations, intervals, mask, question, first=first, signed=True)
+            for first in question.begins(least_variance(part, question))
+        ],
+        lambda one: abs(float(np.log(balance(part, one.solution)))),
+    )
+    ratio = float(balance(part, found.solution))
     told = f"compression over rotation is {ratio:.2f}"
     if not found.determined[np.asarray(question.free)].all():
         told += "; the method is blind where it is 1"

@@ -72,9 +72,9 @@ def mirror_mode(
         radial = along[:, :, None] * along[:, None, :]
         # Across the miss the influence keeps its weight, along it the weight gives way.
         given = (biweight_slope(pull) - biweight(pull))[:, None, None] * radial
-        return (lean / size**2)[:, None, None] * (biweight(pull)[:, None, None] * across + given)
+        return np.asarray((lean / size**2)[:, None, None] * (biweight(pull)[:, None, None] * across + given))
 
-    found = solve(NAME, equations, intervals, mask, question, answer)
+    found = solve(NAME, equations, intervals, mask, question, answer, first=question.begins(np.zeros(3))[0])
     miss, pull, size, _, _ = leaning(found.solution)
     square = np.sum(miss**2, axis=1) * biweight(pull) / size**2
     inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)

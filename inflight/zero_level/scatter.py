@@ -13,8 +13,8 @@ from inflight.zero_level.combined import Method
 from inflight.zero_level.estimate import Question
 from inflight.zero_level.intervals import AXES, Bools, Intervals
 
-#: Published for the mirror mode: "a few tenths" of 20 h (Plaschke and Narita 2016), as (hours, nT), with the
-#: figure quoted for 40 h.
+#: Published, (hours, nT): 0.3 nT of 20 h, "a few tenths" of the mirror mode (Plaschke and Narita 2016), and
+#: 0.2 nT of 40 h.
 PUBLISHED = ((20.0, 0.3), (40.0, 0.2))
 #: Intervals drawn together, seconds: neighbours are alike.
 _BLOCK_S = 3600.0

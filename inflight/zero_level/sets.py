@@ -16,13 +16,13 @@ from inflight.time import DAY, SECOND, Int64
 from inflight.zero_level.davis_smith import least_variance
 from inflight.zero_level.estimate import BOUND, Estimate, Question, informed
 from inflight.zero_level.intervals import AXES, Bools, Intervals
-from inflight.zero_level.minimum_correlation import NAME, joint_equations
+from inflight.zero_level.minimum_correlation import NAME, balance, joint_equations
 
 #: Averages of a set, and parts of a set whose scatter says what the set tells.
 SET, _PARTS = 1440, 12
 #: Fewest sets of a trend, and of a scatter.
 _FEWEST = 3
-_ROUNDS, _SETTLED = 60, 1e-4
+_ROUNDS, _SETTLED, _STRIDE = 60, 1e-4, 0.2
 
 
 @dataclass(frozen=True)
@@ -207,13 +207,22 @@ def correlation_sets(
 
 def _zero(part: Intervals, question: Question) -> Floats:
     """Return the offset of one set and its error; NaN when there is no zero within the bound; (2, 3)."""
-    offset, free = least_variance(part, question), np.asarray(question.free)
+    found = [_from(part, question, first) for first in question.begins(least_variance(part, question))]
+    told = [one for one in found if np.isfinite(one).all() and not part.around(one[0])]
+    if not told:
+        return np.full((2, 3), np.nan)
+    return max(told, key=lambda one: abs(float(np.log(balance(part, one[0])))))
+
+
+def _from(part: Intervals, question: Question, offset: Floats) -> Floats:
+    """Return the zero found from an offset, and its error; NaN when there is none; (2, 3)."""
+    free = np.asarray(question.free)
     for _ in range(_ROUNDS):
         scores, slopes = joint_equations(part, offset)
         # A set that tells little has a large error, and shows in the scatter of the sets.
         inverse, _ = informed(slopes, free, 0.0)
         step = inverse @ scores.sum(axis=0)
-        step = step * min(1.0, 0.2 * question.bound / max(float(np.abs(step).max()), 1e-300))
+        step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
         offset = offset + step
         if np.abs(offset).max() >= question.bound:
             break

@@ -63,9 +63,9 @@ def wang_pan(intervals: Intervals, used: Bools | None = None, question: Question
         left, weight = parts(offset)
         left = np.einsum("kij,kj->ki", across, left)
         follow = (2.0 * weight**2 / intervals.count)[:, None, None] * left[:, :, None] * left[:, None, :]
-        return weight[:, None, None] * slope - follow
+        return np.asarray(weight[:, None, None] * slope - follow)
 
-    found = solve(NAME, equations, intervals, mask, question, answer)
+    found = solve(NAME, equations, intervals, mask, question, answer, first=question.begins(np.zeros(3))[0])
     left, weight = parts(found.solution)
     along = weight[:, None] * np.einsum("kij,kj->ki", np.eye(3) - across, left)
     inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
