@@ -105,7 +105,7 @@ def axis_in_turn(
     CalibrationError
         Too few pairs.
     """
-    there = np.isfinite(field).all(axis=1)
+    there = np.asarray(np.isfinite(field).all(axis=1))
     pairs_there = there[1:] & there[:-1]
     joined = np.asarray(pairs_there if joined is None else pairs_there & joined)
     offset, history = np.zeros(3), []

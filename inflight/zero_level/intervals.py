@@ -137,7 +137,7 @@ class Intervals:
     @property
     def count(self) -> Floats:
         """Samples of each interval; (interval,)."""
-        return np.isfinite(self.field[..., 0]).sum(axis=1).astype(np.float64)
+        return np.asarray(np.isfinite(self.field[..., 0]).sum(axis=1), dtype=np.float64)
 
     @property
     def mean(self) -> Floats:
