@@ -77,7 +77,7 @@ def errors(averaging, sampling, **options):
 
 
 def test_six_seconds_recover_the_fixed_part_and_five_do_not():
-    """Table 2 is lost; this stands for it: 6 s to 0.1 nT, 5 s of samples 1.5 s apart off by several tenths."""
+    """Table 2 is lost; this stands for it: 6 s to 0.1 nT, 5 s at 1.5 s off by several tenths."""
     for six, five in zip(errors(6.0, 1.5), errors(5.0, 1.5), strict=True):
         assert np.sqrt(np.mean(six**2)) < 0.1
         assert np.abs(six.mean(axis=0)).max() < 0.1
