@@ -1,0 +1,234 @@
+"""Tables of a turning sensor: each day's parameters, windows of days, the offset along the spin axis."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.errors import InflightError
+from inflight.model import Model, ModelEffect
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from inflight.spin.twelve import GROUND, Known, TwelveTable, join_twelve
+from inflight.tasks.spin_day import ground_of, require_spinning
+from inflight.time import Int64, day_bounds
+from inflight.zero_level.combined import combined
+from inflight.zero_level.estimate import Question
+from inflight.zero_level.intervals import Intervals
+
+#: Intervals a zero level is told from, s: long against the correlation of the wind's fluctuations.
+ZERO_INTERVAL_S = 900.0
+#: A value is determined when it is known this much better than before.
+_BETTER = 0.5
+#: Codes of the variable `source`, as `inflight.calibration.table.SOURCES` has them.
+_PRIOR, _DATA = 0, 2
+
+
+@dataclass(frozen=True)
+class _Row:
+    start: int
+    end: int
+    twelve: TwelveTable
+    covariance: Floats
+    days: int
+    used: float
+    excess: float
+
+
+def spin_table(
+    days: Sequence[xr.Dataset],
+    model: Model,
+    edges: Sequence[np.datetime64],
+    kind: str,
+    zero: xr.Dataset | None = None,
+) -> xr.Dataset:
+    """Return the table of windows of days; windows without a day are left out.
+
+    Days are weighted by what each tells beyond the prior. Where they scatter by more than their errors say,
+    as after a change of the spin axis, the errors grow with the scatter.
+
+    Parameters
+    ----------
+    days : sequence of Dataset
+        As `inflight.tasks.spin_day.spin_day` makes them, in order of time.
+    edges : sequence of datetime64[D]
+        Of the windows.
+    kind : str
+        Name of the table.
+    zero : Dataset, optional
+        Offsets along the spin axis: see `zero_level_table`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Twelve parameters an interval, with the variables of `inflight.calibration.table`.
+    """
+    entry = require_spinning(model)
+    bounds = [day_bounds(edge)[0] for edge in edges]
+    rows = []
+    for start, end in itertools.pairwise(bounds):
+        inside = [day for day in days if start <= int(day["start"].values[0]) < end]
+        if inside:
+            rows.append(_row(inside, entry, start, end, zero))
+    return _table(rows, entry, {"comparison": model.comparison, "kind": kind, "model": model.sha})
+
+
+def _row(
+    days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
+) -> _Row:
+    ground, sigma = ground_of(entry, (start + end) // 2)
+    prior = np.array([sigma[name] for name in SPIN_RELATED])
+    value, covariance, excess = _combined(days, ground.spin_related(), prior)
+    known = np.sqrt(np.diag(covariance))
+    told = np.where(known < _BETTER * prior, known, np.inf)
+    parameters = ground.changed(dict(zip(SPIN_RELATED, value.tolist(), strict=True)))
+    others = _axial(zero, start, end)
+    twelve = join_twelve((value, told, parameters), ground, sigma, others)
+    used = float(sum(np.isfinite(day["estimate"].values[..., 0]).sum() for day in days))
+    return _Row(start, end, twelve, _whole(twelve, covariance, told), len(days), used, excess)
+
+
+def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
+    """Return values of the eight, their covariance, and the days' scatter over its expectation."""
+    before = np.diag(prior**-2.0)
+    information, right = before.copy(), before @ start
+    parts = []
+    for day in days:
+        own = np.linalg.inv(day["covariance"].values[0])
+        weight, vectors = np.linalg.eigh(own - before)
+        told = (vectors * np.maximum(weight, 0.0)) @ vectors.T
+        # The day's own value holds the prior, too: what it adds is what is beyond.
+        alone = own @ day["value"].values[0] - before @ start
+        information, right = information + told, right + alone
+        parts.append((told, day["value"].values[0]))
+    covariance = np.linalg.inv(information)
+    value = covariance @ right
+    square = sum(float((one - value) @ told @ (one - value)) for told, one in parts)
+    free = start.size * (len(days) - 1)
+    excess = max(1.0, square / free) if free else 1.0
+    return value, np.asarray(covariance * excess), excess
+
+
+def _axial(zero: xr.Dataset | None, start: int, end: int) -> dict[str, Known]:
+    """Return the offset along the spin axis of the interval that holds the middle of a window."""
+    if zero is None:
+        return {}
+    middle = (start + end) // 2
+    inside = np.flatnonzero((zero["start"].values <= middle) & (middle < zero["end"].values))
+    if not inside.size or not np.isfinite(zero["sigma"].values[inside[-1]]):
+        return {}
+    at = inside[-1]
+    source = str(zero["method"].values[at])
+    return {"offset[3]": Known(float(zero["value"].values[at]), float(zero["sigma"].values[at]), source)}
+
+
+def _whole(twelve: TwelveTable, covariance: Floats, told: Floats) -> Floats:
+    """Return the covariance of the twelve: that of the eight, the variances of the rest beside it."""
+    out = np.diag(np.where(np.isfinite(twelve.sigma), twelve.sigma, 0.0) ** 2)
+    places = [NAMES.index(name) for name in SPIN_RELATED]
+    known = np.isfinite(told)
+    for row, column in itertools.product(np.flatnonzero(known), repeat=2):
+        if row != column:
+            out[places[row], places[column]] = covariance[row, column]
+    return out
+
+
+def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, str]) -> xr.Dataset:
+    ground, sigma = ground_of(entry, rows[0].start)
+    names = [f"{entry.name}.{name}" for name in NAMES]
+    each, one = ("interval", "parameter"), ("interval",)
+    from_ground = [[source == GROUND for source in row.twelve.source] for row in rows]
+    return xr.Dataset(
+        {
+            "value": (each, np.array([row.twelve.value for row in rows])),
+            "sigma": (each, np.array([row.twelve.sigma for row in rows])),
+            "covariance": ((*each, "other"), np.array([row.covariance for row in rows])),
+            "determined": (each, np.array([row.twelve.determined for row in rows])),
+            "source": (each, np.where(from_ground, _PRIOR, _DATA).astype(np.int8)),
+            "origin": (each, np.array([row.twelve.source for row in rows], dtype="U24")),
+            "prior": ("parameter", ground.values()),
+            "prior_sigma": ("parameter", np.array([sigma[name] for name in NAMES])),
+            "units": ("parameter", np.array([UNITS[name] for name in NAMES], dtype="U8")),
+            "start": (one, np.array([row.start for row in rows], dtype=np.int64), {"scale": "TT2000"}),
+            "end": (one, np.array([row.end for row in rows], dtype=np.int64), {"scale": "TT2000"}),
+            "blocks": (one, np.array([row.days for row in rows], dtype=np.int64)),
+            "count": (one, np.array([row.used for row in rows])),
+            "inflation": (one, np.array([row.excess for row in rows])),
+        },
+        coords={"parameter": names, "other": names},
+        attrs=dict(attributes),
+    )
+
+
+def zero_level_table(
+    days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64], bound: float
+) -> xr.Dataset:
+    """Return the offset along the spin axis in windows of days, from nature's own statistics.
+
+    Parameters
+    ----------
+    days : sequence of Dataset
+        With `mean` and `mean_time`.
+    edges : sequence of datetime64[D]
+        Of the windows.
+    bound : float
+        The offset lies within this many nT of the ground's.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims interval: `value`, `sigma` (infinite where nothing tells it) nT, sensor axis 3, in units of the
+        reading; `method`, `reason`; `start`, `end` TT2000.
+    """
+    entry = require_spinning(model)
+    bounds = [day_bounds(edge)[0] for edge in edges]
+    rows = []
+    for start, end in itertools.pairwise(bounds):
+        inside = [day for day in days if start <= int(day["start"].values[0]) < end]
+        if inside:
+            ground, _ = ground_of(entry, (start + end) // 2)
+            rows.append((start, end, *_zero(inside, ground, bound)))
+    one = ("interval",)
+    return xr.Dataset(
+        {
+            "value": (one, np.array([row[2] for row in rows]), {"units": "nT"}),
+            "sigma": (one, np.array([row[3] for row in rows]), {"units": "nT"}),
+            "method": (one, np.array([row[4] for row in rows], dtype="U64")),
+            "reason": (one, np.array([row[5] for row in rows], dtype="U400")),
+            "start": (one, np.array([row[0] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
+            "end": (one, np.array([row[1] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
+        },
+        attrs={"comparison": model.comparison, "kind": "zero-level", "model": model.sha},
+    )
+
+
+def _zero(
+    days: Sequence[xr.Dataset], ground: TwelveParameters, bound: float
+) -> tuple[float, float, str, str]:
+    """Return value, sigma, method and reason of a window's offset along the spin axis."""
+    times = np.concatenate([day["mean_time"].values[0] for day in days])
+    means = np.concatenate([day["mean"].values[0] for day in days])
+    known = (times > 0) & np.isfinite(means).all(axis=1)
+    times, means = _sorted(times[known], means[known])
+    nothing = ground.offset[2], float("inf"), GROUND
+    question = Question(free=(False, False, True), bound=bound)
+    try:
+        found = combined(Intervals.of(times, means, ZERO_INTERVAL_S), question)
+    except InflightError as error:
+        return (*nothing, error.message)
+    estimate = found.estimate
+    if not estimate.determined[2]:
+        return (*nothing, "; ".join(estimate.reasons))
+    # A field of no size along the axis reads as the matrix's last row makes of the offset.
+    turn = ground.matrix()[2, 2]
+    value = ground.offset[2] + float(estimate.value[2]) / turn
+    return value, float(estimate.sigma[2]) / turn, estimate.method, found.told()
+
+
+def _sorted(times: Int64, means: Floats) -> tuple[Int64, Floats]:
+    order = np.argsort(times, kind="stable")
+    return times[order], means[order]
