@@ -63,12 +63,16 @@ def beside_makers(
             equations, strips, found, model, _lag(mission, model)
         ).table(),
         "temperature-rivals": lambda: _rivals(mission, model, equations, strips, found),
-        "day-night": lambda: switched().field.table(),
-        "day-night-series": lambda: fit_daylight(equations, strips, found, model, SERIES).field.table(),
+        "day-night": lambda: _field(switched()),
+        "day-night-series": lambda: _field(fit_daylight(equations, strips, found, model, SERIES)),
         "day-night-daily": lambda: switched().daily(),
         "cross-talk": lambda: of_the_nine(_with_daylight(equations, strips), units, model).table(),
         "cross-talk-all": lambda: of_everything(equations, units, model),
     }
+
+
+def _field(one: Daylight) -> xr.Dataset:
+    return one.field.table()
 
 
 def _lag(mission: Mission, model: Model) -> float:

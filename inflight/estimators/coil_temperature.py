@@ -79,6 +79,13 @@ class CoilFit:
     reference: float
     fit: ClusteredFit
 
+    @classmethod
+    def of_table(cls, table: xr.Dataset) -> CoilFit:
+        """Return the fit that a table was made of; what only the fit knew of its rows is NaN."""
+        held = {name: table[name].values for name in ("value", "covariance", "retained", "determined")}
+        fit = ClusteredFit(variance=float("nan"), clusters=0, rows=float("nan"), **held)
+        return cls(str(table.attrs["channel"]), float(table.attrs["reference_degC"]), fit)
+
     @property
     def linear(self) -> Floats:
         """1/K; (3,)."""

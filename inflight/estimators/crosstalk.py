@@ -78,6 +78,22 @@ class CrossTalkTable:
     before: Floats
     after: Floats
 
+    @classmethod
+    def of_table(cls, table: xr.Dataset, names: Sequence[str] = ()) -> CrossTalkTable:
+        """Return the shifts that a table was made of, of some causes by name or of all."""
+        one = table.sel(ignored=list(names)) if names else table
+        rows = zip(*(one[name].values.tolist() for name in ("ignored", "size", "size_units")), strict=True)
+        return cls(
+            tuple(Ignored(*row) for row in rows),
+            tuple(map(str, one["parameter"].values)),
+            tuple(map(str, one["units"].values)),
+            one["value"].values,
+            one["scatter"].values,
+            int(one.attrs["blocks"]),
+            one["before"].values,
+            one["after"].values,
+        )
+
     @property
     def sigma(self) -> Floats:
         """Standard error of the mean shift over blocks; (ignored, parameter)."""
