@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from inflight.diagnosis.tradeoffs import CrossTalk
+from inflight.effects.base import AXES
 from inflight.errors import SettingsError
 from inflight.estimators.coil_temperature import CoilFit
 from inflight.estimators.crosstalk import CrossTalkTable
@@ -22,8 +24,8 @@ from inflight.tasks.chain_daily import spectra_of, stated_periods
 from inflight.tasks.chain_results import ChainResults
 from inflight.tasks.chain_sections import Part, with_error
 
-#: Causes that are drawn, pairs that are listed.
-_DRAWN, _PAIRS = 20, 12
+#: Pairs that are listed.
+_PAIRS = 12
 #: Factor and unit of an angle that is shown.
 _ANGLE = (3600.0, "arcsec")
 
@@ -172,10 +174,11 @@ def _of_nine(part: Part, table: xr.Dataset) -> None:
     }
     part.say(
         "What a cause of the stated size, that is in the readings and not in the model, does to the nine "
-        f"parameters when they alone are fitted. Drawn are the {_DRAWN} causes they hide best."
+        "parameters when they alone are fitted. Drawn are causes of three components at most."
     )
-    hidden = np.argsort(table["retained"].values, kind="stable")[:_DRAWN]
-    names = [str(table["ignored"].values[place]) for place in sorted(hidden)]
+    every = [str(name) for name in table["ignored"].values]
+    kinds = Counter(name.partition("[")[0] for name in every)
+    names = [name for name in every if kinds[name.partition("[")[0]] <= len(AXES)]
     part.plots.append(ignored_figure(CrossTalkTable.of_table(table, names)))
     whole = CrossTalkTable.of_table(table)
     head = (

@@ -80,12 +80,16 @@ def chain_report(
     found = chain_results(cat, mission, comparison)
     parts = tuple(make(found) if make is not cross_talk else cross_talk(found, asked) for make in SECTIONS)
     if output is not None:
-        page = chain_page(found, parts)
-        output.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = output.with_name(f".{output.name}.part")
-        unfinished.write_text(page, encoding="utf-8")
-        unfinished.replace(output)
+        write_page(output, chain_page(found, parts))
     return ChainReport(found, parts, output)
+
+
+def write_page(output: Path, page: str) -> None:
+    """Write a page whole, by one rename."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = output.with_name(f".{output.name}.part")
+    unfinished.write_text(page, encoding="utf-8")
+    unfinished.replace(output)
 
 
 def chain_page(found: ChainResults, parts: tuple[Part, ...]) -> str:

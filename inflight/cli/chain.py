@@ -45,9 +45,15 @@ def chain(
 ) -> None:
     """Tell what 'reprocess --table continuous' found: coefficients, trends, currents, what wanders."""
     from inflight.tasks.chain_report import chain_report
+    from inflight.tasks.dual_report import dual_report
+    from inflight.tasks.reprocess_dual import dual_comparisons
 
     workspace = session.open_workspace()
     page = page_path(html) if html else None
+    if comparison in dual_comparisons(workspace.mission()):
+        told = dual_report(session.open_catalog(), workspace.mission(), comparison, page)
+        session.emit(told, lambda console: _print_dual(console, told))
+        return
     fields = chain_report(session.open_catalog(), workspace.mission(), comparison, page, cross_talk).as_json()
     session.emit(fields, lambda console: _print(console, fields))
 
@@ -76,6 +82,26 @@ def _print(console: Console, fields: Mapping[str, Any]) -> None:
             console.print(f"  not told: {what}: {why}", soft_wrap=True, markup=False, style="dim")
     page = fields["path"] or "none; --html FILE writes it with every figure"
     console.print(f"  page: {page}", soft_wrap=True, markup=False)
+
+
+def _print_dual(console: Console, fields: Mapping[str, Any]) -> None:
+    """Print how two vector sensors stand to each other, and which of the three disagrees."""
+    sections = fields["sections"]
+    first, last = fields["span"]
+    console.print(
+        f"{fields['comparison']}: {fields['days']} days, {first} to {last}", style="bold", markup=False
+    )
+    lines = [
+        f"{one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}"
+        for one in sections["relation"].get("items", [])
+    ]
+    lines += [
+        f"variance of the {one['sensor']} sensor {one['variance']:.4g} ± {one['sigma']:.2g} nT^2"
+        for one in sections["corners"].get("items", [])
+    ]
+    lines += [fields["note"], f"page: {fields['path'] or 'none; --html FILE writes it with every figure'}"]
+    for line in lines:
+        console.print(f"  {line}", soft_wrap=True, markup=False)
 
 
 def _asked(told: Mapping[str, Any] | None) -> list[str]:

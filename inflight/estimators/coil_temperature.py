@@ -104,7 +104,7 @@ class CoilFit:
     def told(self) -> str:
         """Say it in a sentence."""
         parts = [
-            f"{axis} {1e6 * value:.2f} +- {1e6 * sigma:.2f}"
+            f"{axis} {1e6 * value:.3f} +- {1e6 * sigma:.3f}"
             for axis, value, sigma in zip(AXES, self.linear, self.fit.sigma, strict=False)
         ]
         lag = (

@@ -48,7 +48,8 @@ class Ignored:
     @property
     def label(self) -> str:
         """Name, size and unit in one."""
-        return f"{self.name or self.column} = {self.size:g} {self.unit}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name or self.column} = {self.size:g}{unit}"
 
 
 @dataclass(frozen=True)
