@@ -109,8 +109,8 @@ def _corners(tables: Mapping[str, xr.Dataset]) -> Part:
         "closure_nT": float(table.attrs["closure_nT"]),
     }
     part.say(
-        "Variance of each sensor's own error, when errors of different sensors are unrelated; what is the same "
-        f"at both vector sensors counts as the scalar one's. The three residuals close to "
+        "Variance of each sensor's own error, when errors of different sensors are unrelated; what is the "
+        f"same at both vector sensors counts as the scalar one's. The three residuals close to "
         f"{table.attrs['closure_nT']:.2g} nT."
     )
     rows = [(one["sensor"], with_error(one["variance"], one["sigma"])) for one in part.fields["items"]]

@@ -122,7 +122,7 @@ def reprocess_dual(
     todo = [day for day in days if day not in known]
     failed: dict[np.datetime64, dict[str, str]] = {}
     with cat.run("reprocess", settings.model_dump(), context=context) as run:
-        fresh = {}
+        fresh: dict[np.datetime64, Day] = {}
         batches = [todo[at : at + settings.batch_days] for at in range(0, len(todo), settings.batch_days)]
         arguments = [(cat, sources, _job(run, dataset, batch, keys, sources)) for batch in batches]
         for outcome in mapper("calibrate", dual_batch, arguments):
@@ -197,7 +197,7 @@ def dual_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.Dat
     fields = [np.asarray(one["field_spacecraft"].values, dtype=np.float64) for one in (first, second)]
     main, other = (np.asarray(one["residual"].values, dtype=np.float64) for one in (first, second))
     stamps = np.asarray(first["tt2000"].values, dtype=np.int64)
-    gram, rows = relation_grams(*fields, stamps)
+    gram, rows = relation_grams(fields[0], fields[1], stamps)
     along = np.linalg.norm(fields[0], axis=1) - np.linalg.norm(fields[1], axis=1)
     closure = float(np.sqrt(np.nanmean((main - other - along) ** 2)))
     moments = corner_moments(main, other, stamps)

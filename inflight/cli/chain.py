@@ -88,9 +88,8 @@ def _print_dual(console: Console, fields: Mapping[str, Any]) -> None:
     """Print how two vector sensors stand to each other, and which of the three disagrees."""
     sections = fields["sections"]
     first, last = fields["span"]
-    console.print(
-        f"{fields['comparison']}: {fields['days']} days, {first} to {last}", style="bold", markup=False
-    )
+    title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"
+    console.print(title, style="bold", markup=False)
     lines = [
         f"{one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}"
         for one in sections["relation"].get("items", [])

@@ -1,4 +1,4 @@
-"""Figures of two vector sensors against each other: how they stand, day by day, and which of three disagrees."""
+"""Figures of two vector sensors against each other: how they stand, and which of three disagrees."""
 
 from __future__ import annotations
 
