@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.coil_temperature import ROOT, load, real_data
+from benchmarks.coil_temperature import ROOT, real_data
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
+from inflight.comparison import rows_of
 from inflight.effects.rates import slope
 from inflight.errors import InflightError
 from inflight.estimators.clock_faults import clock_faults
@@ -28,8 +29,10 @@ from inflight.estimators.event_steps import event_steps
 from inflight.estimators.jumps import table_jumps
 from inflight.geometry import direction_of
 from inflight.tasks.ingest import ingest
+from inflight.tasks.models import preflight_model
 from inflight.tasks.planning import ReprocessSettings
 from inflight.tasks.reprocess import reprocess
+from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
 from inflight.time import SECOND, to_tt2000
 
 #: Parts of a block whose scatter gives its errors.
@@ -93,9 +96,28 @@ def blocks_of(days: list[CoilBlock], hours: int) -> tuple[Floats, Floats, Floats
     return table[:, 0], table[:, 1:3], table[:, 3:5]
 
 
+def load(record: Record) -> list[CoilBlock]:
+    """Return the days of a record, corrected as its mission's own model says."""
+    with tempfile.TemporaryDirectory() as scratch:
+        workspace = Workspace.create(Path(scratch) / "w", ROOT / "missions" / f"{record.name}.yaml")
+        cat, mission = Catalog(workspace.root), workspace.mission()
+        ingest(cat, mission, real_data() / record.folder)
+        model = preflight_model(cat, mission, record.comparison)
+        needs = needs_of(mission, model)
+        index = ArchiveIndex.of(cat, needs)
+        days = []
+        for day in index.with_all(needs):
+            samples = load_samples(cat, mission, model, day, needs, index)
+            rows = rows_of(model, samples)
+            residual = np.where(rows.good, rows.residual[:, 0], np.nan)
+            stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+            days.append(CoilBlock(stamps, rows.field, residual, {}))
+        return days
+
+
 def tell(record: Record) -> None:
     """Print what a record says of its clock and of steps."""
-    days = load(record.name, record.comparison, record.folder, (), 0.0)
+    days = load(record)
     at, value, sigma = blocks_of(days, record.hours)
     print(f"{record.name} {record.comparison}: {at.size} blocks of {record.hours} h")
     for index, (what, unit) in enumerate((("baseline", "nT"), ("clock", "s"))):
@@ -132,6 +154,9 @@ def _steps(record: Record, at: Floats, value: Floats, sigma: Floats) -> None:
             print(f"  steps of the {what}: {error.message}")
             continue
         for name, size, own, found in zip(record.events, steps.size, steps.sigma, steps.found, strict=True):
+            if not np.isfinite(size):
+                print(f"  {what} at '{name}': too near an end of the record")
+                continue
             told = "a step" if found else "no step"
             print(f"  {what} at '{name}': {size:+.4f} +- {own:.4f} {unit}, {told}")
 

@@ -1,5 +1,7 @@
 """What the days tell beside the model: lag, rivals, day and night, cross-talk; put in and found."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -15,17 +17,19 @@ from inflight.estimators.coil_temperature import CoilFit
 from inflight.estimators.crosstalk import CrossTalkTable
 from inflight.estimators.day_night import DayNightField
 from inflight.estimators.temperature_rivals import TemperatureChoice
+from inflight.tasks.chain_beside_sections import day_night
+from inflight.time import DAY
 from tests.chain.beside_cases import LINEAR, MadeUp, model_with, nights, warm_days, with_noise
 
 XZ = "vector_sensor.misalignment[xz]"
 FIELD = (0.4, 0.0, -0.65)
-#: Three cycles of local time, and a month.
-CYCLES, MONTH = range(2300, 3082, 6), range(2700, 2730)
+#: More than four cycles of local time, long enough to tell them from the year, and a month.
+CYCLES, MONTH = range(1950, 3083, 9), range(2700, 2730)
 
 
 @pytest.fixture(scope="module")
 def hidden() -> MadeUp:
-    """Seven hundred and eighty days with a field by day that the model does not know."""
+    """Eleven hundred days with a field by day that the model does not know."""
     return nights(CYCLES, FIELD)
 
 
@@ -48,6 +52,22 @@ def test_a_field_by_day_makes_the_angles_wander_until_it_is_in_the_model(hidden)
     assert np.abs((found.value - FIELD) / found.sigma).max() < 4
     assert found.sigma.max() < 0.02
     assert found.after < found.before
+
+
+def test_the_page_draws_the_wander_without_the_field_and_with_it(hidden):
+    made = fit_daylight(hidden.equations, hidden.strips, hidden.found, hidden.model)
+    tables = {
+        "day-night": made.field.table(),
+        "daily-after": daily_parameters(hidden.equations, hidden.found, ["time_shift.seconds"]),
+        "day-night-daily": made.daily(),
+    }
+    mission = SimpleNamespace(periods={"local_time": round(260.5 * DAY)})
+    part = day_night(SimpleNamespace(tables=tables, mission=mission, why=lambda name: f"no {name}"))
+    assert list(part.absent) == ["Series along the orbit"]
+    ignored, known = part.fields["wander"][XZ]["periods"]["local_time, 260.5 d"]
+    assert ignored[0] > 2.0
+    assert known[0] < 0.1
+    assert len(part.plots) == 3
 
 
 def test_without_a_field_by_day_none_is_told():
