@@ -14,13 +14,14 @@ from inflight.errors import SettingsError
 from inflight.estimators.coil_temperature import CoilFit
 from inflight.estimators.crosstalk import CrossTalkTable
 from inflight.estimators.day_night import DayNightField
+from inflight.estimators.periods import LEAST_TURNS
 from inflight.estimators.temperature_rivals import TemperatureChoice
 from inflight.figures.coil_temperature import rivals_figure, scale_curves_figure
 from inflight.figures.crosstalk import cross_talk_figure, ignored_figure
 from inflight.figures.day_night import day_night_figure, wandering_figure
 from inflight.figures.naming import distinct, short_parameter
 from inflight.figures.page import html_table
-from inflight.tasks.chain_daily import spectra_of, stated_periods
+from inflight.tasks.chain_daily import middles, spectra_of, stated_periods
 from inflight.tasks.chain_results import ChainResults
 from inflight.tasks.chain_sections import Part, with_error
 
@@ -115,9 +116,12 @@ def _wander(part: Part, found: ChainResults, ignored: xr.Dataset, added: xr.Data
     """Draw the angles of days without the field and with it; tell the amplitudes of the named periods."""
     angles = [name for name in map(str, added["parameter"].values) if ".misalignment[" in name]
     known = stated_periods(found.mission)
+    days = np.ptp(middles(added))
+    # Spectra take a second each: none where no period can be told.
+    resolves = days >= LEAST_TURNS * min(known.values())
+    shown = dict.fromkeys(angles, _ANGLE)
     spectra = [
-        spectra_of(one.sel(parameter=angles), known, dict.fromkeys(angles, _ANGLE))[0]
-        for one in (ignored, added)
+        spectra_of(one.sel(parameter=angles), known, shown)[0] if resolves else {} for one in (ignored, added)
     ]
     told: dict[str, Any] = {}
     cells = []
