@@ -19,6 +19,7 @@ from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.comparison import rows_of
+from inflight.diagnosis.coarse import bin_means
 from inflight.effects.rates import slope
 from inflight.errors import InflightError
 from inflight.estimators.clock_faults import clock_faults
@@ -33,8 +34,10 @@ from inflight.tasks.models import preflight_model
 from inflight.tasks.planning import ReprocessSettings
 from inflight.tasks.reprocess import reprocess
 from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
-from inflight.time import SECOND, to_tt2000
+from inflight.time import SECOND, Int64, to_tt2000
 
+#: Readings faster than this are averaged, s.
+_MEAN_S = 10.0
 #: Parts of a block whose scatter gives its errors.
 _PARTS = 8
 
@@ -80,20 +83,38 @@ def blocks_of(days: list[CoilBlock], hours: int) -> tuple[Floats, Floats, Floats
     """Return middles (block,) in blocks of `hours`, values and sigmas (block, 2): baseline nT and clock s."""
     found = []
     for day in days:
-        rate = slope(np.linalg.norm(day.field, axis=1), day.stamps)
-        edges = day.stamps[0] + np.arange(0, 25, hours) * 3600 * SECOND
-        for low, high in pairwise(np.searchsorted(day.stamps, edges)):
-            use = np.flatnonzero(np.isfinite(day.residual[low:high]) & np.isfinite(rate[low:high])) + low
+        stamps, strength, residual = means(day)
+        rate = slope(strength, stamps)
+        edges = stamps[0] + np.arange(0, 25, hours) * 3600 * SECOND
+        for low, high in pairwise(np.searchsorted(stamps, edges)):
+            use = np.flatnonzero(np.isfinite(residual[low:high]) & np.isfinite(rate[low:high])) + low
             if use.size < 20 * _PARTS:
                 continue
             part = np.minimum(np.arange(use.size) * _PARTS // use.size, _PARTS - 1)
             columns = np.column_stack([np.ones(use.size), rate[use]])
-            fit = solve_clusters(*grams_by_cluster(columns, day.residual[use], np.ones(use.size), part))
-            middle = mjd_of(np.array([day.stamps[low] // 2 + day.stamps[high - 1] // 2]))[0] * 24 / hours
+            fit = solve_clusters(*grams_by_cluster(columns, residual[use], np.ones(use.size), part))
+            middle = mjd_of(np.array([stamps[low] // 2 + stamps[high - 1] // 2]))[0] * 24 / hours
             # A reading that is early by s leaves s dF/dt: the sign of the effect `time_shift`.
             found.append((middle, *fit.value, *fit.sigma))
     table = np.array(found)
     return table[:, 0], table[:, 1:3], table[:, 3:5]
+
+
+def means(day: CoilBlock) -> tuple[Int64, Floats, Floats]:
+    """Return middles, strength and residual of means over ten seconds, nT; slower records as they are.
+
+    The rate of readings a second apart is noise on a quiet day, which makes what is found too small.
+    """
+    strength = np.linalg.norm(day.field, axis=1)
+    step = int(np.median(np.diff(day.stamps)))
+    if step >= _MEAN_S * SECOND:
+        return day.stamps, strength, day.residual
+    width = round(_MEAN_S * SECOND)
+    edges = np.arange(day.stamps[0], day.stamps[-1] + width, width, dtype=np.int64)
+    both = np.stack([strength, day.residual], axis=1)
+    good = np.asarray(np.isfinite(both).all(axis=1))
+    averaged, _ = bin_means(both, day.stamps, edges, good)
+    return edges[:-1] + width // 2, averaged[:, 0], averaged[:, 1]
 
 
 def load(record: Record) -> list[CoilBlock]:
