@@ -31,6 +31,7 @@ from inflight.tasks.needs import Need, base_role, channel_homes, needs_of, posit
 from inflight.tasks.report import Progress
 from inflight.tasks.samples import ArchiveIndex
 from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, placebo_shifts, survey
+from inflight.tasks.turning import shows_spin
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
 #: A record of so few days is cut to what was measured.
@@ -246,6 +247,9 @@ def _plan(
         found.base,
         (2.0 * cadence / SECOND, 0.5 * length / SECOND),
         found.fixed,
+        frozenset(
+            need.name for need in channels if shows_spin(mission, found.model.comparison, need.cadence_ns)
+        ),
     )
     for name in found.still:
         library.unscorable.append(

@@ -29,7 +29,7 @@ from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
-from inflight.spin.folding import Folding
+from inflight.spin.folding import FOLDING_VERSION, Folding
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
@@ -116,6 +116,11 @@ class PassPlan:
         return self.model.layout.folding if self.model.layout is not None else None
 
     @property
+    def kept(self) -> RowFilter | None:
+        """The filter residuals and columns go through."""
+        return self.folding or (self.model.layout.band if self.model.layout is not None else None)
+
+    @property
     def within_blocks(self) -> bool:
         """True when blocks hold several days, so that days are calibrated while they are made."""
         return any(len(block) > 1 for block in self.blocks)
@@ -125,6 +130,7 @@ class PassPlan:
         """sha256 of everything but the archive that the evidence is made from."""
         told = {
             "version": EVIDENCE_VERSION,
+            "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
             "model": self.model.text,
             "columns": self.library.columns,
             "shifts": dict(self.library.placebos),
@@ -219,11 +225,9 @@ def _day_evidence(
     derived: DerivedChannels,
     day: np.datetime64,
 ) -> tuple[Evidence, Evidence, Rows, dict[str, Any]]:
-    rows, sums, kept = day_rows(cat, mission, made, index, derived, day)
+    rows, sums = day_rows(cat, mission, made, index, derived, day)
     columns = design(made.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
-    if kept is not None:
-        columns = np.nan_to_num(kept.keep(columns, stamps, rows.weight > 0))
     edges = derived.reader.edges(day)
     cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
     parts = parts_of(stamps, cuts)
@@ -252,8 +256,8 @@ def day_rows(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Rows, dict[str, Any], RowFilter | None]:
-    """Return a day's rows on the library's cadence, sums over its native samples, and its filter if any."""
+) -> tuple[Rows, dict[str, Any]]:
+    """Return a day's rows on the library's cadence, and sums over its native samples."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
     start, end = day_bounds(day)
@@ -270,7 +274,7 @@ def day_rows(
         sums |= _floor(native.residual, native.good, samples["tt2000"].values)
     else:
         sums |= _floor_of_turns(samples, native.good, made.folding.sectors)
-    return rows, sums, native.kept
+    return rows, sums
 
 
 def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
@@ -385,7 +389,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         raw[0].joined(raw[1:]),
         white[0].joined(white[1:]),
         within,
-        replace(series, turn_rows=made.folding.sectors if made.folding is not None else 1),
+        replace(series, kept=made.kept),
         sums,
         _floor_of([day.report for day in ordered]),
         Outliers.of([day.report for day in ordered], made.keep_bursts),

@@ -21,6 +21,13 @@ from inflight.time import Int64, day_bounds
 _READINGS = 4
 
 
+def shows_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
+    """Return True when a channel of a cadence shows what goes with a spin comparison's spin."""
+    if folding_of(mission, comparison) is None:
+        return False
+    return _READINGS * cadence_ns <= mission.periods["spin"]
+
+
 @dataclass(frozen=True)
 class Turning:
     """The clock of a spin comparison on one day."""
@@ -45,7 +52,7 @@ class Turning:
 
     def is_seen_by(self, cadence_ns: int) -> bool:
         """Return True when a channel of a cadence shows what goes with the spin."""
-        return _READINGS * cadence_ns <= self.mission.periods["spin"]
+        return shows_spin(self.mission, self.comparison, cadence_ns)
 
     def folded(self, values: Floats, stamps: Int64, edges: Int64) -> Floats:
         """Return a channel on the synthetic turns whose bins have these edges; NaN without a phase."""

@@ -196,7 +196,7 @@ def coarsen(
         "inside": max(inside, 0.0),
         "spikes": float((usable & single).sum()),
     } | told
-    return Rows(xr.Dataset(data), residual, directions, turn, weight), sums
+    return Rows(xr.Dataset(data), residual, directions, turn, weight, rows.kept), sums
 
 
 def _outliers(

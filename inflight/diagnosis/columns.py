@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.comparison import RowFilter
 from inflight.diagnosis.library import Term, within_span
 from inflight.effects.base import multiply
 from inflight.effects.spinning_sensor import SpinningSensor
@@ -43,6 +44,8 @@ class Rows:
         What the sensor's own equation behind an effect does to a change of its reading, row by row.
     weight : ndarray, shape (time,)
         Good native samples of each over the usual number; 0 where there are none.
+    kept : RowFilter, optional
+        The filter the residual went through; columns go through it, too.
     """
 
     samples: xr.Dataset
@@ -50,6 +53,7 @@ class Rows:
     directions: Mapping[str, Floats]
     turn: Mapping[str, Floats]
     weight: Floats
+    kept: RowFilter | None = None
 
 
 def turns_of(model: Model, tt2000: int) -> dict[str, Floats]:
@@ -148,4 +152,7 @@ def design(terms: Sequence[Term], rows: Rows) -> Floats:
     for column in found:
         if not np.isfinite(column.sum()):
             column[~np.isfinite(column)] = 0.0
-    return np.moveaxis(found, 0, -1)
+    made = np.moveaxis(found, 0, -1)
+    if rows.kept is None:
+        return made
+    return np.nan_to_num(rows.kept.keep(made, rows.samples["tt2000"].values, ~unused))

@@ -14,8 +14,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.comparison import RowFilter
 from inflight.diagnosis.columns import Rows
 from inflight.geometry import direction_of
+from inflight.spin.folding import Folding
 from inflight.time import SECOND, Int64
 
 _ROLES = ("vector", "scalar", "inboard", "outboard")
@@ -129,8 +131,8 @@ class Series:
         Index of the block each sample belongs to.
     missing : dict of str to ndarray of bool, shape (sample,)
         Where a channel was not recorded; those that lack something.
-    turn_rows : int
-        Rows of a synthetic turn; 1 where nothing is folded.
+    kept : RowFilter, optional
+        What the residual went through.
     """
 
     tt2000: Int64
@@ -138,7 +140,7 @@ class Series:
     block: np.ndarray
     features: Features
     missing: Mapping[str, np.ndarray] = field(default_factory=dict)
-    turn_rows: int = 1
+    kept: RowFilter | None = None
 
     @classmethod
     def of(
@@ -166,6 +168,11 @@ class Series:
                 missing[name] = lost
                 part[~np.isfinite(part)] = (filled or {})[name]
         return cls(starts[block] + (values[:, 0] * SECOND).astype(np.int64), values, block, features, missing)
+
+    @property
+    def turn_rows(self) -> int:
+        """Rows of a synthetic turn; 1 where nothing is folded."""
+        return self.kept.sectors if isinstance(self.kept, Folding) else 1
 
     def without(self, rows: np.ndarray) -> Series:
         """Return the series with some rows (sample,) of bool that weigh nothing."""
@@ -212,4 +219,4 @@ class Series:
         data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))
         residual = self["residual"].reshape(len(self.values), -1)
         directions = {name: self.direction(name) for name in self.features.sensors}
-        return Rows(xr.Dataset(data), residual, directions, turn, self["weight"])
+        return Rows(xr.Dataset(data), residual, directions, turn, self["weight"], self.kept)

@@ -7,18 +7,18 @@ summed in one pass; a fit with a wild reading is made again with weights.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from scipy import stats
-from scipy.ndimage import percentile_filter
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import BIWEIGHT_WIDTH, WEIGHTED_RMS
+from inflight.calibration.robust import WEIGHTED_RMS
 from inflight.errors import CalibrationError, SamplesError
+from inflight.spin.spin_sums import fit_plain, fit_weighted
 from inflight.time import Int64, utc_text
 
 TURN = 2.0 * np.pi
@@ -29,12 +29,10 @@ COEFFICIENTS = ("C0", "C1", "C2", "S2", "D2")
 LEAST_SPREAD = 0.1
 #: A fit is made again when a reading is this many sigmas off: one in 16 000 of Gaussian noise.
 _WILD = 4.0
-#: Huber's weights end at this many sigmas (95 % efficient); rounds with them and then with the biweight.
-_HUBER, _ROUNDS = 1.345, 12
 #: When more than this part of a fit's readings would be left out, the field has changed: all are kept.
 _MOST_OUT = 0.25
-#: The scale of a fit is that of this many fits around it, by the lower quartile of their rms, so that
-#: outliers in two thirds of the fits do not raise it.
+#: The scale of a fit is that of the group of this many fits it is in, by the lower quartile of their rms, so
+#: that outliers in two thirds of the fits do not raise it.
 _AROUND, _QUARTILE = 31, 25.0
 
 
@@ -88,13 +86,21 @@ class SpinFits:
         return np.asarray(np.isfinite(self.value[..., 0]))
 
     @property
+    def whole(self) -> SpinFits:
+        """The fits that are determined in every component."""
+        return self.where(np.asarray(self.determined.all(axis=1)))
+
+    @property
     def constant(self) -> Floats:
         """C0; (fit, component)."""
         return np.asarray(self.value[..., 0])
 
     @property
     def phasor(self) -> npt.NDArray[np.complex128]:
-        """``Z = C2 - i C1``: a sensor at the azimuth ``ph`` sees ``Bsp exp(i (ph - psi))``; (fit, component)."""
+        """``Z = C2 - i C1``: a sensor at the azimuth ``ph`` sees ``Bsp exp(i (ph - psi))``.
+
+        Shape (fit, component).
+        """
         return np.asarray(self.value[..., 2] - 1j * self.value[..., 1])
 
     @property
@@ -111,11 +117,10 @@ class SpinFits:
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> SpinFits:
         """Return some of the fits; `chosen` has shape (fit,)."""
-        kept = {
-            name: entry[chosen] if isinstance(entry, np.ndarray) else entry
-            for name, entry in self.__dict__.items()
+        kept: dict[str, Any] = {
+            name: part[chosen] for name, part in self.__dict__.items() if isinstance(part, np.ndarray)
         }
-        return SpinFits(**kept)
+        return replace(self, **kept)
 
     def table(self) -> xr.Dataset:
         """Return the fits: dims fit, component, coefficient, other."""
@@ -251,7 +256,7 @@ def _fit_all(sine: Floats, cosine: Floats, field: Floats, edges: Int64, unknowns
         np.zeros((fits, components), dtype=np.bool_),
     )
     out = (sums.value, sums.inverse, sums.variance, sums.count, sums.largest, sums.spread)
-    _plain(sine, cosine, field, edges, *out)
+    fit_plain(sine, cosine, field, edges, *out)
     return sums
 
 
@@ -260,9 +265,19 @@ def _again(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: Int64) ->
     scale = _scale_around(sums.variance, sums.count - sums.value.shape[-1])
     wild = (sums.largest > _WILD * scale) & (sums.spread >= LEAST_SPREAD)
     places = np.argwhere(wild)
-    if places.size:
-        out = (sums.value, sums.inverse, sums.variance, sums.spread, sums.outliers, sums.changing)
-        _weighted(*samples, edges, places, scale, *out)
+    if not places.size:
+        return
+    sine, cosine, field = samples
+    now, inverse, found = fit_weighted(sine, cosine, field, edges, places, scale, sums.value)
+    size = now.shape[1]
+    spread, total, kept, out = found.T
+    f, k = places.T
+    told = (spread >= LEAST_SPREAD) & (out <= _MOST_OUT * sums.count[f, k]) & (kept > size + 1.0)
+    sums.changing[f[~told], k[~told]] = True
+    f, k = f[told], k[told]
+    sums.value[f, k], sums.inverse[f, k], sums.spread[f, k] = now[told], inverse[told], spread[told]
+    sums.outliers[f, k] = out[told].astype(np.int64)
+    sums.variance[f, k] = total[told] / (kept[told] - size) / WEIGHTED_RMS**2
 
 
 def _scale_around(variance: Floats, freedom: Int64) -> Floats:
@@ -277,19 +292,28 @@ def _scale_around(variance: Floats, freedom: Int64) -> Floats:
             continue
         usual = float(np.median(freedom[own, k]))
         level = np.sqrt(stats.chi2.ppf(_QUARTILE / 100.0, usual) / usual)
-        # Fits that are not known take the last one's; they are not asked for.
+        # Fits that are not known take their neighbours'; they are not asked for.
         filled = np.interp(np.arange(rms.shape[0]), np.flatnonzero(own), rms[own, k])
-        quiet = percentile_filter(filled, _QUARTILE, size=min(_AROUND, filled.size), mode="nearest")
+        quiet = _quartile_around(filled)
         out[:, k] = quiet / level
     return out
+
+
+def _quartile_around(values: Floats) -> Floats:
+    """Return the lower quartile of the group of `_AROUND` that each value is in."""
+    groups = max(values.size // _AROUND, 1)
+    low = [np.percentile(values[: groups * _AROUND].reshape(groups, -1), _QUARTILE, axis=1)]
+    if values.size > groups * _AROUND:
+        low.append(np.percentile(values[-_AROUND:], [_QUARTILE]))
+    return np.repeat(np.concatenate(low), _AROUND)[: values.size]
 
 
 def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, unit: str) -> SpinFits:
     known = (sums.spread >= LEAST_SPREAD) & (sums.count > sums.value.shape[-1])
     if not known.any():
         raise CalibrationError(
-            f"none of {known.shape[0]} spins from {utc_text(int(stamps[0]))} has readings spread over the turn"
-            f" (at most {int(sums.count.max())} a fit)",
+            f"none of {known.shape[0]} spins from {utc_text(int(stamps[0]))} has readings spread over"
+            f" the turn (at most {int(sums.count.max())} a fit)",
             remedy="fit more spins at once, or look at the spin period and the gaps",
         )
     value = np.where(known[..., None], sums.value, np.nan)
@@ -311,202 +335,3 @@ def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, u
         spins,
         unit,
     )
-
-
-@numba.njit(cache=True, nogil=True, inline="always")
-def _row(row: Floats, s: float, c: float) -> None:  # pragma: no cover
-    """Fill one sample's functions: 1, sin, cos and perhaps sin and cos of twice the phase."""
-    row[0], row[1], row[2] = 1.0, s, c
-    if row.size > 3:
-        row[3], row[4] = 2.0 * s * c, 1.0 - 2.0 * s * s
-
-
-@numba.njit(cache=True, nogil=True)
-def _inverted(gram: Floats, count: float) -> float:  # pragma: no cover
-    """Invert a small positive matrix in place; return its determinant as a part of that of even phases."""
-    size = gram.shape[0]
-    ratio = 1.0
-    for p in range(size):
-        pivot = gram[p, p]
-        ratio *= pivot / (count if p == 0 else 0.5 * count)
-        if not pivot > 1e-9 * count:
-            return 0.0
-        for q in range(size):
-            gram[p, q] /= pivot
-        gram[p, p] = 1.0 / pivot
-        for r in range(size):
-            if r != p:
-                factor = gram[r, p]
-                for q in range(size):
-                    if q != p:
-                        gram[r, q] -= factor * gram[p, q]
-                gram[r, p] = -factor / pivot
-    return ratio
-
-
-@numba.njit(cache=True, nogil=True)
-def _sum_three(
-    sine: Floats, cosine: Floats, reading: Floats, first: float, gram: Floats, right: Floats
-) -> int:  # pragma: no cover
-    """Sum the normal equations of 1, sin, cos; return how many readings there are."""
-    many, s1, c1, ss, sc = 0, 0.0, 0.0, 0.0, 0.0
-    y1, ys, yc = 0.0, 0.0, 0.0
-    for i in range(reading.size):
-        y, s, c = reading[i] - first, sine[i], cosine[i]
-        if y == y:  # noqa: PLR0124, several times faster than isfinite
-            many += 1
-            s1 += s
-            c1 += c
-            ss += s * s
-            sc += s * c
-            y1 += y
-            ys += y * s
-            yc += y * c
-    gram[0, 0], gram[0, 1], gram[0, 2] = many, s1, c1
-    gram[1, 0], gram[1, 1], gram[1, 2] = s1, ss, sc
-    gram[2, 0], gram[2, 1], gram[2, 2] = c1, sc, many - ss
-    right[0], right[1], right[2] = y1, ys, yc
-    return many
-
-
-@numba.njit(cache=True, nogil=True)
-def _sum_five(
-    sine: Floats, cosine: Floats, reading: Floats, first: float, gram: Floats, right: Floats
-) -> int:  # pragma: no cover
-    """Sum the normal equations with twice the spin; return how many readings there are."""
-    row = np.empty(right.size)
-    gram[:], right[:], many = 0.0, 0.0, 0
-    for i in range(reading.size):
-        y = reading[i] - first
-        if y == y:  # noqa: PLR0124
-            many += 1
-            _row(row, sine[i], cosine[i])
-            for p in range(right.size):
-                right[p] += row[p] * y
-                for q in range(right.size):
-                    gram[p, q] += row[p] * row[q]
-    return many
-
-
-@numba.njit(cache=True, nogil=True)
-def _left_over(
-    sine: Floats, cosine: Floats, reading: Floats, first: float, value: Floats
-) -> tuple[float, float]:  # pragma: no cover
-    """Return the sum of the squared residuals and the largest residual."""
-    total, far = 0.0, 0.0
-    double = value.size > 3
-    for i in range(reading.size):
-        s, c = sine[i], cosine[i]
-        left = reading[i] - first - value[0] - value[1] * s - value[2] * c
-        if double:
-            left -= value[3] * 2.0 * s * c + value[4] * (1.0 - 2.0 * s * s)
-        if left == left:  # noqa: PLR0124
-            total += left * left
-            far = max(far, abs(left))
-    return total, far
-
-
-@numba.njit(cache=True, nogil=True)
-def _plain(
-    sine: Floats,
-    cosine: Floats,
-    field: Floats,
-    edges: Int64,
-    value: Floats,
-    inverse: Floats,
-    variance: Floats,
-    count: Int64,
-    largest: Floats,
-    spread: Floats,
-) -> None:  # pragma: no cover
-    """Fit every span of samples by plain least squares; readings are taken from one of the span's own."""
-    size = value.shape[2]
-    right = np.empty(size)
-    for f in range(edges.size - 1):
-        span = slice(edges[f], edges[f + 1])
-        s, c = sine[span], cosine[span]
-        for k in range(field.shape[1]):
-            reading, gram, now = field[span, k], inverse[f, k], value[f, k]
-            first = 0.0
-            for i in range(reading.size):
-                if np.isfinite(reading[i]):
-                    first = reading[i]
-                    break
-            if size == 3:
-                many = _sum_three(s, c, reading, first, gram, right)
-            else:
-                many = _sum_five(s, c, reading, first, gram, right)
-            spread[f, k] = _inverted(gram, float(many)) if many > 0 else 0.0
-            for p in range(size):
-                now[p] = 0.0
-                for q in range(size):
-                    now[p] += gram[p, q] * right[q]
-            total, largest[f, k] = _left_over(s, c, reading, first, now)
-            now[0] += first
-            variance[f, k] = total / max(many - size, 1)
-            count[f, k] = many
-
-
-@numba.njit(cache=True, nogil=True)
-def _weighted(
-    sine: Floats,
-    cosine: Floats,
-    field: Floats,
-    edges: Int64,
-    places: Int64,
-    scale: Floats,
-    value: Floats,
-    inverse: Floats,
-    variance: Floats,
-    spread: Floats,
-    outliers: Int64,
-    changing: npt.NDArray[np.bool_],
-) -> None:  # pragma: no cover
-    """Fit the places (fit, component) again: Huber's weights from any start, then the biweight."""
-    size = value.shape[2]
-    row, right, now = np.empty(size), np.empty(size), np.empty(size)
-    gram = np.empty((size, size))
-    for at in range(places.shape[0]):
-        f, k = places[at, 0], places[at, 1]
-        unit = max(scale[f, k], 1e-300)
-        now[:] = value[f, k]
-        ratio, total, kept, out, many = 0.0, 0.0, 0.0, 0, 0
-        for turn in range(2 * _ROUNDS + 1):
-            gram[:], right[:] = 0.0, 0.0
-            total, kept, out, many = 0.0, 0.0, 0, 0
-            for i in range(edges[f], edges[f + 1]):
-                y = field[i, k]
-                if not np.isfinite(y):
-                    continue
-                many += 1
-                _row(row, sine[i], cosine[i])
-                left = y
-                for p in range(size):
-                    left -= row[p] * now[p]
-                pull = abs(left) / unit
-                if turn < _ROUNDS:
-                    weight = 1.0 if pull < _HUBER else _HUBER / pull
-                else:
-                    weight = max(1.0 - (pull / BIWEIGHT_WIDTH) ** 2, 0.0) ** 2
-                    out += weight < 0.5
-                total += weight * left * left
-                kept += weight
-                for p in range(size):
-                    right[p] += weight * row[p] * left
-                    for q in range(size):
-                        gram[p, q] += weight * row[p] * row[q]
-            ratio = _inverted(gram, max(kept, 1e-300))
-            if ratio == 0.0:
-                break
-            if turn < 2 * _ROUNDS:
-                for p in range(size):
-                    for q in range(size):
-                        now[p] += gram[p, q] * right[q]
-        if ratio < LEAST_SPREAD or out > _MOST_OUT * many or kept <= size + 1.0:
-            changing[f, k] = True
-            continue
-        value[f, k] = now
-        inverse[f, k] = gram
-        spread[f, k] = ratio
-        outliers[f, k] = out
-        variance[f, k] = total / (kept - size) / WEIGHTED_RMS**2

@@ -22,8 +22,10 @@ from inflight.flags import UNUSABLE, Flag
 from inflight.spin.fourier import Complex, FourierSums, fourier_sums
 from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 
-#: Phases of a synthetic turn, and the highest harmonic it holds.
-SECTORS, ORDER = 12, 5
+#: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.
+SECTORS, ORDER = 12, 4
+#: Bumped by hand when the numbers of folded samples change.
+FOLDING_VERSION = 1
 #: Turns an interval should hold (Plaschke et al. 2019, section 5), and seconds intervals may last: such as
 #: divide a day, with whole seconds from phase to phase.
 TURNS = 100
@@ -80,12 +82,12 @@ class Folding:
         interval = (
             (stamps - day_bounds(day_of(stamps[:1])[0])[0]) // self.interval_ns if stamps.size else stamps
         )
-        own, place = np.unique(interval, return_inverse=True)
-        count = np.bincount(place[used], minlength=own.size).astype(np.float64)
-        total = np.zeros((own.size, flat.shape[1]))
-        np.add.at(total, place[used], flat[used])
+        starts = np.flatnonzero(np.diff(interval, prepend=interval[:1] - 1))
+        lengths = np.diff(starts, append=interval.size)
+        count = np.add.reduceat(used.astype(np.float64), starts) if starts.size else np.zeros(0)
+        total = np.add.reduceat(np.where(used[:, None], flat, 0.0), starts, axis=0) if starts.size else flat
         with np.errstate(invalid="ignore", divide="ignore"):
-            out = flat - (total / count[:, None])[place]
+            out = flat - np.repeat(total / count[:, None], lengths, axis=0)
         out[~used] = np.nan
         return out.reshape(np.shape(values))
 
@@ -198,9 +200,15 @@ class _Day:
             np.where(self.known, self.phase, 0.0),
             self.interval,
             self.intervals,
-            ORDER,
+            ORDER + 1,
             good,
         )
+        # A harmonic k in the body is k + 1 in payload axes across the spin axis.
+        for place, harmonic in enumerate(range(-ORDER - 1, ORDER + 2)):
+            if not -ORDER <= harmonic - 1 <= ORDER:
+                found.coefficients[:, place, 0] = 0.0
+            if abs(harmonic) > ORDER:
+                found.coefficients[:, place, 1] = 0.0
         turned = self._sectors(found, good)
         back = np.exp(-1j * np.tile(self.folding.phases, self.intervals))
         plane = turned[:, 0] * back

@@ -183,7 +183,7 @@ def _advance(seconds: Floats, turns: Floats, rate: Floats) -> Floats:
 
 
 def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
-    """Return the rate around each mark by the median of the intervals of few turns; (mark,), turns a second."""
+    """Return the rate around each mark by the median of the intervals of few turns; turns a second."""
     apart, part = np.diff(seconds), np.diff(turns)
     advance = np.rint(apart / period - part) + part
     usual = max(float(np.median(advance)), 1.0)

@@ -118,7 +118,7 @@ def phase_from_pulses(
         Stated spin period, s. It decides only whether some pulses are missing everywhere; a period that no
         interval shows is reported and not used.
     mark_phase : float
-        Phase at a pulse, radians: 0 when the sensor looks along XA; minus the azimuth of the Sun sensor from XA.
+        Phase at a pulse, radians: minus the azimuth of the Sun sensor from XA.
     certain : float
         Samples whose phase is less certain have none, radians.
 
@@ -209,7 +209,7 @@ def _from_marks(
     kept = believed(seconds, turns, period)
     if np.count_nonzero(kept) < 3:
         raise CalibrationError(
-            f"{times.size} {kind}s found, none of them whole turns of {period:.6g} s apart from its neighbours",
+            f"{times.size} {kind}s found, none of them whole turns of {period:.6g} s from its neighbours",
             remedy="see whether the times are those of one Sun sensor",
         )
     marks = count_turns(times[kept], turns[kept], period)

@@ -119,7 +119,7 @@ class _Scene:
     def coil(self) -> Float:
         """Current of the coil that is driven at the spin, A."""
         on = np.mod(self.times.seconds - self.first, _COIL_EVERY) < _COIL_ON
-        return np.asarray(on * self.parameters.torquer_current * np.sign(np.cos(self.phase + 0.7)))
+        return np.asarray(on * self.parameters.torquer_current * np.tanh(3.0 * np.cos(self.phase + 0.7)))
 
     @cached_property
     def array(self) -> Float:
