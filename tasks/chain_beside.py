@@ -63,8 +63,9 @@ def beside_makers(
             equations, strips, found, model, _lag(mission, model)
         ).table(),
         "temperature-rivals": lambda: _rivals(mission, model, equations, strips, found),
-        "day-night": lambda: _field(switched()),
+        # Before the switched field, whose equations are kept for the daily parameters.
         "day-night-series": lambda: _field(fit_daylight(equations, strips, found, model, SERIES)),
+        "day-night": lambda: _field(switched()),
         "day-night-daily": lambda: switched().daily(),
         "cross-talk": lambda: of_the_nine(_with_daylight(equations, strips), units, model).table(),
         "cross-talk-all": lambda: of_everything(equations, units, model),
