@@ -9,7 +9,7 @@ dual
 platform
     one row, F in a band of frequencies; the vector sensor gives the direction only;
 spin
-    two rows of folded samples (`inflight.spin.folding`), the field along the spin axis and the modulus of
+    two rows of folded samples (`inflight.folding`), the field along the spin axis and the modulus of
     the field across it, each less its interval's mean: what turns with the spin.
 
 All rows are nT. A new kind is one more function from corrected samples to rows.
@@ -30,8 +30,8 @@ from inflight.arrays import Floats
 from inflight.effects.base import direction
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE
+from inflight.folding import Folding
 from inflight.sensors import Sensor, sensors_of
-from inflight.spin.folding import Folding
 from inflight.time import SECOND, Int64
 
 if TYPE_CHECKING:

@@ -25,11 +25,11 @@ from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.gram import gram_of, parts_of, prewhiten
 from inflight.diagnosis.library import Library, Told
 from inflight.diagnosis.series import Features, Series, features_of, pack_blocks, thin
+from inflight.folding import FOLDING_VERSION, Folding
 from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
-from inflight.spin.folding import FOLDING_VERSION, Folding
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples

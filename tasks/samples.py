@@ -15,10 +15,10 @@ from inflight.catalog import Catalog, Day
 from inflight.comparison import folding_of
 from inflight.derived import Part, parse, product
 from inflight.errors import SamplesError
+from inflight.folding import fold
 from inflight.geometry import GEOMETRY, SLOW_GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.spin.folding import fold
 from inflight.tasks.needs import (
     SPIN_PHASE,
     Need,
@@ -182,7 +182,7 @@ def load_samples(
     xarray.Dataset
         Samples of `inflight.align`, cut to the UTC day; attitude and position under these names,
         derived channels under theirs, and what `inflight.geometry.add_geometry` makes of them. Those of
-        a spin comparison have `spin_phase`, and are folded (`inflight.spin.folding.fold`).
+        a spin comparison have `spin_phase`, and are folded (`inflight.folding.fold`).
 
     Raises
     ------

@@ -10,8 +10,8 @@ from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.comparison import folding_of
 from inflight.errors import InflightError
+from inflight.folding import Folding, fold_series
 from inflight.mission import Mission
-from inflight.spin.folding import Folding, fold_series
 from inflight.tasks.needs import clock_of
 from inflight.tasks.samples import ArchiveIndex, Need, channel_series
 from inflight.tasks.spinning import spin_phase

@@ -16,8 +16,8 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.comparison import RowFilter
 from inflight.diagnosis.columns import Rows
+from inflight.folding import Folding
 from inflight.geometry import direction_of
-from inflight.spin.folding import Folding
 from inflight.time import SECOND, Int64
 
 _ROLES = ("vector", "scalar", "inboard", "outboard")

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.coupling import coupling
 from inflight.effects.base import Effect, Parameter, Values, multiply
 from inflight.sensors import Sensor
-from inflight.spin.coupling import coupling
 
 _SENSORS = ("1", "2", "3")
 

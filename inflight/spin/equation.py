@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.coupling import coupling, gains_of, package_to_spin, sensor_axes
 from inflight.errors import CalibrationError
 
 #: The twelve parameters in the order of tables.
@@ -132,26 +133,17 @@ class TwelveParameters:
 
     def factors(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return Phi, Sigma, Gamma and G (eqs. 4 to 7), each of shape (3, 3)."""
-        (c1, c2), (s1, s2) = np.cos(self.elevation), np.sin(self.elevation)
-        # Angles are counted from 90 deg: sin(90 deg + d) = cos d and cos(90 deg + d) = -sin d.
-        axes = np.array(
-            [[c1, 0.0, -s1], [-np.sin(self.azimuth) * c2, np.cos(self.azimuth) * c2, -s2], [0.0, 0.0, 1.0]]
-        )
-        (cx, cy), (sx, sy) = np.cos(self.spin_axis), np.sin(self.spin_axis)
-        sigma = np.array([[cx, 0.0, -sx], [0.0, 1.0, 0.0], [sx, 0.0, cx]]) @ np.array(
-            [[1.0, 0.0, 0.0], [0.0, cy, -sy], [0.0, sy, cy]]
-        )
-        ca, sa = np.cos(self.rotation), np.sin(self.rotation)
-        phi = np.array([[ca, -sa, 0.0], [sa, ca, 0.0], [0.0, 0.0, 1.0]])
-        gains = np.diag(
-            [self.gain_ratio * self.spin_plane_gain, self.spin_plane_gain / self.gain_ratio, self.axial_gain]
-        )
-        return phi, sigma, np.linalg.inv(axes), gains
+        turn, none = np.array(self.rotation), np.zeros(2)
+        phi = package_to_spin(none, turn)
+        sigma = package_to_spin(np.array(self.spin_axis), np.zeros_like(turn))
+        axes = sensor_axes(np.array(self.elevation), np.array(self.azimuth))
+        gains = [np.array(one) for one in (self.gain_ratio, self.spin_plane_gain, self.axial_gain)]
+        return phi, sigma, np.asarray(np.linalg.inv(axes), dtype=np.float64), np.diag(gains_of(*gains))
 
     def matrix(self) -> Floats:
         """Return the coupling matrix Phi Sigma Gamma G; shape (3, 3)."""
-        phi, sigma, gamma, gains = self.factors()
-        return np.asarray(phi @ sigma @ gamma @ gains)
+        angles = (self.elevation, self.azimuth, self.spin_axis, self.rotation)
+        return coupling(self.gain_ratio, self.spin_plane_gain, self.axial_gain, *angles)[0]
 
     def correct(self, readings: Floats) -> Floats:
         """Return the field of temperature-corrected readings.

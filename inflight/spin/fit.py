@@ -79,7 +79,7 @@ def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     model : Model
         With a spinning sensor; its values are the start, its sigmas the prior.
     samples : sequence of Dataset
-        Folded: see `inflight.spin.folding.fold`.
+        Folded: see `inflight.folding.fold`.
 
     Raises
     ------

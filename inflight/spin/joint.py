@@ -18,9 +18,9 @@ from inflight.calibration.robust import biweight, biweight_slope
 from inflight.estimators.longrun import long_run_covariance
 from inflight.spin.equation import SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.estimates import SpinEquations, spin_equations
-from inflight.spin.harmonics import SpinTones, spin_tones
-from inflight.spin.layout import Layout
-from inflight.spin.start import first_tones
+from inflight.spin.harmonics import SpinTones
+from inflight.spin.layout import Bools, Layout
+from inflight.spin.start import first_tones, next_tones
 from inflight.time import Int64
 
 #: Passes over the record, rounds of weights, and the change that ends both, in sigmas.
@@ -67,7 +67,7 @@ class JointEstimate:
     settled: bool
 
     @property
-    def determined(self) -> np.ndarray:
+    def determined(self) -> Bools:
         """Which parameters the record told; (8,)."""
         return np.isfinite(self.sigma)
 
@@ -126,14 +126,15 @@ def joint_estimate(
     """
     tones = first_tones(readings, phase, stamps, layout, present)
     known = _Known.of(present, present_sigma or {})
-    for passes in range(1, _PASSES + 1):
+    parameters, settled, passes = tones.parameters, False, 0
+    while not settled and passes < _PASSES:
+        if passes:
+            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+        passes += 1
         fit = _fit(spin_equations(tones), tones, known)
         new = tones.parameters.spin_related() + fit.change
         parameters = tones.parameters.changed(dict(zip(SPIN_RELATED, new.tolist(), strict=True)))
         settled = bool(np.all(np.abs(fit.change) <= _SETTLED * fit.sigma))
-        if settled:
-            break
-        tones = spin_tones(readings, phase, stamps, layout, parameters)
     return JointEstimate(
         new, fit.sigma, fit.covariance, fit.say, fit.excess, tones, parameters, passes, settled
     )
@@ -192,7 +193,7 @@ def _fit(equations: SpinEquations, tones: SpinTones, known: _Known) -> _Fit:
     return _Fit(np.where(told, change / unit, 0.0), sigma, covariance, say, excess)
 
 
-def _inverse(normal: Floats) -> tuple[Floats, np.ndarray]:
+def _inverse(normal: Floats) -> tuple[Floats, Bools]:
     """Return the inverse over what is told, and which parameters lie wholly in it."""
     size, turn = np.linalg.eigh(normal)
     kept = size > _SINGULAR * max(float(size.max()), 1e-300)
@@ -200,12 +201,21 @@ def _inverse(normal: Floats) -> tuple[Floats, np.ndarray]:
     return inverse, (turn[:, ~kept] ** 2).sum(axis=1) < 1e-6
 
 
-def _weights(left: Floats, usable: np.ndarray) -> tuple[Floats, Floats, Floats]:
+def _weights(left: Floats, usable: Bools) -> tuple[Floats, Floats, Floats]:
     """Return the say of each tone (sub, 3), the excess over its noise (3,), and its pull."""
     length = np.hypot(left[:, 0::2], left[:, 1::2])
     excess = np.median(length[usable], axis=0) / _MEDIAN_LENGTH
-    pull = length / (_MEDIAN_LENGTH * np.maximum(excess, 1.0))
+    pull = length / _widened(excess, int(usable.sum()))
     return np.where(usable[:, None], biweight(pull), 0.0), excess, pull
+
+
+def _widened(excess: Floats, count: int) -> Floats:
+    """Return by how much the noise stated is too small, beyond what chance makes of `count` tones; (3,).
+
+    The median of n lengths of two Gaussian numbers has a relative error of ``0.61 / sqrt(n)``; half of them
+    overlap.
+    """
+    return np.where(excess > 1.0 + 2.0 * 0.61 / np.sqrt(max(0.5 * count, 1.0)), excess, 1.0)
 
 
 def _covariance(
@@ -222,25 +232,33 @@ def _covariance(
     Sub-intervals that share a part of their blocks share that part of their noise. Scores know what the
     noise stated does not: lines at the spin, fluctuations that keep their phase.
     """
-    slope = np.repeat(np.maximum(biweight_slope(pull), 0.0), _PAIR, axis=1) * (weight > 0.0)
+    # A tone gives way by the slope along its length and by the weight across it.
+    slope = 0.5 * (np.maximum(biweight_slope(pull), 0.0) + biweight(pull))
+    slope = np.repeat(slope, _PAIR, axis=1) * (weight > 0.0)
     bread = np.linalg.pinv(
         np.einsum("sri,sr,srj->ij", design, slope, design) + np.diag(prior), hermitian=True
     )
-    pushed = design * (weight * np.repeat(np.maximum(excess, 1.0), _PAIR))[..., None]
+    wide = _widened(excess, int((weight.max(axis=1) > 0.0).sum()))
+    pushed = design * (weight * np.repeat(wide, _PAIR))[..., None]
     stated = np.einsum("sri,srj->ij", pushed, pushed) + np.diag(prior)
     for apart in range(1, min(blocks, len(pushed))):
         shared = np.einsum("sri,srj->ij", pushed[apart:], pushed[:-apart])
         stated += (1.0 - apart / blocks) * (shared + shared.T)
     scores = np.einsum("sri,sr->si", design, weight * left)
     seen = long_run_covariance(scores) + np.diag(prior)
-    return np.asarray(bread @ _larger(stated, seen) @ bread)
+    lever = np.einsum("sri,ij,srj->s", pushed, bread, design)
+    # The kernel of the long-run covariance reaches over twice the overlap, and sees so many fewer scores.
+    alike = float(lever.sum()) ** 2 / max(float(np.sum(lever**2)), 1e-300) / (2.0 * blocks)
+    # The largest eigenvalue that covariances of so few scores have by chance (Marchenko and Pastur 1967).
+    chance = (1.0 + np.sqrt(len(prior) / max(alike, 1.0))) ** 2
+    return np.asarray(bread @ _larger(stated, seen, chance) @ bread)
 
 
-def _larger(one: Floats, other: Floats) -> Floats:
-    """Return a covariance that is no smaller than either in any direction."""
+def _larger(one: Floats, other: Floats, chance: float) -> Floats:
+    """Return a covariance, larger where another is by more than a factor that is chance."""
     own, vectors = np.linalg.eigh(one)
     kept = own > 1e-12 * own.max()
     root, inverse = vectors[:, kept] * np.sqrt(own[kept]), vectors[:, kept] / np.sqrt(own[kept])
     ratio, turn = np.linalg.eigh(inverse.T @ other @ inverse)
     spread = root @ turn
-    return np.asarray((spread * np.maximum(ratio, 1.0)) @ spread.T)
+    return np.asarray((spread * np.where(ratio > chance, ratio, 1.0)) @ spread.T)

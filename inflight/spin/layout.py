@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,8 +52,8 @@ class SubIntervals:
     saturation : float
         A sub-interval with a reading beyond this is left out, nT; the instrument's range.
     neighbours : tuple of 2 floats
-        Distances from the tones, in spin frequencies, at which natural fluctuations are measured. The first
-        gives the published uncertainties (85, 115, 185, 215 %), both the noise of the joint estimate.
+        Distances from the tones, in spin frequencies, at which natural fluctuations are measured: over whole
+        sub-intervals (85, 115, 185, 215 % as published) and in each block alone.
     """
 
     spins: int = 100
@@ -68,16 +69,24 @@ class SubIntervals:
                 f"overlap {self.overlap} cuts {self.spins} spins into parts that are not whole",
                 remedy="take 0, 0.5, 2/3 or 0.75 and a number of spins that divides",
             )
-        if self.spins // round(blocks) < _FEWEST_SPINS:
+        nearest = min(self.neighbours) * self.spins / round(blocks)
+        if self.spins // round(blocks) < _FEWEST_SPINS or nearest < 1.0:
             raise CalibrationError(
-                f"{self.spins // round(blocks)} spins a block, at least {_FEWEST_SPINS} needed",
-                remedy="take longer sub-intervals or less overlap",
+                f"{self.spins // round(blocks)} spins a block with neighbours {nearest:.2g} turns away: "
+                f"at least {_FEWEST_SPINS} spins and 1 turn needed",
+                remedy="take longer sub-intervals, less overlap or neighbours further away",
             )
 
     @property
     def blocks(self) -> int:
         """Blocks of a sub-interval."""
         return round(1.0 / (1.0 - self.overlap))
+
+    @property
+    def distances(self) -> tuple[float, float]:
+        """`neighbours` where tones leak nothing: whole turns over a sub-interval and over a block."""
+        whole, part = float(self.spins), float(self.spins // self.blocks)
+        return round(self.neighbours[0] * whole) / whole, round(self.neighbours[1] * part) / part
 
     @property
     def turn(self) -> float:
@@ -112,9 +121,9 @@ class Layout:
 
     def excluded(self) -> tuple[tuple[str, Bools], ...]:
         """Return the reasons with the sub-intervals they hit: one bad block is enough."""
-        return tuple((name, self.over_blocks(hit).any(axis=1)) for name, hit in self.reasons)
+        return tuple((name, np.asarray(self.over_blocks(hit).any(axis=1))) for name, hit in self.reasons)
 
-    def over_blocks(self, values: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    def over_blocks(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return a view (sub-interval, block of it, ...) of something by block."""
         view = np.lib.stride_tricks.sliding_window_view(values, self.settings.blocks, axis=0)
         return np.moveaxis(view, -1, 1)
@@ -152,14 +161,17 @@ def lay_out(
     """
     settings = settings or SubIntervals()
     _check_shapes(readings, phase, stamps)
-    usable = np.isfinite(phase) & np.isfinite(readings.sum(axis=1))
+    usable = np.isfinite(phase)
+    for axis in range(3):
+        usable &= np.isfinite(readings[:, axis])
     if good is not None:
         usable &= good
     known = phase if np.isfinite(phase).all() else np.fmax.accumulate(phase)
     edges = _edges(known, settings)
     cut = np.searchsorted(np.maximum.accumulate(known), edges)
     start, stop = cut[:-1].astype(np.int64), cut[1:].astype(np.int64)
-    within = np.flatnonzero(np.abs(readings).max(axis=1, initial=0.0) > settings.saturation)
+    beyond = (readings > settings.saturation) | (readings < -settings.saturation)
+    within = np.flatnonzero(beyond.any(axis=1)) if beyond.any() else np.empty(0, dtype=np.int64)
     reasons = [
         ("saturated", _hit(within, cut)),
         ("phase jump", _hit(_jumps(phase, stamps), cut)),
@@ -191,7 +203,9 @@ def _edges(phase: Floats, settings: SubIntervals) -> Floats:
             f"{turns / (2.0 * np.pi):.1f} spins of known phase found, {settings.spins} needed",
             remedy="take a longer span, or sub-intervals of fewer spins",
         )
-    return np.asarray(known[0] + settings.turn * np.arange(blocks + 1))
+    # Half a step before the samples: those that fall on an edge would go to either side by rounding.
+    half = 0.5 * float(np.median(np.diff(known[: int(1e4)])))
+    return np.asarray(known[0] - half + settings.turn * np.arange(blocks + 1))
 
 
 def _jumps(phase: Floats, stamps: Int64) -> Int64:

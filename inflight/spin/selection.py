@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -19,14 +20,13 @@ from inflight.errors import CalibrationError
 from inflight.estimators.longrun import sigma_of_mean
 from inflight.spin.equation import SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.estimates import PAIRS, SpinEstimates, estimate_pairs
-from inflight.spin.harmonics import spin_tones
 from inflight.spin.layout import Bools, Layout
-from inflight.spin.start import first_tones
+from inflight.spin.start import first_tones, next_tones
 from inflight.time import Int64
 
 Statistic = Literal["mean", "median"]
-#: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al. 2019,
-#: section 7), offsets unknown beside any field the sensor is flown for.
+#: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al.
+#: 2019, section 7), offsets unknown beside any field the sensor is flown for.
 UNKNOWN: Mapping[str, float] = {
     name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0)
     for name in SPIN_RELATED
@@ -44,8 +44,9 @@ class Selection:
     Attributes
     ----------
     value, sigma : ndarray, shape (8,)
-        In the order of `SPIN_RELATED`; sigma is that of the value: natural fluctuations, the overlap and the
-        memory of the estimates, and the uncertainty of the pairs held. Infinite where nothing was selected.
+        Means in the order of `SPIN_RELATED`, the present value where nothing was selected. Sigma is theirs:
+        natural fluctuations, overlap and memory of the estimates, uncertainty of the pairs held; infinite
+        where nothing was selected.
     scatter : ndarray, shape (8,)
         Standard deviation of the selected estimates, the paper's "error".
     threshold : ndarray, shape (8,)
@@ -56,7 +57,7 @@ class Selection:
     estimates : SpinEstimates
         Of the last pass.
     parameters : TwelveParameters
-        With the values put in.
+        With the values put in that are known better than the present ones.
     passes : int
     settled : bool
         True when the last pass changed nothing beyond a tenth of its sigma.
@@ -169,22 +170,23 @@ def calibrate_by_selection(
     known = np.array([{**UNKNOWN, **(present_sigma or {})}[name] for name in SPIN_RELATED])
     if statistic not in ("mean", "median"):
         raise CalibrationError(f"no statistic is called '{statistic}'", remedy="take 'mean' or 'median'")
-    held, scatter, parameters, sigma = known.copy(), known.copy(), present, known
+    held, scatter, parameters = known.copy(), known.copy(), present
     tones = first_tones(readings, phase, stamps, layout, present)
-    for passes in range(1, _PASSES + 1):
-        estimates = estimate_pairs(tones, _spread(scatter))
+    settled, passes = False, 0
+    while not settled and passes < _PASSES:
+        if passes:
+            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+        passes += 1
+        estimates = estimate_pairs(tones, spread_of(scatter))
         found = _Rounds(estimates, known, held, scatter, wanted or {}, statistic)
         found.run()
-        parameters, sigma, held, scatter = found.put_in(), found.sigma, found.held, found.scatter
+        parameters, held, scatter = found.put_in(), found.held, found.scatter
         moved = parameters.spin_related() - tones.parameters.spin_related()
-        settled = bool(np.all(np.abs(moved) <= _SETTLED * np.where(np.isfinite(sigma), sigma, np.inf)))
-        if settled:
-            break
-        tones = spin_tones(readings, phase, stamps, layout, parameters)
+        settled = bool(np.all(np.abs(moved) <= _SETTLED * found.sigma))
     return Selection(
-        parameters.spin_related(),
-        sigma,
-        np.where(np.isfinite(sigma), scatter, np.nan),
+        found.mean,
+        found.sigma,
+        found.spread,
         found.threshold,
         found.chosen,
         tuple(found.how),
@@ -195,7 +197,7 @@ def calibrate_by_selection(
     )
 
 
-def _spread(scatter: Floats) -> dict[str, float]:
+def spread_of(scatter: Floats) -> dict[str, float]:
     """Return the uncertainty of the pairs held that the published uncertainties need."""
     return {
         pair: float(max(scatter[SPIN_RELATED.index(name)] for name in names)) for pair, names in PAIRS.items()
@@ -218,7 +220,9 @@ class _Rounds:
         self.held, self.scatter = held.copy(), scatter.copy()
         self.begin = estimates.parameters.spin_related()
         self.value = self.begin.copy()
+        self.mean = self.value.copy()
         self.sigma = np.full(self.value.size, np.inf)
+        self.spread = np.full(self.value.size, np.nan)
         self.threshold = np.full(self.value.size, np.nan)
         self.chosen = np.zeros(estimates.value.shape, dtype=np.bool_)
         self.how = [""] * self.value.size
@@ -249,18 +253,18 @@ class _Rounds:
         common = float(np.sqrt(np.sum((slopes.mean(axis=0) * self.held) ** 2)))
         own = self._own_sigma(np.flatnonzero(chosen), at, values)
         sigma = float(np.hypot(own, common))
-        self.sigma[at] = sigma
+        self.mean[at], self.sigma[at], self.spread[at] = middle, sigma, float(values.std(ddof=1))
         if sigma < self.known[at]:
             self.value[at], self.held[at] = middle, sigma
-            self.scatter[at] = max(float(values.std(ddof=1)), sigma)
+            self.scatter[at] = max(self.spread[at], sigma)
 
-    def _own_sigma(self, where: Int64, at: int, values: Floats) -> float:
+    def _own_sigma(self, where: npt.NDArray[np.intp], at: int, values: Floats) -> float:
         """Return the sigma of the mean by fluctuations: of sub-intervals that overlap and may remember."""
-        own = np.zeros(self.chosen.shape[0])
+        own = np.zeros(len(self.chosen))
         own[where] = self.estimates.sigma[where, at]
-        total = float(own @ own)
+        total = float(np.sum(own**2))
         for apart in range(1, min(self.estimates.blocks, own.size)):
-            total += 2.0 * (1.0 - apart / self.estimates.blocks) * float(own[apart:] @ own[:-apart])
+            total += 2.0 * (1.0 - apart / self.estimates.blocks) * float(np.sum(own[apart:] * own[:-apart]))
         sigma = max(np.sqrt(total) / where.size, sigma_of_mean(values))
         # The median of Gaussian numbers scatters by more than their mean.
         return float(sigma * (np.sqrt(0.5 * np.pi) if self.statistic == "median" else 1.0))

@@ -1,4 +1,4 @@
-"""The first tones of a record: where offsets are as large as the field, spins are averaged first."""
+"""Tones of a record from pass to pass: where offsets are as large as the field, spins are averaged first."""
 
 from __future__ import annotations
 
@@ -6,8 +6,15 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.spin.equation import TwelveParameters
-from inflight.spin.harmonics import SERIES, SpinTones, check_turning, spin_tones
+from inflight.spin.harmonics import (
+    SpinTones,
+    check_turning,
+    corrected_tones,
+    small_step,
+    spin_tones,
+)
 from inflight.spin.layout import Layout
+from inflight.spin.sums import SERIES
 from inflight.time import Int64
 
 #: Above this part of the field an offset bends the modulus too much for one linear step.
@@ -45,3 +52,17 @@ def first_tones(
             tones = spin_tones(readings, phase, stamps, layout, present.changed(moved))
     check_turning(tones, readings, phase, layout)
     return tones
+
+
+def next_tones(
+    readings: Floats,
+    phase: Floats,
+    stamps: Int64,
+    layout: Layout,
+    before: SpinTones,
+    parameters: TwelveParameters,
+) -> SpinTones:
+    """Return tones at new parameters: all of them, or after a small step those of Bz and modulus alone."""
+    if small_step(before, parameters):
+        return corrected_tones(readings, phase, layout, before, parameters)
+    return spin_tones(readings, phase, stamps, layout, parameters)

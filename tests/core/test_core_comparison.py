@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.comparison import Band, Layout, filter_rows, rows_of
-from inflight.errors import MissionError, ModelError, SamplesError
+from inflight.errors import MissionError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model, make_effect

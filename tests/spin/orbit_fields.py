@@ -29,18 +29,22 @@ def turbulence(count, cadence, generator, power=5 / 3, slowest=2e-4):
     size = 1 << (count - 1).bit_length()
     frequency = np.maximum(np.fft.rfftfreq(size, cadence), slowest)
     amplitude = np.sqrt(frequency**-power * size / cadence / 2)
-    spectrum = amplitude * (generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size))
+    spectrum = amplitude * (
+        generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)
+    )
     return np.fft.irfft(spectrum, size)[:count]
 
 
 def spun(field, phase):
     """Turn a field (time, 3) from inertial axes into axes at `phase` from x towards y."""
     c, s = np.cos(phase), np.sin(phase)
-    return np.stack([c * field[:, 0] + s * field[:, 1], c * field[:, 1] - s * field[:, 0], field[:, 2]], axis=1)
+    return np.stack(
+        [c * field[:, 0] + s * field[:, 1], c * field[:, 1] - s * field[:, 0], field[:, 2]], axis=1
+    )
 
 
 def fluctuating(mean, density, compression, cadence, generator):
-    """Add turbulence to a mean field (time, 3): its length follows `compression` of it, its direction the rest.
+    """Add turbulence to a mean field (time, 3), `compression` of it to its length, the rest to its direction.
 
     `density` (time,) is the root of the spectral density at 1 Hz, nT/sqrt(Hz).
     """

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag
-from inflight.spin.fourier import Complex, FourierSums, fourier_sums
+from inflight.fourier import Complex, FourierSums, fourier_sums
 from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 
 #: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.

@@ -1,0 +1,282 @@
+"""All methods on one record: which intervals each may use, whether they agree, and one offset of them all.
+
+Methods share intervals and nature, so they are not independent. Each is weighted by the inverse of its own
+covariance; the error of the result is that of the weighted influences of every interval, in which what
+methods share is counted once. Pairs are held against each other with the covariance of their *difference*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+from scipy import stats
+
+from inflight.arrays import Floats
+from inflight.errors import CalibrationError
+from inflight.estimators.longrun import long_run_covariance
+from inflight.zero_level.davis_smith import davis_smith, least_variance
+from inflight.zero_level.estimate import Estimate, Question
+from inflight.zero_level.intervals import Bools, Intervals
+from inflight.zero_level.minimum_correlation import minimum_correlation
+from inflight.zero_level.mirror_mode import mirror_mode
+from inflight.zero_level.selection import Kinds, kinds
+from inflight.zero_level.wang_pan import wang_pan
+
+Method = Callable[[Intervals, Bools | None, Question | None], Estimate]
+
+#: Two methods disagree when chance gives their difference less often than this.
+DISAGREE = 0.01
+#: So rarely that one of the methods must be wrong, and no mean of them is told.
+APART = 1e-4
+#: Rounds of selection and estimate.
+_ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Two methods held against each other along the axes both tell.
+
+    Attributes
+    ----------
+    first, second : str
+    chi2 : float
+        Of the difference, with the covariance of the difference.
+    axes : int
+    chance : float
+        How often chance alone gives as much.
+    """
+
+    first: str
+    second: str
+    chi2: float
+    axes: int
+    chance: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether chance may be all."""
+        return self.chance >= DISAGREE
+
+    def told(self) -> str:
+        """Say it in a sentence."""
+        verb = "agree" if self.agrees else "DISAGREE"
+        size = f"chi2 {self.chi2:.1f} of {self.axes} axes, p {self.chance:.2g}"
+        return f"{self.first} and {self.second} {verb}: {size}"
+
+
+@dataclass(frozen=True)
+class Combined:
+    """The offset of all methods.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        Widened by the root of the largest reduced chi2 where methods disagree by more than chance gives once
+        in a hundred; nothing is told where chance gives it less than once in ten thousand.
+    methods : tuple of Estimate
+        What each method said of its own intervals.
+    agreement : tuple of Agreement
+    kinds : Kinds
+        Which intervals are Alfvenic, compressional, neither.
+    refused : tuple of str
+        Methods that could not be used, and why.
+    """
+
+    estimate: Estimate
+    methods: tuple[Estimate, ...]
+    agreement: tuple[Agreement, ...]
+    kinds: Kinds
+    refused: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether no two methods disagree."""
+        return all(one.agrees for one in self.agreement)
+
+    def told(self) -> str:
+        """Say everything, line by line."""
+        lines = [self.estimate.told(), self.kinds.told(), *(one.told() for one in self.methods)]
+        return "\n".join([*lines, *(one.told() for one in self.agreement), *self.refused])
+
+    def table(self) -> xr.Dataset:
+        """Return the combined offset (`Estimate.table`) with each method's beside it, and their agreement."""
+        names = [one.method for one in self.methods]
+        pairs = [f"{one.first} / {one.second}" for one in self.agreement]
+        return self.estimate.table().assign(
+            method_value=(("method", "parameter"), np.array([one.value for one in self.methods])),
+            method_sigma=(("method", "parameter"), np.array([one.sigma for one in self.methods])),
+            method_used=(("method", "interval"), np.array([one.used for one in self.methods])),
+            chance=("pair", np.array([one.chance for one in self.agreement])),
+            alfvenic=("interval", self.kinds.alfvenic),
+            compressional=("interval", self.kinds.compressional),
+            method=names,
+            pair=pairs,
+        )
+
+
+def combined(intervals: Intervals, question: Question | None = None) -> Combined:
+    """Estimate the offset by every method on the intervals that suit it.
+
+    Davis-Smith and Wang-Pan take Alfvenic intervals, the mirror mode compressional ones, minimum
+    correlation all but compressional ones (both together would cancel). Which intervals are which depends
+    on the offset: both are found in turn until the kinds stay.
+
+    Raises
+    ------
+    CalibrationError
+        No method tells anything, with the reason of each.
+    """
+    question = question or Question()
+    found, failed = [], []
+    for near in _starts(intervals, question):
+        try:
+            found.append(_from(intervals, question, near))
+        except CalibrationError as error:
+            failed.append(error)
+    if not found:
+        raise failed[0]
+    # Under a wrong offset turning looks like compression and both get mixed: the right one leaves most
+    # intervals pure, and methods that agree.
+    found.sort(key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
+    best = found[0]
+    rivals = [one for one in found[1:] if not _agrees(best.estimate, one.estimate)]
+    told = tuple(f"another start leads elsewhere: {one.estimate.told()}" for one in rivals)
+    return replace(best, estimate=best.estimate.because(*told))
+
+
+def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
+    """Estimate from one offset to begin with."""
+    offset, seen = near, list[Kinds]()
+    for _ in range(_ROUNDS):
+        found = kinds(intervals, offset)
+        methods, refused = _each(intervals, found, replace(question, near=tuple(offset)))
+        if not methods:
+            raise CalibrationError(
+                f"no method tells an offset ({found.told()}): {'; '.join(refused)}",
+                remedy="take a longer span, or one in which the field turns more",
+            )
+        best = weighted(methods, question)
+        if any(_same(found, one) for one in seen):
+            break
+        seen.append(found)
+        offset = best.solution
+    pairs = tuple(
+        pair
+        for i, one in enumerate(methods)
+        for other in methods[i + 1 :]
+        if (pair := agreement(one, other)) is not None
+    )
+    return Combined(_widened(best, pairs), tuple(methods), pairs, found, tuple(refused))
+
+
+def _starts(intervals: Intervals, question: Question) -> list[Floats]:
+    """Return offsets to begin with: what is known, and what two simple rules say of all intervals alike."""
+    start = np.asarray(question.start, dtype=np.float64)
+    least = np.clip(least_variance(intervals, question), start - question.bound, start + question.bound)
+    try:
+        return [start, least, mirror_mode(intervals, None, question).solution]
+    except CalibrationError:
+        return [start, least]
+
+
+def _agrees(one: Estimate, other: Estimate) -> bool:
+    pair = agreement(one, other)
+    return pair is None or pair.agrees
+
+
+def _same(one: Kinds, other: Kinds) -> bool:
+    return bool((one.alfvenic == other.alfvenic).all() and (one.compressional == other.compressional).all())
+
+
+def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[Estimate], list[str]]:
+    """Return what each method says of its intervals, and why others say nothing."""
+    suited: tuple[tuple[Method, Bools], ...] = (
+        (davis_smith, found.alfvenic),
+        (wang_pan, found.alfvenic),
+        (mirror_mode, found.compressional),
+        (minimum_correlation, ~found.compressional),
+    )
+    methods, refused = [], []
+    for method, used in suited:
+        try:
+            one = method(intervals, used, question)
+        except CalibrationError as error:
+            refused.append(str(error))
+            continue
+        if one.determined.any():
+            methods.append(one)
+        else:
+            refused.append(f"{one.method}: {'; '.join(one.reasons)}")
+    return methods, refused
+
+
+def weighted(methods: list[Estimate], question: Question) -> Estimate:
+    """Return the mean of methods, weighted by their covariances, with the error of what they share.
+
+    Parameters
+    ----------
+    methods : list of Estimate
+        On the same intervals.
+    """
+    free = np.asarray(question.free)
+    inside = np.ix_(free, free)
+    each = [np.linalg.inv(one.covariance[inside]) for one in methods]
+    whole = np.linalg.inv(np.sum(each, axis=0))
+    shares = [_embedded(whole @ one, free) for one in each]
+    start = np.asarray(question.start)
+    solution = start + sum(
+        (share @ (one.solution - start) for share, one in zip(shares, methods, strict=True)), np.zeros(3)
+    )
+    influence = np.sum([one.influence @ share.T for share, one in zip(shares, methods, strict=True)], axis=0)
+    systematic = np.sum(
+        [share @ one.systematic @ share.T for share, one in zip(shares, methods, strict=True)], axis=0
+    )
+    used = np.any([one.used for one in methods], axis=0)
+    covariance = long_run_covariance(influence) + systematic
+    determined = question.determined(covariance)
+    first = methods[0]
+    names = ", ".join(one.method for one in methods)
+    lost = () if determined[free].all() else ("no method tells every axis",)
+    return Estimate(
+        f"combined ({names})", np.where(determined, solution, start), covariance, determined, influence, used,
+        first.start, first.end, systematic, lost,
+    )  # fmt: skip
+
+
+def _embedded(matrix: Floats, free: Bools) -> Floats:
+    whole = np.zeros((3, 3))
+    whole[np.ix_(free, free)] = matrix
+    return whole
+
+
+def agreement(one: Estimate, other: Estimate) -> Agreement | None:
+    """Hold two estimates from the same intervals against each other; None when no axis is told by both."""
+    both = one.determined & other.determined
+    if not both.any():
+        return None
+    apart = (one.solution - other.solution)[both]
+    shared = long_run_covariance((one.influence - other.influence)[:, both])
+    covariance = shared + (one.systematic + other.systematic)[np.ix_(both, both)]
+    chi2 = float(apart @ np.linalg.solve(covariance, apart))
+    axes = int(both.sum())
+    return Agreement(one.method, other.method, chi2, axes, float(stats.chi2.sf(chi2, axes)))
+
+
+def _widened(estimate: Estimate, pairs: tuple[Agreement, ...]) -> Estimate:
+    """Return the estimate with errors as large as the disagreement asks for, and the disagreement told."""
+    apart = [pair for pair in pairs if not pair.agrees]
+    if not apart:
+        return estimate
+    factor = max(pair.chi2 / pair.axes for pair in apart)
+    wider = replace(
+        estimate, covariance=factor * estimate.covariance, influence=np.sqrt(factor) * estimate.influence,
+        systematic=factor * estimate.systematic,
+    )  # fmt: skip
+    told = tuple(pair.told() for pair in apart)
+    if min(pair.chance for pair in apart) < APART:
+        blind = replace(wider, determined=np.zeros(3, dtype=bool))
+        return blind.because(*told, "one of these is wrong: no mean is told")
+    return wider.because(*told)

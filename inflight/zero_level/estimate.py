@@ -1,0 +1,339 @@
+"""What every method returns: an offset with its covariance, what is determined, and from which intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.errors import CalibrationError
+from inflight.estimators.longrun import long_run_covariance
+from inflight.time import Int64
+from inflight.zero_level.intervals import AXES, FEWEST_INTERVALS, Bools, Intervals
+
+#: Offsets are looked for within this many nT of the start unless told otherwise.
+BOUND = 10.0
+#: A direction is told when its information exceeds this many of its own standard deviations: 2 % by chance.
+_TOLD = 2.0
+#: Standard deviation given to a direction that is not told, in bounds.
+_UNTOLD = 1e3
+_ROUNDS, _SETTLED = 60, 1e-4
+#: Largest step, in bounds, and the least true slope, in slopes stepped by.
+_STRIDE, _LEAST_ANSWER = 0.2, 0.3
+#: No interval is taken to hold more than this part of what all tell, when it is left out.
+_MOST_SHARE = 0.7
+#: Every axis.
+ALL = (True, True, True)
+
+#: From an offset (3,) to slopes (interval, 3, 3).
+Slopes = Callable[[Floats], Floats]
+#: From an offset (3,) to the scores (interval, 3) and their slopes (interval, 3, 3), of which
+#: ``sum(slopes) @ step = sum(scores)`` is the next step.
+Equations = Callable[[Floats], tuple[Floats, Floats]]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An offset: what the reading says in a field of zero, nT, to be subtracted from it.
+
+    Attributes
+    ----------
+    method : str
+    solution : ndarray, shape (3,)
+        nT; the start where an axis is not determined.
+    covariance : ndarray, shape (3, 3)
+        nT^2, correlation in time respected; huge in directions that are not determined.
+    determined : ndarray of bool, shape (3,)
+        Axes of which the data know more than the bound they were given.
+    influence : ndarray, shape (interval, 3)
+        What each interval adds to the error of the solution, as far as the intervals tell, nT.
+    used : ndarray of bool, shape (interval,)
+        Intervals that took part.
+    start, end : ndarray of int64, shape (interval,)
+        TT2000 of all intervals offered.
+    systematic : ndarray, shape (3, 3)
+        The part of the covariance that the intervals' scatter does not show, nT^2.
+    reasons : tuple of str
+        What is not determined and why, what was left out, what may bias it.
+    """
+
+    method: str
+    solution: Floats
+    covariance: Floats
+    determined: Bools
+    influence: Floats
+    used: Bools
+    start: Int64
+    end: Int64
+    systematic: Floats
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def value(self) -> Floats:
+        """The offset, nT; NaN where it is not determined; (3,)."""
+        return np.where(self.determined, self.solution, np.nan)
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations, nT; infinite where not determined; (3,)."""
+        return np.where(self.determined, np.sqrt(np.diag(self.covariance)), np.inf)
+
+    @property
+    def intervals_used(self) -> Int64:
+        """TT2000 of the intervals that took part; (interval, 2)."""
+        return np.stack([self.start[self.used], self.end[self.used]], axis=1)
+
+    def pulled(self, pull: Floats, why: str) -> Estimate:
+        """Return the same with a pull (3,), nT, of unknown size up to this one in its covariance."""
+        told = ", ".join(f"{axis} {one:.3f}" for axis, one in zip(AXES, np.abs(pull), strict=True))
+        more = np.outer(pull, pull)
+        wider = replace(self, covariance=self.covariance + more, systematic=self.systematic + more)
+        return wider.because(f"{why} may pull it by {told} nT")
+
+    def told(self) -> str:
+        """Say it in a sentence."""
+        parts = [
+            f"{axis} {value:.3f} +- {sigma:.3f} nT" if known else f"{axis} cannot be told"
+            for axis, value, sigma, known in zip(AXES, self.value, self.sigma, self.determined, strict=True)
+        ]
+        return f"{self.method}, {int(self.used.sum())} of {self.used.size} intervals: {', '.join(parts)}"
+
+    def because(self, *reasons: str) -> Estimate:
+        """Return the same with more reasons."""
+        return replace(self, reasons=(*self.reasons, *reasons))
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `covariance`, `determined` along parameter, and `used` along interval."""
+        names = [f"offset_{axis}" for axis in AXES]
+        return xr.Dataset(
+            {
+                "value": ("parameter", self.value, {"units": "nT"}),
+                "sigma": ("parameter", self.sigma, {"units": "nT"}),
+                "covariance": (("parameter", "other"), self.covariance, {"units": "nT^2"}),
+                "determined": ("parameter", self.determined),
+                "units": ("parameter", np.array(["nT"] * 3)),
+                "used": ("interval", self.used),
+                "start": ("interval", self.start, {"scale": "TT2000"}),
+                "end": ("interval", self.end, {"scale": "TT2000"}),
+            },
+            coords={"parameter": names, "other": names},
+            attrs={"method": self.method, "reasons": "; ".join(self.reasons)},
+        )
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of a method.
+
+    Attributes
+    ----------
+    free : tuple of bool
+        Axes to estimate; the others keep their value of `start`. In despun axes only z.
+    start : tuple of float
+        Offsets known beforehand, nT.
+    bound : float
+        The offset lies within this many nT of the start.
+    near : tuple of float, optional
+        Where methods begin to look, nT; when absent the start and what simpler rules say.
+    """
+
+    free: tuple[bool, bool, bool] = ALL
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bound: float = BOUND
+    near: tuple[float, float, float] | None = None
+
+    def begins(self, other: Floats) -> list[Floats]:
+        """Return where to begin to look: `near`, else the start and another offset."""
+        if self.near is not None:
+            return [np.asarray(self.near, dtype=np.float64)]
+        return [np.asarray(self.start, dtype=np.float64), other]
+
+    def determined(self, covariance: Floats) -> Bools:
+        """Return which axes are known better than the bound says: uniform within it; (3,)."""
+        known = np.sqrt(np.diag(covariance)) < self.bound / np.sqrt(3.0)
+        return np.asarray(known & np.asarray(self.free))
+
+    def chosen(self, method: str, intervals: Intervals, used: Bools | None, *, lively: bool = True) -> Bools:
+        """Return the intervals to use, without those of noise only if `lively`; raise for too few."""
+        mask = (intervals.lively if lively else np.full(len(intervals), True)) & (
+            True if used is None else np.asarray(used, dtype=bool)
+        )
+        if mask.sum() < FEWEST_INTERVALS:
+            raise CalibrationError(
+                f"{method}: {int(mask.sum())} of {mask.size} intervals are of its kind and above noise, "
+                f"{FEWEST_INTERVALS} needed",
+                remedy="take a longer span, or another method",
+            )
+        return mask
+
+
+def informed(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]:
+    """Return the inverse of the summed slopes in the directions they tell, and the projector on these.
+
+    Parameters
+    ----------
+    slopes : ndarray, shape (interval, 3, 3)
+    free : ndarray of bool, shape (3,)
+    least : float
+        A direction is told by so many standard deviations of its own information.
+
+    Returns
+    -------
+    inverse, projector : ndarray, shape (3, 3) each
+    """
+    keep = np.eye(3)[:, free]
+    total = keep.T @ slopes.sum(axis=0) @ keep
+    value, vector = np.linalg.eigh(0.5 * (total + total.T))
+    each = np.einsum("ia,kij,ja->ka", keep @ vector, slopes, keep @ vector)
+    spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each)), 0.0))
+    size = np.abs(value)
+    told = (size > least * spread) & (size > 1e-12 * max(float(size.max()), 1e-300))
+    good = vector[:, told]
+    # The slopes need not be symmetric; in the directions told they are inverted as they are.
+    inverse = good @ np.linalg.inv(good.T @ total @ good) @ good.T if told.any() else np.zeros_like(total)
+    return keep @ inverse @ keep.T, keep @ good @ good.T @ keep.T
+
+
+def solve(
+    method: str,
+    equations: Equations,
+    intervals: Intervals,
+    used: Bools,
+    question: Question,
+    answer: Slopes | None = None,
+    *,
+    first: Floats | None = None,
+    signed: bool = False,
+    turning: bool = False,
+) -> Estimate:
+    """Solve a method's equations and give the solution its uncertainty.
+
+    The covariance is the sandwich of the intervals' scores, whose correlation in time is respected.
+
+    Parameters
+    ----------
+    equations : callable
+        Scores and the slopes to step by.
+    answer : callable, optional
+        By how much the scores truly give way where weights follow the offset; the slopes when absent.
+    first : ndarray, shape (3,), optional
+        Where to begin to look; the question's start when absent.
+    signed : bool
+        The slopes of intervals may have either sign and cancel: a direction must stand out of their scatter.
+    turning : bool
+        Readings in turning axes will do; else an offset within the readings' own cloud is none.
+
+    Raises
+    ------
+    CalibrationError
+        When the solution does not settle within the bound.
+    """
+    free, start = np.asarray(question.free), np.asarray(question.start, dtype=np.float64)
+    within = (start - question.bound, start + question.bound)
+    begin = start if first is None else first
+    offset, settled = np.clip(np.where(free, begin, start), *within), False
+    for _ in range(_ROUNDS):
+        scores, slopes = equations(offset)
+        step = informed(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
+        settled = bool(np.abs(step).max() < _SETTLED)
+        # Far from the zero the slopes are those of another field: no step leaves their reach.
+        step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
+        offset = np.clip(offset + step, *within)
+        if settled:
+            break
+    inverse, told = informed(slopes[used], free, _TOLD if signed else 0.0)
+    if answer is not None:
+        slopes = answer(offset)
+        inverse = answering(inverse, slopes[used].sum(axis=0))
+    at_edge = free & (np.abs(offset - start) >= question.bound)
+    notes = []
+    if at_edge.any() or not settled:
+        where = ", ".join(np.array(AXES)[at_edge]) or "all axes"
+        notes.append(f"no zero within {question.bound:g} nT of the start ({where})")
+        told = np.zeros((3, 3))
+    if not turning and intervals.where(used).around(offset):
+        notes.append("the zero found lies within the readings themselves")
+        told = np.zeros((3, 3))
+    return _estimate(method, offset, (scores, slopes, inverse, told), intervals, used, question, tuple(notes))
+
+
+def likeliest(found: Sequence[Estimate], merit: Callable[[Estimate], float]) -> Estimate:
+    """Return the estimate that tells most axes, among equals that of the largest merit."""
+    return max(found, key=lambda one: (int(one.determined.sum()), merit(one)))
+
+
+def answering(inverse: Floats, answer: Floats) -> Floats:
+    """Return the inverse of how the summed scores truly give way, in the directions that are told.
+
+    Weights that follow the offset lessen it; where chance makes it very small it is taken as `_LEAST_ANSWER`
+    of the steps' slopes.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (3, 3)
+        Of the slopes stepped by (`informed`).
+    answer : ndarray, shape (3, 3)
+    """
+    size, vector = np.linalg.eigh(0.5 * (inverse + inverse.T))
+    told = size > 1e-12 * max(float(size.max()), 1e-300)
+    root = vector[:, told] * np.sqrt(size[told])
+    ratio, turn = np.linalg.eigh(root.T @ (0.5 * (answer + answer.T)) @ root)
+    spread = root @ turn
+    return np.asarray((spread / np.maximum(ratio, _LEAST_ANSWER)) @ spread.T)
+
+
+def _estimate(
+    method: str,
+    offset: Floats,
+    parts: tuple[Floats, Floats, Floats, Floats],
+    intervals: Intervals,
+    used: Bools,
+    question: Question,
+    reasons: tuple[str, ...],
+) -> Estimate:
+    scores, slopes, inverse, told = parts
+    influence = np.where(used[:, None], _without(scores, slopes, inverse), 0.0)
+    covariance = long_run_covariance(influence[used])
+    untold = (np.eye(3) - told) * (_UNTOLD * question.bound) ** 2
+    determined = question.determined(covariance + untold)
+    solution = np.where(determined, offset, np.asarray(question.start))
+    return Estimate(
+        method,
+        solution,
+        covariance + untold,
+        determined,
+        influence,
+        used,
+        intervals.start,
+        intervals.end,
+        untold,
+        (*reasons, *_why(determined, question, told)),
+    )
+
+
+def _without(scores: Floats, slopes: Floats, inverse: Floats) -> Floats:
+    """Return by how much the solution moves when each interval is left out; (interval, 3), nT.
+
+    An interval that tells much pulls the solution to itself and hides its own error.
+    """
+    share = slopes @ inverse
+    own = np.linalg.norm(share, axis=(1, 2), keepdims=True)
+    share = share * np.minimum(1.0, _MOST_SHARE / np.maximum(own, 1e-300))
+    alone = np.linalg.solve(np.eye(3) - share, scores[..., None])[..., 0]
+    return np.asarray(alone @ inverse.T)
+
+
+def _why(determined: Bools, question: Question, told: Floats) -> tuple[str, ...]:
+    lost = [
+        axis
+        for axis, known, asked in zip(AXES, determined, question.free, strict=True)
+        if asked and not known
+    ]
+    if not lost:
+        return ()
+    none = not told.any()
+    cause = "nothing in these intervals tells an offset" if none else "the field varies too little along it"
+    return (f"cannot tell {', '.join(lost)}: {cause}",)

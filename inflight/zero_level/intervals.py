@@ -1,0 +1,272 @@
+"""A record in intervals of one length, without spikes, saturation and gaps, and what fluctuates in each.
+
+All methods work on the same intervals, so that their errors can be compared interval by interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.errors import CalibrationError, SamplesError
+from inflight.estimators.readings import SIGNIFICANCE, noise_of
+from inflight.time import GAP, SECOND, Int64
+
+Bools = npt.NDArray[np.bool_]
+
+AXES = ("x", "y", "z")
+#: Fewest intervals of an estimate: eight tell their own scatter to 25 %.
+FEWEST_INTERVALS = 8
+#: Fewest samples of an interval: a covariance of three components has six numbers.
+FEWEST_SAMPLES = 16
+#: An interval is kept with this part of its samples or more.
+_COVERAGE = 0.5
+#: Fluctuations count from this many times the variance from reading to reading on: white noise has it once,
+#: within 20 % of chance for fifty samples.
+_ABOVE_NOISE = 2.0
+#: This many equal readings at the end of the range in a row are saturation: noise would move them.
+_STUCK = 3
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Readings in intervals of one length.
+
+    Attributes
+    ----------
+    tt2000 : ndarray of int64, shape (interval, sample)
+        0 where there is no sample.
+    field : ndarray, shape (interval, sample, 3)
+        Readings, nT, in axes in which the offset is constant, or in despun axes when only the offset along
+        the spin axis is asked for; NaN where missing.
+    start, end : ndarray of int64, shape (interval,)
+        TT2000, half-open.
+    noise : ndarray, shape (3,)
+        What fluctuates from reading to reading, nT: at least the white noise; turbulence adds to it.
+    white : float
+        White noise per component as stated for the instrument, nT; 0 where nothing is stated.
+    cadence_s : float
+        Usual distance of samples.
+    notes : tuple of str
+        What was left out, and why.
+    """
+
+    tt2000: Int64
+    field: Floats
+    start: Int64
+    end: Int64
+    noise: Floats
+    white: float
+    cadence_s: float
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        tt2000: Int64,
+        field: Floats,
+        length_s: float,
+        good: Bools | None = None,
+        *,
+        white: float = 0.0,
+        fewest: int = FEWEST_INTERVALS,
+    ) -> Intervals:
+        """Cut a record into intervals.
+
+        Parameters
+        ----------
+        tt2000 : ndarray of int64, shape (time,)
+            Rising.
+        field : ndarray, shape (time, 3)
+            nT; NaN where missing.
+        length_s : float
+            Length of an interval: long against the correlation of the fluctuations, short against their
+            whole record; half an hour in the solar wind, minutes in a magnetosheath.
+        good : ndarray of bool, shape (time,), optional
+            Usable samples. Spikes, saturation and missing readings are left out in any case.
+        white : float
+            Known white noise per component, nT.
+        fewest : int
+            Fewest intervals.
+
+        Raises
+        ------
+        SamplesError
+            Shapes that differ, or times that do not rise.
+        CalibrationError
+            Too few samples or intervals.
+        """
+        times, values = _checked(tt2000, field)
+        finite = np.isfinite(values).all(axis=1)
+        allowed = np.ones(len(values), dtype=bool) if good is None else np.asarray(good, dtype=bool)
+        use, notes = _cleaned(values, np.asarray(finite & allowed))
+        times, values = times[use], values[use]
+        if times.size < FEWEST_SAMPLES:
+            raise CalibrationError(
+                f"{times.size} usable readings found, at least {FEWEST_SAMPLES} needed",
+                remedy="see the record's gaps and flags, or take a longer span",
+            )
+        cadence = float(np.median(np.diff(times))) / SECOND
+        filled = _filled(times, values, length_s, cadence)
+        if len(filled[0]) < fewest:
+            raise CalibrationError(
+                f"{len(filled[0])} intervals of {length_s:g} s at least half full found, {fewest} needed",
+                remedy="take a longer span, or shorter intervals",
+            )
+        noise = np.array([noise_of(values[:, axis])[0] for axis in range(3)])
+        return cls(*filled, noise, white, cadence, notes)
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def where(self, chosen: Bools | npt.NDArray[np.int64]) -> Intervals:
+        """Return some of the intervals; a boolean mask (interval,) or indices."""
+        parts = ("tt2000", "field", "start", "end")
+        kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in parts}
+        return replace(self, **kept)
+
+    def less(self, offset: Floats) -> Intervals:
+        """Return the same readings less an offset (3,), nT."""
+        return replace(self, field=self.field - offset)
+
+    @property
+    def count(self) -> Floats:
+        """Samples of each interval; (interval,)."""
+        return np.asarray(np.isfinite(self.field[..., 0]).sum(axis=1), dtype=np.float64)
+
+    @property
+    def mean(self) -> Floats:
+        """Mean reading; (interval, 3), nT."""
+        return np.asarray(np.nansum(self.field, axis=1) / self.count[:, None])
+
+    @property
+    def fluctuation(self) -> Floats:
+        """Readings less their interval's mean, 0 where missing; (interval, sample, 3), nT."""
+        return np.nan_to_num(self.field - self.mean[:, None, :])
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the components; (interval, 3, 3), nT^2."""
+        delta = self.fluctuation
+        return np.asarray(np.einsum("ksi,ksj->kij", delta, delta) / self.count[:, None, None])
+
+    @property
+    def lively(self) -> Bools:
+        """Whether more than noise fluctuates; (interval,)."""
+        total = np.trace(self.covariance, axis1=1, axis2=2)
+        noise = 3.0 * self.white**2 or np.sum(self.noise**2)
+        return np.asarray(total > _ABOVE_NOISE * noise)
+
+    def around(self, offset: Floats) -> bool:
+        """Whether an offset lies within the readings themselves: there a direction has no meaning.
+
+        The field left is then, in half of the intervals, smaller than what fluctuates.
+        """
+        left = np.sum((self.mean - offset) ** 2, axis=1)
+        return bool(np.median(left / np.trace(self.covariance, axis1=1, axis2=2)) < 1.0)
+
+    @property
+    def neighbours(self) -> Bools:
+        """Whether sample s + 1 follows sample s without a gap; (interval, sample - 1)."""
+        apart = np.diff(self.tt2000, axis=1) / SECOND
+        there = np.isfinite(self.field[:, 1:, 0]) & np.isfinite(self.field[:, :-1, 0])
+        return np.asarray(there & (apart < GAP * self.cadence_s))
+
+    @staticmethod
+    def joined(parts: Sequence[Intervals]) -> Intervals:
+        """Return the intervals of several records of one cadence, in the order given."""
+        width = max(part.field.shape[1] for part in parts)
+        one = parts[0]
+        arrays: dict[str, Any] = {
+            spec.name: np.concatenate([_widened(getattr(part, spec.name), width) for part in parts])
+            for spec in fields(one)
+            if spec.name in ("tt2000", "field", "start", "end")
+        }
+        return replace(one, **arrays, notes=tuple(note for part in parts for note in part.notes))
+
+
+def _widened(values: npt.NDArray[np.generic], width: int) -> npt.NDArray[np.generic]:
+    """Return (interval, sample, ...) padded to `width` samples; (interval,) as it is."""
+    if values.ndim == 1 or values.shape[1] == width:
+        return values
+    room = [(0, 0), (0, width - values.shape[1]), *[(0, 0)] * (values.ndim - 2)]
+    fill = np.nan if values.dtype.kind == "f" else 0
+    return np.pad(values, room, constant_values=fill)
+
+
+def _checked(tt2000: Int64, field: Floats) -> tuple[Int64, Floats]:
+    times, values = np.asarray(tt2000, dtype=np.int64), np.asarray(field, dtype=np.float64)
+    if values.shape != (times.size, 3):
+        raise SamplesError(
+            f"times have shape {times.shape}, the field {values.shape}", remedy="give (time,) and (time, 3)"
+        )
+    if np.any(np.diff(times) <= 0):
+        raise SamplesError("times do not rise", remedy="sort them and drop duplicates")
+    return times, values
+
+
+def _cleaned(values: Floats, use: Bools) -> tuple[Bools, tuple[str, ...]]:
+    """Return usable samples without spikes and saturation, and what was left out."""
+    missing, kept = int((~use).sum()), use.copy()
+    spikes = np.zeros_like(use)
+    spikes[kept] = _spikes(values[kept])
+    kept &= ~spikes
+    stuck = np.zeros_like(use)
+    stuck[kept] = _saturated(values[kept])
+    kept &= ~stuck
+    told = ((missing, "missing or flagged"), (int(stuck.sum()), "saturated"), (int(spikes.sum()), "spikes"))
+    return kept, tuple(f"{number} readings left out: {why}" for number, why in told if number)
+
+
+def _saturated(values: Floats) -> Bools:
+    """Return readings that stand still at an end of their range, in any component."""
+    if len(values) < _STUCK:
+        return np.zeros(len(values), dtype=bool)
+    out = np.zeros(len(values), dtype=bool)
+    for column in values.T:
+        at_end = (column == column.max()) | (column == column.min())
+        runs = np.convolve(at_end, np.ones(_STUCK), mode="valid") == _STUCK
+        if column.max() > column.min():
+            out |= np.convolve(runs, np.ones(_STUCK)) > 0
+    return out
+
+
+def _spikes(values: Floats) -> Bools:
+    """Return single readings that leave their neighbours and come back at once, in any component.
+
+    Steps of nature do not come back. The limit is that of `inflight.estimators.readings`, or eight times
+    the usual change between neighbours where that is larger: a turbulent field moves on its own.
+    """
+    out = np.zeros(len(values), dtype=bool)
+    if len(values) < FEWEST_SAMPLES:
+        return out
+    for column in values.T:
+        change = np.diff(column)
+        usual = max(float(np.sqrt(2.0)) * noise_of(column)[0], 1.4826 * float(np.median(np.abs(change))))
+        ahead, behind = change[:-1], change[1:]
+        least = np.minimum(np.abs(ahead), np.abs(behind))
+        out[1:-1] |= (least > SIGNIFICANCE * usual) & (np.abs(ahead + behind) < 0.5 * least)
+    return out
+
+
+def _filled(
+    times: Int64, values: Floats, length_s: float, cadence: float
+) -> tuple[Int64, Floats, Int64, Int64]:
+    """Return times, readings (NaN-filled), starts and ends of the intervals with enough samples."""
+    length = round(length_s * SECOND)
+    number = (times - times[0]) // length
+    which, first, count = np.unique(number, return_index=True, return_counts=True)
+    needed = max(FEWEST_SAMPLES, _COVERAGE * length_s / cadence)
+    row = np.repeat(np.arange(which.size), count)
+    place = np.arange(times.size) - np.repeat(first, count)
+    field = np.full((which.size, int(count.max()), 3), np.nan)
+    stamps = np.zeros(field.shape[:2], dtype=np.int64)
+    field[row, place], stamps[row, place] = values, times
+    start = times[0] + which * length
+    kept = count >= needed
+    return stamps[kept], field[kept], start[kept], start[kept] + length
