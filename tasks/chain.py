@@ -18,7 +18,8 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import BlockFit
 from inflight.catalog import Catalog
-from inflight.chain import empty_equations, wide_equations, with_nine
+from inflight.chain import empty_equations, wide_and_beside, with_nine
+from inflight.chain.beside import Beside
 from inflight.comparison import Rows, rows_of
 from inflight.errors import SamplesError
 from inflight.estimators.contrasts import in_amperes
@@ -30,11 +31,11 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
 from inflight.tasks.chain_parts import alike, pack_parts
-from inflight.tasks.needs import channel_homes
+from inflight.tasks.needs import channel_homes, position_channel
 from inflight.time import Int64, day_bounds
 
 #: Bumped by hand when the numbers of the chain's days change.
-CHAIN_VERSION = 2
+CHAIN_VERSION = 3
 #: Kinds of channels whose currents may step.
 CURRENTS = ("solar_current", "battery_current", "camera_current", "heater", "current")
 
@@ -49,17 +50,24 @@ class Witnesses:
         Scalar currents, the one of the solar array first where there is one.
     torquer : str
         Three torquer currents; empty when the mission has none.
+    temperatures : tuple of str
+        Of the comparison's vector sensor.
+    orbit : bool
+        Whether there are positions.
     """
 
     currents: tuple[str, ...]
     torquer: str
+    temperatures: tuple[str, ...] = ()
+    orbit: bool = False
 
     @classmethod
-    def of(cls, mission: Mission) -> Witnesses:
-        """Return those of a mission, by the kinds of its channels."""
+    def of(cls, mission: Mission, comparison: str) -> Witnesses:
+        """Return those of a mission's comparison, by the kinds of its channels."""
+        homes = channel_homes(mission)
         kinds = {
             name: mission.instruments[instrument].channels[channel]
-            for name, (instrument, channel) in channel_homes(mission).items()
+            for name, (instrument, channel) in homes.items()
         }
         currents = [
             name
@@ -68,12 +76,29 @@ class Witnesses:
             if one.kind == kind and not one.axis_names
         ]
         torquers = [name for name, one in kinds.items() if one.kind == "torquer_current"]
-        return cls(tuple(currents), torquers[0] if torquers else "")
+        own = mission.comparisons[comparison].instruments().get("vector", "")
+        warm = [
+            name
+            for name, one in kinds.items()
+            if one.kind == "temperature" and homes[name][0] == own and not one.axis_names
+        ]
+        orbit = bool(position_channel(mission))
+        return cls(tuple(currents), torquers[0] if torquers else "", tuple(warm), orbit)
+
+    @property
+    def electric(self) -> tuple[str, ...]:
+        """All currents."""
+        return (*self.currents, *((self.torquer,) if self.torquer else ()))
 
     @property
     def names(self) -> tuple[str, ...]:
         """All of them."""
-        return (*self.currents, *((self.torquer,) if self.torquer else ()))
+        return (*self.electric, *self.temperatures)
+
+    @property
+    def beside(self) -> Beside:
+        """What is looked at beside the model."""
+        return Beside(self.temperatures, self.orbit)
 
 
 def chain_batch(
@@ -112,14 +137,17 @@ def chain_day(
     if not fitted.fit.used:
         # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
         empty = empty_equations(model, span, attributes).dataset.assign(_own_fit(fitted.fit))
-        return pack_parts(empty, {"channel": _means(fitted.samples, witnesses.names)}), fitted.report
-    wide = wide_equations(model, fitted.samples, fitted.fit.value, span, attributes)
+        return pack_parts(empty, {"channel": _means(fitted.samples, witnesses.electric)}), fitted.report
+    wide, strip = wide_and_beside(
+        model, fitted.samples, fitted.fit.value, span, attributes, beside=witnesses.beside
+    )
     rows = rows_of(with_nine(model, fitted.fit.value), fitted.samples)
     residual = np.where(rows.good, rows.residual[:, 0], np.nan)
     parts = {
         "band": _band(fitted.samples, residual, rows, witnesses),
         "epoch": _epochs(fitted.samples, residual, rows, witnesses),
-        "channel": _means(fitted.samples, witnesses.names),
+        "channel": _means(fitted.samples, witnesses.electric),
+        "beside": strip,
     }
     dataset = wide.dataset.assign(_own_fit(fitted.fit))
     return pack_parts(dataset, parts), fitted.report

@@ -215,10 +215,15 @@ def clock(found: ChainResults) -> Part:
             f"The time shift is usually {usual:.3f} ms. "
             + ("; ".join(told) if told else "No span of days stands out.")
         )
-        part.plots.append(clock_figure(faults, shift))
+        part.plots.append(clock_figure(faults, shift, _sigma_of_shift(daily)))
 
     part.attempt("Clock faults", make)
     return part
+
+
+def _sigma_of_shift(daily: xr.Dataset) -> Floats:
+    name = next(str(one) for one in daily["parameter"].values if ".seconds" in str(one))
+    return np.asarray(daily["sigma"].sel(parameter=name).values)
 
 
 def temperature(found: ChainResults) -> Part:

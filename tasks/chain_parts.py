@@ -14,7 +14,7 @@ import xarray as xr
 from inflight.calibration import NormalEquations
 
 #: The dimension of each part that differs from day to day, and the most rows of it that are kept.
-ROWS = {"band": ("segment", 30), "epoch": ("epoch", 48), "channel": ("channel", 0)}
+ROWS = {"band": ("segment", 30), "epoch": ("epoch", 48), "channel": ("channel", 0), "beside": ("beside", 0)}
 _EQUATIONS = ("gram", "scatter", "reference", "start", "end", "count")
 
 
@@ -49,6 +49,11 @@ def alike(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
 def part_of(days: Sequence[xr.Dataset], name: str) -> list[xr.Dataset]:
     """Return a part of each day that has it, as its estimator made it."""
     return [found for day in days if (found := _unpacked(day, name)) is not None]
+
+
+def strips_of(days: Sequence[xr.Dataset]) -> list[xr.Dataset | None]:
+    """Return of each day what was looked at beside the model; None where nothing was."""
+    return [_unpacked(day, "beside") for day in days]
 
 
 def equations_of_days(days: Sequence[xr.Dataset]) -> NormalEquations:

@@ -12,6 +12,7 @@ from inflight.catalog import Catalog
 from inflight.figures.page import html_page
 from inflight.mission import Mission
 from inflight.tasks.chain_behaviour import behaviour, clock, temperature
+from inflight.tasks.chain_beside_sections import coil_temperature, cross_talk, day_night
 from inflight.tasks.chain_currents import current_steps, panels
 from inflight.tasks.chain_results import ChainResults, chain_results
 from inflight.tasks.chain_sections import Part, coefficients, jumps, residual, trend
@@ -30,6 +31,9 @@ SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (
     behaviour,
     clock,
     temperature,
+    coil_temperature,
+    day_night,
+    cross_talk,
 )
 
 
@@ -57,7 +61,7 @@ class ChainReport:
 
 
 def chain_report(
-    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None
+    cat: Catalog, mission: Mission, comparison: str = "main", output: Path | None = None, asked: str = ""
 ) -> ChainReport:
     """Tell what the whole chain found, and write the page of it when a path is given.
 
@@ -65,6 +69,8 @@ def chain_report(
     ----------
     output : Path, optional
         Where the page goes; written whole, by one rename.
+    asked : str
+        A parameter or cause: what it does to all others when it is ignored is told, too.
 
     Raises
     ------
@@ -72,14 +78,18 @@ def chain_report(
         As `inflight.tasks.chain_results.chain_results`.
     """
     found = chain_results(cat, mission, comparison)
-    parts = tuple(make(found) for make in SECTIONS)
+    parts = tuple(make(found) if make is not cross_talk else cross_talk(found, asked) for make in SECTIONS)
     if output is not None:
-        page = chain_page(found, parts)
-        output.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = output.with_name(f".{output.name}.part")
-        unfinished.write_text(page, encoding="utf-8")
-        unfinished.replace(output)
+        write_page(output, chain_page(found, parts))
     return ChainReport(found, parts, output)
+
+
+def write_page(output: Path, page: str) -> None:
+    """Write a page whole, by one rename."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = output.with_name(f".{output.name}.part")
+    unfinished.write_text(page, encoding="utf-8")
+    unfinished.replace(output)
 
 
 def chain_page(found: ChainResults, parts: tuple[Part, ...]) -> str:

@@ -17,6 +17,7 @@ from inflight.estimators.epochs import join_epochs
 from inflight.estimators.torquer_band import join_equations
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.tasks.chain_beside import BESIDE
 from inflight.tasks.chain_parts import part_of
 from inflight.tasks.models import preflight_model
 from inflight.tasks.planning import equations_of, product_of
@@ -39,6 +40,7 @@ TABLES = (
     "daily-temperature",
     "clock-faults",
     "periods",
+    *BESIDE,
 )
 _REMEDY = "run 'inflight reprocess --table continuous' first"
 #: Variables of a day that reports need: its parts and what its own fit left.

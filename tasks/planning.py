@@ -149,7 +149,7 @@ def plan(
     settings = settings or ReprocessSettings()
     _check_comparison(mission, settings.comparison)
     used = current_model(cat, mission, settings.comparison)
-    seen = Witnesses.of(mission).names if settings.is_chain else ()
+    seen = Witnesses.of(mission, settings.comparison).names if settings.is_chain else ()
     wanted = needs_of(mission, used.model, [*geometry_channels(mission), *seen])
     needs = tuple(replaceable_needs(mission, used.model, wanted))
     index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))

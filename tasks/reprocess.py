@@ -25,6 +25,7 @@ from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import Progress, RunReport
 from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
+from inflight.tasks.reprocess_dual import dual_comparisons, reprocess_dual
 from inflight.tasks.stand_ins import partial_problems
 from inflight.tasks.tables import (
     MOST_BEND,
@@ -233,15 +234,19 @@ def reprocess(
     Returns
     -------
     RunReport
-        Days by outcome; extra field ``residual`` with `before_nT` and `after_nT` over the span.
+        Days by outcome; extra field ``residual`` with `before_nT` and `after_nT` over the span. Of a
+        comparison of two vector sensors tables alone, see `inflight.tasks.reprocess_dual`.
 
     Raises
     ------
     MissionError, ModelError, CatalogError
         When there is nothing to work on or the model does not fit the mission.
     """
-    made = plan(cat, mission, start, end, settings)
     spread = mapper or _plain_mapper(client, progress or (lambda stage, done, total: None))
+    chosen = settings or ReprocessSettings()
+    if chosen.comparison in dual_comparisons(mission):
+        return reprocess_dual(cat, mission, start, end, chosen, spread)
+    made = plan(cat, mission, start, end, settings)
     book = _Book()
     with cat.run("reprocess", made.settings.model_dump() | _span_of(made), context=made.context) as run:
         run.record_no_work(made.product, made.no_work)

@@ -28,6 +28,7 @@ from inflight.estimators.z_offset import noise_of, offsets_from_spread
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.chain import CHAIN_VERSION, Witnesses
+from inflight.tasks.chain_beside import beside_makers
 from inflight.tasks.chain_daily import (
     daily_after,
     daily_temperatures,
@@ -44,7 +45,7 @@ from inflight.time import day_of, to_tt2000
 #: Days whose spread tells what the noise alone makes of it, at least.
 _FEWEST_DAYS = 5
 #: Bumped by hand when the numbers of the chain's tables change.
-CHAIN_TABLES_VERSION = 4
+CHAIN_TABLES_VERSION = 5
 
 #: Attributes of tables: what all of one run are made from; and, of ``trend``, what could not be made and why.
 MADE_FROM, LEFT_OUT = "made_from", "left_out"
@@ -71,7 +72,7 @@ class Chained:
 
 def chain_arguments(cat: Catalog, mission: Mission, made: Plan, jobs: Sequence[Any]) -> list[tuple[Any, ...]]:
     """Return the arguments of `chain_batch` for the jobs of a plan."""
-    witnesses = Witnesses.of(mission)
+    witnesses = Witnesses.of(mission, made.settings.comparison)
     return [(cat, mission, made.model, job, witnesses, made.settings.min_coverage) for job in jobs]
 
 
@@ -112,6 +113,8 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
         "clock-faults": lambda: _clock_faults(out),
         "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(_mission(cat, made))),
     }
+    some = [read[place] for place in full]
+    makers |= beside_makers(_mission(cat, made), made.model, equations, some, found)
     for name, make in makers.items():
         try:
             out.tables[name] = make()

@@ -1,7 +1,14 @@
 """The chain of a whole mission: a day's statistics, and what all days together say."""
 
 from inflight.chain.continuous import Continuous, continuous_model, continuous_table, fit_mission
-from inflight.chain.wide import BIN_S, empty_equations, terms_of, wide_equations, with_nine
+from inflight.chain.wide import (
+    BIN_S,
+    empty_equations,
+    terms_of,
+    wide_and_beside,
+    wide_equations,
+    with_nine,
+)
 
 __all__ = [
     "BIN_S",
@@ -11,6 +18,7 @@ __all__ = [
     "empty_equations",
     "fit_mission",
     "terms_of",
+    "wide_and_beside",
     "wide_equations",
     "with_nine",
 ]

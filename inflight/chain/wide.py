@@ -6,6 +6,7 @@ which keep every linear statement: the mean residual is the same function of the
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +19,7 @@ from inflight.calibration import NormalEquations
 from inflight.calibration.equations import RESIDUAL
 from inflight.calibration.robust import TO_SIGMA
 from inflight.calibration.sensor import PARTS, vector_sensor_of
+from inflight.chain.beside import Beside, scale_of, split
 from inflight.comparison import rows_of
 from inflight.diagnosis.coarse import bin_means, coarsen, grid
 from inflight.diagnosis.columns import design, turns_of
@@ -80,7 +82,20 @@ def wide_equations(
     attributes: dict[str, Any],
     bin_s: float = BIN_S,
 ) -> NormalEquations:
-    """Return the wide equations of one block.
+    """Return the wide equations of one block; parameters and result as `wide_and_beside`."""
+    return wide_and_beside(model, samples, nine, span, attributes, bin_s)[0]
+
+
+def wide_and_beside(
+    model: Model,
+    samples: xr.Dataset,
+    nine: Floats,
+    span: tuple[int, int],
+    attributes: dict[str, Any],
+    bin_s: float = BIN_S,
+    beside: Beside | None = None,
+) -> tuple[NormalEquations, xr.Dataset | None]:
+    """Return the wide equations of one block, and the strip of what is looked at beside the model.
 
     Parameters
     ----------
@@ -96,11 +111,15 @@ def wide_equations(
         Comparison, model, cadence_ns and filter, as `NormalEquations` holds them.
     bin_s : float
         Seconds.
+    beside : Beside, optional
+        Causes that are none of the model's.
 
     Returns
     -------
-    NormalEquations
+    equations : NormalEquations
         One block; nT^2, columns scaled by the step of their parameters.
+    strip : Dataset or None
+        As `inflight.chain.beside.split` makes it; None without causes.
     """
     fitted = with_nine(model, nine)
     terms = terms_of(fitted)
@@ -113,10 +132,24 @@ def wide_equations(
     binned, _ = coarsen(
         samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
     )
-    columns = design(terms, binned)
+    more = beside.columns(fitted, samples, edges, binned) if beside is not None else {}
+    columns = _stacked(design(terms, binned), more)
     every = slice(0, len(binned.weight))
     gram = gram_of(columns, binned.residual[:, :, None], binned.weight, [every])
-    return _packed(terms, gram, float(binned.weight.sum()), span, attributes)
+    whole = _packed(terms, gram, float(binned.weight.sum()), span, attributes, list(more))
+    if not more:
+        return whole, None
+    own = [name for term in terms for name in term.columns]
+    known = {name: bool(np.isfinite(one[binned.weight > 0]).all()) for name, one in more.items()}
+    return whole.select(own), split(whole, own, known)
+
+
+def _stacked(columns: Floats, more: Mapping[str, Floats]) -> Floats:
+    """Return the model's columns (bin, row, column) with others behind them, those unknown somewhere as 0."""
+    if not more:
+        return columns
+    beside = np.stack([np.nan_to_num(one) * scale_of(name) for name, one in more.items()], axis=-1)
+    return np.concatenate([columns, beside[:, None, :]], axis=-1)
 
 
 def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> NormalEquations:
@@ -173,11 +206,17 @@ def _channels(
 
 
 def _packed(
-    terms: tuple[Term, ...], gram: Floats, count: float, span: tuple[int, int], attributes: dict[str, Any]
+    terms: tuple[Term, ...],
+    gram: Floats,
+    count: float,
+    span: tuple[int, int],
+    attributes: dict[str, Any],
+    beside: Sequence[str] = (),
 ) -> NormalEquations:
-    names = [name for term in terms for name in term.columns]
-    scale = np.array([*(size for term in terms for size in term.scale), 1.0])
-    value = np.concatenate([_values(term) for term in terms] + [np.zeros(1)])
+    """Return equations of the terms, and of columns beside them whose reference is 0."""
+    names = [*(name for term in terms for name in term.columns), *beside]
+    scale = np.array([*(size for term in terms for size in term.scale), *map(scale_of, beside), 1.0])
+    value = np.concatenate([_values(term) for term in terms] + [np.zeros(len(beside) + 1)])
     row = ("block", "column", "other")
     return NormalEquations(
         xr.Dataset(

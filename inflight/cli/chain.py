@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
+#: Parameters listed at most.
+_MOST = 15
+
+
 def register(app: typer.Typer) -> None:
     """Add the verb of this module."""
     verb(app, "chain")(chain)
@@ -29,13 +33,28 @@ def chain(
     html: Annotated[
         Path | None, typer.Option("--html", help="Write the page with every figure here.", show_default=False)
     ] = None,
+    cross_talk: Annotated[
+        str,
+        typer.Option(
+            "--cross-talk",
+            metavar="PARAMETER",
+            help="Tell what this one does to all others when it is ignored.",
+            show_default=False,
+        ),
+    ] = "",
 ) -> None:
     """Tell what 'reprocess --table continuous' found: coefficients, trends, currents, what wanders."""
     from inflight.tasks.chain_report import chain_report
+    from inflight.tasks.dual_report import dual_report
+    from inflight.tasks.reprocess_dual import dual_comparisons
 
     workspace = session.open_workspace()
     page = page_path(html) if html else None
-    fields = chain_report(session.open_catalog(), workspace.mission(), comparison, page).as_json()
+    if comparison in dual_comparisons(workspace.mission()):
+        told = dual_report(session.open_catalog(), workspace.mission(), comparison, page)
+        session.emit(told, lambda console: _print_dual(console, told))
+        return
+    fields = chain_report(session.open_catalog(), workspace.mission(), comparison, page, cross_talk).as_json()
     session.emit(fields, lambda console: _print(console, fields))
 
 
@@ -56,11 +75,47 @@ def _print(console: Console, fields: Mapping[str, Any]) -> None:
     ]
     for line in lines:
         console.print(f"  {line}", soft_wrap=True, markup=False)
+    for line in _asked(sections["cross_talk"].get("asked")):
+        console.print(f"  {line}", soft_wrap=True, markup=False)
     for section in sections.values():
         for what, why in section["absent"].items():
             console.print(f"  not told: {what}: {why}", soft_wrap=True, markup=False, style="dim")
     page = fields["path"] or "none; --html FILE writes it with every figure"
     console.print(f"  page: {page}", soft_wrap=True, markup=False)
+
+
+def _print_dual(console: Console, fields: Mapping[str, Any]) -> None:
+    """Print how two vector sensors stand to each other, and which of the three disagrees."""
+    sections = fields["sections"]
+    first, last = fields["span"]
+    title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"
+    console.print(title, style="bold", markup=False)
+    lines = [
+        f"{one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}"
+        for one in sections["relation"].get("items", [])
+    ]
+    lines += [
+        f"variance of the {one['sensor']} sensor {one['variance']:.4g} ± {one['sigma']:.2g} nT^2"
+        for one in sections["corners"].get("items", [])
+    ]
+    lines += [fields["note"], f"page: {fields['path'] or 'none; --html FILE writes it with every figure'}"]
+    for line in lines:
+        console.print(f"  {line}", soft_wrap=True, markup=False)
+
+
+def _asked(told: Mapping[str, Any] | None) -> list[str]:
+    """Return what one ignored cause does: everything else fitted, and the nine alone; largest first."""
+    out = []
+    for key, how in (("alone", "the nine fitted alone"), ("together", "everything else fitted")):
+        rows = (told or {}).get(key)
+        if told and rows:
+            out.append(f"ignoring {told['ignored']} = {told['size']:g} {told['size_unit']}, {how}:")
+            far = sorted(rows, key=lambda one: -abs(one["shift"]) / max(one["sigma"], 1e-300))
+            out += [
+                f"  {one['parameter']} {one['shift']:+.4g} ± {one['sigma']:.2g} {one['unit']}"
+                for one in far[:_MOST]
+            ]
+    return out
 
 
 def _coefficients(items: list[Mapping[str, Any]]) -> list[str]:

@@ -79,6 +79,13 @@ class CoilFit:
     reference: float
     fit: ClusteredFit
 
+    @classmethod
+    def of_table(cls, table: xr.Dataset) -> CoilFit:
+        """Return the fit that a table was made of; what only the fit knew of its rows is NaN."""
+        held = {name: table[name].values for name in ("value", "covariance", "retained", "determined")}
+        fit = ClusteredFit(variance=float("nan"), clusters=0, rows=float("nan"), **held)
+        return cls(str(table.attrs["channel"]), float(table.attrs["reference_degC"]), fit)
+
     @property
     def linear(self) -> Floats:
         """1/K; (3,)."""
@@ -97,7 +104,7 @@ class CoilFit:
     def told(self) -> str:
         """Say it in a sentence."""
         parts = [
-            f"{axis} {1e6 * value:.2f} +- {1e6 * sigma:.2f}"
+            f"{axis} {1e6 * value:.3f} +- {1e6 * sigma:.3f}"
             for axis, value, sigma in zip(AXES, self.linear, self.fit.sigma, strict=False)
         ]
         lag = (

@@ -48,7 +48,8 @@ class Ignored:
     @property
     def label(self) -> str:
         """Name, size and unit in one."""
-        return f"{self.name or self.column} = {self.size:g} {self.unit}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name or self.column} = {self.size:g}{unit}"
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,22 @@ class CrossTalkTable:
     blocks: int
     before: Floats
     after: Floats
+
+    @classmethod
+    def of_table(cls, table: xr.Dataset, names: Sequence[str] = ()) -> CrossTalkTable:
+        """Return the shifts that a table was made of, of some causes by name or of all."""
+        one = table.sel(ignored=list(names)) if names else table
+        rows = zip(*(one[name].values.tolist() for name in ("ignored", "size", "size_units")), strict=True)
+        return cls(
+            tuple(Ignored(*row) for row in rows),
+            tuple(map(str, one["parameter"].values)),
+            tuple(map(str, one["units"].values)),
+            one["value"].values,
+            one["scatter"].values,
+            int(one.attrs["blocks"]),
+            one["before"].values,
+            one["after"].values,
+        )
 
     @property
     def sigma(self) -> Floats:

@@ -38,6 +38,8 @@ LEAST_RETAINED = 1e-4
 #: Part of a normal distribution below one sigma above its mean.
 _ONE_SIGMA = 0.8413447460685429
 _MOST_ORDER = 12
+#: Arrays of a fitted field.
+_ARRAYS = ("value", "sigma", "covariance", "retained", "determined")
 Flags = npt.NDArray[np.bool_]
 
 
@@ -130,6 +132,18 @@ class DayNightField:
     def values(self) -> dict[str, float]:
         """Value by column, nT."""
         return dict(zip(self.columns, self.value.tolist(), strict=True))
+
+    @classmethod
+    def of_table(cls, table: xr.Dataset) -> DayNightField:
+        """Return the field that a table was made of."""
+        attributes = table.attrs
+        return cls(
+            columns=tuple(map(str, table["parameter"].values)),
+            blocks=int(attributes["blocks"]),
+            before=float(attributes["before_nT"]),
+            after=float(attributes["after_nT"]),
+            **{name: table[name].values for name in _ARRAYS},
+        )
 
     def table(self) -> xr.Dataset:
         """Return the table.

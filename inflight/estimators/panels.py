@@ -334,5 +334,10 @@ def _sentence(models: tuple[PanelModel, ...]) -> str:
     ties = [one.name for one in models[1:] if one.ties]
     worse = [f"{one.name} by {one.behind / one.behind_sigma:.1f} sigma" for one in models[1:] if not one.ties]
     told = f"{best.name} predicts held-out days best"
-    told += f", {' and '.join(ties)} as well within two sigma" if ties else ""
-    return told + (f"; worse are {', '.join(worse)}" if worse else "")
+    told += f", {_listed(ties)} as well within two sigma" if ties else ""
+    return told + (f"; worse {'are' if len(worse) > 1 else 'is'} {_listed(worse)}" if worse else "")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names as a sentence lists them: a, b and c."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -21,7 +21,7 @@ from inflight.errors import CalibrationError
 #: Half a turn and a turn of local time of CHAMP's orbit (Yin 2010, section 1.3), and the year; days.
 KNOWN_PERIODS = {"130 d": 130.0, "260.5 d": 260.5, "365 d": 365.25}
 #: A named period is resolved by a span of so many of it, and of so many beats with its neighbours.
-_PERIODS, _BEATS = 1.5, 1.0
+LEAST_TURNS, _BEATS = 1.5, 1.0
 _OVERSAMPLING, _FEWEST = 2, 30
 #: A peak is told when chance makes one as high in so small a part of spectra.
 FALSE_ALARM = 0.01
@@ -391,8 +391,8 @@ def _named(
 
 def _unresolved(name: str, known: Mapping[str, float], span: float) -> str:
     """Return why a span does not resolve a period; empty when it does."""
-    if span < _PERIODS * known[name]:
-        return f"{span:.0f} days are less than {_PERIODS:g} periods"
+    if span < LEAST_TURNS * known[name]:
+        return f"{span:.0f} days are less than {LEAST_TURNS:g} periods"
     for other, days in known.items():
         beat = np.inf if other == name else abs(1.0 / days - 1.0 / known[name])
         if span * beat < _BEATS:

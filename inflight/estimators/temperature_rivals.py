@@ -39,6 +39,14 @@ class TemperatureChoice:
 
     rivals: tuple[TemperatureRival, ...]
 
+    @classmethod
+    def of_table(cls, table: xr.Dataset) -> TemperatureChoice:
+        """Return the choice that a table was made of."""
+        rows = zip(
+            *(table[name].values.tolist() for name in ("channel", "value", "behind", "sigma")), strict=True
+        )
+        return cls(tuple(TemperatureRival(*row) for row in rows))
+
     def told(self) -> str:
         """Say which is best, and which are tied with it."""
         best, *others = self.rivals

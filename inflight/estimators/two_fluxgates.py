@@ -118,6 +118,25 @@ def relate(
     CalibrationError
         When the samples fill fewer than five clusters, or the field does not turn enough.
     """
+    parts = relation_grams(first, second, stamps, good, cluster_s)
+    return relation_of(*parts)
+
+
+def relation_grams(
+    first: Floats,
+    second: Floats,
+    stamps: Int64,
+    good: npt.NDArray[np.bool_] | None = None,
+    cluster_s: float = CLUSTER_S,
+) -> tuple[Floats, Floats]:
+    """Return what a stretch of samples says of a relation, samples far off left out; parameters as `relate`.
+
+    Returns
+    -------
+    gram : ndarray, shape (cluster, 13, 13)
+        Of [twelve columns | difference], nT^2; those of several stretches stand one after the other.
+    rows : ndarray, shape (cluster,)
+    """
     use = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
     use &= True if good is None else good
     difference, columns = first - second, _columns(second)
@@ -131,7 +150,21 @@ def relate(
         if np.array_equal(near, use):
             break
         use = near
-    return Relation(fit, float(np.sqrt(np.mean(left[use] ** 2))))
+    return _grams(columns[use], difference[use], cluster[use])
+
+
+def relation_of(gram: Floats, rows: Floats) -> Relation:
+    """Return the relation that clusters tell together; as `relation_grams` makes them.
+
+    Raises
+    ------
+    CalibrationError
+        When there are fewer than five clusters, or the field does not turn enough.
+    """
+    fit = solve_clusters(gram, rows)
+    answer = np.append(-fit.value, 1.0)
+    square = float(answer @ gram.sum(axis=0) @ answer)
+    return Relation(fit, float(np.sqrt(max(square, 0.0) / rows.sum())))
 
 
 def _columns(field: Floats) -> Floats:
@@ -229,27 +262,59 @@ def corners(
     CalibrationError
         When the samples fill fewer than five clusters.
     """
+    closure = np.nan
+    if along is not None:
+        use = np.isfinite(main) & np.isfinite(second)
+        closure = float(np.sqrt(np.nanmean((main - second - along)[use] ** 2)))
+    return corners_of(corner_moments(main, second, stamps, mean_s, cluster_s), mean_s, closure)
+
+
+def corner_moments(
+    main: Floats, second: Floats, stamps: Int64, mean_s: float = 60.0, cluster_s: float = CLUSTER_S
+) -> Floats:
+    """Return what a stretch of samples says of the three corners; parameters as `corners`.
+
+    Returns
+    -------
+    ndarray, shape (cluster, 6)
+        Number of means, their sums (main, second), and those of main^2, main second and second^2.
+    """
     use = np.isfinite(main) & np.isfinite(second)
+    if not use.any():
+        return np.zeros((0, 6))
     bins, index = np.unique(_cluster(stamps[use], mean_s), return_inverse=True)
     count = np.bincount(index)
-    means = np.stack([np.bincount(index, one[use]) / count for one in (main, second)], axis=1)
+    a, b = (np.bincount(index, one[use]) / count for one in (main, second))
     _, which = np.unique(bins * round(mean_s * SECOND) // round(cluster_s * SECOND), return_inverse=True)
-    total = int(which.max(initial=-1)) + 1
+    return np.stack([np.bincount(which, one) for one in (np.ones(a.size), a, b, a * a, a * b, b * b)], axis=1)
+
+
+def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -> Corners:
+    """Return the corners that clusters tell together; as `corner_moments` makes them.
+
+    Raises
+    ------
+    CalibrationError
+        When there are fewer than five clusters.
+    """
+    total = len(moments)
     if total < FEWEST_CLUSTERS:
         raise CalibrationError(
             f"{total} clusters with data found, at least {FEWEST_CLUSTERS} needed for an uncertainty",
             remedy="take a longer span or shorter clusters",
         )
-    value = _parts(means)
-    left = np.array([_parts(means[which != one]) for one in range(total)])
-    covariance = (total - 1) / total * (left - left.mean(axis=0)).T @ (left - left.mean(axis=0))
-    closure = np.nan
-    if along is not None:
-        closure = float(np.sqrt(np.nanmean((main - second - along)[use] ** 2)))
-    return Corners(value, covariance, closure, mean_s, total)
+    whole = moments.sum(axis=0)
+    left = _parts(whole - moments)
+    spread = left - left.mean(axis=0)
+    covariance = (total - 1) / total * spread.T @ spread
+    return Corners(_parts(whole), covariance, closure, mean_s, total)
 
 
-def _parts(means: Floats) -> Floats:
-    """Return the variances of first, second and scalar sensor; (3,)."""
-    (own_main, shared), (_, own_second) = np.cov(means, rowvar=False)
-    return np.array([own_main - shared, own_second - shared, shared])
+def _parts(moments: Floats) -> Floats:
+    """Return the variances of first, second and scalar sensor from sums; (..., 3)."""
+    count, a, b, aa, ab, bb = np.moveaxis(moments, -1, 0)
+    own_main, shared, own_second = (
+        (product - one * other / count) / (count - 1)
+        for product, one, other in ((aa, a, a), (ab, a, b), (bb, b, b))
+    )
+    return np.stack([own_main - shared, own_second - shared, shared], axis=-1)

@@ -25,6 +25,9 @@ from inflight.figures.style import (
     plain_figure,
 )
 
+#: Error bars at most: more of them are one surface.
+_BARS = 300
+
 
 def parameter_spectrum_figure(found: ParameterSpectrum, title: str) -> figure:
     """Draw amplitude against period with the noise's background and its false-alarm level of 1 %."""
@@ -87,9 +90,15 @@ def steps_figure(found: EventSteps, title: str) -> figure:
     return plot
 
 
-def clock_figure(found: ClockFaults, shift: Floats) -> figure:
-    """Draw daily time shifts (s), what is usual around them, and the faults in red; milliseconds."""
+def clock_figure(found: ClockFaults, shift: Floats, sigma: Floats | None = None) -> figure:
+    """Draw daily time shifts (s), what is usual around them, and the faults in red; milliseconds.
+
+    Error bars are the days' own sigmas (s); when they are not known, what days scatter by.
+    """
     plot = plain_figure("Time shift of each day", "MJD (2000-01-01)", "ms", width=560)
+    size = found.scatter if sigma is None else sigma
+    some = slice(None, None, max(1, found.mjd.size // _BARS))
+    error_bars(plot, found.mjd[some], 1e3 * shift[some], 1e3 * size[some], AFTER, 0.35)
     plot.scatter(found.mjd, 1e3 * shift, color=AFTER, size=3, legend_label="days")
     plot.line(found.mjd, 1e3 * found.usual, color=REFERENCE, line_width=2, legend_label="usual")
     for one in found.faults:

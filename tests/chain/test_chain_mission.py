@@ -105,6 +105,12 @@ def test_every_table_is_certified_and_has_an_uncertainty(chain):
         "panels",
         "torquer-band",
         "torquer-band-mean",
+        "coil-temperature",
+        "temperature-rivals",
+        "day-night",
+        "day-night-series",
+        "day-night-daily",
+        "cross-talk",
     ):
         record = cat.tables(f"main-{kind}")[-1]
         table = cat.table_by_id(record.id)
@@ -113,6 +119,35 @@ def test_every_table_is_certified_and_has_an_uncertainty(chain):
         assert np.all(table["sigma"].values >= 0), kind
     # What could not be made says why.
     assert "window" in report["left_out"]["torquer-mean"]
+
+
+def test_the_lag_of_the_coil_comes_back_and_its_rival_loses(chain):
+    cat, _ = chain
+    table, truth = newest(cat, "coil-temperature"), SETTINGS.parameters
+    found = dict(zip(table["parameter"].values.tolist(), table["value"].values, strict=True))
+    sigma = dict(zip(table["parameter"].values.tolist(), table["sigma"].values, strict=True))
+    assert abs(found["lag"] - truth.temperature_lag) < max(4 * sigma["lag"], 1.0)
+    assert sigma["lag"] < 2.0
+    rivals = newest(cat, "temperature-rivals")
+    assert str(rivals["channel"].values[0]) == "coil_temperature"
+    assert not rivals["tied"].sel(channel="electronics_temperature")
+
+
+def test_no_field_by_day_is_told_where_none_was_put_in(chain):
+    cat, _ = chain
+    table = newest(cat, "day-night")
+    assert np.abs(table["value"].values / table["sigma"].values).max() < 5
+    assert table["sigma"].values.max() < 0.05
+
+
+def test_ten_milliseconds_ignored_turn_an_angle_by_three_arcseconds(chain):
+    cat, _ = chain
+    table = newest(cat, "cross-talk").sel(ignored="time_shift.seconds")
+    # A reading taken early, the opposite of the thesis' F(t + 10 ms).
+    assert float(table["value"].sel(parameter="vector_sensor.misalignment[xz]")) == pytest.approx(
+        3.2, abs=0.15
+    )
+    assert float(table["size"]) == 0.01
 
 
 def test_products_tell_the_slow_part_of_the_residual_and_leave_it_in(chain):

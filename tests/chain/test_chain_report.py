@@ -45,6 +45,8 @@ def test_fields_are_plain_and_hold_every_section(told):
     assert fields["span"] == ["2005-01-01", "2005-01-12"]
     assert set(fields["sections"]) == {part.key for part in told[0].parts}
     assert len(told[0].parts) == len(SECTIONS)
+    for name in ("coil-temperature", "day-night", "cross-talk", "cross-talk-all"):
+        assert fields["tables"][name] == f"main-{name}"
     for name in ("continuous", "trend", "daily-after", "clock-faults", "daily-temperature", "panels"):
         assert fields["tables"][name] == f"main-{name}"
 
@@ -119,6 +121,23 @@ def test_verb_prints_and_writes_the_page(workspace, tmp_path, capsys):
     assert "not told: Steps on event days" in shown
     assert str(page) in shown
     assert page.is_file()
+
+
+def test_verb_tells_what_one_ignored_parameter_does(workspace, capsys):
+    asked = "time_shift.seconds"
+    with pytest.raises(SystemExit) as ended:
+        main(["chain", "-w", str(workspace), "--cross-talk", asked, "--json"])
+    assert not ended.value.code
+    told = json.loads(capsys.readouterr().out)["sections"]["cross_talk"]
+    assert told["asked"]["ignored"] == asked
+    alone = {one["parameter"]: one["shift"] for one in told["asked"]["alone"]}
+    assert alone["vector_sensor.misalignment[xz]"] == pytest.approx(3.2, abs=0.2)
+    assert asked not in {one["parameter"] for one in told["asked"]["together"]}
+    assert len(told["nine"]["value"]) == len(told["nine"]["ignored"])
+    with pytest.raises(SystemExit) as ended:
+        main(["chain", "-w", str(workspace), "--cross-talk", "gravity"])
+    assert ended.value.code
+    assert "no parameter 'gravity'" in " ".join(capsys.readouterr().err.split())
 
 
 def test_nothing_processed_says_what_to_run(tmp_path):

@@ -9,7 +9,16 @@ from scipy.spatial.transform import Rotation
 from inflight.calibration import fit_block
 from inflight.calibration.sensor import Reference
 from inflight.errors import CalibrationError
-from inflight.estimators.two_fluxgates import NAMES, corners, relate
+from inflight.estimators.two_fluxgates import (
+    NAMES,
+    corner_moments,
+    corners,
+    corners_of,
+    relate,
+    relation_grams,
+    relation_of,
+)
+from inflight.figures.two_fluxgates import corners_figure, relation_figure
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.time import SECOND
 
@@ -164,3 +173,36 @@ def test_the_three_comparisons_together_name_the_sensor(plain, include, override
     assert found.closure < 1e-9
     seen_between = turned.rms > 1.2 * 0.08 * np.sqrt(2)
     assert seen_between == (guilty != 2)
+
+
+def test_statistics_of_days_tell_what_all_samples_do():
+    field, stamps = orbit(40_000)
+    g = np.random.default_rng(5)
+    first = field * (1 + 1e-5) + np.array([0.2, -0.1, 0.0]) + g.normal(0, 0.1, field.shape)
+    second = field + g.normal(0, 0.1, field.shape)
+    # Parts end where clusters do.
+    halves = [slice(0, 21_600), slice(21_600, None)]
+    grams = [relation_grams(first[one], second[one], stamps[one]) for one in halves]
+    parts = relation_of(np.concatenate([one for one, _ in grams]), np.concatenate([one for _, one in grams]))
+    whole = relate(first, second, stamps)
+    np.testing.assert_allclose(parts.fit.value, whole.fit.value, atol=0.05 * whole.fit.sigma.max())
+    assert parts.rms == pytest.approx(whole.rms, rel=1e-3)
+    scalar = g.normal(0, 0.05, len(field))
+    main, other = (g.normal(0, size, len(field)) - scalar for size in (0.02, 0.03))
+    moments = np.concatenate([corner_moments(main[one], other[one], stamps[one]) for one in halves])
+    together = corners(main, other, stamps)
+    np.testing.assert_allclose(corners_of(moments).value, together.value, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(corners_of(moments).sigma, together.sigma, rtol=1e-9)
+    with pytest.raises(CalibrationError, match="clusters"):
+        corners_of(moments[:3])
+
+
+def test_figures_of_relation_and_corners_show_every_number():
+    field, stamps = orbit()
+    g = np.random.default_rng(6)
+    table = relate(field + g.normal(0, 0.1, field.shape), field, stamps).table()
+    for part, count in (("rotation", 3), ("stretch", 6), ("shift", 3)):
+        drawn = relation_figure(table, part)
+        assert len(drawn.xaxis[0].major_label_overrides) == count
+    made = corners(g.normal(0, 0.1, len(field)), g.normal(0, 0.1, len(field)), stamps)
+    assert corners_figure(made.table()).xaxis[0].major_label_overrides[2] == "scalar sensor"

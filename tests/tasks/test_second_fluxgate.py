@@ -18,6 +18,7 @@ from inflight.simulate import Parameters, SimulationSettings
 from inflight.simulate.second import as_second
 from inflight.tasks.compare import compare
 from inflight.tasks.diagnose import DiagnoseSettings, diagnose
+from inflight.tasks.dual_report import dual_report
 from inflight.tasks.ingest import ingest
 from inflight.tasks.models import current_model, preflight_model
 from inflight.tasks.reprocess import ReprocessSettings, reprocess
@@ -148,3 +149,44 @@ def test_the_workspace_holds_every_model_its_comparisons_name(champ):
         "models/champ-between-preflight.yaml",
     ]
     assert all((champ.root / name).is_file() for name in champ.mission().companions)
+
+
+def test_reprocess_of_the_two_against_each_other_makes_tables_and_says_there_is_no_product(champ):
+    catalog, mission = Catalog(champ.root), champ.mission()
+    settings = ReprocessSettings(comparison="between")
+    report = reprocess(catalog, mission, settings=settings)
+    assert report.exit_code == 0
+    assert report.days["done"] == SETTINGS.days
+    assert "calibrate nothing" in report.extra["note"]
+    assert not report.extra["left_out"]
+    assert not catalog.days("l2/field-between")
+    for name in ("relation", "relation-daily", "corners"):
+        assert catalog.tables(f"between-{name}")[-1].certified, name
+    table = catalog.table_by_id(catalog.tables("between-relation")[-1].id)
+    main, second = common(champ)
+    fields = [np.asarray(one["field_spacecraft"].values) for one in (main, second)]
+    whole = relate(*fields, main["tt2000"].values).table()
+    # Days by themselves leave out other samples than all at once.
+    assert np.abs(table["value"].values - whole["value"].values).max() < 0.2 * whole["sigma"].values.max()
+    assert np.abs(table["value"].values[:3] - Parameters().second_rotation).max() < 0.004
+    daily = catalog.table_by_id(catalog.tables("between-relation-daily")[-1].id)
+    assert daily.sizes["interval"] == SETTINGS.days
+    parts = catalog.table_by_id(catalog.tables("between-corners")[-1].id)
+    assert parts.attrs["closure_nT"] < 0.01
+    told = dual_report(catalog, mission, "between", champ.root / "between.html")
+    assert len(told["sections"]["relation"]["items"]) == 12
+    assert (champ.root / "between.html").read_text(encoding="utf-8").count("data-root-id") == 6
+    again = reprocess(catalog, mission, settings=settings)
+    assert again.days["unchanged"] == SETTINGS.days
+    assert len(catalog.tables("between-relation")) == 1
+
+
+def test_a_comparison_whose_sensor_nothing_calibrates_says_so(champ):
+    text = champ.mission().text
+    start, end = text.index("  second: {"), text.index("  between: {")
+    with pytest.raises(MissionError, match="no scalar comparison calibrates 'fgm2'"):
+        reprocess(
+            Catalog(champ.root),
+            Mission.parse(text[:start] + text[end:]),
+            settings=ReprocessSettings(comparison="between"),
+        )

@@ -1,0 +1,289 @@
+"""Two vector sensors against each other over a mission: tables of how they stand, and no product.
+
+What is compared are the fields that both sensors' own comparisons with a scalar sensor made: a comparison of
+kind ``dual`` calibrates nothing, so that no field comes of it. Each day leaves a few Gram matrices, and the
+tables are algebra of these.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day, Run, idempotency_key
+from inflight.errors import CatalogError, InflightError, MissionError
+from inflight.estimators.two_fluxgates import (
+    CLUSTER_S,
+    corner_moments,
+    corners_of,
+    relation_grams,
+    relation_of,
+)
+from inflight.flags import UNUSABLE
+from inflight.mission import Mission
+from inflight.tasks.calibrate import Job, Outcome, make_days
+from inflight.tasks.models import current_model
+from inflight.tasks.planning import ReprocessSettings, equations_of, product_of
+from inflight.tasks.report import RunReport
+from inflight.tasks.samples import ArchiveIndex
+from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
+
+#: Clusters of a day at most: two orbits each, and one cut at either end.
+MOST_CLUSTERS = int(DAY / SECOND / CLUSTER_S) + 2
+#: Bumped by hand when the numbers of the days or tables change.
+DUAL_VERSION = 1
+#: What is said where a product would be.
+NO_PRODUCT = (
+    "two vector sensors against each other calibrate nothing: tables of how they stand to each other are "
+    "made, products come from each one's comparison with a scalar sensor"
+)
+#: What is read of a product.
+_READ = ["field_spacecraft", "residual", "flag"]
+#: The tables, by name without the comparison.
+TABLES = ("relation", "relation-daily", "corners")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The scalar comparisons of both sensors, the inboard one's first."""
+
+    first: str
+    second: str
+
+    @classmethod
+    def of(cls, mission: Mission, comparison: str) -> Pair:
+        """Return those of a mission's dual comparison.
+
+        Raises
+        ------
+        MissionError
+            When one of the sensors is held against no scalar sensor.
+        """
+        own = mission.comparisons[comparison].instruments()
+        names = []
+        for role in ("inboard", "outboard"):
+            found = [
+                name
+                for name, entry in mission.comparisons.items()
+                if entry.kind == "scalar" and entry.instruments()["vector"] == own[role]
+            ]
+            if not found:
+                raise MissionError(
+                    f"no scalar comparison calibrates '{own[role]}', the {role} sensor of '{comparison}'",
+                    remedy="state one in the mission's file, or see 'inflight diagnose' for the difference",
+                )
+            names.append(found[0])
+        return cls(*names)
+
+
+def dual_comparisons(mission: Mission) -> list[str]:
+    """Return the names of a mission's comparisons of two vector sensors."""
+    return [name for name, entry in mission.comparisons.items() if entry.kind == "dual"]
+
+
+def reprocess_dual(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None,
+    end: DayLike | None,
+    settings: ReprocessSettings,
+    mapper: Callable[..., Any],
+) -> RunReport:
+    """Make the tables of a dual comparison; parameters and result as `inflight.tasks.reprocess.reprocess`.
+
+    Raises
+    ------
+    MissionError
+        When one of the sensors has no scalar comparison.
+    CatalogError
+        When no day has the products of both.
+    """
+    pair, dataset = Pair.of(mission, settings.comparison), equations_of(settings.comparison)
+    used = current_model(cat, mission, settings.comparison)
+    context = cat.save_context(mission.text, used.model.name, used.version, {})
+    sources = [_published(cat, name, start, end) for name in (pair.first, pair.second)]
+    days = sorted(set(sources[0]) & set(sources[1]))
+    if not days:
+        raise CatalogError(
+            f"no day has products of both '{pair.first}' and '{pair.second}'",
+            remedy=f"run 'inflight reprocess' and 'inflight reprocess --comparison {pair.second}' first",
+        )
+    keys = {
+        day: idempotency_key(dataset, day, DUAL_VERSION, context, [one[day].key for one in sources])
+        for day in days
+    }
+    known = {day.day: day for day in cat.days(dataset, states=("published",)) if keys.get(day.day) == day.key}
+    todo = [day for day in days if day not in known]
+    failed: dict[np.datetime64, dict[str, str]] = {}
+    with cat.run("reprocess", settings.model_dump(), context=context) as run:
+        fresh: dict[np.datetime64, Day] = {}
+        batches = [todo[at : at + settings.batch_days] for at in range(0, len(todo), settings.batch_days)]
+        arguments = [(cat, sources, _job(run, dataset, batch, keys, sources)) for batch in batches]
+        for outcome in mapper("calibrate", dual_batch, arguments):
+            fresh |= _taken(run, dataset, outcome, failed)
+        made = known | fresh
+        left_out = _keep_tables(cat, run, settings.comparison, [made[day] for day in sorted(made)])
+        run.publish(certify=left_out.pop("certify"), supersede=True)
+    counts = {
+        "planned": len(days),
+        "done": len(fresh),
+        "unchanged": len(known),
+        "failed": len(failed),
+    }
+    outputs = [f"tables/{settings.comparison}-{name}" for name in TABLES if name not in left_out]
+    extra = {"note": NO_PRODUCT, "left_out": left_out, "residual": {}}
+    return RunReport(
+        "reprocess", run.id, context, counts, [failed[day] for day in sorted(failed)], outputs, extra
+    )
+
+
+def _published(
+    cat: Catalog, comparison: str, start: DayLike | None, end: DayLike | None
+) -> dict[np.datetime64, Day]:
+    found = {day.day: day for day in cat.days(product_of(comparison), states=("published",))}
+    return {
+        day: one
+        for day, one in found.items()
+        if (start is None or day >= as_day(start)) and (end is None or day < as_day(end))
+    }
+
+
+def _job(
+    run: Run,
+    dataset: str,
+    batch: Sequence[np.datetime64],
+    keys: Mapping[np.datetime64, str],
+    sources: Sequence[Mapping[np.datetime64, Day]],
+) -> Job:
+    parents = {day: tuple(one[day].id for one in sources) for day in batch}
+    return Job(
+        tuple(batch), {day: keys[day] for day in batch}, parents, ArchiveIndex({}), (), run.id, dataset
+    )
+
+
+def dual_batch(cat: Catalog, sources: Sequence[Mapping[np.datetime64, Day]], job: Job) -> Outcome:
+    """Make what each day of a batch says, and write it as one segment.
+
+    Parameters
+    ----------
+    sources : sequence of mapping
+        Products of the first sensor and of the second, by day.
+    """
+    return make_days(cat, job, lambda day: dual_day([cat.read(one[day], _READ) for one in sources], day))
+
+
+def dual_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return what a day's two products say of each other, and a report.
+
+    Returns
+    -------
+    xarray.Dataset
+        `gram` (block, cluster, column, other) and `rows` (block, cluster) of `relation_grams`, `moments`
+        (block, cluster, moment) of `corner_moments`, empty clusters last; `closure` (block) nT.
+
+    Raises
+    ------
+    CalibrationError
+        When a day has too few samples of both.
+    """
+    used = [one.isel(time=(one["flag"].values & np.uint32(UNUSABLE)) == 0) for one in products]
+    first, second = xr.align(*used, join="inner")
+    fields = [np.asarray(one["field_spacecraft"].values, dtype=np.float64) for one in (first, second)]
+    main, other = (np.asarray(one["residual"].values, dtype=np.float64) for one in (first, second))
+    stamps = np.asarray(first["tt2000"].values, dtype=np.int64)
+    gram, rows = relation_grams(fields[0], fields[1], stamps)
+    along = np.linalg.norm(fields[0], axis=1) - np.linalg.norm(fields[1], axis=1)
+    closure = float(np.sqrt(np.nanmean((main - other - along) ** 2)))
+    moments = corner_moments(main, other, stamps)
+    begin, end = day_bounds(day)
+    found = xr.Dataset(
+        {
+            "gram": (("block", "cluster", "column", "other"), _filled(gram)[None], {"units": "nT2"}),
+            "rows": (("block", "cluster"), _filled(rows)[None]),
+            "moments": (("block", "cluster", "moment"), _filled(moments)[None]),
+            "closure": ("block", np.array([closure]), {"units": "nT"}),
+            "start": ("block", np.array([begin], dtype=np.int64), {"scale": "TT2000"}),
+            "end": ("block", np.array([end], dtype=np.int64), {"scale": "TT2000"}),
+        }
+    )
+    return found, {"samples": int(stamps.size), "rms_nT": relation_of(gram, rows).rms}
+
+
+def _filled(values: Floats) -> Floats:
+    """Return clusters (cluster, ...) with empty ones behind them: a store's days are of one size."""
+    return np.concatenate([values, np.zeros((MOST_CLUSTERS - len(values), *values.shape[1:]))])
+
+
+def _taken(
+    run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
+) -> dict[np.datetime64, Day]:
+    for day, failure in outcome.failures.items():
+        run.record(dataset, day, "failed", failure.cause, failure.message)
+        failed[day] = {
+            "day": str(day),
+            "channel": failure.channel,
+            "cause": failure.cause,
+            "remedy": failure.remedy,
+            "message": failure.message,
+        }
+    staged = run.attach(outcome.segment) if outcome.segment is not None else []
+    return {day.day: day for day in staged}
+
+
+def _keep_tables(cat: Catalog, run: Run, comparison: str, days: Sequence[Day]) -> dict[str, Any]:
+    """Stage the tables of all days; return why some are not there, and under ``certify`` what to certify."""
+    read = [cat.read(day) for day in days]
+    makers: dict[str, Callable[[], xr.Dataset]] = {
+        "relation": lambda: relation_of(*_grams(read)).table(),
+        "relation-daily": lambda: daily_relations(read),
+        "corners": lambda: _corners(read),
+    }
+    out: dict[str, Any] = {"certify": []}
+    for name, make in makers.items():
+        key = hashlib.sha256("".join([name, *(day.key for day in days)]).encode()).hexdigest()
+        called = f"{comparison}-{name}"
+        if any(one.key == key and one.certified and not one.damaged for one in cat.tables(called)):
+            continue
+        try:
+            table = make()
+        except InflightError as error:
+            out[name] = error.message
+            continue
+        span = day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]
+        staged = run.stage_table(called, table, start=span[0], end=span[1], parents=days, key=key)
+        out["certify"].append((staged, *span, None))
+    return out
+
+
+def _grams(read: Sequence[xr.Dataset]) -> tuple[Floats, Floats]:
+    gram, rows = (np.concatenate([day[name].values[0] for day in read]) for name in ("gram", "rows"))
+    return gram[rows > 0], rows[rows > 0]
+
+
+def daily_relations(read: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return the relation of each day by itself; dims interval, parameter: `value`, `sigma`, `units`."""
+    tables = [relation_of(*_grams([day])).table() for day in read]
+    each = ("interval", "parameter")
+    return xr.Dataset(
+        {
+            "value": (each, np.stack([one["value"].values for one in tables])),
+            "sigma": (each, np.stack([one["sigma"].values for one in tables])),
+            "rms": ("interval", np.array([one.attrs["rms_nT"] for one in tables]), {"units": "nT"}),
+            "units": tables[0]["units"],
+            "start": ("interval", np.concatenate([day["start"].values for day in read])),
+            "end": ("interval", np.concatenate([day["end"].values for day in read])),
+        },
+        coords={"parameter": tables[0]["parameter"].values},
+    )
+
+
+def _corners(read: Sequence[xr.Dataset]) -> xr.Dataset:
+    closure = float(np.sqrt(np.mean(np.concatenate([day["closure"].values for day in read]) ** 2)))
+    moments = np.concatenate([day["moments"].values[0] for day in read])
+    return corners_of(moments[moments[:, 0] > 0], closure=closure).table()
