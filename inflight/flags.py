@@ -36,6 +36,12 @@ class Flag(IntFlag):
     PRIOR_PARAMETERS = 1 << 8
     #: The time stamp was repaired (a clock that ran backwards or repeated itself).
     CLOCK_REPAIRED = 1 << 9
+    #: No trustworthy phase of the spin: the field is given in turning axes only.
+    NO_PHASE = 1 << 10
+    #: The phase of the spin was carried over missing sun pulses.
+    PHASE_BRIDGED = 1 << 11
+    #: The sample lies where the phase of the spin jumps.
+    PHASE_JUMP = 1 << 12
 
 
 #: Flags that take a sample out of every fit.

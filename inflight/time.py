@@ -149,6 +149,11 @@ def day_bounds(day: DayLike) -> tuple[int, int]:
     return int(bounds[0]), int(bounds[1])
 
 
+def is_within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:
+    """Return True when a UTC day lies in the half-open span of days; None is open."""
+    return bool((start is None or day >= as_day(start)) and (end is None or day < as_day(end)))
+
+
 def day_range(start: DayLike, end: DayLike) -> list[np.datetime64]:
     """Return the UTC days of the half-open span ``[start, end)``."""
     first, count = as_day(start), int((as_day(end) - as_day(start)).astype(np.int64))

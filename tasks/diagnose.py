@@ -27,12 +27,12 @@ from inflight.tasks.channels import ChannelReader
 from inflight.tasks.delivery import each_result
 from inflight.tasks.evidence import Loaded, PassPlan, evidence_batch, load_evidence
 from inflight.tasks.models import UsedModel, current_model
-from inflight.tasks.needs import Need, base_role, channel_homes, needs_of, position_channel
+from inflight.tasks.needs import Need, base_role, channel_needs, needs_of, position_channel
 from inflight.tasks.report import Progress
 from inflight.tasks.samples import ArchiveIndex
 from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, placebo_shifts, survey
 from inflight.tasks.turning import shows_spin
-from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
+from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
 #: A record of so few days is cut to what was measured.
 _SHORT_DAYS = 3
@@ -174,9 +174,9 @@ def planned(
     """
     used = used or current_model(cat, mission, settings.comparison)
     needs = tuple(needs_of(mission, used.model))
-    channels = _channel_needs(mission)
+    channels = channel_needs(mission)
     index = ArchiveIndex.of(cat, [*needs, *channels])
-    days = [day for day in index.with_all(needs) if _within(day, start, end)]
+    days = [day for day in index.with_all(needs) if is_within(day, start, end)]
     if not days:
         raise CatalogError(
             "the archive has no day of the span on which every instrument measured",
@@ -199,18 +199,6 @@ def planned(
     tell("survey", 1, 1)
     plan = _plan(mission, found, needs, channels, days, span, cadence)
     return Planned(plan, index, base, used, found)
-
-
-def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:
-    return bool((start is None or day >= as_day(start)) and (end is None or day < as_day(end)))
-
-
-def _channel_needs(mission: Mission) -> tuple[Need, ...]:
-    """Return one need for every channel of the mission."""
-    return tuple(
-        Need(name, instrument, channel, mission.instruments[instrument].cadence)
-        for name, (instrument, channel) in channel_homes(mission).items()
-    )
 
 
 def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64], whole: bool) -> tuple[int, int]:

@@ -132,6 +132,14 @@ def geometry_channels(mission: Mission) -> list[str]:
     ]
 
 
+def channel_needs(mission: Mission) -> tuple[Need, ...]:
+    """Return one need for every channel of the mission."""
+    return tuple(
+        Need(name, instrument, channel, mission.instruments[instrument].cadence)
+        for name, (instrument, channel) in channel_homes(mission).items()
+    )
+
+
 def clock_of(mission: Mission, comparison: str) -> list[Need]:
     """Return the channel that tells how a spin comparison's spacecraft is turned; none for others.
 

@@ -26,7 +26,7 @@ from inflight.tasks.samples import (
     geometry_channels,
     needs_of,
 )
-from inflight.time import DayLike, as_day, day_range
+from inflight.time import DayLike, as_day, day_range, is_within
 
 ONE_DAY = np.timedelta64(1, "D")
 
@@ -119,6 +119,11 @@ class Plan:
         """Dataset of the products: the main comparison's are the mission's fields."""
         return product_of(self.settings.comparison)
 
+    @property
+    def is_spin(self) -> bool:
+        """True when the spin calibrates the sensor."""
+        return self.model.layout is not None and self.model.layout.kind == "spin"
+
     def in_batches(self, days: Sequence[np.datetime64]) -> list[list[np.datetime64]]:
         """Return days in batches, one a worker's task and a segment."""
         size = self.settings.batch_days
@@ -148,12 +153,16 @@ def plan(
     """
     settings = settings or ReprocessSettings()
     _check_comparison(mission, settings.comparison)
+    if settings.is_chain and mission.comparisons[settings.comparison].kind == "spin":
+        raise MissionError(
+            "a spin comparison has no table 'continuous'", remedy="choose daily, window or span"
+        )
     used = current_model(cat, mission, settings.comparison)
     seen = Witnesses.of(mission, settings.comparison).names if settings.is_chain else ()
     wanted = needs_of(mission, used.model, [*geometry_channels(mission), *seen])
     needs = tuple(replaceable_needs(mission, used.model, wanted))
     index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
-    there = [day for day in index.with_all(needs) if _within(day, start, end)]
+    there = [day for day in index.with_all(needs) if is_within(day, start, end)]
     if not there:
         raise CatalogError(
             "the archive has no day of the span on which every instrument measured",
@@ -199,11 +208,11 @@ def product_of(comparison: str) -> str:
 
 
 def _check_comparison(mission: Mission, name: str) -> None:
-    scalar = [known for known, entry in mission.comparisons.items() if entry.kind == "scalar"]
-    if name not in scalar:
+    fit = [known for known, entry in mission.comparisons.items() if entry.kind in ("scalar", "spin")]
+    if name not in fit:
         raise MissionError(
-            f"'{name}' is no scalar comparison of mission '{mission.mission}'",
-            remedy=f"choose one of {', '.join(scalar) or 'none: the mission has none'}",
+            f"'{name}' is no scalar and no spin comparison of mission '{mission.mission}'",
+            remedy=f"choose one of {', '.join(fit) or 'none: the mission has none'}",
         )
 
 
@@ -223,10 +232,6 @@ def _key(
     inputs = [*sources, f"min_coverage={settings.min_coverage}"]
     version = CHAIN_VERSION if settings.is_chain else EQUATIONS_VERSION
     return idempotency_key(dataset, day, version, context, inputs)
-
-
-def _within(day: np.datetime64, start: DayLike | None, end: DayLike | None) -> bool:
-    return bool((start is None or day >= as_day(start)) and (end is None or day < as_day(end)))
 
 
 def _missing(index: ArchiveIndex, needs: Sequence[Need], day: np.datetime64) -> str:

@@ -20,6 +20,7 @@ from inflight.product import day_parameters, level2
 from inflight.statistics import size_of
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.samples import load_samples
+from inflight.tasks.spin_produce import spin_product
 from inflight.tasks.stand_ins import stand_ins, treated_report
 from inflight.time import day_bounds
 
@@ -77,6 +78,9 @@ def produce_day(
     distribute: bool | None = None,
 ) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's product and a report: coverage, residual before and after, what stands in for what."""
+    if model.layout is not None and model.layout.kind == "spin":
+        product, told = spin_product(cat, mission, model, table, day, job, raw)
+        return _rounded(product), told
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     middle = (start + end) // 2
@@ -136,5 +140,7 @@ def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
     row = table.isel(interval=int(inside[-1]))
     digest = hashlib.sha256()
     for name in ("value", "covariance", "determined", "after"):
+        if name not in row:
+            continue
         digest.update(np.ascontiguousarray(row[name].values).tobytes())
     return digest.hexdigest()

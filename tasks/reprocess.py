@@ -26,6 +26,7 @@ from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_has
 from inflight.tasks.report import Progress, RunReport
 from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
 from inflight.tasks.reprocess_dual import dual_comparisons, reprocess_dual
+from inflight.tasks.spin_batch import solve_spin, spin_batch
 from inflight.tasks.stand_ins import partial_problems
 from inflight.tasks.tables import (
     MOST_BEND,
@@ -100,7 +101,7 @@ def calibrate(
         # A run killed amid a later pass leaves equations linearised here and there, and one killed after
         # it does not tell how many it made: only the first pass gives the bytes of an undisturbed run.
         adopted = _adopt(run, made.equations, made.keys, batches)
-        fresh = {day: found for day, found in adopted.items() if not found.report["shared"]}
+        fresh = {day: found for day, found in adopted.items() if not found.report.get("shared")}
     left = [[day for day in batch if day not in fresh] for batch in batches]
     jobs = _jobs(made, run, [batch for batch in left if batch], made.equations, made.keys)
     step: Callable[..., Outcome] = calibrate_batch
@@ -109,6 +110,8 @@ def calibrate(
     ]
     if made.settings.is_chain:
         step, arguments = chain_batch, chain_arguments(cat, mission, made, jobs)
+    if made.is_spin:
+        step, arguments = spin_batch, [(cat, mission, made.model, job) for job in jobs]
     for outcome in mapper("calibrate", step, arguments):
         fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
     return fresh
@@ -159,6 +162,13 @@ def solve_chain(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64,
         save_fitted(cat, made, run, result.found),
         result.left_out,
     )
+
+
+def _solver(made: Plan) -> Callable[..., SolvedTables]:
+    """Return what makes the tables of a plan."""
+    if made.is_spin:
+        return solve_spin
+    return solve_chain if made.settings.is_chain else solve
 
 
 def _itself(table: xr.Dataset) -> xr.Dataset:
@@ -253,7 +263,7 @@ def reprocess(
         days = _equations(cat, mission, made, run, spread, book)
         if not days:
             return _report(cat, made, run, book, [], {"residual": {}})
-        tables = (solve_chain if made.settings.is_chain else solve)(cat, made, run, days)
+        tables = _solver(made)(cat, made, run, days)
         same = produce(cat, mission, made, run, tables, spread, book)
         if made.settings.is_chain:
             _keep_offsets(cat, made, run, days, tables, book.reports)
@@ -298,8 +308,8 @@ def _equations(
     last = made.reference
     for _ in range(_MOST_PASSES):
         days = beside | kept | fresh
-        # A day of the chain is linearised at its own fit.
-        if not fresh or made.settings.is_chain:
+        # A day of the chain is linearised at its own fit, and one of the spin iterates to the end.
+        if not fresh or made.settings.is_chain or made.is_spin:
             break
         equations = load_equations(cat, list(days.values()))
         strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))

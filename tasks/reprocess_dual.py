@@ -32,7 +32,7 @@ from inflight.tasks.models import current_model
 from inflight.tasks.planning import ReprocessSettings, equations_of, product_of
 from inflight.tasks.report import RunReport
 from inflight.tasks.samples import ArchiveIndex
-from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
+from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
 #: Clusters of a day at most: two orbits each, and one cut at either end.
 MOST_CLUSTERS = int(DAY / SECOND / CLUSTER_S) + 2
@@ -147,11 +147,7 @@ def _published(
     cat: Catalog, comparison: str, start: DayLike | None, end: DayLike | None
 ) -> dict[np.datetime64, Day]:
     found = {day.day: day for day in cat.days(product_of(comparison), states=("published",))}
-    return {
-        day: one
-        for day, one in found.items()
-        if (start is None or day >= as_day(start)) and (end is None or day < as_day(end))
-    }
+    return {day: one for day, one in found.items() if is_within(day, start, end)}
 
 
 def _job(

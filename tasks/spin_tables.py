@@ -22,6 +22,8 @@ from inflight.zero_level.intervals import Intervals
 
 #: Intervals a zero level is told from, s: long against the correlation of the wind's fluctuations.
 ZERO_INTERVAL_S = 900.0
+#: The offset along the axis is looked for within so many of the ground's sigmas.
+_REACH = 3.0
 #: A value is determined when it is known this much better than before.
 _BETTER = 0.5
 #: Codes of the variable `source`, as `inflight.calibration.table.SOURCES` has them.
@@ -164,9 +166,7 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
     )
 
 
-def zero_level_table(
-    days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64], bound: float
-) -> xr.Dataset:
+def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64]) -> xr.Dataset:
     """Return the offset along the spin axis in windows of days, from nature's own statistics.
 
     Parameters
@@ -175,8 +175,6 @@ def zero_level_table(
         With `mean` and `mean_time`.
     edges : sequence of datetime64[D]
         Of the windows.
-    bound : float
-        The offset lies within this many nT of the ground's.
 
     Returns
     -------
@@ -190,8 +188,8 @@ def zero_level_table(
     for start, end in itertools.pairwise(bounds):
         inside = [day for day in days if start <= int(day["start"].values[0]) < end]
         if inside:
-            ground, _ = ground_of(entry, (start + end) // 2)
-            rows.append((start, end, *_zero(inside, ground, bound)))
+            ground, sigma = ground_of(entry, (start + end) // 2)
+            rows.append((start, end, *_zero(inside, ground, _REACH * sigma["offset[3]"])))
     one = ("interval",)
     return xr.Dataset(
         {

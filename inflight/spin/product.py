@@ -1,0 +1,121 @@
+"""Level-2 of a turning sensor: the field in turning and in payload axes, with uncertainty and quality."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.coupling import coupling
+from inflight.flags import UNUSABLE, Flag, meanings
+from inflight.model import Model
+from inflight.spin.equation import NAMES, TwelveParameters
+
+_VECTOR, _SCALAR = ("time", "axis"), ("time",)
+#: Step of the derivative of the field by each of the twelve: gains, angles in rad, offsets in nT.
+_STEPS = {name: 1.0 if name.startswith("offset") else 1e-6 for name in NAMES}
+
+
+def despun(field: Floats, phase: Floats) -> Floats:
+    """Return a field of turning axes in payload axes, x towards the Sun's projection; (time, 3) nT.
+
+    Eq. (1) of Farrell et al. (1995); phase in rad.
+    """
+    c, s = np.cos(phase), np.sin(phase)
+    return np.column_stack(
+        [c * field[:, 0] - s * field[:, 1], s * field[:, 0] + c * field[:, 1], field[:, 2]]
+    )
+
+
+def spin_level2(
+    model: Model, samples: xr.Dataset, readings: Floats, twelve: TwelveParameters, covariance: Floats
+) -> xr.Dataset:
+    """Return the level-2 product of one day of a turning sensor.
+
+    Parameters
+    ----------
+    model : Model
+        Bound to the calibration table that holds.
+    samples : xarray.Dataset
+        As measured, not folded, with `spin_phase`.
+    readings : ndarray, shape (time, axis)
+        Of the sensor's equation alone, nT: everything else is taken out.
+    twelve : TwelveParameters
+        That hold for the day.
+    covariance : ndarray, shape (12, 12)
+
+    Returns
+    -------
+    xarray.Dataset
+        `field_sensor` (time, axis) nT in axes that turn with the spacecraft, z along the spin axis;
+        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `uncertainty`
+        (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
+        `field_payload` is NaN and the flag says so.
+    """
+    corrected = model.correct(samples)
+    field = np.asarray(corrected["field"].values)
+    phase = np.asarray(samples["spin_phase"].values, dtype=np.float64)
+    flag = samples["flag"].values.astype(np.uint32)
+    flag[~np.isfinite(phase)] |= np.uint32(Flag.NO_PHASE)
+    lost = ~np.isfinite(field).all(axis=1)
+    flag[lost & (flag & np.uint32(UNUSABLE) == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
+    told = {"units": "nT", "long_name": "calibrated field"}
+    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]] = {
+        "field_sensor": (_VECTOR, field, {**told, "frame": "spin-aligned, turning"}),
+        "field_payload": (_VECTOR, despun(field, phase), {**told, "frame": "payload"}),
+        "spin_phase": (
+            _SCALAR,
+            np.mod(phase, 2.0 * np.pi),
+            {"units": "rad", "long_name": "phase of the spin"},
+        ),
+        "uncertainty": (
+            _VECTOR,
+            uncertainty(readings, twelve, covariance),
+            {"units": "nT", "long_name": "one sigma of the calibration", "frame": "spin-aligned, turning"},
+        ),
+    }
+    for name, term in model.correction_terms(corrected).items():
+        kind = {"units": "nT", "long_name": f"taken out of the reading: {name}"}
+        variables[f"correction_{name}"] = (_VECTOR if term.ndim == 2 else _SCALAR, term, dict(kind))
+    masks, names = meanings()
+    out = xr.Dataset(variables, coords={"axis": ["x", "y", "z"]}, attrs={"comparison": model.comparison})
+    out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
+    out["tt2000"] = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
+    return out
+
+
+def uncertainty(readings: Floats, twelve: TwelveParameters, covariance: Floats) -> Floats:
+    """Return what the parameters' errors make of each component; (time, 3) nT.
+
+    The field is linear in the readings, so the derivative by each parameter is one matrix and one shift.
+    """
+    rows = []
+    for name, step in _STEPS.items():
+        up, down = (
+            twelve.changed({name: float(twelve.values()[NAMES.index(name)] + sign * step)})
+            for sign in (1.0, -1.0)
+        )
+        matrix = (_matrix(up) - _matrix(down)) / (2.0 * step)
+        shift = (_matrix(up) @ up.offset - _matrix(down) @ down.offset) / (2.0 * step)
+        rows.append(np.column_stack([matrix, -shift]))
+    derivative = np.stack(rows)
+    # Of each component a quadratic form of (reading, 1): four numbers squared, whatever the parameters.
+    forms = np.einsum("pai,pq,qaj->aij", derivative, covariance, derivative)
+    known = np.column_stack([readings, np.ones(len(readings))])
+    variance = np.stack(
+        [np.einsum("ti,ij,tj->t", known, form, known, optimize=True) for form in forms], axis=1
+    )
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _matrix(one: TwelveParameters) -> Floats:
+    found, _ = coupling(
+        one.gain_ratio,
+        one.spin_plane_gain,
+        one.axial_gain,
+        one.elevation,
+        one.azimuth,
+        one.spin_axis,
+        one.rotation,
+    )
+    return np.asarray(found)

@@ -1,0 +1,41 @@
+"""The spin's part of a reprocessing: batches of days, and the tables of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+
+from inflight.catalog import Catalog, Day, Run
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.tasks.calibrate import Job, Outcome, make_days
+from inflight.tasks.keeping import SolvedTables, TableKeeper
+from inflight.tasks.planning import ONE_DAY, Plan
+from inflight.tasks.spin_day import spin_day
+from inflight.tasks.spin_tables import spin_table, zero_level_table
+from inflight.tasks.tables import window_edges
+
+
+def spin_batch(cat: Catalog, mission: Mission, model: Model, job: Job) -> Outcome:
+    """Make what each day of a batch tells, and write it as one segment."""
+    return make_days(cat, job, lambda day: spin_day(cat, mission, model, day, job))
+
+
+def solve_spin(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
+    """Make the tables of a spin comparison: zero level, each day, windows, the whole span."""
+    settings, model = made.settings, made.model
+    read = [cat.read(days[day]) for day in sorted(days)]
+    ordered = sorted(days)
+    edges = window_edges(ordered[0], ordered[-1], settings.window_days)
+    each = [*ordered, ordered[-1] + ONE_DAY]
+    whole = [ordered[0], ordered[-1] + ONE_DAY]
+    keep = TableKeeper(cat, made, run, days)
+    zero = keep.table("zero-level", partial(zero_level_table, read, model, edges))
+    makers = {"daily": each, "window": edges, "span": whole}
+    tables = {
+        kind: keep.table(kind, partial(spin_table, read, model, bounds, kind, zero))
+        for kind, bounds in makers.items()
+    }
+    return SolvedTables(tables[settings.table], keep.ids, keep.certify, model)

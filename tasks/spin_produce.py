@@ -1,0 +1,83 @@
+"""Level-2 products of a turning sensor, with the calibration table that holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog
+from inflight.comparison import rows_of
+from inflight.errors import InflightError, ModelError
+from inflight.flags import Flag
+from inflight.folding import fold
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.spin.equation import NAMES, TwelveParameters
+from inflight.spin.product import spin_level2
+from inflight.tasks.calibrate import Job
+from inflight.tasks.samples import load_samples
+from inflight.tasks.spin_day import plain_readings, require_spinning
+from inflight.time import day_bounds, to_utc
+
+#: Flags of samples that are as good as the rest for the eye that asks what is there.
+_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.PHASE_BRIDGED
+
+
+def spin_product(
+    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job, raw: Model
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return one day's product of a turning sensor and a report.
+
+    The report's residual is that of the synthetic turns: what still goes with the spin, before and after.
+    """
+    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)
+    span = day_bounds(day)
+    bound = model.bind(table)
+    entry = require_spinning(bound)
+    twelve, covariance = _holding(table, (span[0] + span[1]) // 2)
+    readings, _ = plain_readings(bound, entry, samples)
+    product = spin_level2(bound, samples, readings, twelve, covariance)
+    good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
+    step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
+    report: dict[str, Any] = {
+        "coverage": float(good.sum() * step / (span[1] - span[0])),
+        "samples": int(good.sum()),
+    }
+    report |= _tones(bound, raw, samples, span)
+    product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
+    return product, report
+
+
+def _holding(table: xr.Dataset, tt2000: int) -> tuple[TwelveParameters, np.ndarray]:
+    """Return the twelve that a table has for an instant, and their covariance."""
+    inside = np.flatnonzero((table["start"].values <= tt2000) & (tt2000 < table["end"].values))
+    if not inside.size:
+        raise ModelError(
+            f"the calibration table holds nothing at {to_utc(tt2000)}",
+            remedy="reprocess the span with its table",
+        )
+    row = table.isel(interval=int(inside[-1]))
+    assert row.sizes["parameter"] == len(NAMES)
+    return TwelveParameters.of_values(row["value"].values), np.asarray(row["covariance"].values)
+
+
+def _tones(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, int]) -> dict[str, float]:
+    """Return the weighted rms of what goes with the spin, before and after calibration, and its floor; nT."""
+    assert bound.layout is not None
+    if bound.layout.folding is None:
+        return {}
+    try:
+        folded = fold(samples, bound.layout.folding, span)
+    except InflightError:
+        return {}
+    out = {}
+    for name, model in (("before_nT", raw), ("after_nT", bound)):
+        rows = rows_of(model, folded)
+        weight = np.where(rows.good, folded["weight"].values, 0.0)
+        square = np.sum(weight[:, None] * np.nan_to_num(rows.residual) ** 2)
+        out[name] = float(np.sqrt(square / max(2.0 * weight.sum(), 1e-300)))
+    noise = np.nan_to_num(folded["noise"].values)
+    out["floor_nT"] = float(np.sqrt(np.sum(weight * noise**2) / max(weight.sum(), 1e-300)))
+    return out
