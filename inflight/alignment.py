@@ -138,8 +138,9 @@ def _between(
     own_flags: npt.NDArray[np.uint32] | None = None,
 ) -> tuple[Floats, str]:
     """Carry values from stamps to targets by the method that fits name and cadence."""
-    if np.array_equal(stamps, target):
-        return values, "exact"
+    same = _stretch_of(stamps, target)
+    if same is not None:
+        return values[same], "exact"
     shape = (target.size, *values.shape[1:])
     if stamps.size == 0:
         return np.full(shape, np.nan), "none"
@@ -167,6 +168,13 @@ def _between(
 def _usual_step(stamps: Int64) -> int:
     """Return the median distance of neighbours, from as many as tell it: gaps are rare."""
     return int(np.median(np.diff(stamps[:_TELLING]))) if stamps.size > 1 else 1
+
+
+def _stretch_of(stamps: Int64, target: Int64) -> slice | None:
+    """Return where the targets are among the stamps when they are a stretch of them, else None."""
+    first = int(np.searchsorted(stamps, target[0])) if target.size else 0
+    stretch = slice(first, first + target.size)
+    return stretch if np.array_equal(stamps[stretch], target) else None
 
 
 def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:
@@ -211,9 +219,11 @@ def _own_flags(series: xr.DataArray) -> npt.NDArray[np.uint32] | None:
 @numba.njit(cache=True, nogil=True)
 def _linear(stamps: Int64, values: Floats, target: Int64, widest: float) -> Floats:  # pragma: no cover
     out = np.full((target.size, values.shape[1]), np.nan)
-    right = np.searchsorted(stamps, target)
+    j = 0
     for i in range(target.size):
-        j = right[i]
+        # Both increase: what is past for one target is past for the next.
+        while j < stamps.size and stamps[j] < target[i]:
+            j += 1
         if j < stamps.size and stamps[j] == target[i]:
             out[i] = values[j]
         elif 0 < j < stamps.size and stamps[j] - stamps[j - 1] <= widest:

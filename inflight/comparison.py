@@ -28,6 +28,7 @@ from inflight.effects.base import direction
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE
 from inflight.sensors import Sensor, sensors_of
+from inflight.time import SECOND, usual_step
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
@@ -275,4 +276,4 @@ def _good(samples: xr.Dataset, residual: Floats) -> npt.NDArray[np.bool_]:
 
 def _step(samples: xr.Dataset) -> float:
     stamps = samples["tt2000"].values
-    return float(np.median(np.diff(stamps))) * 1e-9 if stamps.size > 1 else 1.0
+    return usual_step(stamps, SECOND) / SECOND

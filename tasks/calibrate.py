@@ -30,7 +30,7 @@ from inflight.flags import UNUSABLE, Flag, tally
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
-from inflight.time import SECOND, day_bounds
+from inflight.time import SECOND, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the normal equations change.
 EQUATIONS_VERSION = 2
@@ -256,7 +256,7 @@ class _Begun:
         )
         parts = split_chain(model, samples)
         cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
-        step = int(np.median(np.diff(samples["tt2000"].values))) if samples.sizes["time"] > 1 else cadence
+        step = usual_step(np.asarray(samples["tt2000"].values), cadence)
         good = usable(samples, *parts)
         return cls(job, day, samples, prior, at, parts, good, step, reference is not None)
 

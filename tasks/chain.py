@@ -31,7 +31,7 @@ from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
 from inflight.tasks.chain_parts import alike, pack_parts
 from inflight.tasks.needs import channel_homes
-from inflight.time import Int64, day_bounds
+from inflight.time import Int64, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the chain's days change.
 CHAIN_VERSION = 2
@@ -172,7 +172,7 @@ def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]
     What alignment put between two readings knows nothing of steps, and has none of their noise.
     """
     cadence = int(channel.attrs.get("cadence_ns", 0))
-    usual = int(np.median(np.diff(stamps))) if stamps.size > 1 else cadence
+    usual = usual_step(stamps, cadence)
     if cadence <= usual:
         return np.ones(stamps.size, dtype=bool)
     number = (stamps - stamps[0] + usual // 2) // cadence

@@ -21,7 +21,7 @@ from inflight.statistics import size_of
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.samples import load_samples
 from inflight.tasks.stand_ins import stand_ins, treated_report
-from inflight.time import day_bounds
+from inflight.time import day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the products change.
 PRODUCT_VERSION = 3
@@ -90,7 +90,7 @@ def produce_day(
         samples, bound, raw = stand.samples, stand.model(bound), stand.model(raw)
     product = _rounded(level2(bound, samples, parameters, raw, widening, distribute))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
-    step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else end - start
+    step = usual_step(np.asarray(product["tt2000"].values), end - start)
     # The numbers as stored, of the samples that `inflight.tasks.compare` takes: both tell one residual.
     measured = (product["flag"].values & np.uint32(UNUSABLE)) == 0
     after = size_of(product["residual"].values[measured])

@@ -24,7 +24,7 @@ from inflight.diagnosis.columns import design, turns_of
 from inflight.diagnosis.gram import gram_of
 from inflight.diagnosis.library import Term, term_of
 from inflight.model import Model
-from inflight.time import SECOND, Int64
+from inflight.time import SECOND, Int64, usual_step
 
 #: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
 BIN_S = 10.0
@@ -142,7 +142,7 @@ def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_
     """
     out = np.zeros(stamps.size, dtype=bool)
     cadence = int(channel.attrs.get("cadence_ns", 0))
-    usual = int(np.median(np.diff(stamps))) if stamps.size > 1 else cadence
+    usual = usual_step(stamps, cadence)
     values = np.asarray(channel.values, dtype=np.float64)
     if cadence <= usual or values.ndim > 1:
         return out

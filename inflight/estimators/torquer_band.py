@@ -27,7 +27,7 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import biweight, robust_sigma
 from inflight.errors import SamplesError
 from inflight.estimators.clusters import FEWEST_CLUSTERS, ClusteredFit, solve_clusters
-from inflight.time import GAP, SECOND, Int64, day_of
+from inflight.time import GAP, SECOND, Int64, day_of, usual_step
 
 #: Hz, around the 20 s of the modulation.
 BAND = (0.045, 0.055)
@@ -80,7 +80,7 @@ def band_equations(
     SamplesError
         The cadence is too slow for the band, or no stretch is long enough.
     """
-    cadence = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else np.inf
+    cadence = usual_step(stamps) / SECOND if stamps.size > 1 else np.inf
     if 0.5 / cadence <= band[1]:
         raise SamplesError(
             f"samples every {cadence:g} s do not hold {band[1]:g} Hz",
@@ -348,7 +348,7 @@ def band_spectra(
         `before`, `after` (frequency) nT^2/Hz, one-sided, with a Hann window, which nothing is fitted
         with; attribute ``segments``.
     """
-    cadence = float(np.median(np.diff(stamps))) / SECOND
+    cadence = usual_step(stamps) / SECOND
     cleaned = residual - np.einsum("tj,jk,tk->t", direction, value, current)
     both = np.stack([residual, cleaned])
     count = round(length / cadence)
