@@ -34,7 +34,7 @@ from inflight.tasks.needs import channel_homes
 from inflight.time import Int64, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the chain's days change.
-CHAIN_VERSION = 2
+CHAIN_VERSION = 3
 #: Kinds of channels whose currents may step.
 CURRENTS = ("solar_current", "battery_current", "camera_current", "heater", "current")
 
@@ -111,18 +111,18 @@ def chain_day(
     }
     if not fitted.fit.used:
         # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
-        empty = empty_equations(model, span, attributes).dataset.assign(_own_fit(fitted.fit))
+        empty = empty_equations(model, span, attributes).assign(_own_fit(fitted.fit))
         return pack_parts(empty, {"channel": _means(fitted.samples, witnesses.names)}), fitted.report
-    wide = wide_equations(model, fitted.samples, fitted.fit.value, span, attributes)
-    rows = rows_of(with_nine(model, fitted.fit.value), fitted.samples)
+    own = with_nine(model, fitted.fit.value)
+    rows = rows_of(own, fitted.samples)
+    wide = wide_equations(own, fitted.samples, rows, span, attributes)
     residual = np.where(rows.good, rows.residual[:, 0], np.nan)
     parts = {
         "band": _band(fitted.samples, residual, rows, witnesses),
         "epoch": _epochs(fitted.samples, residual, rows, witnesses),
         "channel": _means(fitted.samples, witnesses.names),
     }
-    dataset = wide.dataset.assign(_own_fit(fitted.fit))
-    return pack_parts(dataset, parts), fitted.report
+    return pack_parts(wide.assign(_own_fit(fitted.fit)), parts), fitted.report
 
 
 def _own_fit(fit: BlockFit) -> dict[str, Any]:

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import NormalEquations
 from inflight.catalog import Catalog, Day, Run
-from inflight.chain import Continuous, continuous_table, fit_mission
+from inflight.chain import Continuous, continuous_table, fit_mission, rates
 from inflight.errors import CalibrationError, InflightError, SamplesError
 from inflight.estimators.epoch_fits import fit_step
 from inflight.estimators.epochs import join_epochs
@@ -44,7 +43,7 @@ from inflight.time import day_of, to_tt2000
 #: Days whose spread tells what the noise alone makes of it, at least.
 _FEWEST_DAYS = 5
 #: Bumped by hand when the numbers of the chain's tables change.
-CHAIN_TABLES_VERSION = 4
+CHAIN_TABLES_VERSION = 5
 
 #: Attributes of tables: what all of one run are made from; and, of ``trend``, what could not be made and why.
 MADE_FROM, LEFT_OUT = "made_from", "left_out"
@@ -87,15 +86,15 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
     read = [cat.read(day) for day in ordered]
     settings = made.settings
     origin = None if settings.origin is None else int(to_tt2000(np.datetime64(settings.origin, "ns")))
-    every = equations_of_days(read)
+    every, drift = equations_of_days(read)
     full = np.flatnonzero(every.dataset["count"].values > 0)
-    equations = NormalEquations(every.dataset.isel(block=full))
-    found = fit_mission(equations, made.model, settings.trend, origin)
+    found = fit_mission(every.filled, made.model, settings.trend, origin, drift.of_blocks(full))
     noise = np.array([float(day["after"].values[0]) for day in read])
     # A day that could not be fitted is taken to be as noisy as the others.
     noise = np.where(every.dataset["count"].values > 0, noise, np.median(noise[full]))
     out = Chained(found)
-    out.tables["continuous"] = continuous_table(every, found, noise)
+    every = drift.taken_out(every, rates(found.fit, every))
+    out.tables["continuous"] = continuous_table(every, found, made.model, noise)
     out.tables["trend"] = found.fit.table()
     if found.choice is not None:
         out.tables["trend-choice"] = found.choice.table()
@@ -107,7 +106,7 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
         "current-steps": lambda: fit_step(join_epochs(part_of(read, "epoch"))).table(),
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
-        "daily-after": lambda: daily_after(equations, found),
+        "daily-after": lambda: daily_after(found.equations, found),
         "daily-temperature": lambda: daily_temperatures(cat, _mission(cat, made), made.model, sorted(days)),
         "clock-faults": lambda: _clock_faults(out),
         "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(_mission(cat, made))),

@@ -2,14 +2,17 @@
 
 from inflight.chain.continuous import Continuous, continuous_model, continuous_table, fit_mission
 from inflight.chain.wide import BIN_S, empty_equations, terms_of, wide_equations, with_nine
+from inflight.chain.within import DayDrift, rates
 
 __all__ = [
     "BIN_S",
     "Continuous",
+    "DayDrift",
     "continuous_model",
     "continuous_table",
     "empty_equations",
     "fit_mission",
+    "rates",
     "terms_of",
     "wide_equations",
     "with_nine",

@@ -14,17 +14,17 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
 from inflight.calibration.equations import RESIDUAL
 from inflight.calibration.robust import TO_SIGMA
 from inflight.calibration.sensor import PARTS, vector_sensor_of
-from inflight.comparison import rows_of
+from inflight.chain.within import SCALES
+from inflight.comparison import Rows as NativeRows
 from inflight.diagnosis.coarse import bin_means, coarsen, grid
 from inflight.diagnosis.columns import design, turns_of
 from inflight.diagnosis.gram import gram_of
 from inflight.diagnosis.library import Term, term_of
 from inflight.model import Model
-from inflight.time import SECOND, Int64, usual_step
+from inflight.time import DAY, SECOND, Int64, usual_step
 
 #: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
 BIN_S = 10.0
@@ -73,23 +73,23 @@ def about_offsets(model: Model, offset: Floats) -> Model:
 
 
 def wide_equations(
-    model: Model,
+    fitted: Model,
     samples: xr.Dataset,
-    nine: Floats,
+    rows: NativeRows,
     span: tuple[int, int],
     attributes: dict[str, Any],
     bin_s: float = BIN_S,
-) -> NormalEquations:
-    """Return the wide equations of one block.
+) -> xr.Dataset:
+    """Return the wide equations of one block, and how its residual follows a drift of the scale factors.
 
     Parameters
     ----------
-    model : Model
-        With values of everything but the nine.
+    fitted : Model
+        With the block's own nine: see `with_nine`.
     samples : xarray.Dataset
         Aligned raw samples with the channels of the model.
-    nine : ndarray, shape (9,)
-        The block's own fit, physical units.
+    rows : inflight.comparison.Rows
+        Of this model and these samples.
     span : tuple of int
         TT2000, half-open.
     attributes : dict
@@ -99,12 +99,11 @@ def wide_equations(
 
     Returns
     -------
-    NormalEquations
-        One block; nT^2, columns scaled by the step of their parameters.
+    xarray.Dataset
+        One block of `NormalEquations`, without `scatter`: nT^2, columns scaled by the step of their
+        parameters; and `drift`, see `inflight.chain.within.DayDrift`.
     """
-    fitted = with_nine(model, nine)
     terms = terms_of(fitted)
-    rows = rows_of(fitted, samples)
     edges = grid(*span, round(bin_s * SECOND))
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     used = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
@@ -113,17 +112,20 @@ def wide_equations(
     binned, _ = coarsen(
         samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
     )
-    columns = design(terms, binned)
-    every = slice(0, len(binned.weight))
-    gram = gram_of(columns, binned.residual[:, :, None], binned.weight, [every])
+    columns = np.moveaxis(design(terms, binned), -1, 0)
+    days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY
+    drifting = columns[:SCALES] * days[:, None]
+    every = np.moveaxis(np.concatenate([columns, drifting]), 0, -1)
+    block = slice(0, len(binned.weight))
+    gram = gram_of(every, binned.residual[:, :, None], binned.weight, [block])[0]
     return _packed(terms, gram, float(binned.weight.sum()), span, attributes)
 
 
-def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> NormalEquations:
-    """Return the equations of a block that tells nothing; parameters as `wide_equations`."""
+def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> xr.Dataset:
+    """Return the equations of a block that tells nothing; as `wide_equations` makes them."""
     terms = terms_of(model)
-    width = sum(len(term.columns) for term in terms) + 1
-    return _packed(terms, np.zeros((1, width, width)), 0.0, span, attributes)
+    width = sum(len(term.columns) for term in terms) + SCALES + 1
+    return _packed(terms, np.zeros((width, width)), 0.0, span, attributes)
 
 
 def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
@@ -174,25 +176,29 @@ def _channels(
 
 def _packed(
     terms: tuple[Term, ...], gram: Floats, count: float, span: tuple[int, int], attributes: dict[str, Any]
-) -> NormalEquations:
+) -> xr.Dataset:
+    """Return a block's equations; gram is that of [columns | drifts | residual]."""
     names = [name for term in terms for name in term.columns]
     scale = np.array([*(size for term in terms for size in term.scale), 1.0])
     value = np.concatenate([_values(term) for term in terms] + [np.zeros(1)])
-    row = ("block", "column", "other")
-    return NormalEquations(
-        xr.Dataset(
-            {
-                "gram": (row, gram, {"units": "nT2"}),
-                "scatter": (row, np.zeros_like(gram), {"units": "nT4"}),
-                "reference": (("block", "column"), value[None]),
-                "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
-                "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
-                "count": ("block", np.array([count])),
-                "scale": ("column", scale),
-            },
-            coords={"column": [*names, RESIDUAL], "other": [*names, RESIDUAL]},
-            attrs=attributes,
-        )
+    own = np.append(np.arange(len(names)), len(gram) - 1)
+    drifts = len(names) + np.arange(SCALES)
+    return xr.Dataset(
+        {
+            "gram": (("block", "column", "other"), gram[np.ix_(own, own)][None], {"units": "nT2"}),
+            "drift": (
+                ("block", "rate", "rate_column"),
+                gram[np.ix_(drifts, np.append(own, drifts))][None],
+                {"units": "nT2"},
+            ),
+            "reference": (("block", "column"), value[None]),
+            "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+            "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+            "count": ("block", np.array([count])),
+            "scale": ("column", scale),
+        },
+        coords={"column": [*names, RESIDUAL], "other": [*names, RESIDUAL]},
+        attrs=attributes,
     )
 
 
