@@ -29,7 +29,7 @@ from inflight.errors import CalibrationError, InflightError
 from inflight.flags import UNUSABLE, Flag, tally
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.samples import ArchiveIndex, Need, load_samples
+from inflight.tasks.samples import ArchiveIndex, Need, kept_readings, load_samples
 from inflight.time import SECOND, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the normal equations change.
@@ -134,7 +134,7 @@ def make_days(
         The segment, and why days are not in it.
     """
     outcome, made = Outcome(), []
-    with threadpool_limits(1):
+    with threadpool_limits(1), kept_readings():
         for day in job.days:
             try:
                 dataset, report = make(day)

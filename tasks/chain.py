@@ -25,7 +25,7 @@ from inflight.estimators.contrasts import in_amperes
 from inflight.estimators.current_steps import find_steps
 from inflight.estimators.epochs import epochs_of
 from inflight.estimators.torquer_band import band_equations
-from inflight.geometry import direction_of
+from inflight.geometry import direction_of, geometry_at
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
@@ -156,14 +156,28 @@ def _epochs(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnes
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     channel = samples[there[0]]
     own = _own_readings(stamps, channel)
-    with_field = samples.assign(field=(("time", "axis"), rows.field, {"units": "nT"}))
     try:
         values = np.asarray(channel.values, dtype=np.float64)[own]
         steps = find_steps(stamps[own], values, unit=str(channel.attrs["units"]))
-        found = epochs_of(with_field, residual, steps, channel=there[0], others=there[1:])
+        known = {name: samples[name].variable for name in ("tt2000", "weight", *there) if name in samples}
+        known["field"] = xr.Variable(("time", "axis"), rows.field, {"units": "nT"})
+        known |= _where(samples, np.searchsorted(stamps, steps.time))
+        found = epochs_of(xr.Dataset(known), residual, steps, channel=there[0], others=there[1:])
     except SamplesError:
         return None
     return found if found.sizes["epoch"] else None
+
+
+def _where(samples: xr.Dataset, rows: Int64) -> dict[str, xr.Variable]:
+    """Return places of the orbit at some samples, NaN at all others."""
+    count = samples.sizes["time"]
+    rows = np.unique(np.minimum(rows, count - 1))
+    out = {}
+    for name, told in (geometry_at(samples, rows) if rows.size else {}).items():
+        whole = np.full((count, *told.shape[1:]), np.nan)
+        whole[rows] = told.values
+        out[name] = xr.Variable(told.dims, whole, told.attrs)
+    return out
 
 
 def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
