@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -155,7 +155,7 @@ def rows_of(model: Model, samples: xr.Dataset) -> Rows:
             f"the samples have no {' and no '.join(repr(role) for role in missing)} reading",
             remedy="align the comparison's sensors",
         )
-    return _KINDS[layout.kind](layout, model.correct(samples))
+    return _KINDS[layout.kind](layout, cast("xr.Dataset", model.corrected(samples)))
 
 
 def filter_rows(

@@ -29,6 +29,10 @@ from inflight.time import SECOND, Int64, usual_step
 from inflight.units import factor_and_offset
 
 
+#: A quaternion shorter than this is none.
+_SHORTEST = 0.5
+
+
 def rotate(field: Floats, quaternion: Floats) -> Floats:
     """Turn vectors by quaternions x, y, z, w.
 
@@ -44,12 +48,18 @@ def rotate(field: Floats, quaternion: Floats) -> Floats:
     ndarray, shape (time, 3)
     """
     if quaternion.ndim == 1:
-        return np.asarray(Rotation.from_quat(quaternion).apply(field))
-    out = np.full_like(field, np.nan)
-    norm = np.linalg.norm(quaternion, axis=1)
-    good = np.isfinite(norm) & (norm > 0.5)
-    if good.any():
-        out[good] = Rotation.from_quat(quaternion[good]).apply(field[good])
+        return np.asarray(field @ Rotation.from_quat(quaternion).as_matrix().T)
+    x, y, z, w = np.ascontiguousarray(quaternion.T)
+    vx, vy, vz = np.ascontiguousarray(field.T)
+    size = x * x + y * y + z * z + w * w
+    with np.errstate(invalid="ignore", divide="ignore"):
+        twice = np.where(size > _SHORTEST**2, 2.0 / size, np.nan)
+    # v + 2 w (q x v) + 2 q x (q x v), of a quaternion whose length is its own affair.
+    tx, ty, tz = twice * (y * vz - z * vy), twice * (z * vx - x * vz), twice * (x * vy - y * vx)
+    out = np.empty_like(field)
+    out[:, 0] = vx + w * tx + y * tz - z * ty
+    out[:, 1] = vy + w * ty + z * tx - x * tz
+    out[:, 2] = vz + w * tz + x * ty - y * tx
     return out
 
 

@@ -123,7 +123,8 @@ def _rounded(product: xr.Dataset) -> xr.Dataset:
     for name, variable in product.data_vars.items():
         step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
         if step is not None and variable.dtype.kind == "f":
-            values = np.round(variable.values / step) * step
+            values = np.rint(variable.values / step)
+            values /= round(1.0 / step)
             rounded[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
     return product.assign(rounded)
 
