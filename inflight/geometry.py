@@ -146,6 +146,8 @@ GEOMETRY = {
     "sunlit": "1",
     "sun_direction": "1",
 }
+#: Variables of samples that tell them.
+_TELLING = ("tt2000", "position", "attitude", "vector", "inboard")
 #: Those that the orbit's plane tells.
 _PHASES = ("orbit_phase", "sun_phase")
 #: Those that a slow response or a play may be made of: positions alone tell them.
@@ -202,6 +204,7 @@ def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, x
         dims (time,) or (time, axis), as long as `rows`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    samples = samples[[name for name in _TELLING if name in samples]]
     before, after, longest = _beside(stamps, rows)
     around = np.unique(np.concatenate([before, rows, after]))
     place = _place(samples.isel(time=around))

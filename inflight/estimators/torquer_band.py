@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import xarray as xr
@@ -86,12 +86,13 @@ def band_equations(
             f"samples every {cadence:g} s do not hold {band[1]:g} Hz",
             remedy="take the torquer currents and the residual at the magnetometers' own cadence",
         )
-    rows = np.column_stack(
-        [np.einsum("tj,tk->tjk", direction, current).reshape(stamps.size, 9), np.asarray(residual)]
-    )
+    rows = np.empty((10, stamps.size))
+    for row, (axis, coil) in enumerate(product(range(3), repeat=2)):
+        np.multiply(direction[:, axis], current[:, coil], out=rows[row])
+    rows[9] = residual
     found = []
-    for part in _stretches(stamps, np.isfinite(rows).all(axis=1), cadence, longest, shortest):
-        both = _transform(part.stop - part.start, cadence, *band, order) @ rows[part]
+    for part in _stretches(stamps, np.isfinite(rows.sum(axis=0)), cadence, longest, shortest):
+        both = _transform(part.stop - part.start, cadence, *band, order) @ rows[:, part].T
         gram, count = both.T @ both, both.shape[0]
         if count:
             found.append((gram, count, int(stamps[part.start]), int(stamps[part.stop - 1])))
@@ -145,8 +146,10 @@ def _transform(count: int, cadence: float, low: float, high: float, order: int) 
     # A frequency on the edge of the band belongs to it, whatever rounding says.
     first = int(np.ceil(low * count * cadence - 1e-6))
     last = int(np.floor(high * count * cadence + 1e-6))
-    angle = 2.0 * np.pi * np.outer(np.arange(first, last + 1), np.arange(count) / count)
-    waves = np.concatenate([np.cos(angle), -np.sin(angle)]) * np.sqrt(2.0 / count)
+    # A wave passes the same angles as the first one, in another order.
+    turns = np.outer(np.arange(first, last + 1), np.arange(count)) % count
+    angle = 2.0 * np.pi * np.arange(count) / count
+    waves = np.concatenate([np.cos(angle)[turns], -np.sin(angle)[turns]]) * np.sqrt(2.0 / count)
     drift, _ = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), order))
     return np.asarray(waves - (waves @ drift) @ drift.T)
 
