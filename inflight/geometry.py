@@ -28,7 +28,6 @@ from inflight.sun import (
 from inflight.time import SECOND, Int64, usual_step
 from inflight.units import factor_and_offset
 
-
 #: A quaternion shorter than this is none.
 _SHORTEST = 0.5
 

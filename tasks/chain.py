@@ -7,7 +7,7 @@ channels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +31,7 @@ from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
 from inflight.tasks.chain_parts import alike, pack_parts
 from inflight.tasks.needs import channel_homes
+from inflight.tasks.samples import own_readings
 from inflight.time import Int64, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the chain's days change.
@@ -49,10 +50,12 @@ class Witnesses:
         Scalar currents, the one of the solar array first where there is one.
     torquer : str
         Three torquer currents; empty when the mission has none.
+    temperatures : tuple of str
     """
 
     currents: tuple[str, ...]
     torquer: str
+    temperatures: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, mission: Mission) -> Witnesses:
@@ -68,11 +71,17 @@ class Witnesses:
             if one.kind == kind and not one.axis_names
         ]
         torquers = [name for name, one in kinds.items() if one.kind == "torquer_current"]
-        return cls(tuple(currents), torquers[0] if torquers else "")
+        warm = [name for name, one in kinds.items() if one.kind == "temperature" and not one.axis_names]
+        return cls(tuple(currents), torquers[0] if torquers else "", tuple(warm))
 
     @property
     def names(self) -> tuple[str, ...]:
         """All of them."""
+        return (*self.driven, *self.temperatures)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """All currents."""
         return (*self.currents, *((self.torquer,) if self.torquer else ()))
 
 
@@ -109,10 +118,13 @@ def chain_day(
         "cadence_ns": fitted.step,
         "filter": "raw",
     }
+    means = _means(
+        _currents(fitted.samples, witnesses.driven) | _temperatures(cat, job, day, witnesses.temperatures)
+    )
     if not fitted.fit.used:
         # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
         empty = empty_equations(model, span, attributes).assign(_own_fit(fitted.fit))
-        return pack_parts(empty, {"channel": _means(fitted.samples, witnesses.names)}), fitted.report
+        return pack_parts(empty, {"channel": means}), fitted.report
     own = with_nine(model, fitted.fit.value)
     rows = rows_of(own, fitted.samples)
     wide = wide_equations(own, fitted.samples, rows, span, attributes)
@@ -120,7 +132,7 @@ def chain_day(
     parts = {
         "band": _band(fitted.samples, residual, rows, witnesses),
         "epoch": _epochs(fitted.samples, residual, rows, witnesses),
-        "channel": _means(fitted.samples, witnesses.names),
+        "channel": means,
     }
     return pack_parts(wide.assign(_own_fit(fitted.fit)), parts), fitted.report
 
@@ -193,18 +205,35 @@ def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]
     return np.asarray(np.concatenate([[True], np.diff(number) > 0]))
 
 
-def _means(samples: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return mean, spread and number of the readings of channels over the day, component by component; A."""
-    titles, rows = [], []
+def _currents(samples: xr.Dataset, names: Sequence[str]) -> dict[str, Floats]:
+    """Return currents at the samples, component by component; A."""
+    out = {}
     for name in (one for one in names if one in samples):
         values, _ = in_amperes(samples[name])
         for index, column in enumerate(values.reshape(len(values), -1).T):
-            known = column[np.isfinite(column)]
-            titles.append(name if values.ndim == 1 else f"{name}[{'xyz'[index] if index < 3 else index}]")
-            told = (known.mean(), known.std()) if known.size else (np.nan, np.nan)
-            rows.append((*told, float(known.size)))
+            out[name if values.ndim == 1 else f"{name}[{'xyz'[index] if index < 3 else index}]"] = column
+    return out
+
+
+def _temperatures(cat: Catalog, job: Job, day: np.datetime64, names: Sequence[str]) -> dict[str, Floats]:
+    """Return a day's own readings of temperatures, each at its own cadence; empty ones of what is missing."""
+    out = {}
+    for need in job.needs:
+        if need.name in names and need.part is None:
+            found = own_readings(cat, job.index, need, day)
+            out[need.name] = np.zeros(0) if found is None else np.asarray(found, dtype=np.float64)
+    return out
+
+
+def _means(series: Mapping[str, Floats]) -> xr.Dataset:
+    """Return mean, spread and number of known values of channels over the day."""
+    rows = []
+    for values in series.values():
+        known = values[np.isfinite(values)]
+        told = (known.mean(), known.std()) if known.size else (np.nan, np.nan)
+        rows.append((*told, float(known.size)))
     table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     return xr.Dataset(
         {name: ("channel", table[:, place]) for place, name in enumerate(("mean", "spread", "count"))},
-        coords={"channel": titles},
+        coords={"channel": list(series)},
     )

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.calibration.equations import RESIDUAL
 from inflight.chain.within import DayDrift
@@ -43,13 +44,21 @@ def pack_parts(day: xr.Dataset, parts: Mapping[str, xr.Dataset | None]) -> xr.Da
         fixed = {str(key): one for key, one in kept.variables.items() if str(key) not in columns}
         text = {key: columns.pop(key) for key in list(columns) if columns[key].dtype.kind in "UO"}
         for kind, array in _ARRAYS.items():
-            values = [one.values.reshape(len(chosen), -1) for one in columns.values() if one.dtype.kind == kind]
+            values = [
+                one.values.reshape(len(chosen), -1) for one in columns.values() if one.dtype.kind == kind
+            ]
             if values:
-                whole = np.zeros((max(most, len(chosen)), sum(one.shape[1] for one in values)), values[0].dtype)
+                whole = np.zeros(
+                    (max(most, len(chosen)), sum(one.shape[1] for one in values)), values[0].dtype
+                )
                 whole[: len(chosen)] = np.concatenate(values, axis=1)
-                made[f"{name}.{array}"] = xr.Variable(("block", f"{name}.row", f"{name}.{array}_column"), whole[None])
+                made[f"{name}.{array}"] = xr.Variable(
+                    ("block", f"{name}.row", f"{name}.{array}_column"), whole[None]
+                )
         told = {
-            "columns": {key: [one.dtype.kind, one.dims, one.shape[1:], one.attrs] for key, one in columns.items()},
+            "columns": {
+                key: [one.dtype.kind, one.dims, one.shape[1:], one.attrs] for key, one in columns.items()
+            },
             "fixed": {key: [one.dims, one.values.tolist(), one.attrs] for key, one in (fixed | text).items()},
             "coordinates": [str(key) for key in part.coords],
             "attributes": part.attrs,
@@ -80,6 +89,21 @@ def part_of(days: Sequence[xr.Dataset], name: str) -> list[xr.Dataset]:
     return [_unpacked(json.loads(layout), some, name) for layout, some in found.items()]
 
 
+def means_of_channels(days: Sequence[xr.Dataset]) -> dict[str, Floats]:
+    """Return mean, spread and number of readings of each channel; (day, 3) each, NaN where a day lacks it."""
+    out: dict[str, Floats] = {}
+    names: dict[str, list[str]] = {}
+    for place, day in enumerate(days):
+        layout = day.attrs.get("channel.layout")
+        if layout is None or "channel.number" not in day.variables:
+            continue
+        if layout not in names:
+            names[layout] = json.loads(layout)["fixed"]["channel"][1]
+        for name, row in zip(names[layout], day["channel.number"].values[0], strict=True):
+            out.setdefault(name, np.full((len(days), 3), np.nan))[place] = row
+    return out
+
+
 def equations_of_days(days: Sequence[xr.Dataset]) -> tuple[NormalEquations, DayDrift]:
     """Return the wide equations of days, which stand in order of time, and what drifts within them."""
     every = {
@@ -89,7 +113,9 @@ def equations_of_days(days: Sequence[xr.Dataset]) -> tuple[NormalEquations, DayD
     drift = DayDrift(every.pop("drift"))
     dims = {"gram": ("block", "column", "other"), "reference": ("block", "column")}
     first = days[0]
-    variables = {name: (dims.get(name, ("block",)), values, first[name].attrs) for name, values in every.items()}
+    variables = {
+        name: (dims.get(name, ("block",)), values, first[name].attrs) for name, values in every.items()
+    }
     # The scatter within days is not used where all days are fitted: between them there is more of it.
     nothing = np.broadcast_to(0.0, every["gram"].shape)
     joined = xr.Dataset(
@@ -115,7 +141,9 @@ def _unpacked(layout: dict[str, Any], days: Sequence[xr.Dataset], name: str) -> 
     """Return the rows of days of one layout."""
     kept = [int(day[f"{name}.kept"].values[0]) for day in days]
     whole = {
-        kind: np.concatenate([day[f"{name}.{array}"].values[0, :rows] for day, rows in zip(days, kept, strict=True)])
+        kind: np.concatenate(
+            [day[f"{name}.{array}"].values[0, :rows] for day, rows in zip(days, kept, strict=True)]
+        )
         for kind, array in _ARRAYS.items()
         if f"{name}.{array}" in days[0].variables
     }
@@ -125,6 +153,9 @@ def _unpacked(layout: dict[str, Any], days: Sequence[xr.Dataset], name: str) -> 
         part = whole[kind][:, used[kind] : used[kind] + width]
         used[kind] += width
         own[key] = xr.Variable(dims, part.reshape(-1, *shape), attrs)
-    own |= {key: xr.Variable(dims, np.array(values), attrs) for key, (dims, values, attrs) in layout["fixed"].items()}
+    own |= {
+        key: xr.Variable(dims, np.array(values), attrs)
+        for key, (dims, values, attrs) in layout["fixed"].items()
+    }
     coordinates = {key: own.pop(key) for key in layout["coordinates"]}
     return xr.Dataset(own, coordinates, layout["attributes"])

@@ -35,7 +35,7 @@ from inflight.tasks.chain_daily import (
     periods_of,
     stated_periods,
 )
-from inflight.tasks.chain_parts import equations_of_days, part_of
+from inflight.tasks.chain_parts import equations_of_days, means_of_channels, part_of
 from inflight.tasks.planning import Plan
 from inflight.tasks.tables import content_keys
 from inflight.time import day_of, to_tt2000
@@ -107,7 +107,7 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
         "daily-after": lambda: daily_after(found.equations, found),
-        "daily-temperature": lambda: daily_temperatures(cat, _mission(cat, made), made.model, sorted(days)),
+        "daily-temperature": lambda: daily_temperatures(_mission(cat, made), made.model, read),
         "clock-faults": lambda: _clock_faults(out),
         "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(_mission(cat, made))),
     }
@@ -174,18 +174,18 @@ def _panels(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
 def _torquer_mean(read: Sequence[xr.Dataset], window: float) -> xr.Dataset:
     """Return the running mean of the torquer currents, A."""
-    days, value, count = [], [], []
-    for day, part in ((one, part) for one in read for part in part_of([one], "channel")):
-        names = [str(name) for name in part["channel"].values]
-        places = [names.index(name) for name in names if name.endswith(("[x]", "[y]", "[z]"))]
-        if len(places) == 3:
-            days.append(int(day_of(day["start"].values[:1]).astype("datetime64[D]").astype(np.int64)[0]))
-            value.append(part["mean"].values[places])
-            count.append(float(part["count"].values[places].min()))
-    if not days:
+    told = {
+        name: one for name, one in means_of_channels(read).items() if name.endswith(("[x]", "[y]", "[z]"))
+    }
+    if len(told) != 3:
         raise SamplesError("no day has torquer currents", remedy="see the missing days of their channel")
+    value = np.stack([one[:, 0] for one in told.values()], axis=1)
+    count = np.min([one[:, 2] for one in told.values()], axis=0)
+    known = np.isfinite(count)
+    start = np.concatenate([day["start"].values for day in read])
+    days = day_of(start).astype("datetime64[D]").astype(np.int64)
     return (
-        carried_mean(np.array(days), np.array(value), np.array(count), window=window)
+        carried_mean(days[known], value[known], count[known], window=window)
         .table()
         .assign_attrs(window_days=window)
     )

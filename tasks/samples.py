@@ -352,6 +352,14 @@ def kept_readings() -> Iterator[None]:
         _KEPT.rows = before
 
 
+def own_readings(
+    cat: Catalog, index: ArchiveIndex, need: Need, day: np.datetime64
+) -> np.ndarray[Any, Any] | None:
+    """Return a channel's readings of a day as they were archived; None without an archived day."""
+    today = index.get(need, day)
+    return None if today is None else _read(cat, today, need).values
+
+
 def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
     kept, flagged = _KEPT.rows, need.name in FIELD_ROLES
     key = (day.segment, day.rows, need.channel, flagged)
