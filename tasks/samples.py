@@ -344,7 +344,7 @@ _MOST_KEPT = 48
 
 @contextmanager
 def kept_readings() -> Iterator[None]:
-    """Keep channels that were read last: margins of a day are its neighbours', which a batch reads as well."""
+    """Keep channels that were read last: margins of a day are its neighbours', which a batch reads, too."""
     before, _KEPT.rows = _KEPT.rows, OrderedDict()
     try:
         yield

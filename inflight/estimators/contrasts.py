@@ -125,7 +125,7 @@ class Contrast:
 
 
 def _orthonormal(drift: Floats) -> Floats:
-    """Return an orthonormal basis of a few columns (time, part) as rows; a row of zeros for what adds nothing.
+    """Return an orthonormal basis of a few columns (time, part) as rows; zeros for what adds nothing.
 
     Gram and Schmidt, twice: for a few columns of a hundred samples a library's call costs more than its work.
     """
