@@ -296,7 +296,7 @@ def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _beside(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
-    """Return the samples on both sides of some that tell the orbit's plane, and their longest distance, ns."""
+    """Return the samples on both sides that tell the orbit's plane, and their longest distance, ns."""
     usual = usual_step(stamps[:2000], SECOND)
     reach = max(1, round(0.5 * _PLANE_STEP * SECOND / usual))
     return np.maximum(rows - reach, 0), np.minimum(rows + reach, stamps.size - 1), 1.5 * 2 * reach * usual

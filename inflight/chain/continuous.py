@@ -166,8 +166,8 @@ def continuous_table(
     common = at_one_reference(equations)
     data, times = common.dataset, middles(common)
     order = [list(fit.trends).index(name) for name in names]
-    value = fit.at(times)[0]
-    slope = fit.slopes(times)[:, order]
+    value = fit.values(times)
+    slope = fit.slopes(times, names)
     covariance = np.einsum("tpi,ij,tqj->tpq", slope, fit.whole_covariance, slope, optimize=True)
     own, after = _left(common, value)
     known = np.array([fit.determined[fit.place(name)].all() for name in names])
