@@ -253,22 +253,28 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
         dims day, axis, coil: `value`, `sigma` nT/A, `retained`; `start`, `end` (day); attribute
         ``days_left_out``.
     """
-    day = equations["day"].values
-    tables, kept, short = [], [], 0
+    gram, rows, start, end, day = (equations[name].values for name in ("gram", "rows", "start", "end", "day"))
+    fits, kept, short = [], [], 0
     for one in np.unique(day):
-        part = equations.isel(segment=np.flatnonzero(day == one))
-        if part.sizes["segment"] < FEWEST_CLUSTERS:
+        part = np.flatnonzero(day == one)
+        if part.size < FEWEST_CLUSTERS:
             short += 1
             continue
-        tables.append(fit_band(part).table().drop_vars("covariance"))
+        fit = solve_clusters(gram[part], rows[part])
+        fits.append(TorquerFit(fit, int(start[part].min()), int(end[part].max())))
         kept.append(int(one))
-    if not tables:
+    if not fits:
         raise SamplesError(
             f"{short} days found, none with {FEWEST_CLUSTERS} stretches of samples",
             remedy="lower 'longest' when the equations are made, or fit all days together",
         )
-    joined = xr.concat(tables, "day", combine_attrs="drop")
-    return joined.assign_coords(day=kept).assign_attrs(days_left_out=short)
+    first = fits[0].table().drop_vars("covariance")
+    every = {str(name): np.array([getattr(fit, str(name)) for fit in fits]) for name in first.data_vars}
+    return xr.Dataset(
+        {name: (("day", *first[name].dims), values, first[name].attrs) for name, values in every.items()},
+        coords={"day": kept, **first.coords},
+        attrs={"days_left_out": short},
+    )
 
 
 def robust_mean(daily: xr.Dataset) -> xr.Dataset:
