@@ -66,7 +66,7 @@ class BlockSums:
                 mine, theirs = (moving[owners[moving] == owner] for owner in (one, other))
                 own = self.gram[:, one, other, None] * values[:, theirs]
                 out[np.ix_(mine, theirs)] = heavy[:, mine].T @ own
-        return out
+        return np.asarray(out)
 
     def scores(self, values: Floats, owners: Owners, parameters: Floats) -> Floats:
         """Return each block's scores at parameters of its own; (block, function).

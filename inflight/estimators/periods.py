@@ -218,7 +218,7 @@ class _Noise:
 
     @classmethod
     def fit(cls, waves: _Waves, power: Floats, like: _Noise | None = None) -> _Noise:
-        """Whittle's likelihood over frequencies that are no peaks; the search begins at noise it may be like."""
+        """Whittle's likelihood over frequencies that are no peaks; the search begins at `like`."""
         kept = np.ones(power.size, dtype=bool)
         span = float(np.ptp(waves.days))
         found, turn = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0), (2 * np.pi * waves.frequency) ** 2

@@ -276,7 +276,7 @@ def fit_trends(
     turns = 1 if weight is not None else _TURNS
     held = np.ones(len(common)) if weight is None else weight
     for turn in range(turns):
-        found = _solve(common, held, expansion, prior_sigma)
+        found = _solve(common, held, expansion, prior_sigma, sure=turn == turns - 1)
         if turn < turns - 1:
             held = outlier_weights(own_wish(common, found.parameters(expansion), prior_sigma))
     start, end = (int(common.dataset[name].values[i]) for name, i in (("start", 0), ("end", -1)))
@@ -313,7 +313,10 @@ class Solved:
         return np.stack(out, axis=1)
 
 
-def _solve(equations: NormalEquations, weight: Floats, expansion: Expansion, prior_sigma: Floats) -> Solved:
+def _solve(
+    equations: NormalEquations, weight: Floats, expansion: Expansion, prior_sigma: Floats, sure: bool
+) -> Solved:
+    """Fit the functions; without a covariance, which takes longest, unless asked to be `sure`."""
     data, owners, values = equations.dataset, expansion.owners, expansion.values
     scale = data["scale"].values[:-1][owners]
     sigma = prior_sigma[owners] / scale
@@ -328,10 +331,11 @@ def _solve(equations: NormalEquations, weight: Floats, expansion: Expansion, pri
         between = scores.T @ scores * len(equations) / (len(equations) - 1)
         scatter = larger_scatter(total[:-1, :-1], within, between, sigma)
         solution = solve(total, scatter, count, nothing, sigma)
-    scores = sums.scores(values, owners, expansion.parameters(solution.value))
-    covariance = sandwich(
-        scores, total[:-1, :-1] / solution.variance, solution.variance, sigma, expansion.functions_each
-    )
+    covariance = np.zeros((scale.size, scale.size))
+    if sure:
+        scores = sums.scores(values, owners, expansion.parameters(solution.value))
+        matrix, functions = total[:-1, :-1] / solution.variance, expansion.functions_each
+        covariance = sandwich(scores, matrix, solution.variance, sigma, functions)
     covariance *= np.outer(scale, scale)
     # A function of time counts from 0, a constant from the reference.
     still = np.array([trend.count == 1 for trend in expansion.trends.values()])[owners]
