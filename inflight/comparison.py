@@ -7,7 +7,10 @@ scalar
 dual
     three rows, ``R_in B_in - R_out B_out``, spacecraft axes;
 platform
-    one row, F in a band of frequencies; the vector sensor gives the direction only.
+    one row, F in a band of frequencies; the vector sensor gives the direction only;
+spin
+    two rows of folded samples (`inflight.folding`), the field along the spin axis and the modulus of
+    the field across it, each less its interval's mean: what turns with the spin.
 
 All rows are nT. A new kind is one more function from corrected samples to rows.
 """
@@ -16,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -27,8 +30,9 @@ from inflight.arrays import Floats
 from inflight.effects.base import direction
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE
+from inflight.folding import Folding
 from inflight.sensors import Sensor, sensors_of
-from inflight.time import SECOND, usual_step
+from inflight.time import SECOND, Int64, usual_step
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
@@ -40,11 +44,23 @@ _ORDER = 4
 _SHORTEST_PERIODS = 1.0
 
 
+class RowFilter(Protocol):
+    """A linear filter of rows in time: residuals and columns must go through the same one."""
+
+    def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return what is kept of values (time, ...) at TT2000 stamps; NaN where they are not good."""
+
+
 class Band(NamedTuple):
     """A band of frequencies, Hz."""
 
     low_hz: float
     high_hz: float
+
+    def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return what lies in the band: see `filter_rows`."""
+        flat = values.reshape(len(values), -1)
+        return filter_rows(flat, _step_of(stamps), self, good).reshape(values.shape)
 
 
 @dataclass(frozen=True)
@@ -59,11 +75,14 @@ class Layout:
         By role in the comparison.
     band : Band, optional
         Of a platform comparison.
+    folding : Folding, optional
+        Of a spin comparison: how its samples were folded.
     """
 
     kind: str
     sensors: Mapping[str, Sensor]
     band: Band | None = None
+    folding: Folding | None = None
 
     @classmethod
     def of(cls, mission: Mission, comparison: str = "main") -> Layout:
@@ -77,7 +96,7 @@ class Layout:
         entry = mission.comparisons[comparison]
         sensors = {sensor.role: sensor for sensor in sensors_of(mission, comparison).values()}
         band = Band(*entry.band) if entry.kind == "platform" else None
-        return cls(entry.kind, sensors, band)
+        return cls(entry.kind, sensors, band, folding_of(mission, comparison))
 
     @classmethod
     def of_model(cls, model: Model) -> Layout:
@@ -114,8 +133,8 @@ class Rows:
         Whether a sample may enter a fit.
     step_s : float
         Usual spacing of the samples, seconds.
-    band : Band, optional
-        The residual went through `filter_rows` with it: columns made from the directions must, too.
+    kept : RowFilter, optional
+        The residual went through it: columns made from the directions must, too.
     """
 
     residual: Floats
@@ -124,7 +143,7 @@ class Rows:
     field: Floats
     good: npt.NDArray[np.bool_]
     step_s: float
-    band: Band | None = None
+    kept: RowFilter | None = None
 
 
 def rows_of(model: Model, samples: xr.Dataset) -> Rows:
@@ -260,7 +279,45 @@ def _platform(layout: Layout, corrected: xr.Dataset) -> Rows:
     )
 
 
-_KINDS = {"scalar": _scalar, "dual": _dual, "platform": _platform}
+def _spin(layout: Layout, corrected: xr.Dataset) -> Rows:
+    """Return what turns with the spin: along the axis, and of the modulus across it."""
+    if layout.folding is None:
+        raise ModelError(
+            "the mission does not say how fast it spins", remedy="state 'spin' under the mission's periods"
+        )
+    sensor = layout.sensor("vector").name
+    field = _values(corrected, "field")
+    across = np.hypot(field[:, 0], field[:, 1])
+    directions = np.zeros((len(field), 2, 3))
+    directions[:, 0, 2] = 1.0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        directions[:, 1, :2] = field[:, :2] / across[:, None]
+    both = np.column_stack([field[:, 2], across])
+    good = _good(corrected, both) & (across > 0)
+    residual = layout.folding.keep(both, corrected["tt2000"].values, good)
+    return Rows(
+        residual,
+        {sensor: directions},
+        {sensor: field},
+        field,
+        good & np.isfinite(residual).all(axis=1),
+        _step(corrected),
+        layout.folding,
+    )
+
+
+_KINDS = {"scalar": _scalar, "dual": _dual, "platform": _platform, "spin": _spin}
+
+
+def folding_of(mission: Mission, comparison: str = "main") -> Folding | None:
+    """Return how a comparison's samples are folded; None of a kind that folds nothing.
+
+    None, too, where the mission does not say how fast it spins: `rows_of` asks for it.
+    """
+    entry = mission.comparisons[comparison]
+    if entry.kind != "spin" or "spin" not in mission.periods:
+        return None
+    return Folding.of_period(mission.periods["spin"], entry.turns)
 
 
 def _values(samples: xr.Dataset, name: str) -> Floats:
@@ -275,5 +332,8 @@ def _good(samples: xr.Dataset, residual: Floats) -> npt.NDArray[np.bool_]:
 
 
 def _step(samples: xr.Dataset) -> float:
-    stamps = samples["tt2000"].values
+    return _step_of(samples["tt2000"].values)
+
+
+def _step_of(stamps: Int64) -> float:
     return usual_step(stamps, SECOND) / SECOND

@@ -25,6 +25,8 @@ Kind = Literal[
     "attitude",
     "position",
     "sun_direction",
+    "sun_pulse",
+    "spin_phase",
     "sunlight",
     "frequency",
     "flag",

@@ -103,10 +103,19 @@ class DualComparison(Strict):
 
 
 class SpinComparison(Strict):
-    """Spin tones of one vector sensor (six rows an interval, nT)."""
+    """Spin tones of one vector sensor (two rows a sample of the synthetic turns, nT).
+
+    `periods` must state the spin's.
+    """
 
     kind: Literal["spin"]
     vector: str
+    #: Channel of kind ``sun_pulse`` or ``spin_phase``; the only one of these kinds when absent.
+    phase: str | None = None
+    #: Angle of the spacecraft's x axis from the Sun at a pulse, degrees.
+    phase_at_pulse: float = 0.0
+    #: Turns that are folded into one, about.
+    turns: Annotated[int, Field(ge=8, le=2000)] = 100
     base: str | None = None
     preflight: str | None = None
 

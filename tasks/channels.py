@@ -13,10 +13,12 @@ from inflight.catalog import Catalog
 from inflight.derived import Part, parse, product
 from inflight.diagnosis.coarse import channel_on, grid
 from inflight.diagnosis.library import Told
+from inflight.effects.families import NO_CAUSE
 from inflight.geometry import add_geometry
 from inflight.mission import Mission
 from inflight.tasks.needs import channel_homes
 from inflight.tasks.samples import ArchiveIndex, Need
+from inflight.tasks.turning import Turning
 from inflight.time import SECOND, Int64, day_bounds
 
 _DAY = np.timedelta64(1, "D")
@@ -36,6 +38,8 @@ class ChannelReader:
         Of the bins.
     span : tuple of int
         First and last TT2000 of the whole record: bins do not reach beyond it.
+    comparison : str
+        Of a spin comparison, channels fast enough to go with the spin are folded like its field.
     """
 
     cat: Catalog
@@ -44,6 +48,7 @@ class ChannelReader:
     index: ArchiveIndex
     cadence_ns: int
     span: tuple[int, int]
+    comparison: str = "main"
     _read: dict[np.datetime64, dict[str, Floats]] = field(default_factory=dict)
 
     @property
@@ -54,7 +59,7 @@ class ChannelReader:
         for need in self.needs:
             instrument, name = homes[need.name]
             channel = self.mission.instruments[instrument].channels[name]
-            if not channel.axis_names and channel.kind not in ("attitude", "position"):
+            if not channel.axis_names and channel.kind not in NO_CAUSE:
                 found.append(need.name)
         return found
 
@@ -78,6 +83,7 @@ class ChannelReader:
     def _load(self, day: np.datetime64) -> dict[str, Floats]:
         edges = self.edges(day)
         homes = channel_homes(self.mission)
+        turning = Turning.of(self.cat, self.mission, self.comparison, self.index, day)
         by_dataset: dict[str, list[Need]] = {}
         for need in self.needs:
             by_dataset.setdefault(need.dataset, []).append(need)
@@ -99,7 +105,11 @@ class ChannelReader:
                 # A mean of quaternions or of positions is none: the nearest ones on a straight line.
                 if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
                     cadence = max(cadence, self.cadence_ns + 1)
-                out[need.name] = channel_on(data[need.channel].values, data["tt2000"].values, edges, cadence)
+                values, stamps = data[need.channel].values, data["tt2000"].values
+                if turning is not None and turning.is_seen_by(cadence):
+                    out[need.name] = turning.folded(values, stamps, edges)
+                else:
+                    out[need.name] = channel_on(values, stamps, edges, cadence)
         return out
 
 

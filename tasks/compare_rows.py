@@ -12,6 +12,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
+from inflight.effects.families import NO_CAUSE
 from inflight.geometry import add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
@@ -19,7 +20,7 @@ from inflight.tasks.needs import channel_homes, geometry_channels, position_chan
 from inflight.time import SECOND, Int64, day_bounds, day_of
 
 #: Channels of these kinds are no coordinates: geometry makes coordinates of them, or they are no numbers.
-_NO_COORDINATE = ("attitude", "position", "flag")
+_NO_COORDINATE = (*NO_CAUSE, "flag")
 #: Angles and hours on a circle are taken at one instant: their mean would be wrong at the seam.
 _GEOMETRY = ("latitude", "longitude", "orbit_phase", "sun_phase", "local_time", "sunlit", "sun_direction")
 

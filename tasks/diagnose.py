@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.comparison import folding_of
 from inflight.diagnosis.bursts import MOST
 from inflight.diagnosis.candidates import make_library
 from inflight.diagnosis.carriers import carriers_of
@@ -30,7 +31,11 @@ from inflight.tasks.needs import Need, base_role, channel_homes, needs_of, posit
 from inflight.tasks.report import Progress
 from inflight.tasks.samples import ArchiveIndex
 from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, placebo_shifts, survey
+from inflight.tasks.turning import shows_spin
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
+
+#: A record of so few days is cut to what was measured.
+_SHORT_DAYS = 3
 
 
 class DiagnoseSettings(BaseModel):
@@ -178,13 +183,17 @@ def planned(
             remedy="ingest the files first; 'inflight catalog list' shows what is there",
         )
     base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
-    span = _span(index, base, days)
-    platform = mission.comparisons[settings.comparison].kind == "platform"
+    folding = folding_of(mission, settings.comparison)
+    whole = len(days) > _SHORT_DAYS or folding is not None
+    span = _span(index, base, days, whole)
+    # Bands and turns are lost on a coarser cadence.
+    platform = folding is not None or mission.comparisons[settings.comparison].kind == "platform"
     native = max(need.cadence_ns for need in needs if need.channel == "field")
+    native = native if folding is None else folding.cadence_ns
     cadence = native if platform else cadence_for(span[1] - span[0], native)
     if settings.cadence_s is not None and not platform:
         cadence = native * max(1, round(settings.cadence_s * SECOND / native))
-    reader = ChannelReader(cat, mission, channels, index, cadence, span)
+    reader = ChannelReader(cat, mission, channels, index, cadence, span, settings.comparison)
     tell("survey", 0, 1)
     found = survey(cat, mission, used.model, needs, index, days, reader)
     tell("survey", 1, 1)
@@ -204,12 +213,12 @@ def _channel_needs(mission: Mission) -> tuple[Need, ...]:
     )
 
 
-def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64]) -> tuple[int, int]:
-    """Return the first and the last TT2000 the record covers; whole days unless it is short."""
+def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64], whole: bool) -> tuple[int, int]:
+    """Return the first and the last TT2000 the record covers, or the bounds of its days."""
     first, last = index.get(base, days[0]), index.get(base, days[-1])
     assert first is not None
     assert last is not None
-    if len(days) > 3:
+    if whole:
         return day_bounds(days[0])[0], day_bounds(days[-1])[1]
     return first.first_tt2000, last.last_tt2000 + base.cadence_ns
 
@@ -238,6 +247,9 @@ def _plan(
         found.base,
         (2.0 * cadence / SECOND, 0.5 * length / SECOND),
         found.fixed,
+        frozenset(
+            need.name for need in channels if shows_spin(mission, found.model.comparison, need.cadence_ns)
+        ),
     )
     for name in found.still:
         library.unscorable.append(

@@ -17,7 +17,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
-from inflight.comparison import filter_rows, rows_of
+from inflight.comparison import RowFilter, rows_of
 from inflight.diagnosis.bursts import Outliers
 from inflight.diagnosis.coarse import coarsen
 from inflight.diagnosis.columns import Rows, design, turns_of
@@ -25,6 +25,7 @@ from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.gram import gram_of, parts_of, prewhiten
 from inflight.diagnosis.library import Library, Told
 from inflight.diagnosis.series import Features, Series, features_of, pack_blocks, thin
+from inflight.folding import FOLDING_VERSION, Folding
 from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
@@ -104,8 +105,20 @@ class PassPlan:
     @property
     def series_step(self) -> int:
         """Bins that become one row of the series."""
+        if self.folding is not None:
+            return 1
         wanted = _SERIES_S if len(self.days) > _LONG_DAYS else 0.0
         return max(1, round(wanted * SECOND / self.cadence_ns))
+
+    @property
+    def folding(self) -> Folding | None:
+        """How samples were folded; None of a comparison that folds nothing."""
+        return self.model.layout.folding if self.model.layout is not None else None
+
+    @property
+    def kept(self) -> RowFilter | None:
+        """The filter residuals and columns go through."""
+        return self.folding or (self.model.layout.band if self.model.layout is not None else None)
 
     @property
     def within_blocks(self) -> bool:
@@ -117,6 +130,7 @@ class PassPlan:
         """sha256 of everything but the archive that the evidence is made from."""
         told = {
             "version": EVIDENCE_VERSION,
+            "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
             "model": self.model.text,
             "columns": self.library.columns,
             "shifts": dict(self.library.placebos),
@@ -132,7 +146,9 @@ class PassPlan:
 
 def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
     """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
-    reader = ChannelReader(cat, mission, made.channel_needs, index, made.cadence_ns, made.span)
+    reader = ChannelReader(
+        cat, mission, made.channel_needs, index, made.cadence_ns, made.span, made.model.comparison
+    )
     derived = DerivedChannels(reader, made.days, made.told, made.library.placebos)
     days_of = {block[0]: block for block in made.blocks}
     return make_days(
@@ -209,12 +225,8 @@ def _day_evidence(
     derived: DerivedChannels,
     day: np.datetime64,
 ) -> tuple[Evidence, Evidence, Rows, dict[str, Any]]:
-    rows, sums, band_good = day_rows(cat, mission, made, index, derived, day)
+    rows, sums = day_rows(cat, mission, made, index, derived, day)
     columns = design(made.library.all_terms, rows)
-    if band_good is not None:
-        flat = columns.reshape(len(columns), -1)
-        kept = filter_rows(flat, made.cadence_ns / SECOND, band_good[0], band_good[1])
-        columns = np.nan_to_num(kept).reshape(columns.shape)
     stamps = rows.samples["tt2000"].values
     edges = derived.reader.edges(day)
     cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
@@ -244,8 +256,8 @@ def day_rows(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Rows, dict[str, Any], tuple[Any, Any] | None]:
-    """Return a day's rows on the library's cadence, sums over its native samples, and its band if any."""
+) -> tuple[Rows, dict[str, Any]]:
+    """Return a day's rows on the library's cadence, and sums over its native samples."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
     start, end = day_bounds(day)
@@ -258,9 +270,11 @@ def day_rows(
     recorded = derived.reader.day(day)
     rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
     rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
-    sums |= _floor(native.residual, native.good, samples["tt2000"].values)
-    band = (native.band, rows.weight > 0) if native.band is not None else None
-    return rows, sums, band
+    if made.folding is None:
+        sums |= _floor(native.residual, native.good, samples["tt2000"].values)
+    else:
+        sums |= _floor_of_turns(samples, native.good, made.folding.sectors)
+    return rows, sums
 
 
 def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
@@ -283,6 +297,25 @@ def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, 
         "floor": level.samples * level.level_nT**2,
         "floor_low": level.samples * level.low_nT**2,
         "floor_high": level.samples * level.high_nT**2,
+    }
+
+
+def _floor_of_turns(samples: xr.Dataset, good: np.ndarray, sectors: int) -> dict[str, float]:
+    """Return what nature leaves in a day's synthetic turns, by the scatter of the turns they are made of."""
+    noise = np.asarray(samples["noise"].values)
+    used = good & np.isfinite(noise) & (samples["weight"].values > 0)
+    total = float(samples["weight"].values[used].sum())
+    if not total > 0:
+        return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
+    square = float(np.sum((samples["weight"].values * noise**2)[used])) / total
+    # Two rows an interval with a sine and a cosine at two harmonics each.
+    unsure = 2.0 * np.sqrt(2.0 / (8.0 * max(used.sum() / sectors, 1.0)))
+    count = float(used.sum())
+    return {
+        "floor_samples": count,
+        "floor": count * square,
+        "floor_low": count * square * max(1.0 - unsure, 0.0),
+        "floor_high": count * square * (1.0 + unsure),
     }
 
 
@@ -346,6 +379,8 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
+    filled = {need.name: stands_in(made.told, need.name) for need in made.channel_needs}
+    series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
         for name in ("count", "square", "inside", "spikes")
@@ -354,12 +389,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         raw[0].joined(raw[1:]),
         white[0].joined(white[1:]),
         within,
-        Series.of(
-            packed,
-            starts,
-            features,
-            {need.name: stands_in(made.told, need.name) for need in made.channel_needs},
-        ),
+        replace(series, kept=made.kept),
         sums,
         _floor_of([day.report for day in ordered]),
         Outliers.of([day.report for day in ordered], made.keep_bursts),

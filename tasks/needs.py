@@ -6,12 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from inflight.derived import Part, base_channels, parse
+from inflight.effects.families import NO_CAUSE
 from inflight.errors import SamplesError
 from inflight.geometry import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.time import DAY, SECOND
 
+#: Name of the spin's phase in samples.
+SPIN_PHASE = "spin_phase"
 #: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
 MARGIN_CADENCES = 40
 
@@ -92,6 +95,7 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
     roles = mission.comparisons[model.comparison].instruments()
     needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
     known = _Known(mission)
+    needs += known.clock(model.comparison)
     used = {channel for entry in model.effects for channel in entry.effect.channels}
     if unknown := {base for name in used for base in known.bases(name)} - known.names:
         raise SamplesError(
@@ -114,7 +118,7 @@ def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> 
     out = []
     for need in needs:
         kind = mission.instruments[need.instrument].channels[need.channel].kind
-        typical = need.channel != "field" and kind not in ("attitude", "position")
+        typical = need.channel != "field" and kind not in NO_CAUSE
         out.append(replace(need, replaceable=typical and need.name in used))
     return out
 
@@ -128,6 +132,17 @@ def geometry_channels(mission: Mission) -> list[str]:
     ]
 
 
+def clock_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the channel that tells how a spin comparison's spacecraft is turned; none for others.
+
+    Raises
+    ------
+    SamplesError
+        When the mission has no such channel, or several and the comparison names none.
+    """
+    return _Known(mission).clock(comparison)
+
+
 class _Known:
     """The names a model may use of a mission: its channels, what geometry adds, what is made of both."""
 
@@ -137,6 +152,32 @@ class _Known:
         self.geometry = geometry_channels(mission)
         self.position = position_channel(mission)
         self.names = set(self.homes) | (set(GEOMETRY) if self.position else set())
+
+    def clock(self, comparison: str) -> list[Need]:
+        """Return the series of `clock_of`."""
+        entry = self.mission.comparisons[comparison]
+        if entry.kind != "spin":
+            return []
+        kinds = {
+            name: self.mission.instruments[home[0]].channels[home[1]].kind
+            for name, home in self.homes.items()
+        }
+        found = [name for name, kind in kinds.items() if kind in ("sun_pulse", "spin_phase")]
+        if entry.phase is not None:
+            found = [name for name in found if name == entry.phase]
+        if len(found) != 1:
+            raise SamplesError(
+                f"{len(found)} channels tell the phase of the spin"
+                + (
+                    f" by the name {entry.phase!r}"
+                    if entry.phase
+                    else f": {', '.join(found)}"
+                    if found
+                    else ""
+                ),
+                remedy="give one channel the kind 'sun_pulse' or 'spin_phase' and name it as the 'phase'",
+            )
+        return [replace(self._need(found[0], None, ()), name=SPIN_PHASE)]
 
     def bases(self, name: str) -> tuple[str, ...]:
         """Return the channels a name is made from; a channel of the mission may be called anything."""

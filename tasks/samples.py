@@ -15,12 +15,15 @@ import xarray as xr
 from inflight.alignment import FIELD_ROLES, align
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
+from inflight.comparison import folding_of
 from inflight.derived import Part, parse, product
 from inflight.errors import SamplesError
+from inflight.folding import fold
 from inflight.geometry import GEOMETRY, SLOW_GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.needs import (
+    SPIN_PHASE,
     Need,
     base_role,
     channel_homes,
@@ -28,6 +31,7 @@ from inflight.tasks.needs import (
     needs_of,
     position_channel,
 )
+from inflight.tasks.spinning import spin_phase
 from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import parse_unit
 
@@ -161,6 +165,7 @@ def load_samples(
     needs: list[Need],
     index: ArchiveIndex,
     geometry: bool = True,
+    folded: bool = True,
 ) -> xr.Dataset:
     """Read one day from the archive and align it.
 
@@ -172,12 +177,15 @@ def load_samples(
         The days around.
     geometry : bool
         False leaves out what `add_geometry` makes unless a need or the model asks for it.
+    folded : bool
+        False leaves a spin comparison's samples as they were measured.
 
     Returns
     -------
     xarray.Dataset
         Samples of `inflight.align`, cut to the UTC day; attitude and position under these names,
-        derived channels under theirs, and what `inflight.geometry.add_geometry` makes of them.
+        derived channels under theirs, and what `inflight.geometry.add_geometry` makes of them. Those of
+        a spin comparison have `spin_phase`, and are folded (`inflight.folding.fold`).
 
     Raises
     ------
@@ -186,9 +194,11 @@ def load_samples(
     """
     base = next(need for need in needs if need.name == base_role(mission, model.comparison))
     channels = {}
+    clock = next((need for need in needs if need.name == SPIN_PHASE), None)
     for need in needs:
-        alone = index.stands_alone(need, base, day)
-        channels[need.name] = _series(cat, need, day, index, alone)
+        if need is not clock:
+            alone = index.stands_alone(need, base, day)
+            channels[need.name] = channel_series(cat, need, day, index, alone)
     missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
     if missing:
         raise SamplesError(
@@ -198,6 +208,11 @@ def load_samples(
     stamps = present[base.name]["tt2000"].values
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
+    if clock is not None:
+        told = channel_series(cat, clock, day, index, alone=False)
+        samples[SPIN_PHASE] = spin_phase(
+            mission, model.comparison, clock, told, samples["tt2000"].values, str(day)
+        )
     for need in needs:
         if need.name not in samples:
             samples[need.name] = _absent(mission, need, samples.sizes["time"])
@@ -205,7 +220,9 @@ def load_samples(
     wanted = GEOMETRY if geometry else _asked_geometry(model, needs)
     if wanted:
         samples = add_geometry(samples, wanted)
-    return _with_products(samples, needs)
+    samples = _with_products(samples, needs)
+    folding = folding_of(mission, model.comparison) if folded else None
+    return samples if folding is None else fold(samples, folding, (start, end))
 
 
 def _asked_geometry(model: Model, needs: Sequence[Need]) -> set[str]:
@@ -252,7 +269,7 @@ class _Rows(NamedTuple):
         return _Rows(self.values[rows], self.stamps[rows], flag, self.attrs)
 
 
-def _series(
+def channel_series(
     cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, alone: bool
 ) -> xr.DataArray | None:
     """Return a channel of a day, with a margin of its neighbours unless it stands alone."""

@@ -13,11 +13,13 @@ from inflight.calibration.sensor import PARTS
 from inflight.catalog import Catalog
 from inflight.diagnosis.library import Term, Told
 from inflight.effects.families import channels_of
+from inflight.effects.spinning_sensor import SpinningSensor
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import CalibrationError
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.sensors import sensors_of
+from inflight.spin.fit import fit_spin, spinning_entry
 from inflight.tasks.channels import ChannelReader
 from inflight.tasks.samples import ArchiveIndex, Need, load_samples
 from inflight.time import DAY, SECOND, day_bounds
@@ -100,6 +102,8 @@ def _linearised(
 ) -> tuple[Model, tuple[Term, ...], tuple[Term, ...]]:
     """Return the model at its fitted nine parameters, and the terms of these."""
     kind = mission.comparisons[model.comparison].kind
+    if kind == "spin":
+        return _turning(cat, mission, model, needs, index, days)
     if kind == "platform":
         return model, (), ()
     if kind == "dual":
@@ -122,6 +126,37 @@ def _linearised(
     entry = _at(own[0], value)
     effects = tuple(entry if one is own[0] else one for one in model.effects)
     return replace(model, effects=effects), *_nine_terms(entry, prior)
+
+
+def _turning(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+    days: Sequence[np.datetime64],
+) -> tuple[Model, tuple[Term, ...], tuple[Term, ...]]:
+    """Return the model at its fitted parameters of the spin, and their terms."""
+    own = spinning_entry(model)
+    if own is None:
+        sensors = sensors_of(mission, model.comparison)
+        vector = next(iter(sensors.values()))
+        extra = {"effect": "spinning_sensor", "name": "calibration", "sensor": vector.name}
+        model = model.add(make_effect(extra, sensors))
+    folded = [load_samples(cat, mission, model, day, list(needs), index, geometry=False) for day in days]
+    model = fit_spin(model, folded).model
+    entry = spinning_entry(model)
+    assert entry is not None
+    base, fixed = [], []
+    for name in SpinningSensor.SPIN_RELATED:
+        told = entry.parameters[name]
+        if told.free:
+            kinds = SpinningSensor.parameters()[name]
+            known = np.where(np.isfinite(told.sigma[:, 0]), told.sigma[:, 0], kinds.sigma)
+            base.append(Term(entry.name, entry, (name,), tuple(known.tolist())))
+        else:
+            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * told.parameter.size))
+    return model, tuple(base), tuple(fixed)
 
 
 def prior_of(entry: ModelEffect, tt2000: int) -> Reference:

@@ -59,6 +59,7 @@ def make_library(
     base: Sequence[Term],
     periods: tuple[float, float],
     fixed: Sequence[Term] = (),
+    unlagged: frozenset[str] = frozenset(),
 ) -> Library:
     """Return everything that may be tried on a comparison.
 
@@ -78,8 +79,10 @@ def make_library(
         Shortest and longest period that can be seen, s.
     fixed : sequence of Term
         Parameters of the vector sensor that the model holds fixed.
+    unlagged : frozenset of str
+        Channels without lag, width and slow response: see `Library`.
     """
-    library = Library(base=list(base), refined=_refined(model, base), placebos=dict(shifts))
+    library = Library(list(base), _refined(model, base), placebos=dict(shifts), unlagged=unlagged)
     there = set(channels) | set(geometry)
     for label, kind in sorted(known_effects(model.own).items()):
         if label in TIMED or label in WIDE or label == "vector_sensor":
@@ -168,11 +171,13 @@ def _expand(
         return
     given = {"effect": label, "sensor": entry.sensor.name, **options}
     if label in SLOW and (lone in channels or not lone):
-        for lag in LAGS:
+        for lag in LAGS if lone not in library.unlagged else (0.0,):
             made = _made(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
                 library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
+    elif label == "hysteresis" and lone in library.unlagged:
+        return
     elif label == "hysteresis" and lone in channels:
         _offer_plays(library, mission, model, given, channels[lone].spread, common)
     else:
@@ -211,8 +216,8 @@ def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Ma
     kind = known_effects(model.own)["channel_field"]
     sensors = _sensors(kind, mission, model)
     for name in shifts:
-        for lag in FEW_LAGS:
-            channel, number = name.split("~")
+        channel, number = name.split("~")
+        for lag in FEW_LAGS if channel not in library.unlagged else (0.0,):
             derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
             entry = _made(
                 {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model

@@ -60,7 +60,11 @@ class Change:
 
     def is_like(self, other: Change) -> bool:
         """Return True for the same change at times that blocks do not tell apart."""
-        if self.mechanism != other.mechanism or len(self.at) != len(other.at) or not self.at:
+        return self.mechanism == other.mechanism and self.is_when(other)
+
+    def is_when(self, other: Change) -> bool:
+        """Return True for changes of anything at times that blocks do not tell apart."""
+        if len(self.at) != len(other.at) or not self.at:
             return False
         return all(
             abs(a - b) <= self.sharpness + other.sharpness for a, b in zip(self.at, other.at, strict=True)

@@ -166,6 +166,11 @@ def coarsen(
     residual, count = bin_means(rows.residual, stamps, edges, good)
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
     weight = np.where(count >= _LEAST * usual, np.minimum(count / usual, 1.0), 0.0)
+    if "weight" in samples:
+        told_weight = bin_means(np.asarray(samples["weight"].values, dtype=np.float64), stamps, edges, good)[
+            0
+        ]
+        weight = np.where(weight > 0, weight * told_weight, 0.0)
     data: dict[str, xr.Variable] = dict(channels)
     data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
     for role in ("vector", "scalar", "inboard", "outboard"):
@@ -191,7 +196,7 @@ def coarsen(
         "inside": max(inside, 0.0),
         "spikes": float((usable & single).sum()),
     } | told
-    return Rows(xr.Dataset(data), residual, directions, turn, weight), sums
+    return Rows(xr.Dataset(data), residual, directions, turn, weight, rows.kept), sums
 
 
 def _outliers(
@@ -203,7 +208,7 @@ def _outliers(
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
     """Return which samples are spikes and which in bursts; (time,), no sample in both, and words on these."""
     none = np.zeros(len(stamps), dtype=bool)
-    if rows.band is not None:
+    if rows.kept is not None:
         # What went through a filter has no wild samples left.
         return none, none, told_of([], stamps, none)
     single = spikes(np.where(usable[:, None], rows.residual, np.nan))

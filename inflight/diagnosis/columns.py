@@ -14,12 +14,16 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.comparison import RowFilter
 from inflight.diagnosis.library import Term, within_span
 from inflight.effects.base import multiply
+from inflight.effects.spinning_sensor import SpinningSensor
 from inflight.effects.vector_sensor import VectorSensor
 from inflight.model import Model
 from inflight.plain import PlainSamples
 
+#: Effects that are the equation of a whole sensor: what stands before them is turned by their matrix.
+_EQUATIONS = (VectorSensor, SpinningSensor)
 #: Roles whose reading is a vector.
 _VECTORS = ("vector", "inboard", "outboard")
 
@@ -40,6 +44,8 @@ class Rows:
         What the sensor's own equation behind an effect does to a change of its reading, row by row.
     weight : ndarray, shape (time,)
         Good native samples of each over the usual number; 0 where there are none.
+    kept : RowFilter, optional
+        The filter the residual went through; columns go through it, too.
     """
 
     samples: xr.Dataset
@@ -47,13 +53,14 @@ class Rows:
     directions: Mapping[str, Floats]
     turn: Mapping[str, Floats]
     weight: Floats
+    kept: RowFilter | None = None
 
 
 def turns_of(model: Model, tt2000: int) -> dict[str, Floats]:
-    """Return K of every vector sensor that has nine parameters, row by row; (9,) each."""
+    """Return the matrix of every sensor that has an equation, row by row; (9,) each."""
     found = {}
     for entry in model.effects:
-        if isinstance(entry.effect, VectorSensor):
+        if isinstance(entry.effect, _EQUATIONS):
             values = entry.values(tt2000)
             still = np.zeros((3, 3))
             unit = entry.effect.correct(np.eye(3), xr.Dataset(), values, entry.sensor)
@@ -124,7 +131,7 @@ def _differenced(
     change = (up - down) / 2.0
     if entry.sensor.role not in _VECTORS:
         return np.asarray(-change[:, None])
-    if not isinstance(entry.effect, VectorSensor) and entry.sensor.name in rows.turn:
+    if not isinstance(entry.effect, _EQUATIONS) and entry.sensor.name in rows.turn:
         change = multiply(rows.turn[entry.sensor.name], change)
     return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
 
@@ -145,4 +152,7 @@ def design(terms: Sequence[Term], rows: Rows) -> Floats:
     for column in found:
         if not np.isfinite(column.sum()):
             column[~np.isfinite(column)] = 0.0
-    return np.moveaxis(found, 0, -1)
+    made = np.moveaxis(found, 0, -1)
+    if rows.kept is None:
+        return made
+    return np.nan_to_num(rows.kept.keep(made, rows.samples["tt2000"].values, ~unused))

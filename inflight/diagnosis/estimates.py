@@ -42,7 +42,11 @@ class Estimate:
 
 
 def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floats]:
-    """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel)."""
+    """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
+
+    Scatter of few blocks that tell nearly all of a column comes out too small, for the fit follows them. No
+    value is surer than rows of white noise of the size of what is left would make it.
+    """
     total = evidence.total
     p = present.columns
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
@@ -59,14 +63,18 @@ def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floa
     # By chance few blocks look anticorrelated; that is no knowledge.
     meat = _at_least(meat, own)
     free = max(count - p.size / 3.0, 2.0)
-    return value, inverse @ (meat * count / free) @ inverse
+    left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
+    white = max(float(left), 0.0) / max(float(evidence.count.sum()), 1.0) * total[np.ix_(p, p)]
+    return value, _at_least(inverse @ (meat * count / free) @ inverse, inverse @ white @ inverse)
 
 
-def _at_least(meat: Floats, own: Floats) -> Floats:
-    raised = np.maximum(np.diag(meat), np.diag(own))
+def _at_least(covariance: Floats, least: Floats) -> Floats:
+    """Return a covariance with variances no smaller than those of another one, and its own correlations."""
+    own = np.diag(covariance)
+    raised = np.maximum(own, np.diag(least))
     with np.errstate(invalid="ignore", divide="ignore"):
-        lift = np.sqrt(np.where(np.diag(meat) > 0, raised / np.diag(meat), 1.0))
-    out = meat * lift[:, None] * lift[None, :]
+        lift = np.sqrt(np.where(own > 0, raised / own, 1.0))
+    out = covariance * lift[:, None] * lift[None, :]
     out[np.diag_indices_from(out)] = raised
     return np.asarray(out)
 

@@ -55,6 +55,9 @@ def fast_part(
     residual_nT, floor_nT : float
         Sizes of the residual and of its white level at the cadence of the comparison.
     """
+    if series.turn_rows > 1:
+        # A synthetic turn has no time between its rows.
+        return None
     square = residual_nT**2 - floor_nT**2 - structure.rms_nT**2
     if not square > max(_MORE * structure.rms_nT, _PART * floor_nT) ** 2:
         return None

@@ -11,9 +11,10 @@ from inflight.diagnosis.estimates import Estimate, estimate, mimics, sandwich, w
 from inflight.diagnosis.lags import LagProfile, profile
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.material import Material
-from inflight.diagnosis.rounds import WEAK, Standing
+from inflight.diagnosis.rounds import WEAK
 from inflight.diagnosis.scoring import fit, folds_of
 from inflight.diagnosis.search import Option, Search, Table
+from inflight.diagnosis.standing import Standing
 from inflight.effects.coefficients import coefficient_unit
 from inflight.time import SECOND, utc_text
 

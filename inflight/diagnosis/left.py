@@ -54,14 +54,17 @@ class Structure:
 
 def structure_of(series: Series, residual: Floats) -> Structure:
     """Return the structure of a residual (sample, row) by blocks: covariance at lags of one to six rows."""
-    good = series["weight"] > 0
+    weight = series["weight"]
+    good = weight > 0
     blocks = int(series.block.max()) + 1 if series.block.size else 0
     total, count = np.zeros(blocks), np.zeros(blocks)
-    for lag in range(1, LAGS + 1):
+    # Within a synthetic turn neighbours tell of its shape: structure goes on from turn to turn.
+    for lag in range(series.turn_rows, series.turn_rows * (LAGS + 1), series.turn_rows):
         both = good[lag:] & good[:-lag] & (series.block[lag:] == series.block[:-lag])
         value = np.einsum("tr,tr->t", residual[lag:], residual[:-lag]) / residual.shape[1]
-        total += np.bincount(series.block[lag:][both], weights=value[both], minlength=blocks)
-        count += np.bincount(series.block[lag:][both], minlength=blocks)
+        say = np.sqrt(weight[lag:] * weight[:-lag])[both]
+        total += np.bincount(series.block[lag:][both], weights=say * value[both], minlength=blocks)
+        count += np.bincount(series.block[lag:][both], weights=say, minlength=blocks)
     used = count > 0
     if used.sum() < 3:
         return Structure(0.0, 0.0)
@@ -87,7 +90,7 @@ def floor_left(series: Series, residual: Floats, samples: float, floor: NoiseFlo
         Of the native samples, nothing taken off.
     """
     good = series["weight"] > 0
-    if samples > _EVERY * good.sum():
+    if samples > _EVERY * good.sum() or series.turn_rows > 1:
         return floor
     days = (series.tt2000 - series.tt2000[0]) // DAY
     edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))

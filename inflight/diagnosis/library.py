@@ -140,6 +140,8 @@ class Library:
         Placebo channel -> seconds by which its channel is shifted.
     unscorable : list of dict
         What cannot be tried, and why.
+    unlagged : frozenset of str
+        Channels that go with the spin: between the samples of a synthetic turn there is no time.
     """
 
     base: list[Term] = field(default_factory=list)
@@ -148,6 +150,7 @@ class Library:
     candidates: list[Candidate] = field(default_factory=list)
     placebos: dict[str, float] = field(default_factory=dict)
     unscorable: list[dict[str, str]] = field(default_factory=list)
+    unlagged: frozenset[str] = frozenset()
 
     @property
     def all_terms(self) -> list[Term]:

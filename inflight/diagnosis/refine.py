@@ -42,7 +42,9 @@ def refine(search: Search, material: Material, option: Option) -> Option:
         return option
     if option.change is not None:
         return at_its_moment(search, material, option)
-    return _of_channel(search, material, option) if option.channels else option
+    if not option.channels or set(option.channels) & search.library.unlagged:
+        return option
+    return _of_channel(search, material, option)
 
 
 def _of_channel(search: Search, material: Material, option: Option) -> Option:

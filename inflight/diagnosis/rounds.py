@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis.estimates import estimate
-from inflight.diagnosis.scoring import fit, projected
 from inflight.diagnosis.search import FORMS, Option, Round, Rules, Search, Table
-from inflight.estimators.absorption import half_inverse
+from inflight.diagnosis.standing import Standing, form_of, place_of, same_cause, standing
 
-#: A rival must itself be worth this t, and this part of the winner's gain.
-_RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02
-#: A rival that reproduces this part of an effect's square holds it as a special case.
-_CONTAINED = 0.9999
 #: An effect of which the calibration and the rest of the model take over all but this part is weakly known.
 WEAK = 0.02
 #: Held-out gain from which an addition may make others weakly known.
@@ -25,38 +20,10 @@ _GREAT = 0.1
 _EXCHANGES = 3
 
 
-@dataclass(frozen=True)
-class Standing:
-    """How an effect of the model stands against everything that could take its place.
-
-    Attributes
-    ----------
-    option : Option
-    gain, t, p : float
-        Held-out, against the model without it; p family-wise.
-    placebo_t : float
-        By which t it leaves less than the best placebo.
-    form : str
-        The form these were found in.
-    rivals : tuple of (Option, float)
-        Options of other mechanisms that do as well, with the t by which they lose.
-    """
-
-    option: Option
-    gain: float
-    t: float
-    p: float
-    placebo_t: float
-    form: str
-    rivals: tuple[tuple[Option, float], ...]
-
-
 #: Coefficients of a cause at most that goes before wider forms, and the part of their gain it must reach.
 _FEW, _PART = 12, 0.3
 #: Puts what was taken into its best form.
 Refiner = Callable[[Option], Option]
-
-
 #: Returns a table with p-values of what flips of signs cannot be sure of.
 Closer = Callable[[Table], Table]
 
@@ -99,11 +66,16 @@ def run(
         _note(search, "add", option, table, place, form)
         taken = _taken(search, option, refiner)
         search.rounds[-1] = replace(search.rounds[-1], name=taken.name)
+        if search.is_hidden(taken):
+            search.hide(taken)
+            _note(search, "undo", taken, table, place, form)
+            continue
         _drop_idle(search)
         if option.mechanism not in {one.mechanism for one in search.accepted}:
             search.banned.add(option.mechanism)
         if table.scores[form].gain[place] < _GREAT and _swallowed(search, before):
             search.accepted = list(before)
+            search.recut()
             search.banned.add(option.mechanism)
             _note(search, "undo", option, table, place, form)
     search.ran_out = True
@@ -113,19 +85,16 @@ def run(
 def _taken(search: Search, option: Option, refiner: Refiner | None) -> Option:
     """Put an option into the model, in its best form; return that."""
     search.add(option)
-    better = refiner(option) if refiner is not None else option
-    if better is not option:
-        search.drop(option)
-        search.add(better)
-    return better
+    if refiner is not None:
+        search.swap(option, better := refiner(option))
+        return better
+    return option
 
 
 def polish(search: Search, refiner: Refiner) -> None:
     """Refine everything once more: what was taken early was refined while the others were missing."""
     for option in list(search.accepted):
-        better = refiner(option)
-        if better is not option:
-            search.accepted[search.accepted.index(option)] = better
+        search.swap(option, refiner(option))
 
 
 def _swallowed(search: Search, before: dict[Option, float]) -> bool:
@@ -157,7 +126,7 @@ def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Op
         same = [
             place
             for place in named
-            if table.options[place].channels == table.options[first].channels
+            if _are_forms(table.options[place], table.options[first])
             and _simplicity(table.options[place]) < _simplicity(table.options[first])
             and _does_as_well(table, place, first, form, search.rules)
         ]
@@ -180,13 +149,19 @@ def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: fl
         place
         for place in places
         if table.options[place].change is None
-        and _same_cause(table.options[place], option)
+        and same_cause(table.options[place], option)
         and scores.behind(place, chosen) < rival_t
     ]
     if steady:
         return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
     same = [place for place in places if table.options[place].mechanism == option.mechanism]
     return min(same, key=lambda place: float(scores.loss[:, place].sum()))
+
+
+def _are_forms(one: Option, other: Option) -> bool:
+    """Return True for forms of one cause; a change in time is none of another parameter's change."""
+    in_time = one.change is not None or other.change is not None
+    return one.channels == other.channels and (one.mechanism == other.mechanism or not in_time)
 
 
 def _does_as_well(table: Table, simple: int, wide: int, form: str, rules: Rules) -> bool:
@@ -279,10 +254,10 @@ def settle(search: Search, refiner: Refiner | None = None) -> list[Standing]:
 
 def _better(search: Search, option: Option, table: Table) -> Option | None:
     """Return an option that leaves significantly less than an accepted one in its place."""
-    place = _place_of(table, option)
+    place = place_of(table, option)
     if place is None:
         return None
-    form = _form_of(table, place)
+    form = form_of(table, place)
     scores = table.scores[form]
     loss = scores.loss
     passing = table.passing(search.rules)[form]
@@ -290,7 +265,7 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
         other
         for other in np.flatnonzero(passing)
         if not (table.options[other].agnostic and not option.agnostic)
-        and not _same_cause(table.options[other], option)
+        and not same_cause(table.options[other], option)
         and scores.behind(place, int(other)) > search.rules.rival_t
         and _is_worth(table, int(other), place, form, search.rules.gain)
     ]
@@ -298,37 +273,6 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
         return None
     best = min(others, key=lambda other: float(loss[:, other].sum()))
     return table.options[best] if table.options[best].mechanism != option.mechanism else None
-
-
-def _still(last: Table, rival: Option, form: str) -> float:
-    """Return the sum of squares a rival explains beside all that was taken; 0 when it is taken itself."""
-    place = _place_of(last, rival)
-    scores = last.scores[form]
-    return float(scores.loss0.sum() * scores.gain[place]) if place is not None else 0.0
-
-
-def _same_cause(one: Option, other: Option) -> bool:
-    same = one.channels == other.channels and one.family == other.family
-    # These families hold several parameters: a scale that steps or drifts is no angle that does.
-    same &= bool(one.channels) or one.family not in ("sensor", "ageing")
-    return same or one.mechanism == other.mechanism
-
-
-def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
-    """Return True when a rival of more coefficients holds the option as a special case.
-
-    A free delay of each axis holds a delay of all; unless it explains more, it is a wider form and no rival.
-    """
-    if len(rival.columns) <= len(option.columns) or rival.change is not None or option.change is not None:
-        return False
-    evidence = search.forms[form]
-    own, wide = evidence.index(option.columns), evidence.index(rival.columns)
-    left = projected(evidence.total, search.present(form, option))
-    gamma, _ = fit(evidence, search.present(form, option), [own], search.y(form))
-    shared = left[np.ix_(wide, own)] @ gamma[0]
-    half = half_inverse(left[np.ix_(wide, wide)][None])[0]
-    whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
-    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > _CONTAINED * whole
 
 
 def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> bool:
@@ -339,61 +283,3 @@ def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> b
         return True
     left = table.scores[form].loss.sum(axis=0)
     return float(left[place] - left[other]) > gain * float(left[place])
-
-
-def _place_of(table: Table, option: Option) -> int | None:
-    for place, other in enumerate(table.options):
-        if other.name == option.name:
-            return place
-    return None
-
-
-def _form_of(table: Table, place: int) -> str:
-    """Return the first form that shows an option clearly, else the one where its t is largest."""
-    return max(
-        FORMS, key=lambda form: float(table.scores[form].t[place]) if form in table.scores else -np.inf
-    )
-
-
-def standing(search: Search, option: Option, table: Table, last: Table | None = None) -> Standing:
-    """Return how an effect of the model stands against everything that could take its place.
-
-    Another form of the same cause, the same channels in the same family, is no rival; nor is what explains
-    as much beside the effect (in the `last` table) as in its place: that is another effect.
-    """
-    place = _place_of(table, option)
-    if place is None:
-        gain, t = search.worth(option)
-        return Standing(option, gain, t, 1.0, 0.0, "raw", ())
-    form = "raw" if table.scores["raw"].t[place] > search.rules.t else _form_of(table, place)
-    scores = table.scores[form]
-    rivals: dict[str, tuple[Option, float]] = {}
-    for other, rival in enumerate(table.options):
-        if _same_cause(rival, option) or rival.placebo or (rival.agnostic and not option.agnostic):
-            continue
-        if rival.family == "unknown" and set(option.channels) < set(rival.channels):
-            continue
-        if last is not None and _still(last, rival, form) > 0.5 * float(
-            scores.loss0.sum() * scores.gain[other]
-        ):
-            continue
-        if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
-            continue
-        behind = scores.behind(other, place)
-        near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
-        if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
-            rivals[rival.mechanism] = (rival, behind)
-    return Standing(
-        option,
-        float(scores.gain[place]),
-        float(scores.t[place]),
-        float(
-            min(
-                [table.p[one][place] for one in table.p]
-                + [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
-            )
-        ),
-        float(table.beats_placebo[form][place]),
-        form,
-        tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
-    )

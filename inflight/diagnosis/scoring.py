@@ -84,20 +84,66 @@ class Scores:
             return float(hac_t(difference, active)[0])
         return float(promised_t(difference, apart[:, None], active)[0])
 
-    def beats(self, placebos: Sequence[int]) -> Floats:
-        """Return by which t each candidate leaves less than the best placebo; inf when there is none."""
+    def beats(self, placebos: Sequence[int], asked: npt.NDArray[np.bool_], rival_t: float) -> Floats:
+        """Return by which t each candidate leaves less than the best placebo; inf when there is none.
+
+        Parameters
+        ----------
+        placebos : sequence of int
+        asked : ndarray of bool, shape (candidate,)
+            Candidates that are set against the placebo one by one, whatever the two have in common.
+        rival_t : float
+            See `_beyond`.
+        """
         if not placebos:
             return np.full(self.gain.size, np.inf)
         best = placebos[int(np.argmin(self.loss[:, placebos].sum(axis=0)))]
         if self.gain[best] <= 0:
             return self.t
-        # A placebo has nothing to do with an effect: what sets them apart is what each of them contributes.
+        # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
         apart = self.promised + self.promised[:, [best]]
-        return promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
+        out = promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
+        for place in np.flatnonzero(asked & (self.gain > self.gain[best])).tolist():
+            out[place] = max(out[place], self._beyond(place, best, rival_t))
+        return out
+
+    def _beyond(self, place: int, placebo: int, rival_t: float) -> float:
+        """Return the t by which a candidate leaves less than a placebo much like it; 0 when in doubt.
+
+        A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
+        would leave less by the square of the difference of the two contributions, block by block. Where it
+        gains clearly less than that (`rival_t`), the placebo tells something that the candidate does not, and
+        neither is the truth.
+        """
+        apart = self.fits.apart(placebo, place) if self.fits is not None else None
+        if apart is None:
+            return 0.0
+        gained = self.loss[:, placebo] - self.loss[:, place]
+        t = float(promised_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
+        return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
 
     def light(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
         return replace(self, fits=None)
+
+    def of_whole(self, whole: float) -> Scores:
+        """Return the scores in units in which the held-out loss without a candidate is `whole`, nT^2."""
+        own = float(self.loss0.sum())
+        unit = whole / own if own > 0 else 1.0
+        return replace(
+            self, loss0=self.loss0 * unit, loss=self.loss * unit, promised=self.promised * unit, fits=None
+        )
+
+    def only(self, kept: npt.NDArray[np.bool_]) -> Scores:
+        """Return the scores with nothing gained by the candidates that are not kept."""
+        return replace(
+            self,
+            loss=np.where(kept, self.loss, self.loss0[:, None]),
+            gain=self.gain * kept,
+            t=self.t * kept,
+            explained=self.explained * kept,
+            promised=self.promised * kept,
+        )
 
     def joined(self, found: Scores, seen: bool) -> Scores:
         """Return these scores with further candidates behind; all zero when this form does not see them.

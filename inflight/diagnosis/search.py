@@ -9,135 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.diagnosis.changes import Carriers, Change, batches, drifts, episodes, steps
+from inflight.diagnosis.cuts import Groups, cut_around, is_at_edge, shows
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
 from inflight.diagnosis.library import Library
-from inflight.diagnosis.scoring import Present, Scores, folds_of, score, with_changes
+from inflight.diagnosis.options import Option, Round, Rules, Table, is_seen
+from inflight.diagnosis.scoring import Present, Scores, fit, folds_of, score, with_changes
+
+__all__ = ["FORMS", "Option", "Round", "Rules", "Search", "Table"]
 
 FORMS = ("raw", "within", "white")
-#: An effect of which the calibration leaves less than this part cannot be told from the calibration.
-LEAST_KEPT = 1e-3
-#: An effect of its usual size that explains less than so many times a row's variance could not be seen: three
-#: sigma, of residuals correlated over several rows.
-_CLEAR = 50.0
-#: Part of a column that the calibration leaves, from which on it is no matter of the calibration.
-_OWN = 0.05
-
-
-@dataclass(frozen=True)
-class Rules:
-    """When a candidate is taken, and what counts as a rival.
-
-    Attributes
-    ----------
-    t, gain, p : float
-        Held-out t and gain at least, family-wise p at most, of an addition.
-    keep_t, keep_gain : float
-        Of an effect that stays when the others are there.
-    rival_t : float
-        Rivals lose to the winner by less than this t.
-    draws, seed : int
-        Flips of signs.
-    rounds : int
-        Additions at most.
-    blocks : int
-        Fewest independent blocks a verdict is given from.
-    """
-
-    t: float = 3.0
-    gain: float = 0.01
-    p: float = 0.05
-    keep_t: float = 3.0
-    keep_gain: float = 0.005
-    rival_t: float = 2.0
-    draws: int = 2000
-    seed: int = 0
-    rounds: int = 8
-    blocks: int = 20
-
-    def standing(self, worth: tuple[float, float]) -> float:
-        """Return how far (gain, t) of an effect are above what keeps it: it stays from 1 on."""
-        gain, t = worth
-        return min(gain / self.keep_gain, t / self.keep_t)
-
-
-@dataclass(frozen=True, eq=False)
-class Option:
-    """Something that can be added to the model: a candidate of the library, or a change in time."""
-
-    name: str
-    mechanism: str
-    family: str
-    columns: tuple[str, ...]
-    channels: tuple[str, ...] = ()
-    terms: tuple[str, ...] = ()
-    lag_s: float = 0.0
-    agnostic: bool = False
-    placebo: bool = False
-    change: Change | None = None
-    lag_sigma_s: float | None = None
-
-    @property
-    def interleaved(self) -> bool:
-        """True when blocks around those held out must be among the fitted (see `Change`)."""
-        return self.change is not None and self.change.interleaved
-
-
-@dataclass
-class Table:
-    """Scores of all options in one round; arrays over options, by form."""
-
-    options: list[Option]
-    scores: dict[str, Scores]
-    p: dict[str, Floats]
-    beats_placebo: dict[str, Floats]
-
-    def light(self) -> Table:
-        """Return the table without what was fitted to folds, which holds on to gigabytes of evidence."""
-        return replace(self, scores={form: one.light() for form, one in self.scores.items()})
-
-    def passing(self, rules: Rules) -> dict[str, np.ndarray]:
-        """Return, a form, which options may be added."""
-        real = np.array([not option.placebo for option in self.options], dtype=bool)
-        raw = self.scores["raw"]
-        # What only a filtered form shows must at least show the right way in the residual itself.
-        agreed = {
-            "raw": real,
-            "within": real & (raw.t > 0),
-            "white": real & (raw.gain > 0.5 * rules.gain) & (raw.t > 1),
-        }
-        return {
-            form: agreed[form]
-            & (self.scores[form].t > rules.t)
-            & (self.scores[form].gain > rules.gain)
-            & (self.p[form] < rules.p)
-            & (self.beats_placebo[form] > rules.t)
-            for form in self.scores
-        }
-
-
-@dataclass(frozen=True)
-class Round:
-    """One addition or removal, for the ledger."""
-
-    number: int
-    action: str
-    name: str
-    family: str
-    gain: float
-    t: float
-    p: float
-    form: str
-
-    def as_json(self) -> dict[str, object]:
-        """Return the fields by name."""
-        return dict(vars(self))
 
 
 @dataclass
@@ -172,6 +60,8 @@ class Search:
     #: Mechanisms that were taken back: what they added was others'; and those that were dropped once.
     banned: set[str] = field(default_factory=set)
     dropped: set[str] = field(default_factory=set)
+    #: Changes that the calibration's intervals, as they were asked for, take up whole.
+    hidden: list[Change] = field(default_factory=list)
     #: The rounds ended because there were as many as the rules allow.
     ran_out: bool = False
     #: Columns on the coarse series, when more were joined to the evidence: names and (sample, row, column).
@@ -193,6 +83,8 @@ class Search:
             for one in self.library.candidates
         ]
         self.variance = self._variance()
+        #: Intervals as they were asked for; those in use keep their edges away from changes that were taken.
+        self.intervals = self.cut = [list(map(int, group)) for group in self.intervals]
         self.absorb()
         self._leave_out()
 
@@ -215,20 +107,10 @@ class Search:
         self.options = [option for option in self.options if seen[option.name]]
 
     def _seen(self, option: Option) -> bool:
-        """Return True when an effect of its usual size would stand out of what the calibration leaves."""
         base, _ = self.base()
-        form = self.forms["raw"]
-        own_base = self.raw.index(base if option.channels else [])
-        whole = np.diag(self.raw.centred(self.raw.index(option.columns), own_base))
-        left = np.diag(form.total)[form.index(option.columns)]
-        kept = np.where(whole > 0, left / np.where(whole > 0, whole, 1.0), 0.0)
         usual = np.array([size for key in option.terms for size in self.library.terms[key].usual])
-        # What the calibration hardly touches is seen or not by the data; of what it nearly takes over, the
-        # usual size says whether the rest can be.
-        own = np.diag(self.raw.total)[self.raw.index(option.columns)]
-        clear = left > _OWN * own
-        clear |= left * usual[: len(left)] ** 2 > _CLEAR * self.variance
-        return bool(np.any((kept >= LEAST_KEPT) & clear))
+        own_base = self.raw.index(base if option.channels else [])
+        return is_seen(self.raw, self.forms["raw"], option.columns, own_base, usual, self.variance)
 
     # The calibration and the model's own parameters.
 
@@ -318,37 +200,45 @@ class Search:
             scores[form] = score(evidence, present, columns, y, folds_of(len(evidence)))
             ratios[form] = flip_ratios(evidence, present, columns, y, signs, units)
         options = list(main)
+        whole = float(scores["raw"].loss0.sum())
         timed = []
-        for more, own, own_present in self._changes(without):
+        for more, own, own_present, hidden in self._changes(without):
             y, columns = own.residuals[self.residual], [own.index(option.columns) for option in more]
             found = score(own, own_present, columns, y, folds_of(len(own), more[0].interleaved))
-            timed.append((found, flip_ratios(own, own_present, columns, y, signs, units)))
+            ratio, flipped = flip_ratios(own, own_present, columns, y, signs, units)
+            if hidden is not None:
+                kept = self._not_hidden(more, hidden, found.gamma)
+                found, ratio, flipped = found.of_whole(whole).only(kept), ratio * kept, flipped * kept
+            timed.append((found, (ratio, flipped)))
             options += more
         scores, ratios = with_changes(scores, ratios, timed)
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
         real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
         p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
         placebos = [place for place, option in enumerate(options) if option.placebo]
-        return Table(options, scores, p, {form: one.beats(placebos) for form, one in scores.items()})
+        beats = {
+            form: one.beats(placebos, self.rules.shown(one, p[form]), self.rules.rival_t)
+            for form, one in scores.items()
+        }
+        return Table(options, scores, p, beats)
 
-    def _changes(self, without: Option | None) -> Iterator[tuple[list[Option], Evidence, Present]]:
-        """Yield options bound to a time, some at a time with the evidence of their columns alone."""
-        base, sigma = self.base()
+    def _changes(
+        self, without: Option | None
+    ) -> Iterator[tuple[list[Option], Evidence, Present, Evidence | None]]:
+        """Yield options bound to a time, some at a time with the evidence of their columns alone.
+
+        Where that is of other intervals than those in use, it comes again with those asked for.
+        """
+        base, _ = self.base()
         own = self._model_columns(without)
         found = drifts(self.raw, self.carriers) + steps(self.raw, self.carriers)
         found += episodes(self.raw, self.forms["raw"], self.carriers.outside(base), self.y())
-        taken = [option.change for option in self.accepted if option.change and option is not without]
-        known = found + [option.change for option in self.options if option.change is not None]
-        banned = {change.name for change in known if any(change.is_like(one) for one in taken)}
-        banned |= {change.name for change in known if change.mechanism in self.banned}
-        gone = banned | {option.name for option in self.accepted}
-        itself = without.name if without is not None else ""
-        for batch in batches([one for one in found if one.name not in gone or one.name == itself]):
+        gone = self._gone(found, without)
+        for cut, batch in self._in_batches([one for one in found if one.name not in gone], without):
             functions = {name: told for change in batch for name, told in change.functions.items()}
             sources = [column for column, _ in functions.values()]
-            small = self.raw.select(list(dict.fromkeys([*base, *own, *sources])))
-            precision = self.precision(small, base, sigma)
-            wide = small.expand(functions).absorbed(base, self.intervals, precision)
+            small = self.raw.select(list(dict.fromkeys([*base, *own, *sources]))).expand(functions)
+            wide = self._absorbed(small, cut)
             live = np.diagonal(wide.total) > 0
             options = [
                 Option(one.name, one.mechanism, one.family, tuple(one.functions), change=one)
@@ -356,12 +246,73 @@ class Search:
                 if live[wide.index(list(one.functions))].any()
             ]
             if options:
-                yield options, wide, self.present_in(wide, without)
+                hidden = None if cut == self.intervals else self._absorbed(small, self.cut)
+                yield options, wide, self.present_in(wide, without), hidden
         # Those that were put to their moment have columns of their own.
         for one in self.options:
-            if one.change is not None and (one.name == itself or one.name not in gone):
-                small = self.forms["raw"].select([*own, *one.columns])
-                yield [one], small, self.present_in(small, without)
+            if one.change is not None and one.name not in gone:
+                cut = self._cut_for(one.change, without)
+                small = self.raw.select(list(dict.fromkeys([*base, *own, *one.columns])))
+                wide = self._absorbed(small, cut)
+                hidden = None if cut == self.intervals else self._absorbed(small, self.cut)
+                yield [one], wide, self.present_in(wide, without), hidden
+
+    def _gone(self, found: Sequence[Change], without: Option | None) -> set[str]:
+        """Return the names of changes that are not asked about: taken, like one taken, banned, hidden."""
+        taken = [option.change for option in self.accepted if option.change and option is not without]
+        known = [*found, *(option.change for option in self.options if option.change is not None)]
+        gone = {change.name for change in known if any(change.is_like(one) for one in taken)}
+        # What is hidden may have been another parameter's change: no data say which.
+        gone |= {change.name for change in known if any(change.is_when(one) for one in self.hidden)}
+        gone |= {change.name for change in known if change.mechanism in self.banned}
+        gone |= {option.name for option in self.accepted}
+        return gone - ({without.name} if without is not None else set())
+
+    def _in_batches(
+        self, found: Sequence[Change], without: Option | None
+    ) -> Iterator[tuple[Groups, list[Change]]]:
+        """Yield changes some at a time with the intervals they are judged with."""
+        cuts: list[tuple[Groups, list[Change]]] = []
+        for change in found:
+            cut = self._cut_for(change, without)
+            same = next((some for other, some in cuts if other == cut), None)
+            if same is None:
+                cuts.append((cut, [change]))
+            else:
+                same.append(change)
+        for cut, some in cuts:
+            for batch in batches(some):
+                yield cut, batch
+
+    def _cut_for(self, change: Change, without: Option | None) -> Groups:
+        """Return the intervals to judge a change with: those in use, when none of their edges is near."""
+        # What comes and goes within some days, or grows all the time, no interval takes up; and what would
+        # take the place of an effect is judged like that one.
+        if without is not None or len(change.at) != 1:
+            return self.intervals
+        return self._cut_of(change.at)
+
+    def _cut_of(self, more: Sequence[int] = ()) -> Groups:
+        at = [one.change.at[0] for one in self.accepted if one.change is not None and len(one.change.at) == 1]
+        return cut_around(self.raw, self.cut, [*at, *more])
+
+    def _absorbed(self, evidence: Evidence, cut: Groups) -> Evidence:
+        names, sigma = self.base()
+        return evidence.absorbed(names, cut, self.precision(evidence, names, sigma))
+
+    def _not_hidden(
+        self, options: Sequence[Option], evidence: Evidence, values: Sequence[Floats]
+    ) -> npt.NDArray[np.bool_]:
+        """Return which changes show with the intervals asked for, too, or may do so at their moment."""
+        present, y = self.present_in(evidence), evidence.residuals[self.residual]
+        out = []
+        for option, gamma in zip(options, values, strict=True):
+            assert option.change is not None
+            at, sharp = option.change.at[0], option.change.sharpness
+            columns = evidence.index(option.columns)
+            seen = shows(evidence, present, columns, gamma, y, self.variance)
+            out.append(seen or is_at_edge(self.raw, self.cut, at, sharp))
+        return np.array(out)
 
     # Additions and removals.
 
@@ -373,6 +324,55 @@ class Search:
             self.white = self.white.expand(option.change.functions)
             self.absorb()
         self.accepted.append(option)
+        self.recut()
+
+    def recut(self) -> None:
+        """Keep the edges of the intervals away from what was taken."""
+        cut = self._cut_of()
+        if cut != self.intervals:
+            self.intervals = cut
+            self.absorb()
+
+    def swap(self, option: Option, other: Option) -> None:
+        """Put an option into the model in the place of one that is there."""
+        self.accepted[self.accepted.index(option)] = other
+        self.recut()
+
+    def is_hidden(self, option: Option) -> bool:
+        """Return True for a change in the model that the intervals asked for take up whole."""
+        if option.change is None or len(option.change.at) != 1 or self.intervals == self.cut:
+            return False
+        if cut_around(self.raw, self.cut, option.change.at) == self.cut:
+            return False
+        form, present = self.forms["raw"], self.present("raw", option)
+        (gamma,), _ = fit(form, present, [form.index(option.columns)], self.y())
+        base, _ = self.base()
+        evidence = self._absorbed(self.raw.select([*base, *self._model_columns()]), self.cut)
+        y, columns = evidence.residuals[self.residual], evidence.index(option.columns)
+        return not shows(evidence, self.present_in(evidence, option), columns, gamma, y, self.variance)
+
+    def hide(self, option: Option) -> None:
+        """Take out of the model what the intervals asked for take up whole, and say so."""
+        assert option.change is not None
+        self.drop(option)
+        self.hidden.append(option.change)
+        self.unscorable.append(
+            {
+                "name": option.name,
+                "family": option.family,
+                "channels": [],
+                "reason": "it lies at the edge of a calibration interval, whose own parameters take it up",
+            }
+        )
+
+    def as_found(self) -> Search:
+        """Return the search with nothing taken and the intervals asked for; of the raw form alone."""
+        other = self.holding([])
+        if self.intervals != self.cut:
+            base, _ = self.base()
+            other.intervals = self.cut
+            other.forms = {"raw": self._absorbed(self.raw.select([*base, *other._model_columns()]), self.cut)}
+        return other
 
     def _forget(self, columns: Sequence[str]) -> None:
         """Let go of columns of a change that was dropped: they know nothing of what joined since."""
@@ -383,6 +383,7 @@ class Search:
     def drop(self, option: Option) -> None:
         """Take an option out of the model."""
         self.accepted = [one for one in self.accepted if one is not option]
+        self.recut()
 
     def worth(self, option: Option) -> tuple[float, float]:
         """Return held-out gain and t of an effect of the model against the model without it, best form."""

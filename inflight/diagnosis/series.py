@@ -14,7 +14,9 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.comparison import RowFilter
 from inflight.diagnosis.columns import Rows
+from inflight.folding import Folding
 from inflight.geometry import direction_of
 from inflight.time import SECOND, Int64
 
@@ -129,6 +131,8 @@ class Series:
         Index of the block each sample belongs to.
     missing : dict of str to ndarray of bool, shape (sample,)
         Where a channel was not recorded; those that lack something.
+    kept : RowFilter, optional
+        What the residual went through.
     """
 
     tt2000: Int64
@@ -136,6 +140,7 @@ class Series:
     block: np.ndarray
     features: Features
     missing: Mapping[str, np.ndarray] = field(default_factory=dict)
+    kept: RowFilter | None = None
 
     @classmethod
     def of(
@@ -163,6 +168,11 @@ class Series:
                 missing[name] = lost
                 part[~np.isfinite(part)] = (filled or {})[name]
         return cls(starts[block] + (values[:, 0] * SECOND).astype(np.int64), values, block, features, missing)
+
+    @property
+    def turn_rows(self) -> int:
+        """Rows of a synthetic turn; 1 where nothing is folded."""
+        return self.kept.sectors if isinstance(self.kept, Folding) else 1
 
     def without(self, rows: np.ndarray) -> Series:
         """Return the series with some rows (sample,) of bool that weigh nothing."""
@@ -209,4 +219,4 @@ class Series:
         data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))
         residual = self["residual"].reshape(len(self.values), -1)
         directions = {name: self.direction(name) for name in self.features.sensors}
-        return Rows(xr.Dataset(data), residual, directions, turn, self["weight"])
+        return Rows(xr.Dataset(data), residual, directions, turn, self["weight"], self.kept)

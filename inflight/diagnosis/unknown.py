@@ -114,7 +114,7 @@ def _fast(hint: Signature, fast: Fast) -> Signature:
 
 def _line(material: Material, left: Floats) -> Signature | None:
     """Return the signature of the strongest line, or None when none stands out and matters."""
-    found = spectrum_left(material, left)
+    found = spectrum_left(material, left) if material.series.turn_rows == 1 else None
     line = strongest_line(found) if found is not None else None
     if found is None or line is None:
         return None

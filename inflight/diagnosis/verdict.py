@@ -19,9 +19,10 @@ from inflight.diagnosis.material import (
     of_known_rows,
 )
 from inflight.diagnosis.refine import refine
-from inflight.diagnosis.rounds import WEAK, Standing, polish, run, settle
+from inflight.diagnosis.rounds import WEAK, polish, run, settle
 from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.second import look_again
+from inflight.diagnosis.standing import Standing
 from inflight.diagnosis.unknown import Unknown, known_periods, look_at
 from inflight.diagnosis.words import sentence, stopped
 
@@ -84,7 +85,7 @@ def conclude(search: Search, material: Material) -> Diagnosis:
 
 def _sizes(search: Search, material: Material, unknown: Unknown) -> dict[str, Any]:
     """Return the sizes of the residual, nT at the cadence of the comparison, all of the same rows."""
-    nothing = search.holding([])
+    nothing = search.as_found()
     return {
         "before_nT": native_rms(material, nothing),
         "after_nT": native_rms(material, search),
@@ -130,10 +131,12 @@ def _from_shapes(search: Search, material: Material, last: Table, again: Callabl
     before = held_out(search, material)
     kept = search.accepted, search.rounds, search.banned, search.dropped, search.ran_out
     search.accepted, search.rounds, search.banned, search.dropped = [], [], set(), set()
+    search.recut()
     other = again(shapes_first=True)
     if len(search.accepted) < len(kept[0]) and held_out(search, material) <= _AS_MUCH * before:
         return other
     search.accepted, search.rounds, search.banned, search.dropped, search.ran_out = kept
+    search.recut()
     return last
 
 

@@ -48,6 +48,8 @@ FAMILY_OF_KIND = {
     "attitude": "unknown",
     "position": "unknown",
 }
+#: Kinds of channels that tell where and how the spacecraft is, and are no cause themselves.
+NO_CAUSE = ("attitude", "position", "sun_pulse", "spin_phase")
 #: The same of what `inflight.geometry.add_geometry` works out.
 FAMILY_OF_GEOMETRY = {
     "sunlit": "day_night",
@@ -84,7 +86,7 @@ def channels_of_kind(mission: Mission, *kinds: str, width: int = 1) -> list[str]
     return [
         name
         for name, channel in channels_of(mission).items()
-        if (channel.kind in kinds if kinds else channel.kind not in ("attitude", "position"))
+        if (channel.kind in kinds if kinds else channel.kind not in NO_CAUSE)
         and max(len(channel.axis_names), 1) == width
     ]
 

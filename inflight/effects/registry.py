@@ -15,11 +15,13 @@ from inflight.effects.base import Effect
 from inflight.effects.naming import did_you_mean
 from inflight.effects.scalar_sensor import Heading, Oscillator, ScalarBias, ScalarResponse, TimeShift
 from inflight.effects.sources import EffectSource, own_effects
+from inflight.effects.spinning_sensor import SpinningSensor
 from inflight.effects.vector_sensor import Affine, Nonlinearity, Temperature, VectorSensor
 from inflight.errors import ModelError
 
 _LIBRARY: tuple[type[Effect], ...] = (
     VectorSensor,
+    SpinningSensor,
     Affine,
     Nonlinearity,
     Temperature,

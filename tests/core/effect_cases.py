@@ -23,6 +23,7 @@ SENSORS = sensors_of(MISSION)
 PLACES: dict[str, tuple[str, dict[str, Any]]] = {
     "vector_sensor": ("fgm", {}),
     "affine": ("fgm", {}),
+    "spinning_sensor": ("fgm", {}),
     "nonlinearity": ("fgm", {}),
     "temperature": ("fgm", {"channel": "coil_temperature"}),
     "torquer": ("fgm", {"channel": "torquer_current"}),

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.comparison import Band, Layout, filter_rows, rows_of
-from inflight.errors import MissionError, ModelError, SamplesError
+from inflight.errors import MissionError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model, make_effect
@@ -66,7 +66,7 @@ def test_a_field_at_the_scalar_sensor_is_seen_along_the_field(name, sensor):
         mission, {"effect": "remanent", "sensor": sensor, "vector": vector.tolist()}
     ).disturb(samples)
     before, after = rows_of(model, samples), rows_of(model, disturbed)
-    column = filter_rows(before.directions[sensor][:, 0] @ vector, before.step_s, before.band)
+    column = filter_rows(before.directions[sensor][:, 0] @ vector, before.step_s, before.kept)
     np.testing.assert_allclose((after.residual - before.residual)[:, 0], column, atol=1e-7)
 
 
@@ -84,7 +84,7 @@ def test_two_vector_sensors_in_one_field_leave_nothing_in_spacecraft_axes():
     rows = rows_of(model, samples_of(model.layout))
     assert rows.residual.shape == (COUNT, 3)
     assert np.abs(rows.residual).max() < 1e-6
-    assert rows.band is None
+    assert rows.kept is None
     assert rows.good.all()
 
 
@@ -134,7 +134,7 @@ def test_flagged_and_missing_samples_are_not_good(bad):
 
 
 def test_what_has_no_rows_says_so():
-    with pytest.raises(ModelError, match="spin"):
+    with pytest.raises(SamplesError, match="'vector'"):
         rows_of(model_of(mission_of("mms1")), xr.Dataset())
     model = model_of(mission_of("goes16"))
     with pytest.raises(SamplesError, match="'inboard'"):

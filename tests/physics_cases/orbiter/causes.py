@@ -54,7 +54,8 @@ class Cause:
     `field_vector`, `field_scalar` (time, 3) nT at the sensors; `gain` (time, 3) the reading is divided by
     ``1 - gain``; `ageing` (time, 3) relative growth of the scale factors; `bend` quadratic and cubic
     terms (2, 3) of the linearisation, 1/nT and 1/nT^2; `shift` (time,) s by which the scalar sensor is
-    early; `bias` (time,) nT of the scalar sensor. `coefficients` are dicts quantity, axis, value, unit, at.
+    early; `bias` (time,) nT of the scalar sensor; `offset` (time, 3) nT of the vector sensor's reading,
+    `angle` (time, 3) deg of its axes xy, xz, yz. `coefficients` are dicts quantity, axis, value, unit, at.
     """
 
     name: str
@@ -67,12 +68,24 @@ class Cause:
     bend: np.ndarray | None = None
     shift: np.ndarray | None = None
     bias: np.ndarray | None = None
+    offset: np.ndarray | None = None
+    angle: np.ndarray | None = None
     coefficients: tuple[dict[str, Any], ...] = ()
     told: dict[str, Any] = field(default_factory=dict)
 
     def scaled(self, size: float) -> Cause:
         """Return the cause `size` times as large."""
-        arrays = ("field_vector", "field_scalar", "gain", "ageing", "bend", "shift", "bias")
+        arrays = (
+            "field_vector",
+            "field_scalar",
+            "gain",
+            "ageing",
+            "bend",
+            "shift",
+            "bias",
+            "offset",
+            "angle",
+        )
         changed = {key: getattr(self, key) * size for key in arrays if getattr(self, key) is not None}
         grown = tuple(one | {"value": float(one["value"] * size)} for one in self.coefficients)
         return replace(self, **changed, coefficients=grown)
@@ -83,6 +96,11 @@ class Cause:
         vector = np.zeros_like(b)
         if self.field_vector is not None:
             vector = vector + self.field_vector
+        if self.offset is not None:
+            vector = vector + self.offset
+        if self.angle is not None:
+            xy, xz, yz = np.deg2rad(self.angle).T
+            vector = vector + np.stack([xy * b[:, 1] + xz * b[:, 2], yz * b[:, 2], 0.0 * b[:, 2]], axis=1)
         if self.field_scalar is not None:
             vector = vector - self.field_scalar
         if self.gain is not None:
@@ -244,22 +262,19 @@ def offset_step(world: World, rng: np.random.Generator) -> Cause:
     """Return offsets that jump once, at a time nobody told."""
     axis, at = _axis(rng), rng.uniform(0.3, 0.7) * world.track.seconds[-1]
     after = (world.track.seconds >= at)[:, None] * axis
-    told = _coefficients("step", axis, "nT")
-    return Cause("offset step", ("offset_step",), (), after, coefficients=told, told={"at_s": float(at)})
+    told = _coefficients("step", axis, "nT", "vector")
+    return Cause("offset step", ("offset_step",), offset=after, coefficients=told, told={"at_s": float(at)})
 
 
 def angle_step(world: World, rng: np.random.Generator) -> Cause:
     """Return misalignment angles that jump once: from then on x reads more of y and z, y more of z."""
     amount, at = _axis(rng), rng.uniform(0.3, 0.7) * world.track.seconds[-1]
-    xy, xz, yz = np.deg2rad(amount)
-    _, by, bz = world.field.T
-    tilted = np.stack([xy * by + xz * bz, yz * bz, 0.0 * bz], axis=1)
-    after = (world.track.seconds >= at)[:, None] * tilted
+    after = (world.track.seconds >= at)[:, None] * amount
     told = tuple(
         {"quantity": "misalignment", "axis": axis, "value": float(value), "unit": "deg", "at": "vector"}
         for axis, value in zip(("xy", "xz", "yz"), amount, strict=True)
     )
-    return Cause("angle step", ("sensor",), (), after, coefficients=told, told={"at_s": float(at)})
+    return Cause("angle step", ("sensor",), angle=after, coefficients=told, told={"at_s": float(at)})
 
 
 def day_night(world: World, rng: np.random.Generator) -> Cause:

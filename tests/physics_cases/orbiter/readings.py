@@ -88,11 +88,14 @@ def _vector(world: World, causes: Sequence[Cause], nine: Nine) -> np.ndarray:
     """Return the noiseless vector reading: stray fields, K with its ageing, temperature, bend, offsets."""
     field = world.field + sum(c.field_vector for c in causes if c.field_vector is not None)
     k = nine.matrix()
+    # Angles that grow have the axes read more of each other's field.
+    angle = nine.misalignment + sum(c.angle for c in causes if c.angle is not None) + np.zeros((1, 3))
+    xy, xz, yz = np.cos(np.deg2rad(angle)).T
     aged = 1 + sum(c.ageing for c in causes if c.ageing is not None) + np.zeros((1, 3))
     e = np.empty_like(field)
     e[:, 2] = field[:, 2] / (k[2, 2] * aged[:, 2])
-    e[:, 1] = (field[:, 1] - k[1, 2] * e[:, 2]) / (k[1, 1] * aged[:, 1])
-    e[:, 0] = (field[:, 0] - k[0, 1] * e[:, 1] - k[0, 2] * e[:, 2]) / (k[0, 0] * aged[:, 0])
+    e[:, 1] = (field[:, 1] - yz * e[:, 2]) / (k[1, 1] * aged[:, 1])
+    e[:, 0] = (field[:, 0] - xy * e[:, 1] - xz * e[:, 2]) / (k[0, 0] * aged[:, 0])
     e = e / (1 - sum(c.gain for c in causes if c.gain is not None))
     bends = [c.bend for c in causes if c.bend is not None]
     if bends:
@@ -100,7 +103,7 @@ def _vector(world: World, causes: Sequence[Cause], nine: Nine) -> np.ndarray:
         straight = e.copy()
         for _ in range(6):
             e = straight - e * e * (quadratic + cubic * e)
-    return e + nine.offset
+    return e + nine.offset + sum(c.offset for c in causes if c.offset is not None)
 
 
 def _scalar(world: World, causes: Sequence[Cause]) -> np.ndarray:

@@ -1,0 +1,74 @@
+"""A day of spin fits against the loop people write, and against reading the day's memory.
+
+``python -m benchmarks.spin_fits`` prints it: 28 800 spins of 12 readings, three components. The loop makes
+one ``numpy.linalg.lstsq`` a spin for all three components at once; rivals take turns, and the least of
+several processor times counts, because the machine may be shared.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.spin.fits import spin_fits
+from inflight.time import SECOND, Int64
+
+SPINS, READINGS, PERIOD = 28_800, 12, 3.0
+_ROUNDS = 5
+
+
+def day() -> tuple[Int64, Floats, Floats]:
+    """Return times, readings (time, 3) in nT and phase of a day at 4 Hz."""
+    rng = np.random.default_rng(0)
+    samples = SPINS * READINGS
+    phase = (np.arange(samples) + 0.5) * 2.0 * np.pi / READINGS
+    field = np.stack([100 * np.cos(phase - 0.3), -100 * np.sin(phase - 0.3), np.full(samples, 30.0)], axis=1)
+    stamps = (np.arange(samples) * (PERIOD / READINGS * SECOND)).astype(np.int64)
+    return stamps, field + 0.1 * rng.standard_normal(field.shape), phase
+
+
+def loop(field: Floats, phase: Floats) -> Floats:
+    """Return the coefficients (spin, component, 3) by one lstsq a spin."""
+    turn = np.floor(phase / (2.0 * np.pi)).astype(np.int64)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(turn)) + 1, [turn.size]])
+    out = np.empty((edges.size - 1, field.shape[1], 3))
+    for k in range(edges.size - 1):
+        own = slice(edges[k], edges[k + 1])
+        shapes = np.stack([np.ones(edges[k + 1] - edges[k]), np.sin(phase[own]), np.cos(phase[own])], axis=1)
+        out[k] = np.linalg.lstsq(shapes, field[own], rcond=None)[0].T
+    return out
+
+
+def spin_fit_ratios() -> list[str]:
+    """Return what was measured, a line each."""
+    stamps, field, phase = day()
+    rivals: dict[str, Callable[[], object]] = {
+        "lstsq a spin": lambda: loop(field, phase),
+        "all at once": lambda: spin_fits(stamps, field, phase, robust=False),
+        "all at once, robust": lambda: spin_fits(stamps, field, phase),
+        # What has to be looked at once: times, readings and phase.
+        "reading the memory": lambda: (stamps.sum(), field.sum(), phase.sum()),
+        "sin and cos alone": lambda: (np.sin(phase), np.cos(phase)),
+    }
+    spin_fits(stamps[:600], field[:600], phase[:600])
+    least = dict.fromkeys(rivals, np.inf)
+    for _ in range(_ROUNDS):
+        for name, rival in rivals.items():
+            before = time.process_time()
+            rival()
+            least[name] = min(least[name], time.process_time() - before)
+    apart = np.abs(spin_fits(stamps, field, phase, robust=False).value - loop(field, phase)).max()
+    slow = least["lstsq a spin"]
+    rows = [f"{name:>20}: {1e3 * took:8.2f} ms, {slow / took:6.1f} x" for name, took in least.items()]
+    return [
+        f"{SPINS} spins of {READINGS} readings, 3 components",
+        *rows,
+        f"largest difference {apart:.1e} nT",
+    ]
+
+
+if __name__ == "__main__":
+    print("\n".join(spin_fit_ratios()))

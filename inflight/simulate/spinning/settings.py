@@ -1,0 +1,164 @@
+"""What a simulation of a spinning spacecraft is asked for: craft, span, effects, defects."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from inflight.errors import SettingsError
+
+#: Effects present unless removed with `without`: name -> what it is.
+STANDARD: dict[str, str] = {
+    "gain_ratio": "the two spin-plane gains differ",
+    "azimuth": "the spin-plane sensors are not at right angles",
+    "elevation": "the spin-plane sensors are not at right angles to the third",
+    "spin_axis": "the spin axis is not the third sensor's",
+    "offset": "constant readings in zero field",
+    "thermal_gain": "gains follow the temperature of the sensor",
+    "zero_drift": "the offset along the spin axis drifts by days",
+}
+#: Effects absent unless asked for with `include` or `hide`.
+EXTRA: dict[str, str] = {
+    "torquer": "field of a coil that is driven at the spin period",
+    "eclipse_shift": "spin-plane offsets follow the temperature of the sensor",
+    "solar_array": "field of the current of the array, which is modulated by the spin",
+    "manoeuvre": "the spin axis moves in the body at a known time",
+    "nonlinearity": "quadratic and cubic terms of the spin-plane sensors",
+}
+SpinDefect = Literal["gaps", "missing_pulses", "false_pulses", "spikes", "saturation"]
+
+
+@dataclass(frozen=True)
+class SpinningParameters:
+    """Numbers behind a spinning spacecraft; angles in radians, fields in nT, times in seconds.
+
+    Attributes
+    ----------
+    spin_period, cadence : float
+        Of the spacecraft, and between samples.
+    pulse_angle : float
+        Angle of the sensor's x axis from the Sun at a sun pulse.
+    gain_ratio, spin_plane_gain, axial_gain, elevation, azimuth, spin_axis, rotation, offset
+        The twelve of Plaschke et al. (2019), angles as departures from their nominal values.
+    perigee, apogee : float
+        Of the orbit, Earth radii; no orbit where apogee is 0.
+    range : float
+        Readings beyond saturate, nT.
+    """
+
+    spin_period: float = 3.0137
+    cadence: float = 0.25
+    pulse_angle: float = 0.0
+    gain_ratio: float = 1.0012
+    spin_plane_gain: float = 1.0
+    axial_gain: float = 1.0
+    elevation: tuple[float, float] = (0.0012, -0.0019)
+    azimuth: float = 0.0016
+    spin_axis: tuple[float, float] = (-0.0014, 0.0023)
+    rotation: float = 0.0
+    offset: tuple[float, float, float] = (3.2, -4.1, 1.7)
+    zero_drift: float = 0.01
+    thermal_gain: tuple[float, float, float] = (2.5e-5, 2.2e-5, 2.8e-5)
+    reference_temperature: float = 0.0
+    field: float = 6.0
+    turning: float = 0.5
+    compression: float = 0.06
+    noise: float = 0.01
+    resolution: float = 0.003
+    perigee: float = 0.0
+    apogee: float = 0.0
+    range: float = 25000.0
+    torquer_field: tuple[float, float, float] = (0.35, -0.2, 0.25)
+    torquer_current: float = 0.08
+    eclipse_shift: tuple[float, float, float] = (0.006, -0.009, 0.0)
+    array_field: tuple[float, float, float] = (0.05, 0.04, -0.07)
+    manoeuvre_day: int = 3
+    manoeuvre_turn: tuple[float, float] = (0.0008, -0.0005)
+    quadratic: tuple[float, float, float] = (2.0e-9, -1.5e-9, 0.0)
+    cubic: tuple[float, float, float] = (4.0e-14, 3.0e-14, 0.0)
+
+    def changed(self, overrides: dict[str, Any]) -> SpinningParameters:
+        """Return the same with some numbers replaced.
+
+        Raises
+        ------
+        SettingsError
+            When there is no such number.
+        """
+        known = {one.name for one in fields(self)}
+        if unknown := sorted(set(overrides) - known):
+            raise SettingsError(
+                f"no parameter {', '.join(unknown)}", remedy=f"there are {', '.join(sorted(known))}"
+            )
+        given: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in overrides.items()
+        }
+        return replace(self, **given)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers by name."""
+        return asdict(self)
+
+
+#: Spacecraft: THEMIS turns in 3 s and passes through dipole, sheath and wind; IMP-8 in 2.6 s and Helios
+#: in 1 s, both in the solar wind.
+CRAFT: dict[str, SpinningParameters] = {
+    "themis": SpinningParameters(perigee=1.5, apogee=19.5),
+    "imp8": SpinningParameters(spin_period=2.5871, cadence=0.32, noise=0.03, resolution=0.05),
+    "helios": SpinningParameters(spin_period=1.0043, cadence=0.125, field=8.0, noise=0.03, resolution=0.05),
+}
+
+
+class SpinningSettings(BaseModel):
+    """A simulated spinning mission; the same settings always give the same measurements.
+
+    `hide`, `without` and `include` as in `inflight.simulate.SimulationSettings`.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    craft: Literal["themis", "imp8", "helios"] = "themis"
+    start: dt.date = dt.date(2012, 3, 1)
+    days: Annotated[int, Field(ge=1)] = 6
+    seed: Annotated[int, Field(ge=0)] = 1
+    hide: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    include: tuple[str, ...] = ()
+    defects: tuple[SpinDefect, ...] = ()
+    overrides: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        known = {*STANDARD, *EXTRA}
+        for key in ("hide", "without", "include"):
+            if unknown := sorted(set(getattr(self, key)) - known):
+                raise ValueError(f"{key}: no effect {unknown}; there are {', '.join(sorted(known))}")
+        if both := sorted(set(self.without) & {*self.hide, *self.include}):
+            raise ValueError(f"{both} cannot be both in the data and without")
+        CRAFT[self.craft].changed(self.overrides)
+        return self
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Names of the effects present in the data."""
+        return frozenset({*STANDARD, *self.include, *self.hide} - set(self.without))
+
+    @property
+    def parameters(self) -> SpinningParameters:
+        """The numbers behind the effects."""
+        return CRAFT[self.craft].changed(self.overrides)
+
+    @property
+    def day_list(self) -> list[np.datetime64]:
+        """The UTC days asked for, datetime64[D]."""
+        first = np.datetime64(self.start, "D")
+        return [first + offset for offset in range(self.days)]
+
+
+def describe_spinning_effects() -> dict[str, str]:
+    """Return effect name -> one line of description."""
+    return STANDARD | EXTRA

@@ -1,0 +1,225 @@
+"""The calibration equation of a magnetometer on a spinning spacecraft (Plaschke et al. 2019, eq. 9).
+
+``B = Phi Sigma Gamma G (G_T B_S - O)``: readings `B_S` become the field `B` in axes that turn with the
+spacecraft, z along the spin axis. The sensor's own angles (Gamma), the place of the spin axis in the sensor
+package (Sigma), the turn about it (Phi) and the gains (G) are parameters of their own, so that a manoeuvre,
+which moves the spin axis in the spacecraft, touches two of them only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.coupling import coupling, gains_of, package_to_spin, sensor_axes
+from inflight.errors import CalibrationError
+
+#: The twelve parameters in the order of tables.
+NAMES = (
+    "gain_ratio",
+    "spin_plane_gain",
+    "axial_gain",
+    "elevation[1]",
+    "elevation[2]",
+    "azimuth",
+    "spin_axis[x]",
+    "spin_axis[y]",
+    "rotation",
+    "offset[1]",
+    "offset[2]",
+    "offset[3]",
+)
+#: The eight that disturb the field at the spin frequency or at twice it.
+SPIN_RELATED = (
+    "gain_ratio",
+    "elevation[1]",
+    "elevation[2]",
+    "azimuth",
+    "spin_axis[x]",
+    "spin_axis[y]",
+    "offset[1]",
+    "offset[2]",
+)
+#: Units of the parameters by name.
+UNITS: Mapping[str, str] = MappingProxyType(
+    {name: "nT" if name.startswith("offset") else "1" if "gain" in name else "rad" for name in NAMES}
+)
+
+
+@dataclass(frozen=True)
+class TwelveParameters:
+    """Parameters of the calibration equation; the default is a perfect sensor.
+
+    Attributes
+    ----------
+    gain_ratio : float
+        g: the square root of the gain along sensor axis 1 over that along axis 2.
+    spin_plane_gain, axial_gain : float
+        Gp, the geometric mean of the first two gains, and Ga, the third; nT per delivered unit.
+    elevation : tuple of 2 floats
+        By how much sensor axes 1 and 2 stand further than 90 deg from axis 3, rad.
+    azimuth : float
+        By how much their projections on the plane across axis 3 stand further than 90 deg apart, rad.
+    spin_axis : tuple of 2 floats
+        sPx, sPy: the spin axis in the sensor package is (sin sPx, cos sPx sin sPy, cos sPx cos sPy), rad.
+    rotation : float
+        phi_a, turn of the package about the spin axis, rad.
+    offset : tuple of 3 floats
+        Reading in no field along the sensor axes, after the temperature correction, delivered unit (nT).
+    """
+
+    gain_ratio: float = 1.0
+    spin_plane_gain: float = 1.0
+    axial_gain: float = 1.0
+    elevation: tuple[float, float] = (0.0, 0.0)
+    azimuth: float = 0.0
+    spin_axis: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of_values(cls, values: npt.ArrayLike) -> TwelveParameters:
+        """Return parameters from twelve numbers in the order of `NAMES`."""
+        one = [float(value) for value in np.asarray(values, dtype=np.float64)]
+        if len(one) != len(NAMES):
+            raise CalibrationError(
+                f"{len(one)} values found, {len(NAMES)} needed", remedy=f"give them in the order {NAMES}"
+            )
+        return cls(
+            one[0],
+            one[1],
+            one[2],
+            (one[3], one[4]),
+            one[5],
+            (one[6], one[7]),
+            one[8],
+            (one[9], one[10], one[11]),
+        )
+
+    def values(self) -> Floats:
+        """Return the twelve numbers in the order of `NAMES`; shape (12,)."""
+        return np.array(
+            [
+                self.gain_ratio,
+                self.spin_plane_gain,
+                self.axial_gain,
+                *self.elevation,
+                self.azimuth,
+                *self.spin_axis,
+                self.rotation,
+                *self.offset,
+            ],
+            dtype=np.float64,
+        )
+
+    def spin_related(self) -> Floats:
+        """Return the eight numbers in the order of `SPIN_RELATED`; shape (8,)."""
+        return self.values()[[NAMES.index(name) for name in SPIN_RELATED]]
+
+    def changed(self, new: Mapping[str, float]) -> TwelveParameters:
+        """Return the same parameters but for those named."""
+        unknown = sorted(set(new) - set(NAMES))
+        if unknown:
+            raise CalibrationError(f"no parameter is called {unknown}", remedy=f"take one of {NAMES}")
+        values = self.values()
+        for name, value in new.items():
+            values[NAMES.index(name)] = value
+        return TwelveParameters.of_values(values)
+
+    def factors(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return Phi, Sigma, Gamma and G (eqs. 4 to 7), each of shape (3, 3)."""
+        turn, none = np.array(self.rotation), np.zeros(2)
+        phi = package_to_spin(none, turn)
+        sigma = package_to_spin(np.array(self.spin_axis), np.zeros_like(turn))
+        axes = sensor_axes(np.array(self.elevation), np.array(self.azimuth))
+        gains = [np.array(one) for one in (self.gain_ratio, self.spin_plane_gain, self.axial_gain)]
+        return phi, sigma, np.asarray(np.linalg.inv(axes), dtype=np.float64), np.diag(gains_of(*gains))
+
+    def matrix(self) -> Floats:
+        """Return the coupling matrix Phi Sigma Gamma G; shape (3, 3)."""
+        angles = (self.elevation, self.azimuth, self.spin_axis, self.rotation)
+        return coupling(self.gain_ratio, self.spin_plane_gain, self.axial_gain, *angles)[0]
+
+    def correct(self, readings: Floats) -> Floats:
+        """Return the field of temperature-corrected readings.
+
+        Parameters
+        ----------
+        readings : ndarray, shape (time, 3)
+            Along the sensor axes, nT.
+
+        Returns
+        -------
+        ndarray, shape (time, 3)
+            Spin-aligned axes that turn with the spacecraft, z along the spin axis; nT.
+        """
+        return np.asarray((readings - np.array(self.offset)) @ self.matrix().T)
+
+    def disturb(self, fields: Floats) -> Floats:
+        """Return what the sensor reads in a field: the exact inverse of `correct`; shapes alike."""
+        return np.asarray(fields @ np.linalg.inv(self.matrix()).T + np.array(self.offset))
+
+
+@dataclass(frozen=True)
+class TemperatureGains:
+    """Gains that follow temperatures linearly, G_T(T_s, T_e) of eq. (8), from ground calibration.
+
+    Attributes
+    ----------
+    sensor, electronics : tuple of 3 floats
+        Relative change of the gain along each sensor axis per kelvin.
+    sensor_reference, electronics_reference : float
+        Temperatures at which the gain is 1, degC.
+    """
+
+    sensor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    electronics: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sensor_reference: float = 20.0
+    electronics_reference: float = 20.0
+
+    def gains(self, sensor: npt.ArrayLike, electronics: npt.ArrayLike) -> Floats:
+        """Return the diagonal of G_T at temperatures (time,) or of one number, degC; shape (time, 3)."""
+        warm = np.atleast_1d(np.asarray(sensor, dtype=np.float64) - self.sensor_reference)
+        hot = np.atleast_1d(np.asarray(electronics, dtype=np.float64) - self.electronics_reference)
+        return np.asarray(
+            1.0 + warm[:, None] * np.array(self.sensor) + hot[:, None] * np.array(self.electronics)
+        )
+
+    def correct(self, readings: Floats, sensor: npt.ArrayLike, electronics: npt.ArrayLike) -> Floats:
+        """Return temperature-corrected readings ``G_T B_S``; (time, 3). NaN without a temperature."""
+        return np.asarray(readings * self.gains(sensor, electronics))
+
+    def disturb(self, readings: Floats, sensor: npt.ArrayLike, electronics: npt.ArrayLike) -> Floats:
+        """Return what the sensor reads at these temperatures: the inverse of `correct`."""
+        return np.asarray(readings / self.gains(sensor, electronics))
+
+
+@dataclass(frozen=True)
+class SensorAngles:
+    """Angles of the three sensor axes in spin-aligned axes, and gains (Kepko et al. 1996; Plaschke eq. 2).
+
+    Attributes
+    ----------
+    theta, phi : ndarray, shape (3,)
+        Angle from the spin axis, and azimuth from x towards y of the projection on the spin plane; rad.
+    gain : ndarray, shape (3,)
+    """
+
+    theta: Floats
+    phi: Floats
+    gain: Floats
+
+    @classmethod
+    def of_matrix(cls, matrix: Floats) -> SensorAngles:
+        """Return angles and gains of a coupling matrix ``C``: row i of its inverse is ``s_i / gain_i``."""
+        rows = np.linalg.inv(matrix)
+        length = np.linalg.norm(rows, axis=1)
+        unit = rows / length[:, None]
+        return cls(
+            np.arccos(np.clip(unit[:, 2], -1.0, 1.0)), np.arctan2(unit[:, 1], unit[:, 0]), 1.0 / length
+        )

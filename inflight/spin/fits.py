@@ -1,0 +1,337 @@
+"""Spin fits: C0 + C1 sin + C2 cos over one or several spins, all fits of a record at once.
+
+Farrell et al. (1995), eq. (22), against the spin phase instead of the time, so that a spin rate that changes
+and samples that are uneven do no harm. Normal equations of three (with twice the spin five) unknowns are
+summed in one pass; a fit with a wild reading is made again with weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy import stats
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import WEIGHTED_RMS
+from inflight.errors import CalibrationError, SamplesError
+from inflight.spin.spin_sums import fit_plain, fit_weighted
+from inflight.time import Int64, utc_text
+
+TURN = 2.0 * np.pi
+#: Names of the coefficients; those of twice the spin come last.
+COEFFICIENTS = ("C0", "C1", "C2", "S2", "D2")
+#: A fit is determined when the determinant of its normal equations is this part of that of evenly spread
+#: phases: readings of half a turn have 0.1, of three quarters 0.65 (without twice the spin).
+LEAST_SPREAD = 0.1
+#: A fit is made again when a reading is this many sigmas off: one in 16 000 of Gaussian noise.
+_WILD = 4.0
+#: When more than this part of a fit's readings would be left out, the field has changed: all are kept.
+_MOST_OUT = 0.25
+#: The scale of a fit is that of the group of this many fits it is in, by the lower quartile of their rms, so
+#: that outliers in two thirds of the fits do not raise it.
+_AROUND, _QUARTILE = 31, 25.0
+
+
+@dataclass(frozen=True)
+class SpinFits:
+    """Spin fits in order of time.
+
+    Attributes
+    ----------
+    time, start, end : ndarray of int64, shape (fit,)
+        TT2000 of the middle, of the first and of the last reading.
+    turn : ndarray of int64, shape (fit,)
+        Number of the first turn since phase zero.
+    value : ndarray, shape (fit, component, coefficient)
+        C0, C1, C2 and, where asked for, S2 and D2 (sin and cos of twice the phase), in the field's unit; NaN
+        where the readings do not determine them.
+    covariance : ndarray, shape (fit, component, coefficient, coefficient)
+        From the fit's own residual, taken as white: it holds for the instrument's noise. Fluctuations of the
+        field are larger near the spin than far above it; `inflight.spin.farrell` takes them from the scatter
+        between fits.
+    rms : ndarray, shape (fit, component)
+        Residual per degree of freedom.
+    count, outliers : ndarray of int64, shape (fit, component)
+        Readings, and those of them that have less than half their weight.
+    changing : ndarray of bool, shape (fit, component)
+        The field changed too much for outliers to be told: every reading counts.
+    spins : int
+        Turns of one fit.
+    unit : str
+    """
+
+    time: Int64
+    start: Int64
+    end: Int64
+    turn: Int64
+    value: Floats
+    covariance: Floats
+    rms: Floats
+    count: Int64
+    outliers: Int64
+    changing: npt.NDArray[np.bool_]
+    spins: int = 1
+    unit: str = "nT"
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    @property
+    def determined(self) -> npt.NDArray[np.bool_]:
+        """Where the readings determine a fit; (fit, component)."""
+        return np.asarray(np.isfinite(self.value[..., 0]))
+
+    @property
+    def whole(self) -> SpinFits:
+        """The fits that are determined in every component."""
+        return self.where(np.asarray(self.determined.all(axis=1)))
+
+    @property
+    def constant(self) -> Floats:
+        """C0; (fit, component)."""
+        return np.asarray(self.value[..., 0])
+
+    @property
+    def phasor(self) -> npt.NDArray[np.complex128]:
+        """``Z = C2 - i C1``: a sensor at the azimuth ``ph`` sees ``Bsp exp(i (ph - psi))``.
+
+        Shape (fit, component).
+        """
+        return np.asarray(self.value[..., 2] - 1j * self.value[..., 1])
+
+    @property
+    def double(self) -> npt.NDArray[np.complex128]:
+        """``D2 - i S2``, the phasor of twice the spin; (fit, component)."""
+        if self.value.shape[-1] < len(COEFFICIENTS):
+            raise SamplesError("the fits hold no twice the spin", remedy="fit with harmonics=2")
+        return np.asarray(self.value[..., 4] - 1j * self.value[..., 3])
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations of the coefficients; (fit, component, coefficient)."""
+        return np.asarray(np.sqrt(np.einsum("fkpp->fkp", self.covariance)))
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> SpinFits:
+        """Return some of the fits; `chosen` has shape (fit,)."""
+        kept: dict[str, Any] = {
+            name: part[chosen] for name, part in self.__dict__.items() if isinstance(part, np.ndarray)
+        }
+        return replace(self, **kept)
+
+    def table(self) -> xr.Dataset:
+        """Return the fits: dims fit, component, coefficient, other."""
+        names = list(COEFFICIENTS[: self.value.shape[-1]])
+        times = {name: ("fit", getattr(self, name), {"scale": "TT2000"}) for name in ("time", "start", "end")}
+        both = ("fit", "component")
+        return xr.Dataset(
+            times
+            | {
+                "turn": ("fit", self.turn),
+                "value": ((*both, "coefficient"), self.value, {"units": self.unit}),
+                "sigma": ((*both, "coefficient"), self.sigma, {"units": self.unit}),
+                "covariance": (
+                    (*both, "coefficient", "other"),
+                    self.covariance,
+                    {"units": f"{self.unit}2"},
+                ),
+                "rms": (both, self.rms, {"units": self.unit}),
+                "count": (both, self.count),
+                "outliers": (both, self.outliers),
+                "changing": (both, self.changing),
+            },
+            coords={"coefficient": names, "other": names},
+            attrs={"spins": self.spins},
+        )
+
+    def told(self) -> str:
+        """Say in a sentence what was fitted and what was not."""
+        whole = int(self.determined.all(axis=1).sum())
+        text = f"{len(self)} fits of {self.spins} spin{'s' if self.spins > 1 else ''}, {whole} of them whole"
+        text += f", {int(self.outliers.sum())} outlying readings left out"
+        changing = int(self.changing.any(axis=1).sum())
+        return text + (f", {changing} fits while the field changed" if changing else "")
+
+
+def spin_fits(
+    stamps: Int64,
+    field: Floats,
+    phase: Floats,
+    *,
+    good: npt.NDArray[np.bool_] | None = None,
+    spins: int = 1,
+    harmonics: int = 1,
+    robust: bool = True,
+    unit: str = "nT",
+) -> SpinFits:
+    """Fit C0 + C1 sin(phase) + C2 cos(phase) to every whole number of turns (Farrell 1995, eq. 22).
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000, rising; uneven sampling and gaps allowed.
+    field : ndarray, shape (time, component)
+        Readings in nT or counts; NaN where a component is missing.
+    phase : ndarray, shape (time,)
+        Unwrapped spin phase, radians, never falling; NaN where it is not known.
+    good : ndarray of bool, shape (time,), optional
+        False leaves a sample out.
+    spins : int
+        Turns of one fit.
+    harmonics : int
+        1, or 2 for sin and cos of twice the phase too.
+    robust : bool
+        Weigh wild readings down; False is plain least squares.
+    unit : str
+
+    Returns
+    -------
+    SpinFits
+
+    Raises
+    ------
+    SamplesError
+        Shapes that differ, a phase that falls, or settings that make no sense.
+    CalibrationError
+        When no fit at all is determined.
+    """
+    _check(stamps, field, phase, spins, harmonics)
+    kept = np.isfinite(phase) if good is None else np.isfinite(phase) & good
+    if not kept.all():
+        stamps, field, phase = stamps[kept], field[kept], phase[kept]
+    if not stamps.size:
+        raise CalibrationError(
+            f"none of {kept.size} samples has a phase", remedy="see what the phase's flags say"
+        )
+    if np.any(np.diff(phase) < 0):
+        raise SamplesError("the spin phase falls", remedy="unwrap it; it grows with time by definition")
+    turn = np.floor(phase * (1.0 / (TURN * spins))).astype(np.int64)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(turn)) + 1, [turn.size]])
+    samples = np.sin(phase), np.cos(phase), np.ascontiguousarray(field, dtype=np.float64)
+    sums = _fit_all(*samples, edges, 2 * harmonics + 1)
+    if robust:
+        _again(sums, samples, edges)
+    return _result(stamps, turn * spins, edges, sums, spins, unit)
+
+
+def _check(stamps: Int64, field: Floats, phase: Floats, spins: int, harmonics: int) -> None:
+    if field.ndim != 2 or stamps.shape != phase.shape or field.shape[:1] != stamps.shape:
+        raise SamplesError(
+            f"times have shape {stamps.shape}, the phase {phase.shape}, the field {field.shape}",
+            remedy="give (time,), (time,) and (time, component)",
+        )
+    if spins < 1 or harmonics not in {1, 2}:
+        raise SamplesError(
+            f"fits of {spins} spins with {harmonics} harmonics asked for", remedy="at least 1 spin; 1 or 2"
+        )
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """What the pass over all samples gives; the first two dims are fit, component."""
+
+    value: Floats
+    inverse: Floats
+    variance: Floats
+    count: Int64
+    largest: Floats
+    spread: Floats
+    outliers: Int64
+    changing: npt.NDArray[np.bool_]
+
+
+def _fit_all(sine: Floats, cosine: Floats, field: Floats, edges: Int64, unknowns: int) -> _Sums:
+    fits, components = edges.size - 1, field.shape[1]
+    sums = _Sums(
+        np.empty((fits, components, unknowns)),
+        np.empty((fits, components, unknowns, unknowns)),
+        np.empty((fits, components)),
+        np.empty((fits, components), dtype=np.int64),
+        np.empty((fits, components)),
+        np.empty((fits, components)),
+        np.zeros((fits, components), dtype=np.int64),
+        np.zeros((fits, components), dtype=np.bool_),
+    )
+    out = (sums.value, sums.inverse, sums.variance, sums.count, sums.largest, sums.spread)
+    fit_plain(sine, cosine, field, edges, *out)
+    return sums
+
+
+def _again(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: Int64) -> None:
+    """Fit those again that hold a wild reading, with weights."""
+    scale = _scale_around(sums.variance, sums.count - sums.value.shape[-1])
+    wild = (sums.largest > _WILD * scale) & (sums.spread >= LEAST_SPREAD)
+    places = np.argwhere(wild)
+    if not places.size:
+        return
+    sine, cosine, field = samples
+    now, inverse, found = fit_weighted(sine, cosine, field, edges, places, scale, sums.value)
+    size = now.shape[1]
+    spread, total, kept, out = found.T
+    f, k = places.T
+    told = (spread >= LEAST_SPREAD) & (out <= _MOST_OUT * sums.count[f, k]) & (kept > size + 1.0)
+    sums.changing[f[~told], k[~told]] = True
+    f, k = f[told], k[told]
+    sums.value[f, k], sums.inverse[f, k], sums.spread[f, k] = now[told], inverse[told], spread[told]
+    sums.outliers[f, k] = out[told].astype(np.int64)
+    sums.variance[f, k] = total[told] / (kept[told] - size) / WEIGHTED_RMS**2
+
+
+def _scale_around(variance: Floats, freedom: Int64) -> Floats:
+    """Return the usual residual around each fit, from the quieter fits there; (fit, component)."""
+    known = (freedom > 0) & np.isfinite(variance)
+    rms = np.sqrt(np.where(known, variance, 0.0))
+    out = np.empty_like(rms)
+    for k in range(rms.shape[1]):
+        own = known[:, k]
+        if not own.any():
+            out[:, k] = np.inf
+            continue
+        usual = float(np.median(freedom[own, k]))
+        level = np.sqrt(stats.chi2.ppf(_QUARTILE / 100.0, usual) / usual)
+        # Fits that are not known take their neighbours'; they are not asked for.
+        filled = np.interp(np.arange(rms.shape[0]), np.flatnonzero(own), rms[own, k])
+        quiet = _quartile_around(filled)
+        out[:, k] = quiet / level
+    return out
+
+
+def _quartile_around(values: Floats) -> Floats:
+    """Return the lower quartile of the group of `_AROUND` that each value is in."""
+    groups = max(values.size // _AROUND, 1)
+    low = [np.percentile(values[: groups * _AROUND].reshape(groups, -1), _QUARTILE, axis=1)]
+    if values.size > groups * _AROUND:
+        low.append(np.percentile(values[-_AROUND:], [_QUARTILE]))
+    return np.repeat(np.concatenate(low), _AROUND)[: values.size]
+
+
+def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, unit: str) -> SpinFits:
+    known = (sums.spread >= LEAST_SPREAD) & (sums.count > sums.value.shape[-1])
+    if not known.any():
+        raise CalibrationError(
+            f"none of {known.shape[0]} spins from {utc_text(int(stamps[0]))} has readings spread over"
+            f" the turn (at most {int(sums.count.max())} a fit)",
+            remedy="fit more spins at once, or look at the spin period and the gaps",
+        )
+    value = np.where(known[..., None], sums.value, np.nan)
+    covariance = sums.inverse * sums.variance[..., None, None]
+    covariance[~known] = np.nan
+    start, end = stamps[edges[:-1]], stamps[edges[1:] - 1]
+    rms = np.where(known, np.sqrt(sums.variance), np.nan)
+    return SpinFits(
+        start + (end - start) // 2,
+        start,
+        end,
+        turn[edges[:-1]],
+        value,
+        covariance,
+        rms,
+        sums.count,
+        sums.outliers,
+        sums.changing,
+        spins,
+        unit,
+    )

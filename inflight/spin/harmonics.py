@@ -1,0 +1,278 @@
+"""Tones at the spin and at twice the spin of Bz and of the spin-plane modulus, with their natural noise.
+
+The field is not despun (Plaschke et al. 2019, section 5.3). Each block of spins loses a line of its own, and
+the tones are fitted to what is left, so that gaps and uneven sampling do no harm; for whole evenly sampled
+spins they are the paper's Fourier components ``(2/N) sum x exp(-i w t)``. The same sums are made of the
+derivatives of Bz and the modulus by each parameter: estimates then need no more of the samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.errors import CalibrationError
+from inflight.spin.equation import TwelveParameters
+from inflight.spin.layout import WIDEST_STEP, Bools, Layout
+from inflight.spin.sums import (
+    SERIES,
+    TONES,
+    M,
+    U,
+    V,
+    Z,
+    beside_without_lines,
+    block_sums,
+    chunks,
+    gathered,
+    tone_sums,
+    without_lines,
+)
+from inflight.time import Int64
+
+#: Derivatives hold while the field changes by less than this part.
+_SMALL = 0.01
+#: The direction of the field must keep this much of its turn with the phase: less is another period.
+_COHERENT = 0.5
+#: Why a sub-interval below that is left out.
+NOT_TURNING = "not turning with the phase"
+
+
+@dataclass(frozen=True)
+class SpinTones:
+    """Tones of every sub-interval at some parameters; sub-intervals without any are NaN.
+
+    Attributes
+    ----------
+    start, end : ndarray of int64, shape (sub,)
+        TT2000 of the first and the last sample.
+    tones : ndarray, shape (sub, 4, series)
+        cos and sin at the spin, cos and sin at twice the spin, of `SERIES`, nT (or 1).
+    noise : ndarray, shape (sub, 3)
+        Standard deviation that natural fluctuations give to cos or sin of Bz and of the modulus at the spin
+        and of the modulus at twice the spin, nT: from all neighbouring frequencies.
+    amplitude : ndarray, shape (sub, 3)
+        Fa, Fp, F2p of Plaschke et al. (2019): the larger of the two neighbours' amplitudes, nT.
+    least_modulus, least_axial, largest_axial : ndarray, shape (sub,)
+        min Bp, min and max of the size of Bz, nT.
+    filled : ndarray, shape (sub,)
+        Part of the spins that samples cover.
+    coherence : ndarray, shape (sub,)
+        1 where the field turns with the phase, 0 where it does not.
+    mean : ndarray, shape (sub, 2)
+        Bx and By averaged over the spins, nT: a first guess of large offsets.
+    excluded : tuple of (str, ndarray of bool of shape (sub,))
+        Why sub-intervals are left out.
+    parameters : TwelveParameters
+    blocks : int
+        A sub-interval shares blocks with this many before and after, itself included.
+    """
+
+    start: Int64
+    end: Int64
+    tones: Floats
+    noise: Floats
+    amplitude: Floats
+    least_modulus: Floats
+    least_axial: Floats
+    largest_axial: Floats
+    filled: Floats
+    coherence: Floats
+    mean: Floats
+    excluded: tuple[tuple[str, Bools], ...]
+    parameters: TwelveParameters
+    blocks: int
+
+    @property
+    def usable(self) -> Bools:
+        """Sub-intervals that nothing speaks against; (sub,)."""
+        bad = np.zeros(self.start.size, dtype=np.bool_)
+        for _, hit in self.excluded:
+            bad |= hit
+        return ~bad
+
+    def told(self) -> str:
+        """Return how many sub-intervals there are and why some are left out."""
+        lost = ", ".join(f"{int(hit.sum())} {name}" for name, hit in self.excluded if hit.any())
+        return f"{int(self.usable.sum())} of {self.start.size} sub-intervals" + (f"; {lost}" if lost else "")
+
+
+def spin_tones(
+    readings: Floats, phase: Floats, stamps: Int64, layout: Layout, parameters: TwelveParameters
+) -> SpinTones:
+    """Return the tones of a record under some parameters.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (time, 3)
+        Temperature-corrected, sensor axes, nT.
+    phase : ndarray, shape (time,)
+        Unwrapped spin phase, rad.
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    layout : Layout
+        From `lay_out` of the same record.
+    parameters : TwelveParameters
+        The readings are corrected with these.
+
+    """
+    parts = [
+        block_sums(*gathered(readings, phase, layout, parameters, low), layout) for low in chunks(layout)
+    ]
+    sums = [np.concatenate(one) for one in zip(*parts, strict=True)]
+    return _of_blocks(layout, stamps, parameters, *sums)
+
+
+def corrected_tones(
+    readings: Floats, phase: Floats, layout: Layout, before: SpinTones, parameters: TwelveParameters
+) -> SpinTones:
+    """Return tones of Bz and of the modulus under other parameters, and all else as it was before.
+
+    A quarter of the work of `spin_tones`. Derivatives and noise change by the relative change of the field
+    only: for small steps (see `small_step`) they hold.
+
+    Parameters
+    ----------
+    readings, phase, layout
+        As for `spin_tones`.
+    before : SpinTones
+        Of the same record and layout.
+    parameters : TwelveParameters
+    """
+    parts = [tone_sums(*gathered(readings, phase, layout, parameters, low)) for low in chunks(layout)]
+    lost = np.isnan(before.tones[:, 0, Z])
+    known = np.concatenate([np.isfinite(one[:, 0, 0]) & (one[:, 0, 0] > 2.0) for one in parts])
+    rest = without_lines(np.concatenate(parts), known)
+    summed = layout.over_blocks(rest).sum(axis=1)
+    gram = np.where(lost[:, None, None], np.eye(TONES), summed[:, :, :TONES])
+    tones = before.tones.copy()
+    tones[:, :, [Z, M]] = np.linalg.solve(gram, summed[:, :, TONES:])
+    tones[lost] = np.nan
+    return replace(before, tones=tones, parameters=parameters)
+
+
+def small_step(before: SpinTones, parameters: TwelveParameters) -> bool:
+    """Return True when new parameters change the field by less than 1 %, the spin-plane offsets included."""
+    turned = np.abs(parameters.matrix() @ np.linalg.inv(before.parameters.matrix()) - np.eye(3)).max()
+    shifted = np.abs(np.subtract(parameters.offset, before.parameters.offset)).max()
+    least = before.least_modulus[before.usable]
+    return bool(turned < _SMALL and shifted < _SMALL * float(np.median(least))) if least.size else False
+
+
+def _of_blocks(
+    layout: Layout, stamps: Int64, parameters: TwelveParameters, inner: Floats, beside: Floats, levels: Floats
+) -> SpinTones:
+    """Return the tones of all sub-intervals from the sums of blocks."""
+    settings = layout.settings
+    covered = levels[:, 1] / settings.turn
+    # The step from one block to the next is in neither.
+    filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
+    enough = filled >= settings.filled
+    known = covered > 0.1
+    tone_sums = without_lines(inner, known)
+    beside = beside_without_lines(inner, beside, known)
+    windows = [layout.over_blocks(one) for one in (tone_sums, beside)]
+    summed = windows[0].sum(axis=1)
+    gram = np.where(enough[:, None, None], summed[:, :, :TONES], np.eye(TONES))
+    tones = np.linalg.solve(gram, summed[:, :, -len(SERIES) :])
+    # What the neighbours see beyond the tones themselves.
+    crossed = windows[0][..., TONES : -len(SERIES)]
+    left = windows[1] - np.einsum("sbte,std->sbed", crossed, tones[:, :, [Z, M]])
+    count = layout.over_blocks(levels[:, 0]).sum(axis=1)
+    noise, amplitude = _noise(left, np.maximum(count, 1.0))
+    coherence = 0.5 * np.hypot(tones[:, 0, U] - tones[:, 1, V], tones[:, 1, U] + tones[:, 0, V])
+    low, high = layout.over_blocks(layout.start)[:, 0], layout.over_blocks(layout.stop)[:, -1]
+    nan = np.where(enough, 0.0, np.nan)
+    return SpinTones(
+        start=stamps[np.minimum(low, stamps.size - 1)],
+        end=stamps[np.maximum(high - 1, 0)],
+        tones=tones + nan[:, None, None],
+        noise=noise + nan[:, None],
+        amplitude=amplitude + nan[:, None],
+        least_modulus=layout.over_blocks(levels[:, 2]).min(axis=1) + nan,
+        least_axial=layout.over_blocks(levels[:, 3]).min(axis=1) + nan,
+        largest_axial=layout.over_blocks(levels[:, 4]).max(axis=1) + nan,
+        filled=filled,
+        coherence=coherence + nan,
+        mean=layout.over_blocks(inner[:, 0, -len(SERIES) :][:, :2]).sum(axis=1)
+        / np.maximum(count, 1.0)[:, None]
+        + nan[:, None],
+        excluded=(
+            ("too few samples", ~enough),
+            *layout.excluded(),
+            (NOT_TURNING, enough & (coherence < _COHERENT)),
+        ),
+        parameters=parameters,
+        blocks=settings.blocks,
+    )
+
+
+def _noise(left: Floats, count: Floats) -> tuple[Floats, Floats]:
+    """Return noise and amplitudes (sub, 3) from what neighbours see in each block; (sub, block, 16, 2).
+
+    The far neighbours are taken over the sub-interval, the near ones in its blocks, whose squares add up
+    whichever way they are turned: of two blocks 4 and 8 squares for a variance instead of the paper's 4.
+    """
+    far, near, amplitude = [], [], []
+    # tone, distance, side, cos or sin
+    shaped = left.reshape(*left.shape[:2], 2, 2, 2, 2, 2)
+    for tone, series in ((0, 0), (0, 1), (1, 1)):
+        one = shaped[:, :, tone, ..., series]
+        whole = (one[:, :, 0].sum(axis=1) ** 2).sum(axis=2)  # sub, side
+        amplitude.append(np.sqrt(whole.max(axis=1)))
+        far.append(0.25 * whole.sum(axis=1))
+        near.append(0.25 * (one[:, :, 1] ** 2).sum(axis=(1, 2, 3)))
+    blocks = left.shape[1]
+    square = (np.stack(far, axis=1) + blocks * np.stack(near, axis=1)) / (1 + blocks)
+    half = 0.5 * count[:, None]
+    return np.sqrt(square) / half, np.stack(amplitude, axis=1) / half
+
+
+def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Layout) -> None:
+    """Check that the field turns with the phase and that there is something to fit.
+
+    Raises
+    ------
+    CalibrationError
+        No sub-interval is usable, or the field does not turn with the phase.
+    """
+    turning, others = np.zeros((2, found.start.size), dtype=np.bool_)
+    for name, hit in found.excluded:
+        if name == NOT_TURNING:
+            turning = hit
+        else:
+            others |= hit
+    judged = int((~others).sum())
+    if turning.sum() > 0.5 * judged > 0:
+        ratio = turn_ratio(found.parameters.correct(readings), phase, layout.good)
+        raise CalibrationError(
+            f"the field does not turn with the phase in {int(turning.sum())} of {judged} sub-intervals: "
+            f"it turns by {ratio:.5f} of the phase",
+            remedy="look at the spin period, the Sun pulses, the direction of the spin and the offsets",
+        )
+    if not found.usable.any():
+        raise CalibrationError(
+            f"no sub-interval is usable: {found.told()}",
+            remedy="take a longer span, fewer spins a sub-interval, or look at flags and exclusions",
+        )
+
+
+def turn_ratio(field: Floats, phase: Floats, good: Bools) -> float:
+    """Return by how much the field turns in the spin plane while the phase turns by 1; the median of samples.
+
+    Parameters
+    ----------
+    field : ndarray, shape (time, 3)
+        Spin-aligned axes, nT.
+    phase : ndarray, shape (time,)
+        rad.
+    good : ndarray of bool, shape (time,)
+    """
+    angle = np.arctan2(-field[good, 1], field[good, 0])
+    turned = np.diff(angle)
+    turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
+    told = np.diff(phase[good])
+    use = (told > 0.0) & (told < WIDEST_STEP)
+    return float(np.median(turned[use] / told[use])) if use.any() else float("nan")

@@ -1,0 +1,119 @@
+"""Write a simulated spinning mission as day files like a real one delivers, and its truth apart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from cdflib.cdfwrite import CDF
+from threadpoolctl import threadpool_limits
+
+from inflight.errors import CatalogError
+from inflight.simulate.spinning import CRAFT, SpinningSettings, simulate_spinning_day
+from inflight.tasks.delivered_cdf import Source, Variable, atomic, compact, storage, write_cdf
+from inflight.tasks.simulate import TRUTH, Progress, write_truth, written
+
+_XYZ = ("x", "y", "z")
+_VARIABLES = {
+    "FGM_RAW": Variable("Raw vector field, sensor axes", "nT", -65000, 65000, labels=_XYZ, format="F12.4"),
+    "T_SENSOR": Variable("Temperature of the sensor", "degC", -120, 80, CDF.CDF_REAL4),
+    "FGM_FLAG": Variable("Quality flag, 0 is good", " ", 0, 254, CDF.CDF_UINT1, format="I3"),
+    "SPIN_PERIOD": Variable("Time since the last sun pulse", "s", 0, 100, format="F10.5"),
+    "I_COIL": Variable("Current of the torquer coil", "mA", -500, 500, CDF.CDF_REAL4),
+    "I_SOL": Variable("Current of the solar array", "mA", 0, 20000, CDF.CDF_REAL4),
+    "T_ELECTRONICS": Variable("Temperature of the electronics", "degC", -60, 80, CDF.CDF_REAL4),
+    "SHADOW": Variable("1 in the shadow of the Earth", " ", 0, 1, CDF.CDF_UINT1, format="I3"),
+    "POS_GSE": Variable("Position in GSE", "km", -200000, 200000, labels=_XYZ, format="F13.3"),
+}
+_TITLES = {
+    "fgm": "Fluxgate magnetometer",
+    "sun": "Sun sensor",
+    "hk": "Housekeeping currents",
+    "slow": "Slow housekeeping",
+    "orb": "Orbit",
+}
+SOURCES = {
+    name: Source(name, f"{name.upper()}-like simulated spacecraft", _TITLES, _VARIABLES) for name in CRAFT
+}
+
+
+def truth_path(settings: SpinningSettings, destination: Path, day: np.datetime64) -> Path:
+    """Return where the truth of a day stands, for tests and nobody else."""
+    return destination / TRUTH / f"{settings.craft}_truth_{compact(day)}.nc"
+
+
+def simulate_spinning(
+    settings: SpinningSettings,
+    destination: Path | str,
+    progress: Progress | None = None,
+    workers: int = 2,
+) -> list[Path]:
+    """Write the day files of a simulated spinning mission; days already there are kept.
+
+    Parameters
+    ----------
+    settings : SpinningSettings
+        What to simulate.
+    destination : Path
+        Folder for one folder an instrument and, apart, ``truth/``.
+    progress : callable, optional
+        Called with (days done, days).
+    workers : int
+        Processes; 1 stays in this one.
+
+    Returns
+    -------
+    list of Path
+        The delivered files of all days.
+
+    Raises
+    ------
+    CatalogError
+        When the folder holds files of other settings.
+    StorageError
+        When the disk refuses a write.
+    """
+    folder = Path(destination)
+    _claim(settings, folder)
+    days = settings.day_list
+    missing = [day for day in days if not truth_path(settings, folder, day).exists()]
+    for number, _ in enumerate(written(write_spinning_day, settings, folder, missing, workers), start=1):
+        if progress is not None:
+            progress(len(days) - len(missing) + number, len(days))
+    source = SOURCES[settings.craft]
+    paths = (source.path(folder, instrument, day) for day in days for instrument in _TITLES)
+    return [path for path in paths if path.exists()]
+
+
+def write_spinning_day(settings: SpinningSettings, destination: Path, day: np.datetime64) -> list[Path]:
+    """Simulate and write one day, the truth last; return the delivered files."""
+    source = SOURCES[settings.craft]
+    with threadpool_limits(limits=1), storage(destination, day):
+        simulated = simulate_spinning_day(settings, day)
+        paths = []
+        for instrument, data in simulated.instruments.items():
+            path = source.path(destination, instrument, day)
+            with atomic(path) as partial:
+                write_cdf(partial, source, instrument, data, day)
+            paths.append(path)
+        write_truth(truth_path(settings, destination, day), simulated.truth)
+    return paths
+
+
+def _claim(settings: SpinningSettings, folder: Path) -> None:
+    """Write the settings into the truth folder, or check that those there are the same."""
+    path = folder / TRUTH / "settings.json"
+    wanted = settings.model_dump(mode="json")
+    if path.exists():
+        found = json.loads(path.read_text())
+        differing = sorted(key for key in set(wanted) - {"days"} if found.get(key) != wanted.get(key))
+        if differing:
+            raise CatalogError(
+                f"the folder holds a simulation with other {', '.join(differing)}",
+                file=str(folder),
+                remedy="choose an empty folder or the same settings",
+            )
+        return
+    with storage(folder, None), atomic(path) as partial:
+        partial.write_text(json.dumps(wanted | {"parameters": settings.parameters.as_dict()}, indent=1))

@@ -1,0 +1,174 @@
+"""Choosing estimates, deciding on updates, and the table of twelve."""
+
+import numpy as np
+import pytest
+from bokeh.models import GlyphRenderer
+from eight_cases import PRESENT, TRUTH, by_joint, by_selection, two_fields
+from orbit_fields import steady
+
+from inflight.errors import CalibrationError
+from inflight.figures.spin_estimates import estimates_figure, uncertainty_figure
+from inflight.spin.equation import NAMES, SPIN_RELATED, TwelveParameters
+from inflight.spin.selection import choose
+from inflight.spin.twelve import Known, join_twelve
+from inflight.spin.update import decide_updates
+
+AT = {name: index for index, name in enumerate(SPIN_RELATED)}
+
+
+def test_the_automatic_threshold_takes_what_lowers_the_error_of_the_mean():
+    alike, how = choose(np.full(40, 2.0))
+    assert alike.all()
+    assert "least expected error" in how
+    mixed, _ = choose(np.concatenate([np.full(30, 1.0), np.full(30, 100.0), [np.nan]]))
+    assert mixed[:30].all()
+    assert not mixed[30:].any()
+
+
+def test_an_accuracy_wanted_is_the_threshold_or_nothing_is_taken():
+    sizes = np.linspace(0.1, 2.0, 20)
+    chosen, _ = choose(sizes, wanted=1.05)
+    assert np.array_equal(chosen, sizes < 1.05)
+    none, how = choose(sizes, wanted=0.15)
+    assert not none.any()
+    assert "best 0.1" in how
+    assert not choose(np.array([1.0, np.nan, np.inf]))[0].any()
+
+
+def test_what_is_not_known_well_enough_keeps_its_value():
+    record = steady(1, hours=1.0)
+    truth = PRESENT.changed({"spin_axis[x]": 0.002})
+    found = by_selection(
+        record, truth.disturb(record.field), wanted={"elevation[1]": 1e-9, "elevation[2]": 1e-9}
+    )
+    assert not found.determined[AT["elevation[1]"]]
+    assert found.parameters.elevation == PRESENT.elevation
+    assert found.parameters.spin_axis[0] == pytest.approx(0.002, abs=5 * found.sigma[AT["spin_axis[x]"]])
+    assert "at least 5 needed" in found.how[AT["elevation[1]"]]
+
+
+def test_mean_and_median_agree_within_their_errors():
+    record = two_fields(2, hours=0.7)
+    readings = TRUTH.disturb(record.field)
+    mean, median = (by_selection(record, readings, statistic=one) for one in ("mean", "median"))
+    assert np.all(np.abs(mean.value - median.value) < 3.0 * median.sigma)
+    with pytest.raises(CalibrationError, match="mode"):
+        by_selection(record, readings, statistic="mode")
+
+
+def test_updates_are_made_where_they_help_and_not_where_they_add_jitter():
+    present = TwelveParameters()
+    value, sigma = present.spin_related(), np.full(8, 1e-5)
+    value[AT["spin_axis[x]"]] = 1e-4  # ten sigma from a value that is hardly known
+    value[AT["spin_axis[y]"]] = 1e-5  # one sigma
+    value[AT["elevation[1]"]], sigma[AT["elevation[1]"]] = 5e-4, 4e-4
+    value[AT["elevation[2]"]], sigma[AT["elevation[2]"]] = 5e-3, 4e-4
+    sigma[AT["azimuth"]] = np.inf
+    known = dict.fromkeys(SPIN_RELATED, 1e-3) | {"elevation[1]": 1e-4, "elevation[2]": 1e-4}
+    found = decide_updates(value, sigma, present, known)
+    assert found.of("spin_axis[x]").verdict == "update"
+    assert found.of("spin_axis[y]").verdict == "confirm"
+    assert found.of("elevation[1]").verdict == "keep"
+    assert "jitter" in found.of("elevation[1]").reason
+    assert found.of("elevation[2]").verdict == "update"
+    assert "both uncertainties" in found.of("elevation[2]").reason
+    assert found.of("azimuth").verdict == "keep"
+    assert "does not tell" in found.of("azimuth").reason
+    assert found.parameters.spin_axis == (1e-4, 0.0)
+    assert found.of("spin_axis[y]").value_sigma == pytest.approx(np.hypot(1e-5, 1e-5))
+    assert found.table()["verdict"].values.tolist() == [one.verdict for one in found.decisions]
+
+
+def test_an_unchanged_sensor_is_hardly_ever_updated_and_a_changed_one_always():
+    again = 0
+    for seed in range(10):
+        record = two_fields(seed, hours=0.4)
+        found = by_joint(record, TRUTH.disturb(record.field), TRUTH)
+        known = dict(zip(SPIN_RELATED, 3.0 * found.sigma, strict=True))
+        again += sum(
+            one.verdict == "update"
+            for one in decide_updates(found.value, found.sigma, TRUTH, known).decisions
+        )
+        before = TRUTH.changed({"gain_ratio": TRUTH.gain_ratio + 20.0 * float(found.sigma[0])})
+        assert decide_updates(found.value, found.sigma, before, known).of("gain_ratio").verdict == "update"
+    assert again <= 2
+
+
+def test_twelve_parameters_say_where_they_came_from():
+    record = two_fields(5, hours=0.5)
+    found = by_joint(record, TRUTH.disturb(record.field))
+    sigmas = dict.fromkeys(NAMES, 1e-3) | {"offset[3]": 5.0}
+    table = join_twelve(
+        (found.value, found.sigma, found.parameters),
+        PRESENT,
+        sigmas,
+        {"offset[3]": Known(3.0, 0.2, "minimum correlation")},
+    )
+    source = dict(zip(NAMES, table.source, strict=True))
+    assert {name for name in NAMES if source[name] == "spin"} == set(SPIN_RELATED)
+    assert source["offset[3]"] == "minimum correlation"
+    assert {name for name in NAMES if source[name] == "ground"} == {
+        "spin_plane_gain", "axial_gain", "rotation",
+    }  # fmt: skip
+    assert np.array_equal(table.determined, [source[name] != "ground" for name in NAMES])
+    assert table.parameters == TwelveParameters.of_values(table.value)
+    assert np.allclose(table.parameters.offset, [1.0, -2.0, 3.0], atol=0.01)
+    assert set(table.table().data_vars) == {"value", "sigma", "source", "determined"}
+
+
+def test_a_new_axial_offset_moves_the_spin_plane_ones_along_so_that_no_tone_comes_back():
+    """The plane sees C O: with the third offset 3 nT off, the second is 0.12 nT off until it is known."""
+    record = two_fields(6, hours=1.0)
+    truth = TRUTH.changed({"elevation[2]": -2e-2, "spin_axis[y]": 2e-2})
+    found = by_joint(record, truth.disturb(record.field), TwelveParameters())
+    assert abs(found.parameters.offset[1] - truth.offset[1]) == pytest.approx(0.12, rel=0.1)
+    spin = (found.value, found.sigma, found.parameters)
+    table = join_twelve(spin, TwelveParameters(), {}, {"offset[3]": Known(3.0, 0.5, "mirror mode")})
+    assert np.allclose(table.parameters.offset, truth.offset, atol=4.5 * found.sigma[-2:].max())
+    matrix = found.parameters.matrix()
+    before, after = (matrix @ np.array(one.offset) for one in (found.parameters, table.parameters))
+    assert np.allclose(before[:2], after[:2], atol=1e-12)
+
+
+def test_verdicts_decide_what_enters_the_table():
+    value, sigma = PRESENT.spin_related() + 1e-6, np.full(8, 1e-3)
+    updates = decide_updates(value, sigma, PRESENT, dict.fromkeys(SPIN_RELATED, 1e-4))
+    table = join_twelve((value, sigma, PRESENT), PRESENT, dict.fromkeys(NAMES, 1e-4), updates=updates)
+    assert set(table.source) == {"ground"}
+    assert np.array_equal(table.value, PRESENT.values())
+    assert table.sigmas()["azimuth"] == 1e-4
+
+
+def test_the_spin_cannot_be_overruled_and_names_must_exist():
+    spin = (PRESENT.spin_related(), np.full(8, 1.0), PRESENT)
+    for name in ("gain_ratio", "offset_3"):
+        with pytest.raises(CalibrationError, match="cannot be joined"):
+            join_twelve(spin, PRESENT, {}, {name: Known(1.0, 1.0, "guess")})
+
+
+def test_tables_carry_values_errors_and_units():
+    record = two_fields(7, hours=0.5)
+    readings = TRUTH.disturb(record.field)
+    joint, selection = by_joint(record, readings), by_selection(record, readings)
+    for table in (joint.table(), selection.table(), selection.estimates.table()):
+        assert list(table["parameter"].values) == list(SPIN_RELATED)
+        assert table["value"].shape[-1:] == (8,)
+        assert table["sigma"].dtype == np.float64
+        assert table["units"].values[AT["offset[1]"]] == "nT"
+    assert np.allclose(np.sqrt(np.diag(joint.table()["covariance"])), joint.sigma)
+
+
+def test_figures_show_every_estimate():
+    record = two_fields(8, hours=0.7)
+    readings = TRUTH.disturb(record.field)
+    selection, joint = by_selection(record, readings), by_joint(record, readings)
+    for drawn, panels in ((estimates_figure(selection, joint), 8), (uncertainty_figure(selection), 4)):
+        plots = [one for one, *_ in drawn.children]
+        assert len(plots) == panels
+        for plot in plots:
+            counts = [
+                len(next(iter(one.data_source.data.values())))
+                for one in plot.renderers
+                if isinstance(one, GlyphRenderer) and type(one.glyph).__name__ == "Scatter"
+            ]
+            assert sum(counts) == int(selection.estimates.usable.sum())
