@@ -67,7 +67,7 @@ class Encoding:
     def encode(self, values: Array) -> Array:
         """Return the stored form of `values`, same shape."""
         if self.kind == "packed":
-            return _quanta(values, self.resolution, self.missing).astype(self.stored)
+            return _quanta(values, self.resolution, self.missing, self.stored)
         if self.kind == "labels":
             index = {label: number for number, label in enumerate(self.labels)}
             codes = [index[str(value)] for value in values.ravel()]
@@ -127,11 +127,11 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
 def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
     largest = 0.0
     for piece in pieces:
-        finite = piece[np.isfinite(piece)]
-        if finite.size != piece.size - int(np.count_nonzero(np.isnan(piece))):
-            return None  # an infinity has no integer
-        largest = max(largest, float(np.abs(finite).max(initial=0)) / resolution)
-        if largest >= 2**53 or not _lossless(finite, resolution):
+        finite = piece if np.isfinite(piece).all() else piece[~np.isnan(piece)]
+        if finite.size:
+            largest = max(largest, float(finite.max()) / resolution, -float(finite.min()) / resolution)
+        # An infinity has no integer.
+        if not largest < 2**53 or not _lossless(finite, resolution):
             return None
     stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
     return Encoding("packed", pieces[0].dtype.name, stored, missing, True, resolution, missing)
@@ -139,17 +139,24 @@ def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
 
 def _lossless(finite: Array, resolution: float) -> bool:
     """Tell whether values come back the same: exactly, or within both tolerances."""
-    decoded = _values(_quanta(finite, resolution, 0), resolution, None, finite.dtype)
+    # Whole numbers of steps are the quanta themselves, whatever their type: as floats they need no copy.
+    decoded = _values(_steps(finite, resolution), resolution, None, finite.dtype)
     if np.array_equal(decoded, finite):
         return True
     error = np.abs(decoded - finite)
     return bool(np.all((error <= STEP_TOLERANCE * resolution) & (error <= VALUE_TOLERANCE * np.abs(finite))))
 
 
-def _quanta(values: Array, resolution: float, missing: int) -> npt.NDArray[np.int64]:
+def _steps(values: Array, resolution: float) -> npt.NDArray[np.float64]:
+    steps = np.asarray(values, dtype=np.float64) / resolution
+    return np.rint(steps, out=steps)
+
+
+def _quanta(values: Array, resolution: float, missing: int, stored: str) -> Array:
     absent = np.isnan(values)
-    steps = np.rint(np.where(absent, 0.0, values).astype(np.float64) / resolution)
-    quanta: npt.NDArray[np.int64] = steps.astype(np.int64)
+    if not absent.any():
+        return _steps(values, resolution).astype(stored)
+    quanta: Array = _steps(np.where(absent, 0.0, values), resolution).astype(stored)
     quanta[absent] = missing
     return quanta
 

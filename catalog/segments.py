@@ -23,6 +23,7 @@ import zarr
 from zarr.codecs import BloscCodec
 from zarr.codecs.numcodecs import Delta
 
+from inflight.catalog.chunks import COMPRESSION_LEVEL, COMPRESSOR, ChunkWriter
 from inflight.catalog.encoding import Encoding, choose_encoding
 from inflight.catalog.faultpoints import reached
 from inflight.catalog.layout import Layout, Variable, lay_out, plain_attributes, shared_attributes, variables
@@ -41,8 +42,6 @@ warnings.filterwarnings(
 LAYOUT_ATTRIBUTE: Final = "inflight"
 #: Bumped when stores of the past can no longer be read like new ones.
 LAYOUT_VERSION: Final = 1
-#: Level 5 takes 5 to 10 times as long on differences of channels and is 3 % smaller at best.
-COMPRESSION_LEVEL: Final = 2
 #: Up to so many components of a packed variable get chunks of their own: differences along time pack
 #: a vector in half the space that interleaved components take.
 MOST_COMPONENTS: Final = 4
@@ -205,8 +204,8 @@ def _write_store(
     for item in contents:
         encoding = choose_encoding(item.name, item.pieces, item.attributes)
         blocks = _blocks(item, encoding, layout)
-        _write_array(group, item, encoding, blocks, portable)
-        _read_back(folder / item.name, item, blocks)
+        _write_array(folder, group, item, encoding, blocks, portable)
+        _read_back(folder / item.name, item, blocks[0])
         if encoding.note:
             notes.append(encoding.note)
     zarr.consolidate_metadata(folder)
@@ -227,19 +226,25 @@ def _blocks(item: Variable, encoding: Encoding, layout: Layout | None) -> list[A
 
 
 def _write_array(
-    group: zarr.Group, item: Variable, encoding: Encoding, blocks: Sequence[Array], portable: bool
+    folder: Path,
+    group: zarr.Group,
+    item: Variable,
+    encoding: Encoding,
+    blocks: Sequence[Array],
+    portable: bool,
 ) -> None:
     inner = blocks[0].shape[1:] if item.in_rows else ()
     components = encoding.delta and len(inner) == 1 and inner[0] <= MOST_COMPONENTS
     row_chunk = (blocks[0].shape[0], *((1,) if components else inner))
     shape = (len(blocks) * blocks[0].shape[0], *inner) if item.in_rows else blocks[0].shape
+    delta = encoding.delta and not portable
     array = group.create_array(
         item.name,
         shape=shape,
         dtype=encoding.stored,
         chunks=row_chunk if item.in_rows else tuple(max(1, size) for size in shape),
-        filters=[Delta(dtype=np.dtype(encoding.stored).str)] if encoding.delta and not portable else None,
-        compressors=[BloscCodec(cname="zstd", clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
+        filters=[Delta(dtype=np.dtype(encoding.stored).str)] if delta else None,
+        compressors=[BloscCodec(cname=COMPRESSOR, clevel=COMPRESSION_LEVEL, shuffle="shuffle")],
         fill_value=encoding.fill,
         attributes={**item.attributes, **encoding.attributes()},
         dimension_names=item.dims,
@@ -249,27 +254,24 @@ def _write_array(
     if not item.in_rows:
         array[...] = blocks[0]
         return
-    # One chunk a call: of several, Zarr would go on writing some after one was refused by a full
-    # disk, into a staging folder that is already being removed.
+    writer, rest = ChunkWriter(folder / item.name, delta), (0,) * (len(inner) - 1)
     for index, block in enumerate(blocks):
-        rows = slice(index * block.shape[0], (index + 1) * block.shape[0])
-        for part in [slice(one, one + 1) for one in range(*inner)] if components else [slice(None)]:
-            array[(rows, part) if inner else rows] = block[:, part] if inner else block
+        for part in range(inner[0]) if components else range(1):
+            values = block[:, part : part + 1] if components else block
+            writer.write((index, part, *rest) if inner else (index,), values)
 
 
-def _read_back(folder: Path, item: Variable, blocks: Sequence[Array]) -> None:
-    """Compare an array on disk with what it was written from, through a fresh reader."""
+def _read_back(folder: Path, item: Variable, block: Array) -> None:
+    """Compare the first day of an array on disk with what it was written from, as any Zarr reader has it."""
     array = zarr.open_array(folder, mode="r")
-    rows = blocks[0].shape[0] if item.in_rows else 0
-    for index, block in enumerate(blocks):
-        found = np.asarray(array[index * rows : (index + 1) * rows] if item.in_rows else array[...])
-        if found.dtype != block.dtype or found.shape != block.shape or found.tobytes() != block.tobytes():
-            raise IntegrityError(
-                f"block {index} reads back differently from what was written",
-                file=str(folder),
-                channel=item.name,
-                remedy="check the disk, then run again",
-            )
+    found = np.asarray(array[: block.shape[0]] if item.in_rows else array[...])
+    if found.dtype != block.dtype or found.shape != block.shape or found.tobytes() != block.tobytes():
+        raise IntegrityError(
+            "an array reads back differently from what was written",
+            file=str(folder),
+            channel=item.name,
+            remedy="check the disk, then run again",
+        )
 
 
 def _check_metadata(folder: Path, contents: Sequence[Variable]) -> None:

@@ -38,6 +38,8 @@ _KAISER_BETA = 10.0
 _SAME_STAMP = 2e-5
 #: Cadences that differ by less than this part are the same cadence.
 _SAME_CADENCE = 1e-3
+#: Targets that are looked at first: one that lies between stamps decides.
+_GLANCE = 64
 #: Stamps the usual distance is taken from.
 _TELLING = 2001
 _REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE
@@ -138,8 +140,9 @@ def _between(
     own_flags: npt.NDArray[np.uint32] | None = None,
 ) -> tuple[Floats, str]:
     """Carry values from stamps to targets by the method that fits name and cadence."""
-    if np.array_equal(stamps, target):
-        return values, "exact"
+    same = _stretch_of(stamps, target)
+    if same is not None:
+        return values[same], "exact"
     shape = (target.size, *values.shape[1:])
     if stamps.size == 0:
         return np.full(shape, np.nan), "none"
@@ -169,8 +172,17 @@ def _usual_step(stamps: Int64) -> int:
     return int(np.median(np.diff(stamps[:_TELLING]))) if stamps.size > 1 else 1
 
 
+def _stretch_of(stamps: Int64, target: Int64) -> slice | None:
+    """Return where the targets are among the stamps when they are a stretch of them, else None."""
+    first = int(np.searchsorted(stamps, target[0])) if target.size else 0
+    stretch = slice(first, first + target.size)
+    return stretch if np.array_equal(stamps[stretch], target) else None
+
+
 def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:
     """Return where the targets are among the stamps, or None when they run between them."""
+    if target.size > _GLANCE and _pick(stamps, target[:: target.size // _GLANCE][:_GLANCE], cadence) is None:
+        return None
     right = np.clip(np.searchsorted(stamps, target), 1, max(stamps.size - 1, 1))
     left = right - 1
     right = np.minimum(right, stamps.size - 1)
@@ -211,14 +223,19 @@ def _own_flags(series: xr.DataArray) -> npt.NDArray[np.uint32] | None:
 @numba.njit(cache=True, nogil=True)
 def _linear(stamps: Int64, values: Floats, target: Int64, widest: float) -> Floats:  # pragma: no cover
     out = np.full((target.size, values.shape[1]), np.nan)
-    right = np.searchsorted(stamps, target)
+    j = 0
     for i in range(target.size):
-        j = right[i]
+        # Both increase: what is past for one target is past for the next.
+        while j < stamps.size and stamps[j] < target[i]:
+            j += 1
         if j < stamps.size and stamps[j] == target[i]:
-            out[i] = values[j]
+            for column in range(values.shape[1]):
+                out[i, column] = values[j, column]
         elif 0 < j < stamps.size and stamps[j] - stamps[j - 1] <= widest:
             part = (target[i] - stamps[j - 1]) / (stamps[j] - stamps[j - 1])
-            out[i] = values[j - 1] + part * (values[j] - values[j - 1])
+            for column in range(values.shape[1]):
+                before = values[j - 1, column]
+                out[i, column] = before + part * (values[j, column] - before)
     return out
 
 

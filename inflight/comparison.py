@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE
 from inflight.folding import Folding
 from inflight.sensors import Sensor, sensors_of
-from inflight.time import SECOND, Int64
+from inflight.time import SECOND, Int64, usual_step
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
@@ -174,7 +174,7 @@ def rows_of(model: Model, samples: xr.Dataset) -> Rows:
             f"the samples have no {' and no '.join(repr(role) for role in missing)} reading",
             remedy="align the comparison's sensors",
         )
-    return _KINDS[layout.kind](layout, model.correct(samples))
+    return _KINDS[layout.kind](layout, cast("xr.Dataset", model.corrected(samples)))
 
 
 def filter_rows(
@@ -336,4 +336,4 @@ def _step(samples: xr.Dataset) -> float:
 
 
 def _step_of(stamps: Int64) -> float:
-    return float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    return usual_step(stamps, SECOND) / SECOND

@@ -6,11 +6,12 @@ Frames: *sensor* (orthogonal axes of the vector sensor), *spacecraft*, *itrf* (E
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
@@ -24,8 +25,11 @@ from inflight.sun import (
     to_date,
     turn_with_earth,
 )
-from inflight.time import SECOND, Int64
+from inflight.time import SECOND, Int64, usual_step
 from inflight.units import factor_and_offset
+
+#: A quaternion shorter than this is none.
+_SHORTEST = 0.5
 
 
 def rotate(field: Floats, quaternion: Floats) -> Floats:
@@ -43,12 +47,18 @@ def rotate(field: Floats, quaternion: Floats) -> Floats:
     ndarray, shape (time, 3)
     """
     if quaternion.ndim == 1:
-        return np.asarray(Rotation.from_quat(quaternion).apply(field))
-    out = np.full_like(field, np.nan)
-    norm = np.linalg.norm(quaternion, axis=1)
-    good = np.isfinite(norm) & (norm > 0.5)
-    if good.any():
-        out[good] = Rotation.from_quat(quaternion[good]).apply(field[good])
+        return np.asarray(field @ Rotation.from_quat(quaternion).as_matrix().T)
+    x, y, z, w = np.ascontiguousarray(quaternion.T)
+    vx, vy, vz = np.ascontiguousarray(field.T)
+    size = x * x + y * y + z * z + w * w
+    with np.errstate(invalid="ignore", divide="ignore"):
+        twice = np.where(size > _SHORTEST**2, 2.0 / size, np.nan)
+    # v + 2 w (q x v) + 2 q x (q x v), of a quaternion whose length is its own affair.
+    tx, ty, tz = twice * (y * vz - z * vy), twice * (z * vx - x * vz), twice * (x * vy - y * vx)
+    out = np.empty_like(field)
+    out[:, 0] = vx + w * tx + y * tz - z * ty
+    out[:, 1] = vy + w * ty + z * tx - x * tz
+    out[:, 2] = vz + w * tz + x * ty - y * tx
     return out
 
 
@@ -135,6 +145,10 @@ GEOMETRY = {
     "sunlit": "1",
     "sun_direction": "1",
 }
+#: Variables of samples that tell them.
+_TELLING = ("tt2000", "position", "attitude", "vector", "inboard")
+#: Those that the orbit's plane tells.
+_PHASES = ("orbit_phase", "sun_phase")
 #: Those that a slow response or a play may be made of: positions alone tell them.
 SLOW_GEOMETRY = ("sunlit", "latitude")
 #: Two positions this far apart in time tell the orbit's plane, seconds: further than their rounding matters.
@@ -143,7 +157,7 @@ _PLANE_STEP = 60.0
 _LEAST_INCLINATION = 0.01
 
 
-def add_geometry(samples: xr.Dataset) -> xr.Dataset:
+def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) -> xr.Dataset:
     """Add what position and attitude say of a sample; at any cadence, with gaps.
 
     Parameters
@@ -153,6 +167,8 @@ def add_geometry(samples: xr.Dataset) -> xr.Dataset:
         `attitude` (time, quaternion) from spacecraft axes to its attribute `frame` (itrf, gcrf or
         nec); a vector reading with attribute `orientation`, the quaternion from sensor to
         spacecraft axes (the same axes when absent).
+    names : collection of str
+        Of `GEOMETRY`, what is wanted.
 
     Returns
     -------
@@ -163,31 +179,78 @@ def add_geometry(samples: xr.Dataset) -> xr.Dataset:
         axis), unit vector in the vector sensor's axes. Nothing is added without a position in a
         known frame, no Sun direction without an attitude, and nothing that is there is replaced.
     """
+    place = _place(samples)
+    if place is None:
+        return samples
+    missing = [name for name in names if name not in samples]
+    normal = _orbit_normal(place) if set(missing) & set(_PHASES) else None
+    return samples.assign(_variables(_told(samples, place, normal, missing)))
+
+
+def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, xr.Variable]:
+    """Return what `add_geometry` adds, at some samples only.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        As `add_geometry` takes them.
+    rows : ndarray of int, shape (row,)
+        Which samples.
+
+    Returns
+    -------
+    dict of Variable
+        dims (time,) or (time, axis), as long as `rows`.
+    """
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    samples = samples[[name for name in _TELLING if name in samples]]
+    before, after, longest = _beside(stamps, rows)
+    around = np.unique(np.concatenate([before, rows, after]))
+    place = _place(samples.isel(time=around))
+    if place is None:
+        return {}
+    normal, known = _normals(place, np.searchsorted(around, before), np.searchsorted(around, after), longest)
+    if not known.all():
+        # Beside a gap the orbit's plane comes from farther away.
+        whole = add_geometry(samples)
+        return {name: whole[name].variable.isel(time=rows) for name in GEOMETRY if name in whole}
+    here = np.searchsorted(around, rows)
+    return _variables(_told(samples.isel(time=rows), place.rows(here), normal, list(GEOMETRY)))
+
+
+def _variables(found: Mapping[str, Floats]) -> dict[str, xr.Variable]:
+    return {
+        name: xr.Variable(("time", "axis")[: values.ndim], values, {"units": GEOMETRY[name]})
+        for name, values in found.items()
+    }
+
+
+def _place(samples: xr.Dataset) -> _Place | None:
+    """Return where the samples were taken; None without a position in a known frame."""
     position = samples.get("position")
     if position is None or position.attrs.get("frame") not in ("itrf", "gcrf") or not samples.sizes["time"]:
-        return samples
+        return None
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
-    place = _Place.of(np.asarray(position.values, dtype=np.float64), position.attrs, stamps)
-    latitude, longitude = latitude_longitude(place.fixed)
-    phase, sun_phase = _phases(place)
-    found = {
-        "latitude": latitude,
-        "longitude": longitude,
-        "orbit_phase": phase,
-        "sun_phase": sun_phase,
-        "local_time": (24.0 * ((place.days + 0.5) % 1.0) + longitude / 15.0) % 24.0,
-        "sunlit": sunlit_fraction(place.inertial, place.sun),
-    }
-    towards = _sun_in_sensor(samples, place)
+    return _Place.of(np.asarray(position.values, dtype=np.float64), position.attrs, stamps)
+
+
+def _told(
+    samples: xr.Dataset, place: _Place, normal: Floats | None, names: Collection[str]
+) -> dict[str, Floats]:
+    """Return what is wanted of places; the orbit's normal is needed for its phases only."""
+    found: dict[str, Floats] = {}
+    if {"latitude", "longitude", "local_time"} & set(names):
+        latitude, longitude = latitude_longitude(place.fixed)
+        hours = (24.0 * ((place.days + 0.5) % 1.0) + longitude / 15.0) % 24.0
+        found |= {"latitude": latitude, "longitude": longitude, "local_time": hours}
+    if normal is not None:
+        found |= dict(zip(_PHASES, _phases(place, normal), strict=True))
+    if "sunlit" in names:
+        found["sunlit"] = sunlit_fraction(place.inertial, place.sun)
+    towards = _sun_in_sensor(samples, place) if "sun_direction" in names else None
     if towards is not None:
         found["sun_direction"] = towards
-    return samples.assign(
-        {
-            name: (("time", "axis")[: values.ndim], values, {"units": GEOMETRY[name]})
-            for name, values in found.items()
-            if name not in samples
-        }
-    )
+    return {name: found[name] for name in GEOMETRY if name in found and name in names}
 
 
 @dataclass(frozen=True)
@@ -212,10 +275,13 @@ class _Place:
             fixed, inertial = given, turn_with_earth(given, days, 1)
         return cls(stamps, days, fixed, inertial, sun_direction(days))
 
+    def rows(self, index: Int64) -> _Place:
+        """Return some of the places."""
+        return _Place(*(getattr(self, field.name)[index] for field in fields(self)))
 
-def _phases(place: _Place) -> tuple[Floats, Floats]:
+
+def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
     """Return the angles along the orbit from the ascending node, and from the point nearest the Sun; deg."""
-    normal = _orbit_normal(place)
     node = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
     node[np.hypot(node[:, 0], node[:, 1]) < _LEAST_INCLINATION] = (1.0, 0.0, 0.0)
     ahead = np.cross(normal, node)
@@ -229,23 +295,32 @@ def _phases(place: _Place) -> tuple[Floats, Floats]:
     return np.rad2deg(phase) % 360.0, np.rad2deg(phase - angle(place.sun)) % 360.0
 
 
+def _beside(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
+    """Return the samples on both sides that tell the orbit's plane, and their longest distance, ns."""
+    usual = usual_step(stamps[:2000], SECOND)
+    reach = max(1, round(0.5 * _PLANE_STEP * SECOND / usual))
+    return np.maximum(rows - reach, 0), np.minimum(rows + reach, stamps.size - 1), 1.5 * 2 * reach * usual
+
+
+def _normals(
+    place: _Place, before: Int64, after: Int64, longest: float
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Return unit vectors along the orbital angular momentum (row, 3), of date, and which are known."""
+    normal = np.cross(place.inertial[before], place.inertial[after])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # Across a gap the two may be half an orbit apart and tell the opposite plane.
+    close = place.tt2000[after] - place.tt2000[before] <= longest
+    return normal, np.asarray(np.isfinite(normal).all(axis=1) & close)
+
+
 def _orbit_normal(place: _Place) -> Floats:
     """Return the unit vector along the orbital angular momentum; (time, 3), of date.
 
     From two positions around each sample, a minute apart or one sample either way; where one is
     missing, from the nearest places that have both.
     """
-    count = len(place.inertial)
-    usual = float(np.median(np.diff(place.tt2000[:2000]))) / SECOND if count > 1 else 1.0
-    reach = max(1, round(0.5 * _PLANE_STEP / usual))
-    index = np.arange(count)
-    before, after = np.maximum(index - reach, 0), np.minimum(index + reach, count - 1)
-    normal = np.cross(place.inertial[before], place.inertial[after])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # Across a gap the two may be half an orbit apart and tell the opposite plane.
-    close = place.tt2000[after] - place.tt2000[before] <= 1.5 * 2 * reach * usual * SECOND
-    known = np.isfinite(normal).all(axis=1) & close
+    normal, known = _normals(place, *_beside(place.tt2000, np.arange(len(place.inertial))))
     if not known.any():
         return np.full_like(normal, np.nan)
     stamps = place.tt2000 - place.tt2000[0]

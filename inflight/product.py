@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import BIWEIGHT_WIDTH, robust_sigma
-from inflight.calibration.sensor import Reference, split_chain, usable
+from inflight.calibration.sensor import Reference, sensor_reading, usable
 from inflight.effects.base import strength
 from inflight.errors import ModelError, SamplesError
 from inflight.estimators.distribution import Distribution
@@ -20,6 +21,7 @@ from inflight.model import Model
 from inflight.time import to_utc
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
+_Variables = dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]]
 
 
 @dataclass(frozen=True)
@@ -70,18 +72,18 @@ def level2(
         channel makes it unknown; `flag` (time) uint32;
         `latitude`, `longitude` when the position is known.
     """
-    corrected = model.correct(samples)
-    field = np.asarray(corrected["field"].values)
-    scalar = np.asarray(corrected["scalar"].values)
-    residual = strength(corrected) - scalar
-    reading, additive, _ = split_chain(model, samples)
-    flag = _quality(samples, reading, additive, scalar, residual, parameters)
+    found = model.corrected(samples)
+    light = cast("xr.Dataset", found)
+    field, scalar = (np.asarray(found[name].values) for name in ("field", "scalar"))
+    residual = strength(light) - scalar
+    reading = sensor_reading(model, samples)
+    flag = _quality(samples, reading, field, scalar, residual, parameters)
     spread = _distribution(field, residual, samples, flag) if distribute is not None else None
     if spread is not None and distribute:
         field = field - spread.correction
     sensor = next(entry.sensor for entry in model.effects if entry.sensor.role == "vector")
     body = rotate(field, np.asarray(sensor.orientation))
-    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]] = {
+    variables: _Variables = {
         "field_sensor": (_VECTOR, field, _told("calibrated field", "sensor")),
         "field_spacecraft": (_VECTOR, body, _told("calibrated field", "spacecraft")),
         "scalar": (_SCALAR, scalar, _told("calibrated field strength of the scalar sensor")),
@@ -97,23 +99,40 @@ def level2(
             _told("one sigma", "sensor"),
         ),
     }
+    variables |= _corrections(model, light, spread, distribute)
+    flag = _geometry(variables, samples, body, flag)
+    return _product(variables, flag, samples, model.comparison)
+
+
+def _corrections(
+    model: Model, corrected: xr.Dataset, spread: Distribution | None, distribute: bool | None
+) -> _Variables:
+    """Return what was taken out of the readings, effect by effect, and what distributes the residual."""
+    out: _Variables = {}
     for name, term in model.correction_terms(corrected).items():
-        dims = _VECTOR if term.ndim == 2 else _SCALAR
-        variables[f"correction_{name}"] = (
-            dims,
-            term,
-            _told(f"taken out of the reading: {name}", "sensor" if term.ndim == 2 else ""),
-        )
+        told = _told(f"taken out of the reading: {name}", "sensor" if term.ndim == 2 else "")
+        out[f"correction_{name}"] = (_VECTOR if term.ndim == 2 else _SCALAR, term, told)
     if spread is not None:
         told = _told("slow part of the residual along the field (Yin 2010, eq. 3.7)", "sensor")
         told |= {"applied": "yes" if distribute else "no", "period_s": spread.period, "rms_nT": spread.rms}
-        variables["correction_distribution"] = (_VECTOR, spread.correction, told)
-    flag = _geometry(variables, samples, body, flag)
-    masks, names = meanings()
-    out = xr.Dataset(variables, coords={"axis": ["x", "y", "z"]}, attrs={"comparison": model.comparison})
-    out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
-    out["tt2000"] = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
+        out["correction_distribution"] = (_VECTOR, spread.correction, told)
     return out
+
+
+def _product(
+    variables: _Variables,
+    flag: np.ndarray[tuple[int], np.dtype[np.uint32]],
+    samples: xr.Dataset,
+    comparison: str,
+) -> xr.Dataset:
+    masks, names = meanings()
+    told = {"flag_masks": masks, "flag_meanings": names}
+    stamps = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
+    return xr.Dataset(
+        {**variables, "flag": (_SCALAR, flag, told), "tt2000": stamps},
+        coords={"axis": ["x", "y", "z"]},
+        attrs={"comparison": comparison},
+    )
 
 
 def _distribution(
@@ -135,16 +154,16 @@ def _told(what: str, frame: str = "") -> dict[str, object]:
 def _quality(
     samples: xr.Dataset,
     reading: Floats,
-    additive: Floats,
+    field: Floats,
     scalar: Floats,
     residual: Floats,
     known: Parameters,
 ) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
     flag = samples["flag"].values.astype(np.uint32)
     missing = np.uint32(Flag.VECTOR_MISSING | Flag.SCALAR_MISSING)
-    lost = ~(np.isfinite(reading.sum(axis=1)) & np.isfinite(additive.sum(axis=1)) & np.isfinite(scalar))
+    lost = ~(np.isfinite(reading.sum(axis=1)) & np.isfinite(field.sum(axis=1)) & np.isfinite(scalar))
     flag[lost & (flag & missing == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
-    good = usable(samples, reading, additive, scalar) & np.isfinite(residual)
+    good = usable(samples, reading, field, scalar) & np.isfinite(residual)
     if good.any():
         # Half the weight of the biweight is lost at this many sigmas.
         half = BIWEIGHT_WIDTH * np.sqrt(1.0 - np.sqrt(0.5))
@@ -188,7 +207,7 @@ def _widened(sigma: Floats, variance: Floats | None) -> Floats:
 
 
 def _geometry(
-    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]],
+    variables: _Variables,
     samples: xr.Dataset,
     body: Floats,
     flag: np.ndarray[tuple[int], np.dtype[np.uint32]],

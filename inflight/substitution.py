@@ -217,6 +217,7 @@ def substitute(
     samples: xr.Dataset,
     typical: Mapping[str, Typical],
     ranges: Mapping[str, tuple[float, float]] | None = None,
+    missing: Mapping[str, Rows] | None = None,
 ) -> Substituted | None:
     """Put typical values in the place of what is missing of a model's channels.
 
@@ -230,13 +231,15 @@ def substitute(
         By name in the samples; of a derived channel, that of the series it is made from.
     ranges : mapping of str to (float, float), optional
         Possible values of channels, beside `GEOMETRY_RANGES`.
+    missing : mapping of str to ndarray of bool, optional
+        As `missing_rows` returns it; looked for when absent.
 
     Returns
     -------
     Substituted or None
         None when nothing is missing.
     """
-    rows = missing_rows(model, samples)
+    rows = missing_rows(model, samples) if missing is None else missing
     if not rows:
         return None
     out = samples
@@ -258,15 +261,25 @@ def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
 
     A channel is not missed where the sensor has no reading that its effect could be taken out of.
     """
-    found: dict[str, Rows] = {}
+    users: dict[str, set[str]] = {}
     for entry in model.effects:
-        reading = np.asarray(samples[entry.sensor.role].values, dtype=np.float64)
-        there = np.isfinite(reading if reading.ndim == 1 else reading.sum(axis=1))
-        for name in sorted(_factors(entry, samples)):
-            lost = ~np.isfinite(np.asarray(samples[name].values, dtype=np.float64))
-            lost &= there if lost.ndim == 1 else there[:, None]
-            found[name] = found[name] | lost if name in found else lost
-    return {name: found[name] for name in sorted(found) if found[name].any()}
+        for name in _factors(entry, samples):
+            users.setdefault(name, set()).add(entry.sensor.role)
+    found: dict[str, Rows] = {}
+    for name in sorted(users):
+        unknown = ~np.isfinite(np.asarray(samples[name].values, dtype=np.float64))
+        if not unknown.any():
+            continue
+        read = np.logical_or.reduce([_is_read(samples, role) for role in users[name]])
+        lost = unknown & (read if unknown.ndim == 1 else read[:, None])
+        if lost.any():
+            found[name] = lost
+    return found
+
+
+def _is_read(samples: xr.Dataset, role: str) -> Rows:
+    reading = np.asarray(samples[role].values, dtype=np.float64)
+    return np.asarray(np.isfinite(reading if reading.ndim == 1 else reading.sum(axis=1)))
 
 
 class _LeftOut(Effect):
@@ -323,7 +336,7 @@ def _assigned(samples: xr.Dataset, name: str, values: Floats) -> xr.Dataset:
 
 
 def _fields(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats]:
-    corrected = model.correct(samples)
+    corrected = model.corrected(samples)
     return np.asarray(corrected["field"].values), np.asarray(corrected["scalar"].values)
 
 

@@ -137,6 +137,22 @@ def day_of(tt2000: npt.ArrayLike) -> Datetimes:
     return to_utc(tt2000).astype("datetime64[D]")
 
 
+def usual_step(stamps: Int64, alone: int = 1) -> int:
+    """Return the median distance of neighbouring stamps, ns; `alone` for fewer than two.
+
+    Steps are nearly all alike, which is what a partition is slowest at: the one that most stamps have is
+    looked at first.
+    """
+    if stamps.size < 2:
+        return alone
+    steps = np.diff(stamps)
+    likely = steps[steps.size // 2]
+    below, upto = int(np.count_nonzero(steps < likely)), int(np.count_nonzero(steps <= likely))
+    if below <= (steps.size - 1) // 2 and upto > steps.size // 2:
+        return int(likely)
+    return int(np.median(steps))
+
+
 def as_day(day: DayLike) -> np.datetime64:
     """Return a UTC day as datetime64[D]."""
     return cast("np.datetime64", np.array(day, dtype="datetime64[D]")[()])

@@ -29,8 +29,8 @@ from inflight.errors import CalibrationError, InflightError
 from inflight.flags import UNUSABLE, Flag, tally
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.samples import ArchiveIndex, Need, load_samples
-from inflight.time import SECOND, day_bounds
+from inflight.tasks.samples import ArchiveIndex, Need, kept_readings, load_samples
+from inflight.time import SECOND, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the normal equations change.
 EQUATIONS_VERSION = 2
@@ -134,7 +134,7 @@ def make_days(
         The segment, and why days are not in it.
     """
     outcome, made = Outcome(), []
-    with threadpool_limits(1):
+    with threadpool_limits(1), kept_readings():
         for day in job.days:
             try:
                 dataset, report = make(day)
@@ -256,7 +256,7 @@ class _Begun:
         )
         parts = split_chain(model, samples)
         cadence = mission.instruments[mission.comparisons[model.comparison].instruments()["vector"]].cadence
-        step = int(np.median(np.diff(samples["tt2000"].values))) if samples.sizes["time"] > 1 else cadence
+        step = usual_step(np.asarray(samples["tt2000"].values), cadence)
         good = usable(samples, *parts)
         return cls(job, day, samples, prior, at, parts, good, step, reference is not None)
 

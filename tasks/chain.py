@@ -7,7 +7,7 @@ channels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,13 +26,14 @@ from inflight.estimators.contrasts import in_amperes
 from inflight.estimators.current_steps import find_steps
 from inflight.estimators.epochs import epochs_of
 from inflight.estimators.torquer_band import band_equations
-from inflight.geometry import direction_of
+from inflight.geometry import direction_of, geometry_at
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
 from inflight.tasks.chain_parts import alike, pack_parts
 from inflight.tasks.needs import channel_homes, position_channel
-from inflight.time import Int64, day_bounds
+from inflight.tasks.samples import own_readings
+from inflight.time import Int64, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the chain's days change.
 CHAIN_VERSION = 3
@@ -86,14 +87,14 @@ class Witnesses:
         return cls(tuple(currents), torquers[0] if torquers else "", tuple(warm), orbit)
 
     @property
-    def electric(self) -> tuple[str, ...]:
-        """All currents."""
-        return (*self.currents, *((self.torquer,) if self.torquer else ()))
-
-    @property
     def names(self) -> tuple[str, ...]:
         """All of them."""
-        return (*self.electric, *self.temperatures)
+        return (*self.driven, *self.temperatures)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """All currents."""
+        return (*self.currents, *((self.torquer,) if self.torquer else ()))
 
     @property
     def beside(self) -> Beside:
@@ -134,23 +135,24 @@ def chain_day(
         "cadence_ns": fitted.step,
         "filter": "raw",
     }
+    means = _means(
+        _currents(fitted.samples, witnesses.driven) | _temperatures(cat, job, day, witnesses.temperatures)
+    )
     if not fitted.fit.used:
         # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
-        empty = empty_equations(model, span, attributes).dataset.assign(_own_fit(fitted.fit))
-        return pack_parts(empty, {"channel": _means(fitted.samples, witnesses.electric)}), fitted.report
-    wide, strip = wide_and_beside(
-        model, fitted.samples, fitted.fit.value, span, attributes, beside=witnesses.beside
-    )
-    rows = rows_of(with_nine(model, fitted.fit.value), fitted.samples)
+        empty = empty_equations(model, span, attributes).assign(_own_fit(fitted.fit))
+        return pack_parts(empty, {"channel": means}), fitted.report
+    own = with_nine(model, fitted.fit.value)
+    rows = rows_of(own, fitted.samples)
+    wide, strip = wide_and_beside(own, fitted.samples, rows, span, attributes, beside=witnesses.beside)
     residual = np.where(rows.good, rows.residual[:, 0], np.nan)
     parts = {
         "band": _band(fitted.samples, residual, rows, witnesses),
         "epoch": _epochs(fitted.samples, residual, rows, witnesses),
-        "channel": _means(fitted.samples, witnesses.electric),
+        "channel": means,
         "beside": strip,
     }
-    dataset = wide.dataset.assign(_own_fit(fitted.fit))
-    return pack_parts(dataset, parts), fitted.report
+    return pack_parts(wide.assign(_own_fit(fitted.fit)), parts), fitted.report
 
 
 def _own_fit(fit: BlockFit) -> dict[str, Any]:
@@ -184,14 +186,28 @@ def _epochs(samples: xr.Dataset, residual: Floats, rows: Rows, witnesses: Witnes
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     channel = samples[there[0]]
     own = _own_readings(stamps, channel)
-    with_field = samples.assign(field=(("time", "axis"), rows.field, {"units": "nT"}))
     try:
         values = np.asarray(channel.values, dtype=np.float64)[own]
         steps = find_steps(stamps[own], values, unit=str(channel.attrs["units"]))
-        found = epochs_of(with_field, residual, steps, channel=there[0], others=there[1:])
+        known = {name: samples[name].variable for name in ("tt2000", "weight", *there) if name in samples}
+        known["field"] = xr.Variable(("time", "axis"), rows.field, {"units": "nT"})
+        known |= _where(samples, np.searchsorted(stamps, steps.time))
+        found = epochs_of(xr.Dataset(known), residual, steps, channel=there[0], others=there[1:])
     except SamplesError:
         return None
     return found if found.sizes["epoch"] else None
+
+
+def _where(samples: xr.Dataset, rows: Int64) -> dict[str, xr.Variable]:
+    """Return places of the orbit at some samples, NaN at all others."""
+    count = samples.sizes["time"]
+    rows = np.unique(np.minimum(rows, count - 1))
+    out = {}
+    for name, told in (geometry_at(samples, rows) if rows.size else {}).items():
+        whole = np.full((count, *told.shape[1:]), np.nan)
+        whole[rows] = told.values
+        out[name] = xr.Variable(told.dims, whole, told.attrs)
+    return out
 
 
 def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
@@ -200,25 +216,42 @@ def _own_readings(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]
     What alignment put between two readings knows nothing of steps, and has none of their noise.
     """
     cadence = int(channel.attrs.get("cadence_ns", 0))
-    usual = int(np.median(np.diff(stamps))) if stamps.size > 1 else cadence
+    usual = usual_step(stamps, cadence)
     if cadence <= usual:
         return np.ones(stamps.size, dtype=bool)
     number = (stamps - stamps[0] + usual // 2) // cadence
     return np.asarray(np.concatenate([[True], np.diff(number) > 0]))
 
 
-def _means(samples: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return mean, spread and number of the readings of channels over the day, component by component; A."""
-    titles, rows = [], []
+def _currents(samples: xr.Dataset, names: Sequence[str]) -> dict[str, Floats]:
+    """Return currents at the samples, component by component; A."""
+    out = {}
     for name in (one for one in names if one in samples):
         values, _ = in_amperes(samples[name])
         for index, column in enumerate(values.reshape(len(values), -1).T):
-            known = column[np.isfinite(column)]
-            titles.append(name if values.ndim == 1 else f"{name}[{'xyz'[index] if index < 3 else index}]")
-            told = (known.mean(), known.std()) if known.size else (np.nan, np.nan)
-            rows.append((*told, float(known.size)))
+            out[name if values.ndim == 1 else f"{name}[{'xyz'[index] if index < 3 else index}]"] = column
+    return out
+
+
+def _temperatures(cat: Catalog, job: Job, day: np.datetime64, names: Sequence[str]) -> dict[str, Floats]:
+    """Return a day's own readings of temperatures, each at its own cadence; empty ones of what is missing."""
+    out = {}
+    for need in job.needs:
+        if need.name in names and need.part is None:
+            found = own_readings(cat, job.index, need, day)
+            out[need.name] = np.zeros(0) if found is None else np.asarray(found, dtype=np.float64)
+    return out
+
+
+def _means(series: Mapping[str, Floats]) -> xr.Dataset:
+    """Return mean, spread and number of known values of channels over the day."""
+    rows = []
+    for values in series.values():
+        known = values[np.isfinite(values)]
+        told = (known.mean(), known.std()) if known.size else (np.nan, np.nan)
+        rows.append((*told, float(known.size)))
     table = np.array(rows, dtype=np.float64).reshape(-1, 3)
     return xr.Dataset(
         {name: ("channel", table[:, place]) for place, name in enumerate(("mean", "spread", "count"))},
-        coords={"channel": titles},
+        coords={"channel": list(series)},
     )

@@ -10,7 +10,6 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
-from inflight.catalog import Catalog, Day
 from inflight.chain import Continuous
 from inflight.chain.daily import daily_parameters, shift_columns
 from inflight.errors import CalibrationError, InflightError, SamplesError
@@ -20,8 +19,9 @@ from inflight.estimators.node_time import node_local_time
 from inflight.estimators.periods import KNOWN_PERIODS, ParameterSpectrum, parameter_spectrum
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.needs import channel_homes
-from inflight.time import DAY, day_bounds
+from inflight.tasks.chain import Witnesses
+from inflight.tasks.chain_parts import means_of_channels
+from inflight.time import DAY
 
 #: Shortest period that daily values are asked for, days.
 SHORTEST = 10.0
@@ -105,10 +105,13 @@ def node_times(epochs: xr.Dataset) -> Floats | None:
     return node_local_time(*(epochs[name].values for name in ("local_time", "orbit_phase", "latitude")))
 
 
-def daily_temperatures(
-    cat: Catalog, mission: Mission, model: Model, days: Sequence[np.datetime64]
-) -> xr.Dataset:
+def daily_temperatures(mission: Mission, model: Model, read: Sequence[xr.Dataset]) -> xr.Dataset:
     """Return daily means of the temperatures, those the model uses first.
+
+    Parameters
+    ----------
+    read : sequence of Dataset
+        The chain's days.
 
     Returns
     -------
@@ -123,44 +126,27 @@ def daily_temperatures(
         When the mission has no temperature, or none was archived.
     """
     used = {name for entry in model.effects for name in entry.effect.channels}
-    homes = {
-        name: home
-        for name, home in channel_homes(mission).items()
-        if mission.instruments[home[0]].channels[home[1]].kind == "temperature"
-    }
-    names = sorted(homes, key=lambda name: name not in used)
-    table = np.full((len(days), len(names), 3), np.nan)
-    for column, name in enumerate(names):
-        instrument, channel = homes[name]
-        archived = {day.day: day for day in cat.days(f"l1/{instrument}", states=("published",))}
-        for row, day in enumerate(days):
-            if day in archived:
-                table[row, column] = _mean_of(cat, archived[day], channel)
-    if not np.isfinite(table[..., 0]).any():
+    told = means_of_channels(read)
+    names = sorted(Witnesses.of(mission, model.comparison).temperatures, key=lambda name: name not in used)
+    known = [name for name in names if name in told and np.isfinite(told[name][:, 0]).any()]
+    if not known:
         raise SamplesError(
             f"no day has one of the temperatures {', '.join(names) or '(none are stated)'}",
             remedy="state a channel of kind 'temperature' in the mission's file",
         )
-    each, bounds = ("interval", "channel"), np.array([day_bounds(day) for day in days], dtype=np.int64)
-    units = {"units": "degC"}
+    mean, spread, count = np.stack([told[name] for name in known], axis=1).transpose(2, 0, 1)
+    sigma = spread / np.sqrt(np.clip(count, 1, _TURNS))
+    each, units = ("interval", "channel"), {"units": "degC"}
     return xr.Dataset(
-        {name: (each, table[..., place], units) for place, name in enumerate(("value", "spread", "sigma"))}
-        | {
-            "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
-            "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
+        {
+            "value": (each, mean, units),
+            "spread": (each, spread, units),
+            "sigma": (each, sigma, units),
+            "start": ("interval", np.concatenate([day["start"].values for day in read]), {"scale": "TT2000"}),
+            "end": ("interval", np.concatenate([day["end"].values for day in read]), {"scale": "TT2000"}),
         },
-        coords={"channel": names},
+        coords={"channel": known},
     )
-
-
-def _mean_of(cat: Catalog, day: Day, channel: str) -> tuple[float, float, float]:
-    """Return mean, spread and error of a channel's readings on a day."""
-    values = np.asarray(cat.read(day, [channel])[channel].values, dtype=np.float64)
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return (np.nan,) * 3
-    spread = float(known.std())
-    return float(known.mean()), spread, spread / np.sqrt(min(known.size, _TURNS))
 
 
 def stated_periods(mission: Mission | None) -> dict[str, float]:

@@ -28,7 +28,7 @@ from inflight.tasks.models import current_model
 from inflight.tasks.planning import equations_of, product_of
 from inflight.tasks.report import Progress
 from inflight.tasks.tables import load_equations, span_solution
-from inflight.time import DAY, SECOND, DayLike, day_bounds
+from inflight.time import DAY, SECOND, DayLike, day_bounds, usual_step
 from inflight.wander import daily_wander
 
 #: Means the figures are drawn from: at most so many rows in all, each of at least so many seconds.
@@ -199,7 +199,7 @@ def _count(digest: _Digest, before: Floats, after: Floats) -> None:
 def _add_spectra(digest: _Digest, product: xr.Dataset, before: Floats, after: Floats) -> None:
     """Add a day's noise floor and spectra; missing rows are gaps there too."""
     stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
-    step = int(np.median(np.diff(stamps))) if stamps.size > 1 else SECOND
+    step = usual_step(stamps, SECOND)
     slot = np.round((stamps - stamps[0]) / step).astype(np.int64)
     grid = np.full((int(slot[-1]) + 1, 5), np.nan)
     direction = direction_of(product["field_sensor"].values)

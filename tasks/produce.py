@@ -22,7 +22,7 @@ from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.samples import load_samples
 from inflight.tasks.spin_produce import spin_product
 from inflight.tasks.stand_ins import stand_ins, treated_report
-from inflight.time import day_bounds
+from inflight.time import day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the products change.
 PRODUCT_VERSION = 3
@@ -94,7 +94,7 @@ def produce_day(
         samples, bound, raw = stand.samples, stand.model(bound), stand.model(raw)
     product = _rounded(level2(bound, samples, parameters, raw, widening, distribute))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
-    step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else end - start
+    step = usual_step(np.asarray(product["tt2000"].values), end - start)
     # The numbers as stored, of the samples that `inflight.tasks.compare` takes: both tell one residual.
     measured = (product["flag"].values & np.uint32(UNUSABLE)) == 0
     after = size_of(product["residual"].values[measured])
@@ -127,7 +127,8 @@ def _rounded(product: xr.Dataset) -> xr.Dataset:
     for name, variable in product.data_vars.items():
         step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
         if step is not None and variable.dtype.kind == "f":
-            values = np.round(variable.values / step) * step
+            values = np.rint(variable.values / step)
+            values /= round(1.0 / step)
             rounded[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
     return product.assign(rounded)
 

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import NormalEquations
 from inflight.catalog import Catalog, Day, Run
-from inflight.chain import Continuous, continuous_table, fit_mission
+from inflight.chain import Continuous, continuous_table, fit_mission, rates
 from inflight.errors import CalibrationError, InflightError, SamplesError
 from inflight.estimators.epoch_fits import fit_step
 from inflight.estimators.epochs import join_epochs
@@ -37,7 +36,7 @@ from inflight.tasks.chain_daily import (
     periods_of,
     stated_periods,
 )
-from inflight.tasks.chain_parts import equations_of_days, part_of
+from inflight.tasks.chain_parts import equations_of_days, means_of_channels, part_of
 from inflight.tasks.planning import Plan
 from inflight.tasks.tables import content_keys
 from inflight.time import day_of, to_tt2000
@@ -88,15 +87,15 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
     read = [cat.read(day) for day in ordered]
     settings = made.settings
     origin = None if settings.origin is None else int(to_tt2000(np.datetime64(settings.origin, "ns")))
-    every = equations_of_days(read)
+    every, drift = equations_of_days(read)
     full = np.flatnonzero(every.dataset["count"].values > 0)
-    equations = NormalEquations(every.dataset.isel(block=full))
-    found = fit_mission(equations, made.model, settings.trend, origin)
+    found = fit_mission(every.filled, made.model, settings.trend, origin, drift.of_blocks(full))
     noise = np.array([float(day["after"].values[0]) for day in read])
     # A day that could not be fitted is taken to be as noisy as the others.
     noise = np.where(every.dataset["count"].values > 0, noise, np.median(noise[full]))
     out = Chained(found)
-    out.tables["continuous"] = continuous_table(every, found, noise)
+    every = drift.taken_out(every, rates(found.fit, every))
+    out.tables["continuous"] = continuous_table(every, found, made.model, noise)
     out.tables["trend"] = found.fit.table()
     if found.choice is not None:
         out.tables["trend-choice"] = found.choice.table()
@@ -108,13 +107,13 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
         "current-steps": lambda: fit_step(join_epochs(part_of(read, "epoch"))).table(),
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
-        "daily-after": lambda: daily_after(equations, found),
-        "daily-temperature": lambda: daily_temperatures(cat, _mission(cat, made), made.model, sorted(days)),
+        "daily-after": lambda: daily_after(found.equations, found),
+        "daily-temperature": lambda: daily_temperatures(_mission(cat, made), made.model, read),
         "clock-faults": lambda: _clock_faults(out),
         "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(_mission(cat, made))),
     }
     some = [read[place] for place in full]
-    makers |= beside_makers(_mission(cat, made), made.model, equations, some, found)
+    makers |= beside_makers(_mission(cat, made), made.model, found.equations, some, found)
     for name, make in makers.items():
         try:
             out.tables[name] = make()
@@ -178,18 +177,18 @@ def _panels(read: Sequence[xr.Dataset]) -> xr.Dataset:
 
 def _torquer_mean(read: Sequence[xr.Dataset], window: float) -> xr.Dataset:
     """Return the running mean of the torquer currents, A."""
-    days, value, count = [], [], []
-    for day, part in ((one, part) for one in read for part in part_of([one], "channel")):
-        names = [str(name) for name in part["channel"].values]
-        places = [names.index(name) for name in names if name.endswith(("[x]", "[y]", "[z]"))]
-        if len(places) == 3:
-            days.append(int(day_of(day["start"].values[:1]).astype("datetime64[D]").astype(np.int64)[0]))
-            value.append(part["mean"].values[places])
-            count.append(float(part["count"].values[places].min()))
-    if not days:
+    told = {
+        name: one for name, one in means_of_channels(read).items() if name.endswith(("[x]", "[y]", "[z]"))
+    }
+    if len(told) != 3:
         raise SamplesError("no day has torquer currents", remedy="see the missing days of their channel")
+    value = np.stack([one[:, 0] for one in told.values()], axis=1)
+    count = np.min([one[:, 2] for one in told.values()], axis=0)
+    known = np.isfinite(count)
+    start = np.concatenate([day["start"].values for day in read])
+    days = day_of(start).astype("datetime64[D]").astype(np.int64)
     return (
-        carried_mean(np.array(days), np.array(value), np.array(count), window=window)
+        carried_mean(days[known], value[known], count[known], window=window)
         .table()
         .assign_attrs(window_days=window)
     )

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -214,18 +217,19 @@ def load_samples(
         if need.name not in samples:
             samples[need.name] = _absent(mission, need, samples.sizes["time"])
     samples = _oriented(mission, model, _name_geometry(mission, samples))
-    if geometry or _asks_geometry(model, needs):
-        samples = add_geometry(samples)
+    wanted = GEOMETRY if geometry else _asked_geometry(model, needs)
+    if wanted:
+        samples = add_geometry(samples, wanted)
     samples = _with_products(samples, needs)
     folding = folding_of(mission, model.comparison) if folded else None
     return samples if folding is None else fold(samples, folding, (start, end))
 
 
-def _asks_geometry(model: Model, needs: Sequence[Need]) -> bool:
-    """Return True when a model or a product has a factor that only geometry makes."""
+def _asked_geometry(model: Model, needs: Sequence[Need]) -> set[str]:
+    """Return the factors of a model or a product that only geometry makes."""
     names = {channel for entry in model.effects for channel in entry.effect.channels}
     names |= {name for need in needs for name in need.products}
-    return any(set(name.split("*")) & set(GEOMETRY) for name in names)
+    return {factor for name in names for factor in name.split("*")} & set(GEOMETRY)
 
 
 def _oriented(mission: Mission, model: Model, samples: xr.Dataset) -> xr.Dataset:
@@ -344,12 +348,49 @@ def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
     return np.asarray(told[part.channel].values, dtype=np.float64)
 
 
+class _Kept(threading.local):
+    """Channels that were read last, by place and name, where a batch of days asks for it."""
+
+    rows: OrderedDict[tuple[Any, ...], _Rows] | None = None
+
+
+_KEPT = _Kept()
+#: Channels kept: those of some three days.
+_MOST_KEPT = 48
+
+
+@contextmanager
+def kept_readings() -> Iterator[None]:
+    """Keep channels that were read last: margins of a day are its neighbours', which a batch reads, too."""
+    before, _KEPT.rows = _KEPT.rows, OrderedDict()
+    try:
+        yield
+    finally:
+        _KEPT.rows = before
+
+
+def own_readings(
+    cat: Catalog, index: ArchiveIndex, need: Need, day: np.datetime64
+) -> np.ndarray[Any, Any] | None:
+    """Return a channel's readings of a day as they were archived; None without an archived day."""
+    today = index.get(need, day)
+    return None if today is None else _read(cat, today, need).values
+
+
 def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
-    flagged = need.name in FIELD_ROLES
-    data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], dated=False)
-    series = data[need.channel]
-    flag = data["flag"].values if flagged else None
-    return _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
+    kept, flagged = _KEPT.rows, need.name in FIELD_ROLES
+    key = (day.segment, day.rows, need.channel, flagged)
+    found = kept.pop(key, None) if kept is not None else None
+    if found is None:
+        data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], dated=False)
+        series = data[need.channel]
+        flag = data["flag"].values if flagged else None
+        found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
+    if kept is not None:
+        kept[key] = found
+        if len(kept) > _MOST_KEPT:
+            kept.popitem(last=False)
+    return found
 
 
 def _absent(mission: Mission, need: Need, count: int) -> xr.DataArray:

@@ -40,6 +40,8 @@ def stand_ins(
         The day's, as `inflight.tasks.samples.load_samples` returns them.
     """
     missing = missing_rows(model, samples)
+    if not missing:
+        return None
     wanted = [need for need in needs if need.name in missing]
     found = {
         need.name: typical_value(cat, need, index.typical_days(need, day), day)
@@ -54,7 +56,8 @@ def stand_ins(
     ranges = {
         name: told.range for name, told in channels.items() if told.range is not None and not told.axis_names
     }
-    return substitute(model, samples, {name: one for name, one in found.items() if one is not None}, ranges)
+    known = {name: one for name, one in found.items() if one is not None}
+    return substitute(model, samples, known, ranges, missing)
 
 
 def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetime64) -> Typical | None:

@@ -112,7 +112,8 @@ class NormalEquations:
     @property
     def filled(self) -> Self:
         """The blocks that say something: days without their housekeeping leave empty ones."""
-        return self._pick(np.flatnonzero(self.dataset["count"].values > 0))
+        full = np.flatnonzero(self.dataset["count"].values > 0)
+        return self if full.size == len(self) else self._pick(full)
 
     def within(self, start: int, end: int) -> NormalEquations:
         """Return the blocks that lie in a half-open TT2000 span."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +15,9 @@ from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import ModelError
 from inflight.flags import UNUSABLE
 from inflight.model import Model, ModelEffect
-from inflight.model.chain import correct
+from inflight.model.chain import corrected
 from inflight.model.timed import component_names
+from inflight.plain import PlainSamples
 
 #: Physical size of one scaled unit: 10 ppm, a thousandth of a degree, 1 nT.
 SCALE = np.array([1e-5] * 3 + [1e-3] * 3 + [1.0] * 3)
@@ -100,25 +102,37 @@ def split_chain(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floa
         When an effect behind ``vector_sensor`` is not additive.
     """
     own = vector_sensor_of(model)
-    times = samples["tt2000"].values
-    reading = np.asarray(samples["vector"].values, dtype=np.float64)
-    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
-    place = entries.index(own)
-    for entry in entries[:place]:
-        reading = entry.effect.correct(reading, samples, entry.values(times), entry.sensor)
+    known = PlainSamples.of(samples)
+    light, times = cast("xr.Dataset", known), known["tt2000"].values
+    reading = sensor_reading(model, samples)
     additive = np.zeros((1, 3))
-    for entry in entries[place + 1 :]:
+    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
+    for entry in entries[entries.index(own) + 1 :]:
         if not entry.effect.is_additive:
             raise ModelError(
                 f"effect '{entry.name}' stands behind '{own.name}' but does not only add a field",
                 remedy="list it before the vector_sensor",
             )
-        additive = additive + entry.effect.field(samples, entry.values(times), entry.sensor)
-    field = own.effect.correct(reading, samples, own.values(times), own.sensor) - additive
+        additive = additive + entry.effect.field(light, entry.values(times), entry.sensor)
+    field = own.effect.correct(reading, light, own.values(times), own.sensor) - additive
     # With the field given, and no vector reading to make it from, the scalar sensor's chain is left.
-    known = with_field(samples.drop_vars("vector"), field)
-    scalar = correct([entry for entry in model.effects if entry.sensor.role == "scalar"], known)
+    seen = with_field(cast("xr.Dataset", known.drop_vars(["vector"])), field)
+    scalar = corrected(
+        [entry for entry in model.effects if entry.sensor.role == "scalar"], cast("PlainSamples", seen)
+    )
     return reading, additive, np.asarray(scalar["scalar"].values, dtype=np.float64)
+
+
+def sensor_reading(model: Model, samples: xr.Dataset) -> Floats:
+    """Return what enters the equation of the model's vector sensor; (time, 3) nT."""
+    own = vector_sensor_of(model)
+    known = PlainSamples.of(samples)
+    light, times = cast("xr.Dataset", known), known["tt2000"].values
+    reading = np.asarray(known["vector"].values, dtype=np.float64)
+    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
+    for entry in entries[: entries.index(own)]:
+        reading = entry.effect.correct(reading, light, entry.values(times), entry.sensor)
+    return reading
 
 
 def usable(samples: xr.Dataset, reading: Floats, additive: Floats, scalar: Floats) -> npt.NDArray[np.bool_]:

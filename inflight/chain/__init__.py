@@ -9,14 +9,17 @@ from inflight.chain.wide import (
     wide_equations,
     with_nine,
 )
+from inflight.chain.within import DayDrift, rates
 
 __all__ = [
     "BIN_S",
     "Continuous",
+    "DayDrift",
     "continuous_model",
     "continuous_table",
     "empty_equations",
     "fit_mission",
+    "rates",
     "terms_of",
     "wide_and_beside",
     "wide_equations",

@@ -127,13 +127,13 @@ def _daylight(samples: xr.Dataset, stamps: Int64, edges: Int64, centre: Int64) -
     return np.asarray(told["sunlit"].values), np.asarray(told["sun_phase"].values)
 
 
-def split(equations: NormalEquations, model_columns: Sequence[str], known: Mapping[str, bool]) -> xr.Dataset:
+def split(equations: xr.Dataset, model_columns: Sequence[str], known: Mapping[str, bool]) -> xr.Dataset:
     """Return the strip of one block's columns that are none of the model's.
 
     Parameters
     ----------
-    equations : NormalEquations
-        One block, the model's columns before all others.
+    equations : Dataset
+        One block of `NormalEquations`, the model's columns before all others.
     model_columns : sequence of str
     known : mapping of str to bool
         Whether a column could be formed; the strip of one that could not is 0.
@@ -144,16 +144,15 @@ def split(equations: NormalEquations, model_columns: Sequence[str], known: Mappi
         dims beside, column (the model's and the residual), other (= beside): `cross`, `own` nT^2 scaled;
         `scale`, `known` (beside).
     """
-    data = equations.dataset
     wide = [*model_columns, RESIDUAL]
-    names = [name for name in equations.columns if name not in set(model_columns)]
-    gram = data["gram"].isel(block=0)
+    names = [name for name in equations["column"].values.tolist() if name not in set(wide)]
+    gram = equations["gram"].isel(block=0)
     return xr.Dataset(
         {
             "cross": (("beside", "column"), gram.sel(column=names, other=wide).values, {"units": "nT2"}),
             "own": (("beside", "other"), gram.sel(column=names, other=names).values, {"units": "nT2"}),
-            "scale": ("beside", data["scale"].sel(column=names).values),
-            "known": ("beside", np.array([known[name] for name in names])),
+            "scale": ("beside", equations["scale"].sel(column=names).values),
+            "known": ("beside", np.array([known[name] for name in names], dtype=np.int64)),
         },
         coords={"beside": names, "column": wide, "other": names},
     )
@@ -205,7 +204,7 @@ def joined_with(
 
 def _knows(strip: xr.Dataset, names: Sequence[str]) -> bool:
     have = dict(zip(strip["beside"].values.tolist(), strip["known"].values.tolist(), strict=True))
-    return all(have.get(name, False) for name in names)
+    return all(bool(have.get(name, 0)) for name in names)
 
 
 def of_grams(

@@ -14,10 +14,11 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
-from inflight.calibration.sensor import PARTS, UNITS, vector_sensor_of
+from inflight.calibration.sensor import PARTS, UNITS, reference_of, vector_sensor_of
 from inflight.calibration.solution import residual_sum
 from inflight.calibration.table import SOURCES
 from inflight.chain.wide import about_offsets, terms_of
+from inflight.chain.within import DayDrift, rates
 from inflight.estimators.trend_choice import TrendComparison, compare_trends
 from inflight.estimators.trend_equations import at_one_reference, make_trend, middles
 from inflight.estimators.trend_origin import fit_origin
@@ -42,11 +43,14 @@ class Continuous:
         The kinds of trend on held-out days; None when the kind was stated or the span is short.
     model : Model
         With the fitted values; the scale factors as functions of time.
+    equations : NormalEquations
+        Those that were fitted, without what drifts within the days.
     """
 
     fit: TrendFit
     choice: TrendComparison | None
     model: Model
+    equations: NormalEquations
 
     @property
     def kind(self) -> str:
@@ -55,7 +59,11 @@ class Continuous:
 
 
 def fit_mission(
-    equations: NormalEquations, model: Model, kind: str = "auto", origin: int | None = None
+    equations: NormalEquations,
+    model: Model,
+    kind: str = "auto",
+    origin: int | None = None,
+    drift: DayDrift | None = None,
 ) -> Continuous:
     """Fit all days together.
 
@@ -69,6 +77,8 @@ def fit_mission(
         Trend of the scale factors; ``auto`` compares them on held-out days.
     origin : int, optional
         TT2000 of a logarithm's origin; fitted when absent.
+    drift : DayDrift, optional
+        Of these days: what the trend makes of the scale factors within each day is taken out of it.
 
     Raises
     ------
@@ -77,19 +87,28 @@ def fit_mission(
     """
     sigma = np.array([one for term in terms_of(model) for one in term.sigma])
     common = at_one_reference(equations)
-    names = _nine(model)[:3]
     choice = None
     if kind == "auto":
-        kind, choice = _choose(common, sigma, names, origin)
-    units = _units(model)
+        kind, choice = _choose(common, sigma, _nine(model)[:3], origin)
+    fit = _fitted(common, model, sigma, kind, origin)
+    if drift is not None:
+        # The first fit tells the rates to a part of what they are; they are small themselves.
+        equations = drift.taken_out(equations, rates(fit, equations))
+        fit = _fitted(at_one_reference(equations), model, sigma, kind, origin)
+    return Continuous(fit, choice, continuous_model(model, fit), equations)
+
+
+def _fitted(
+    equations: NormalEquations, model: Model, sigma: Floats, kind: str, origin: int | None
+) -> TrendFit:
+    """Fit one kind of trend to days at one reference."""
+    names, units, times = _nine(model)[:3], _units(model), middles(equations)
     if kind == "log" and origin is None:
-        first = int(middles(common)[0])
-        start = make_trend("log", middles(common), first - (int(middles(common)[-1]) - first) // 4)
-        fit = fit_origin(common, dict.fromkeys(names, start), sigma, units=units)
-    else:
-        trend = make_trend(kind, middles(common), origin if kind == "log" else None)
-        fit = fit_trends(common, dict.fromkeys(names, trend), sigma, units=units)
-    return Continuous(fit, choice, continuous_model(model, fit))
+        first = int(times[0])
+        start = make_trend("log", times, first - (int(times[-1]) - first) // 4)
+        return fit_origin(equations, dict.fromkeys(names, start), sigma, units=units)
+    trend = make_trend(kind, times, origin if kind == "log" else None)
+    return fit_trends(equations, dict.fromkeys(names, trend), sigma, units=units)
 
 
 def _choose(
@@ -122,14 +141,18 @@ def continuous_model(model: Model, fit: TrendFit) -> Model:
     return out.with_values(value, dict(zip(others, fit.sigma[places].tolist(), strict=True)))
 
 
-def continuous_table(equations: NormalEquations, found: Continuous, noise: Floats) -> xr.Dataset:
+def continuous_table(
+    equations: NormalEquations, found: Continuous, before: Model, noise: Floats
+) -> xr.Dataset:
     """Return the calibration table of a continuous fit: one interval a day, without a jump between them.
 
     Parameters
     ----------
     equations : NormalEquations
-        The days'.
+        The days', those that tell nothing among them, without what drifts within a day.
     found : Continuous
+    before : Model
+        What was known before: the prior.
     noise : ndarray, shape (block,)
         Rms residual of the native samples at each day's own fit, nT.
 
@@ -139,11 +162,12 @@ def continuous_table(equations: NormalEquations, found: Continuous, noise: Float
         As `inflight.calibration.calibration_table`.
     """
     fit, names = found.fit, _nine(found.model)
+    prior = reference_of(before, int(middles(equations)[0]))
     common = at_one_reference(equations)
     data, times = common.dataset, middles(common)
     order = [list(fit.trends).index(name) for name in names]
-    value = fit.at(times)[0]
-    slope = fit.slopes(times)[:, order]
+    value = fit.values(times)
+    slope = fit.slopes(times, names)
     covariance = np.einsum("tpi,ij,tqj->tpq", slope, fit.whole_covariance, slope, optimize=True)
     own, after = _left(common, value)
     known = np.array([fit.determined[fit.place(name)].all() for name in names])
@@ -162,8 +186,8 @@ def continuous_table(equations: NormalEquations, found: Continuous, noise: Float
                 np.broadcast_to(np.where(known, 2, 1).astype(np.int8), shape).copy(),
                 {"flag_meanings": " ".join(SOURCES)},
             ),
-            "prior": ("parameter", common.reference[: len(names)]),
-            "prior_sigma": ("parameter", np.array(terms_of(found.model)[0].sigma)),
+            "prior": ("parameter", prior.value),
+            "prior_sigma": ("parameter", prior.sigma),
             "units": ("parameter", np.array(UNITS, dtype="U8")),
             "start": (row, data["start"].values, {"scale": "TT2000"}),
             "end": (row, data["end"].values, {"scale": "TT2000"}),

@@ -67,7 +67,7 @@ def daily_parameters(equations: NormalEquations, found: Continuous, names: Seque
     fit, data = found.fit, equations.dataset
     middle = data["start"].values // 2 + data["end"].values // 2
     order = [list(fit.trends).index(name) for name in equations.columns]
-    common = fit.at(middle)[0][:, order]
+    common = fit.values(middle)[:, order]
     places = [equations.columns.index(name) for name in columns]
     scale = data["scale"].values[:-1]
     steps = (common - data["reference"].values[:, :-1]) / scale

@@ -6,7 +6,7 @@ which keep every linear statement: the mean residual is the same function of the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -15,18 +15,18 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
 from inflight.calibration.equations import RESIDUAL
 from inflight.calibration.robust import TO_SIGMA
 from inflight.calibration.sensor import PARTS, vector_sensor_of
 from inflight.chain.beside import Beside, scale_of, split
-from inflight.comparison import rows_of
+from inflight.chain.within import SCALES
+from inflight.comparison import Rows as NativeRows
 from inflight.diagnosis.coarse import bin_means, coarsen, grid
 from inflight.diagnosis.columns import design, turns_of
 from inflight.diagnosis.gram import gram_of
 from inflight.diagnosis.library import Term, term_of
 from inflight.model import Model
-from inflight.time import SECOND, Int64
+from inflight.time import DAY, SECOND, Int64, usual_step
 
 #: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
 BIN_S = 10.0
@@ -75,36 +75,38 @@ def about_offsets(model: Model, offset: Floats) -> Model:
 
 
 def wide_equations(
-    model: Model,
+    fitted: Model,
     samples: xr.Dataset,
-    nine: Floats,
+    rows: NativeRows,
     span: tuple[int, int],
     attributes: dict[str, Any],
     bin_s: float = BIN_S,
-) -> NormalEquations:
+) -> xr.Dataset:
     """Return the wide equations of one block; parameters and result as `wide_and_beside`."""
-    return wide_and_beside(model, samples, nine, span, attributes, bin_s)[0]
+    return wide_and_beside(fitted, samples, rows, span, attributes, bin_s)[0]
 
 
 def wide_and_beside(
-    model: Model,
+    fitted: Model,
     samples: xr.Dataset,
-    nine: Floats,
+    rows: NativeRows,
     span: tuple[int, int],
     attributes: dict[str, Any],
     bin_s: float = BIN_S,
     beside: Beside | None = None,
-) -> tuple[NormalEquations, xr.Dataset | None]:
+) -> tuple[xr.Dataset, xr.Dataset | None]:
     """Return the wide equations of one block, and the strip of what is looked at beside the model.
+
+    The equations tell, too, how the residual follows a drift of the scale factors.
 
     Parameters
     ----------
-    model : Model
-        With values of everything but the nine.
+    fitted : Model
+        With the block's own nine: see `with_nine`.
     samples : xarray.Dataset
         Aligned raw samples with the channels of the model.
-    nine : ndarray, shape (9,)
-        The block's own fit, physical units.
+    rows : inflight.comparison.Rows
+        Of this model and these samples.
     span : tuple of int
         TT2000, half-open.
     attributes : dict
@@ -116,14 +118,13 @@ def wide_and_beside(
 
     Returns
     -------
-    equations : NormalEquations
-        One block; nT^2, columns scaled by the step of their parameters.
+    equations : Dataset
+        One block of `NormalEquations`, without `scatter`: nT^2, columns scaled by the step of their
+        parameters; and `drift`, see `inflight.chain.within.DayDrift`.
     strip : Dataset or None
         As `inflight.chain.beside.split` makes it; None without causes.
     """
-    fitted = with_nine(model, nine)
     terms = terms_of(fitted)
-    rows = rows_of(fitted, samples)
     edges = grid(*span, round(bin_s * SECOND))
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     used = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
@@ -132,31 +133,40 @@ def wide_and_beside(
     binned, _ = coarsen(
         samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
     )
+    columns = np.moveaxis(design(terms, binned), -1, 0)
+    days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY
+    drifting = columns[:SCALES] * days[:, None]
     more = beside.columns(fitted, samples, edges, binned) if beside is not None else {}
-    columns = _stacked(design(terms, binned), more)
-    every = slice(0, len(binned.weight))
-    gram = gram_of(columns, binned.residual[:, :, None], binned.weight, [every])
-    whole = _packed(terms, gram, float(binned.weight.sum()), span, attributes, list(more))
+    every = np.moveaxis(np.concatenate([columns, drifting, *_scaled(more)]), 0, -1)
+    block = slice(0, len(binned.weight))
+    gram = gram_of(every, binned.residual[:, :, None], binned.weight, [block])[0]
+    own = np.append(np.arange(len(columns) + SCALES), len(gram) - 1)
+    count = float(binned.weight.sum())
+    whole = _packed(terms, gram[np.ix_(own, own)], count, span, attributes)
     if not more:
         return whole, None
-    own = [name for term in terms for name in term.columns]
     known = {name: bool(np.isfinite(one[binned.weight > 0]).all()) for name, one in more.items()}
-    return whole.select(own), split(whole, own, known)
+    told = [name for term in terms for name in term.columns]
+    kept = np.delete(np.arange(len(gram)), len(told) + np.arange(SCALES))
+    named = [*told, *more, RESIDUAL]
+    scale = [*(size for term in terms for size in term.scale), *map(scale_of, more), 1.0]
+    both = xr.Dataset(
+        {"gram": (("block", "column", "other"), gram[np.ix_(kept, kept)][None]), "scale": ("column", scale)},
+        coords={"column": named, "other": named},
+    )
+    return whole, split(both, told, known)
 
 
-def _stacked(columns: Floats, more: Mapping[str, Floats]) -> Floats:
-    """Return the model's columns (bin, row, column) with others behind them, those unknown somewhere as 0."""
-    if not more:
-        return columns
-    beside = np.stack([np.nan_to_num(one) * scale_of(name) for name, one in more.items()], axis=-1)
-    return np.concatenate([columns, beside[:, None, :]], axis=-1)
+def _scaled(more: Mapping[str, Floats]) -> list[Floats]:
+    """Return columns beside the model's, each (1, bin, row), those unknown somewhere as 0."""
+    return [np.nan_to_num(one)[None, :, None] * scale_of(name) for name, one in more.items()]
 
 
-def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> NormalEquations:
-    """Return the equations of a block that tells nothing; parameters as `wide_equations`."""
+def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> xr.Dataset:
+    """Return the equations of a block that tells nothing; as `wide_equations` makes them."""
     terms = terms_of(model)
-    width = sum(len(term.columns) for term in terms) + 1
-    return _packed(terms, np.zeros((1, width, width)), 0.0, span, attributes)
+    width = sum(len(term.columns) for term in terms) + SCALES + 1
+    return _packed(terms, np.zeros((width, width)), 0.0, span, attributes)
 
 
 def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
@@ -175,7 +185,7 @@ def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_
     """
     out = np.zeros(stamps.size, dtype=bool)
     cadence = int(channel.attrs.get("cadence_ns", 0))
-    usual = int(np.median(np.diff(stamps))) if stamps.size > 1 else cadence
+    usual = usual_step(stamps, cadence)
     values = np.asarray(channel.values, dtype=np.float64)
     if cadence <= usual or values.ndim > 1:
         return out
@@ -206,32 +216,30 @@ def _channels(
 
 
 def _packed(
-    terms: tuple[Term, ...],
-    gram: Floats,
-    count: float,
-    span: tuple[int, int],
-    attributes: dict[str, Any],
-    beside: Sequence[str] = (),
-) -> NormalEquations:
-    """Return equations of the terms, and of columns beside them whose reference is 0."""
-    names = [*(name for term in terms for name in term.columns), *beside]
-    scale = np.array([*(size for term in terms for size in term.scale), *map(scale_of, beside), 1.0])
-    value = np.concatenate([_values(term) for term in terms] + [np.zeros(len(beside) + 1)])
-    row = ("block", "column", "other")
-    return NormalEquations(
-        xr.Dataset(
-            {
-                "gram": (row, gram, {"units": "nT2"}),
-                "scatter": (row, np.zeros_like(gram), {"units": "nT4"}),
-                "reference": (("block", "column"), value[None]),
-                "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
-                "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
-                "count": ("block", np.array([count])),
-                "scale": ("column", scale),
-            },
-            coords={"column": [*names, RESIDUAL], "other": [*names, RESIDUAL]},
-            attrs=attributes,
-        )
+    terms: tuple[Term, ...], gram: Floats, count: float, span: tuple[int, int], attributes: dict[str, Any]
+) -> xr.Dataset:
+    """Return a block's equations; gram is that of [columns | drifts | residual]."""
+    names = [name for term in terms for name in term.columns]
+    scale = np.array([*(size for term in terms for size in term.scale), 1.0])
+    value = np.concatenate([_values(term) for term in terms] + [np.zeros(1)])
+    own = np.append(np.arange(len(names)), len(gram) - 1)
+    drifts = len(names) + np.arange(SCALES)
+    return xr.Dataset(
+        {
+            "gram": (("block", "column", "other"), gram[np.ix_(own, own)][None], {"units": "nT2"}),
+            "drift": (
+                ("block", "rate", "rate_column"),
+                gram[np.ix_(drifts, np.append(own, drifts))][None],
+                {"units": "nT2"},
+            ),
+            "reference": (("block", "column"), value[None]),
+            "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+            "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+            "count": ("block", np.array([count])),
+            "scale": ("column", scale),
+        },
+        coords={"column": [*names, RESIDUAL], "other": [*names, RESIDUAL]},
+        attrs=attributes,
     )
 
 

@@ -388,4 +388,5 @@ def multiply(flat: Floats, vectors: Floats) -> Floats:
 
 def strength(samples: xr.Dataset) -> Floats:
     """Return |B| of the best present field estimate; (time,) nT."""
-    return np.asarray(np.linalg.norm(best_field(samples), axis=1))
+    field = best_field(samples)
+    return np.asarray(np.sqrt(np.einsum("ta,ta->t", field, field)))

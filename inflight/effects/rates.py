@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.time import GAP, SECOND
+from inflight.time import GAP, SECOND, usual_step
 
 #: Steps are equal when they differ by less than this part of the usual one.
 _EVEN = 1e-3
@@ -30,7 +30,8 @@ def slope(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 4) -> Floa
     if len(values) < 2:
         return np.full_like(values, np.nan)
     step = np.diff(tt2000) / SECOND
-    apart = step > GAP * np.median(step)
+    usual = usual_step(tt2000) / SECOND
+    apart = step > GAP * usual
     shape = (-1,) + (1,) * (values.ndim - 1)
     change = np.diff(values, axis=0) / step.reshape(shape)
     change[apart] = np.nan
@@ -42,8 +43,11 @@ def slope(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 4) -> Floa
         return sides
     outer = change[:-3] + change[3:]
     inner = change[1:-2] + change[2:-1]
+    fine = (7.0 * inner - outer) / 12.0
     # Uneven steps, by more than a stamp's rounding, keep the plain form.
-    even = np.ptp(np.lib.stride_tricks.sliding_window_view(step, 4), axis=1) < _EVEN * np.median(step)
-    fine = np.where(even.reshape(shape), (7.0 * inner - outer) / 12.0, np.nan)
+    if np.ptp(step) >= _EVEN * usual:
+        fours = [step[first : step.size - 3 + first] for first in range(4)]
+        uneven = np.maximum.reduce(fours) - np.minimum.reduce(fours) >= _EVEN * usual
+        fine[uneven] = np.nan
     sides[2:-2] = np.where(np.isfinite(fine), fine, sides[2:-2])
     return sides

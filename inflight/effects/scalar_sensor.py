@@ -13,7 +13,7 @@ from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.effects.rates import slope
 from inflight.mission import Mission
 from inflight.sensors import Sensor
-from inflight.time import SECOND
+from inflight.time import SECOND, usual_step
 
 
 class TimeShift(Effect):
@@ -134,7 +134,7 @@ _BEND_STEP = 20.0
 def _bent(values: Values, samples: xr.Dataset) -> Floats:
     """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where nothing tells it."""
     size, stamps = strength(samples), np.asarray(samples["tt2000"].values, dtype=np.int64)
-    usual = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    usual = usual_step(stamps, SECOND) / SECOND
     reach = max(1, round(_BEND_STEP / usual))
     out = np.zeros_like(size)
     if size.size > 2 * reach:

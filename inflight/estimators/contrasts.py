@@ -18,6 +18,8 @@ from inflight.units import factor_and_offset
 Chosen = npt.NDArray[np.bool_]
 #: Samples of the residual this many robust sigmas off the fitted drift and step are left out.
 _OUTLIER = 6.0
+#: A column whose part that the others do not make is smaller than this part of its square is one of theirs.
+_NOTHING = 1e-24
 #: Places of the orbit kept with each epoch where the samples know them.
 _PLACES = ("local_time", "orbit_phase", "latitude", "sunlit", "sun_direction")
 
@@ -96,23 +98,46 @@ class Contrast:
 
     weight: Floats
     drift: Floats
+    basis: Floats
     used: Floats
 
     @classmethod
     def of(cls, drift: Floats, shape: Floats) -> Contrast | None:
         """Return the contrast for a shape (time,) against a drift (time, part); None where it is drift."""
-        own = shape - drift @ np.linalg.lstsq(drift, shape)[0]
+        basis = _orthonormal(drift)
+        own = shape - (basis @ shape) @ basis
         power = float(own @ own)
         if shape.size < drift.shape[1] + 3 or power <= 1e-9 * float(shape @ shape):
             return None
-        return cls(own / power, drift, shape)
+        return cls(own / power, drift, basis, shape)
 
-    def residual(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return what drift and shape leave of values, and the coefficients of the drift."""
-        size = float(self.weight @ values)
-        left = values - size * self.used
-        coefficients = np.linalg.lstsq(self.drift, left)[0]
-        return np.asarray(left - self.drift @ coefficients), np.asarray(coefficients)
+    def residual(self, values: Floats) -> Floats:
+        """Return what drift and shape leave of values; (time,)."""
+        left = self._without_shape(values)
+        return np.asarray(left - (self.basis @ left) @ self.basis)
+
+    def common(self, values: Floats) -> Floats:
+        """Return the coefficients of the drift in values; (part,)."""
+        return np.asarray(np.linalg.lstsq(self.drift, self._without_shape(values))[0])
+
+    def _without_shape(self, values: Floats) -> Floats:
+        return np.asarray(values - float(self.weight @ values) * self.used)
+
+
+def _orthonormal(drift: Floats) -> Floats:
+    """Return an orthonormal basis of a few columns (time, part) as rows; zeros for what adds nothing.
+
+    Gram and Schmidt, twice: for a few columns of a hundred samples a library's call costs more than its work.
+    """
+    basis = np.zeros((drift.shape[1], len(drift)))
+    for place, column in enumerate(drift.T):
+        rest, own = column, basis[:place]
+        for _ in range(2):
+            rest = rest - (own @ rest) @ own
+        power = float(rest @ rest)
+        if power > _NOTHING * float(column @ column):
+            basis[place] = rest / np.sqrt(power)
+    return basis
 
 
 def robust_contrast(
@@ -124,7 +149,7 @@ def robust_contrast(
     for _ in range(3):
         if contrast is None:
             return None
-        left, _ = contrast.residual(values[kept])
+        left = contrast.residual(values[kept])
         limit = _OUTLIER * robust_sigma(left)
         far = np.abs(left) > max(limit, 1e-12)
         if not far.any():
@@ -134,6 +159,6 @@ def robust_contrast(
         contrast = Contrast.of(drift[kept], shape[kept])
     if contrast is None:
         return None
-    left, _ = contrast.residual(values[kept])
+    left = contrast.residual(values[kept])
     freedom = max(left.size - drift.shape[1] - 1, 1)
     return contrast, kept, float(np.sqrt(np.sum(left**2) / freedom))

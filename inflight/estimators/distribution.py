@@ -15,7 +15,7 @@ from scipy import interpolate, linalg, signal
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
-from inflight.time import SECOND, Int64
+from inflight.time import SECOND, Int64, usual_step
 
 #: Period at which the filter passes half of the amplitude, s.
 PERIOD = 80.0
@@ -129,7 +129,7 @@ def distribute(
         When the cadence is too slow for the period, or stamps do not rise.
     """
     step = np.diff(tt2000)
-    cadence = float(np.median(step)) / SECOND if step.size else 0.0
+    cadence = usual_step(tt2000, 0) / SECOND
     if step.size == 0 or np.any(step <= 0):
         raise SamplesError("stamps do not rise", remedy="align the samples first")
     if period < _COARSEST * cadence:

@@ -166,8 +166,7 @@ def _epoch(series: Series, steps: CurrentSteps, index: int, windows: Windows) ->
     row |= _means(series, at, seconds[kept])
     row |= _places(series, int(np.searchsorted(series.stamps, steps.time[index])))
     row["placebo"], row["placebo_column"] = _placebo(series, steps, index, windows)
-    _, common = contrast.residual(series.residual[part][kept])
-    flat = series.residual[part] - drift @ common
+    flat = series.residual[part] - drift @ contrast.common(series.residual[part][kept])
     row["curve"], row["current_curve"] = _curves((flat, series.currents[part, 0]), seconds, windows)
     return row
 
@@ -217,9 +216,17 @@ def _both_sides(used: Floats, seconds: Floats, usable: Chosen, windows: Windows)
     if windows.shape == "current":
         return bool(used.size > 0.5 * seconds.size and min((used < 0).sum(), (used > 0).sum()) > 2)
     # The usual spacing of samples tells how many there should be.
-    spacing = float(np.median(np.diff(seconds))) if seconds.size > 1 else np.inf
-    wanted = max(_LEAST_SIDE * windows.length / spacing, 3.0)
+    wanted = max(_LEAST_SIDE * windows.length / _spacing(seconds), 3.0)
     return bool((used < 0).sum() >= wanted and (used > 0).sum() >= wanted)
+
+
+def _spacing(seconds: Floats) -> float:
+    """Return the median distance of neighbours, s."""
+    steps = np.diff(seconds)
+    if not steps.size:
+        return np.inf
+    # Nearly always all are alike.
+    return float(steps[0]) if np.ptp(steps) == 0.0 else float(np.median(steps))
 
 
 def _columns(series: Series, at: Int64, weight: Floats) -> Floats:

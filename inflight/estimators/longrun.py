@@ -70,9 +70,12 @@ def long_run_covariance(scores: Floats, functions: float = 1.0) -> Floats:
     total = plain
     width = 2 * int(memory_of(centred).max())
     kernel = np.clip(2.0 * (1.0 - np.arange(1, width + 1) / (width + 1)), 0.0, 1.0)
-    for step, part in enumerate(kernel, start=1):
-        shared = unit[step:].T @ unit[:-step]
-        total = total + part * (shared + shared.T)
+    if width:
+        # What the kernel makes of all earlier blocks, at once: a product a lag would take a second.
+        size_of = 1 << (blocks + width).bit_length()
+        spectrum = np.fft.rfft(np.append(0.0, kernel), size_of)[:, None] * np.fft.rfft(unit, size_of, axis=0)
+        shared = unit.T @ np.fft.irfft(spectrum, size_of, axis=0)[:blocks]
+        total = total + shared + shared.T
     lost = min(functions * (1.0 + 2.0 * kernel.sum()) / blocks, _MOST_LOST)
     return np.asarray(_no_smaller(total, plain) * np.outer(size, size) / (1.0 - lost))
 

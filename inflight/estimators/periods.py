@@ -153,7 +153,8 @@ def parameter_spectrum(
     power = waves.power(y[:, None])[0]
     noise = _background(waves, y)
     draws = np.random.default_rng(seed)
-    highest = np.array([_highest(waves, one) for one in waves.power(noise.series(waves, draws, trials))])
+    drawn = waves.power(noise.series(waves, draws, trials))
+    highest = np.array([_highest(waves, one, noise) for one in drawn])
     # The largest of M exponential numbers; M from the median of the trials.
     effective = np.log(2.0) * np.exp(np.median(highest))
     known = KNOWN_PERIODS if known is None else known
@@ -216,25 +217,24 @@ class _Noise:
     memory: float
 
     @classmethod
-    def fit(cls, waves: _Waves, power: Floats) -> _Noise:
-        """Whittle's likelihood over frequencies that are no peaks."""
+    def fit(cls, waves: _Waves, power: Floats, like: _Noise | None = None) -> _Noise:
+        """Whittle's likelihood over frequencies that are no peaks; the search begins at `like`."""
         kept = np.ones(power.size, dtype=bool)
         span = float(np.ptp(waves.days))
-        found = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0)
+        found, turn = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0), (2 * np.pi * waves.frequency) ** 2
         for _ in range(_TURNS):
-            found = cls._likeliest(waves.frequency[kept], power[kept], span)
+            before = kept
+            found = like = cls._likeliest(turn[kept], power[kept], span, like)
             peak = power > _LINE * found.power(waves.frequency)
             # A line spreads over its neighbours.
             kept = ~np.convolve(peak, np.ones(2 * _OVERSAMPLING + 1), mode="same").astype(bool)
-            if kept.sum() < 0.5 * kept.size:
+            if kept.sum() < 0.5 * kept.size or np.array_equal(kept, before):
                 break
         return found
 
     @classmethod
-    def _likeliest(cls, frequency: Floats, power: Floats, span: float) -> _Noise:
+    def _likeliest(cls, turn: Floats, power: Floats, span: float, like: _Noise | None) -> _Noise:
         slow, fast = power[: max(power.size // 10, 3)].mean(), power[power.size // 2 :].mean()
-
-        turn = (2 * np.pi * frequency) ** 2
 
         def cost(logs: Floats) -> tuple[float, Floats]:
             white, red, memory = np.exp(logs)
@@ -246,6 +246,9 @@ class _Noise:
 
         start = np.log([max(fast, 1e-12), max(slow, 1e-12), span / 50.0])
         bounds = [(start[0] - 12, start[0] + 3), (start[1] - 12, start[1] + 8), tuple(np.log([0.5, span]))]
+        if like is not None:
+            told = np.log(np.maximum([like.white, like.red, like.memory], 1e-300))
+            start = np.clip(told, *np.transpose(bounds))
         found = optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds, jac=True)
         return cls(*(float(one) for one in np.exp(found.x)))
 
@@ -284,8 +287,8 @@ def _background(waves: _Waves, y: Floats) -> _Noise:
     return noise
 
 
-def _highest(waves: _Waves, power: Floats) -> float:
-    return float(np.max(power / _Noise.fit(waves, power).power(waves.frequency)))
+def _highest(waves: _Waves, power: Floats, noise: _Noise) -> float:
+    return float(np.max(power / _Noise.fit(waves, power, noise).power(waves.frequency)))
 
 
 def _chance(ratio: float, effective: float) -> float:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import xarray as xr
@@ -27,7 +27,7 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import biweight, robust_sigma
 from inflight.errors import SamplesError
 from inflight.estimators.clusters import FEWEST_CLUSTERS, ClusteredFit, solve_clusters
-from inflight.time import GAP, SECOND, Int64, day_of
+from inflight.time import GAP, SECOND, Int64, day_of, usual_step
 
 #: Hz, around the 20 s of the modulation.
 BAND = (0.045, 0.055)
@@ -80,18 +80,19 @@ def band_equations(
     SamplesError
         The cadence is too slow for the band, or no stretch is long enough.
     """
-    cadence = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else np.inf
+    cadence = usual_step(stamps) / SECOND if stamps.size > 1 else np.inf
     if 0.5 / cadence <= band[1]:
         raise SamplesError(
             f"samples every {cadence:g} s do not hold {band[1]:g} Hz",
             remedy="take the torquer currents and the residual at the magnetometers' own cadence",
         )
-    rows = np.column_stack(
-        [np.einsum("tj,tk->tjk", direction, current).reshape(stamps.size, 9), np.asarray(residual)]
-    )
+    rows = np.empty((10, stamps.size))
+    for row, (axis, coil) in enumerate(product(range(3), repeat=2)):
+        np.multiply(direction[:, axis], current[:, coil], out=rows[row])
+    rows[9] = residual
     found = []
-    for part in _stretches(stamps, np.isfinite(rows).all(axis=1), cadence, longest, shortest):
-        both = _transform(part.stop - part.start, cadence, *band, order) @ rows[part]
+    for part in _stretches(stamps, np.isfinite(rows.sum(axis=0)), cadence, longest, shortest):
+        both = _transform(part.stop - part.start, cadence, *band, order) @ rows[:, part].T
         gram, count = both.T @ both, both.shape[0]
         if count:
             found.append((gram, count, int(stamps[part.start]), int(stamps[part.stop - 1])))
@@ -145,8 +146,10 @@ def _transform(count: int, cadence: float, low: float, high: float, order: int) 
     # A frequency on the edge of the band belongs to it, whatever rounding says.
     first = int(np.ceil(low * count * cadence - 1e-6))
     last = int(np.floor(high * count * cadence + 1e-6))
-    angle = 2.0 * np.pi * np.outer(np.arange(first, last + 1), np.arange(count) / count)
-    waves = np.concatenate([np.cos(angle), -np.sin(angle)]) * np.sqrt(2.0 / count)
+    # A wave passes the same angles as the first one, in another order.
+    turns = np.outer(np.arange(first, last + 1), np.arange(count)) % count
+    angle = 2.0 * np.pi * np.arange(count) / count
+    waves = np.concatenate([np.cos(angle)[turns], -np.sin(angle)[turns]]) * np.sqrt(2.0 / count)
     drift, _ = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), order))
     return np.asarray(waves - (waves @ drift) @ drift.T)
 
@@ -250,22 +253,28 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
         dims day, axis, coil: `value`, `sigma` nT/A, `retained`; `start`, `end` (day); attribute
         ``days_left_out``.
     """
-    day = equations["day"].values
-    tables, kept, short = [], [], 0
+    gram, rows, start, end, day = (equations[name].values for name in ("gram", "rows", "start", "end", "day"))
+    fits, kept, short = [], [], 0
     for one in np.unique(day):
-        part = equations.isel(segment=np.flatnonzero(day == one))
-        if part.sizes["segment"] < FEWEST_CLUSTERS:
+        part = np.flatnonzero(day == one)
+        if part.size < FEWEST_CLUSTERS:
             short += 1
             continue
-        tables.append(fit_band(part).table().drop_vars("covariance"))
+        fit = solve_clusters(gram[part], rows[part])
+        fits.append(TorquerFit(fit, int(start[part].min()), int(end[part].max())))
         kept.append(int(one))
-    if not tables:
+    if not fits:
         raise SamplesError(
             f"{short} days found, none with {FEWEST_CLUSTERS} stretches of samples",
             remedy="lower 'longest' when the equations are made, or fit all days together",
         )
-    joined = xr.concat(tables, "day", combine_attrs="drop")
-    return joined.assign_coords(day=kept).assign_attrs(days_left_out=short)
+    first = fits[0].table().drop_vars("covariance")
+    every = {str(name): np.array([getattr(fit, str(name)) for fit in fits]) for name in first.data_vars}
+    return xr.Dataset(
+        {name: (("day", *first[name].dims), values, first[name].attrs) for name, values in every.items()},
+        coords={"day": kept, **first.coords},
+        attrs={"days_left_out": short},
+    )
 
 
 def robust_mean(daily: xr.Dataset) -> xr.Dataset:
@@ -348,7 +357,7 @@ def band_spectra(
         `before`, `after` (frequency) nT^2/Hz, one-sided, with a Hann window, which nothing is fitted
         with; attribute ``segments``.
     """
-    cadence = float(np.median(np.diff(stamps))) / SECOND
+    cadence = usual_step(stamps) / SECOND
     cleaned = residual - np.einsum("tj,jk,tk->t", direction, value, current)
     both = np.stack([residual, cleaned])
     count = round(length / cadence)

@@ -196,7 +196,7 @@ def _shared_weight(
     distances = []
     for kind in kinds:
         fit = maker.fit(equations, kind, prior_sigma, None)
-        distances.append(own_wish(equations, fit.at(middles(equations))[0], prior_sigma))
+        distances.append(own_wish(equations, fit.values(middles(equations)), prior_sigma))
     return outlier_weights(min(distances, key=lambda one: float(np.median(one))))
 
 
@@ -251,7 +251,7 @@ def _inside(fit: TrendFit, times: Int64) -> Int64:
 
 
 def _foretold(fit: TrendFit, times: Int64) -> Floats:
-    return fit.at(_inside(fit, times))[0]
+    return fit.values(_inside(fit, times))
 
 
 def squares_at(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:

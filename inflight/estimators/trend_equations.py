@@ -19,6 +19,8 @@ TREND_KINDS = ("constant", "linear", "parabola", "log", "spline")
 #: Blocks up to this many robust standard deviations from the trend keep their weight; from the second
 #: number on they have none.
 _FAR, _LOST = 4.0, 8.0
+#: Blocks that are solved together.
+_AT_ONCE = 256
 #: Fewest blocks whose scatter tells an outlying one.
 _FEWEST = 8
 
@@ -152,14 +154,6 @@ def _as_equations(
     return NormalEquations(dataset.isel(block=np.flatnonzero(count > 0)))
 
 
-def weighted(equations: NormalEquations, weight: Floats) -> NormalEquations:
-    """Return the equations with each block's say multiplied by its weight; (block,)."""
-    data = equations.dataset
-    changed = {name: data[name] * xr.DataArray(weight, dims="block") for name in ("gram", "count")}
-    scatter = data["scatter"] * xr.DataArray(weight**2, dims="block")
-    return NormalEquations(data.assign(changed | {"scatter": scatter}))
-
-
 def own_wish(equations: NormalEquations, value: Floats, prior_sigma: Floats) -> Floats:
     """Return how far each block lies from given parameters: by how much its own fit would lower its sum.
 
@@ -179,15 +173,21 @@ def own_wish(equations: NormalEquations, value: Floats, prior_sigma: Floats) -> 
     scale, gram = data["scale"].values[:-1], data["gram"].values
     change = (value - data["reference"].values[:, :-1]) / scale
     matrix = gram[:, :-1, :-1]
-    scores = gram[:, :-1, -1] + np.einsum("bij,bj->bi", matrix, change)
+    scores = gram[:, :-1, -1] + np.matmul(matrix, change[:, :, None])[:, :, 0]
     own = gram[:, -1, -1] / np.maximum(data["count"].values, 1.0)
     variance = max(float(np.median(own)), 1e-30)
     with np.errstate(divide="ignore"):
         held = np.where(prior_sigma > 0, variance * (scale / prior_sigma) ** 2, np.inf)
-    free = np.isfinite(held)
-    steadied = matrix[:, free][:, :, free] + np.diag(held[free])
-    wish = np.linalg.solve(steadied, scores[:, free, None])[:, :, 0]
-    return np.asarray(np.sqrt(np.maximum(np.einsum("bi,bi->b", wish, scores[:, free]), 0.0)))
+    free = np.flatnonzero(np.isfinite(held))
+    out = np.empty(len(scores))
+    # Some blocks at a time: a matrix of each of three thousand days would fill the memory.
+    for first in range(0, len(scores), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        steadied = matrix[part][:, free[:, None], free] + np.diag(held[free])
+        score = scores[part][:, free]
+        wish = np.linalg.solve(steadied, score[:, :, None])[:, :, 0]
+        out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", wish, score), 0.0))
+    return out
 
 
 def outlier_weights(distance: Floats) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
@@ -58,24 +59,22 @@ class Expansion:
         """Functions of time of each parameter, on average."""
         return len(self.columns) / max(len(self.trends), 1)
 
-    def turn(self, blocks: int, parameters: int) -> tuple[Floats, np.ndarray]:
-        """Return what turns [parameters | residual] into [functions | residual], and the functions' owners.
+    @property
+    def owners(self) -> npt.NDArray[np.int64]:
+        """Which parameter each function belongs to; (function,)."""
+        return np.repeat(np.arange(len(self.bases)), [basis.shape[1] for basis in self.bases])
 
-        Returns
-        -------
-        turn : ndarray, shape (block, function + 1, parameter + 1)
-        owners : ndarray of int, shape (function,)
-            Which parameter each function belongs to.
-        """
-        width = len(self.columns)
-        turn = np.zeros((blocks, width + 1, parameters + 1))
-        owners, at = np.empty(width, dtype=np.int64), 0
-        for index, basis in enumerate(self.bases):
-            place = slice(at, at + basis.shape[1])
-            turn[:, place, index] = basis @ self.back[place, place]
-            owners[place], at = index, place.stop
-        turn[:, -1, -1] = 1.0
-        return turn, owners
+    @property
+    def values(self) -> Floats:
+        """The functions at the blocks, constants 1; (block, function)."""
+        pairs = zip(self.trends, self.bases, strict=True)
+        return np.concatenate([self.functions.get(name, basis) for name, basis in pairs], axis=1)
+
+    def parameters(self, coefficients: Floats) -> Floats:
+        """Return what coefficients of the functions (function,) make of parameters; (block, parameter)."""
+        ends = np.cumsum([basis.shape[1] for basis in self.bases])
+        whole = self.values * coefficients
+        return np.asarray(np.add.reduceat(whole, np.append(0, ends[:-1]), axis=1))
 
 
 def _orthonormal(basis: Floats, name: str) -> Floats:

@@ -10,11 +10,11 @@ from scipy import optimize
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
-from inflight.calibration.scalar import shift_reference
 from inflight.calibration.solution import residual_sum
 from inflight.errors import CalibrationError
+from inflight.estimators.block_sums import BlockSums
 from inflight.estimators.days import mjd_of, tt2000_of
-from inflight.estimators.trend_equations import at_one_reference, make_trend, middles, weighted
+from inflight.estimators.trend_equations import at_one_reference, make_trend, middles
 from inflight.estimators.trend_functions import Expansion
 from inflight.estimators.trends import Origin, TrendFit, fit_trends, sandwich, with_origin
 from inflight.model.dependence import Dependence
@@ -58,12 +58,13 @@ def fit_origin(
     if not logs:
         raise CalibrationError("no trend is a logarithm", remedy="leave the origin alone")
     given = fit_trends(equations, trends, prior_sigma, weight, units)
-    common = weighted(at_one_reference(equations), given.weight)
-    profile = _Profile(common, dict(trends), logs, prior_sigma, given.rms**2)
+    common = at_one_reference(equations)
+    sums = BlockSums(common.dataset["gram"].values, given.weight)
+    profile = _Profile(common, sums, dict(trends), logs, prior_sigma, given.rms**2)
     grid = profile.grid()
     best = profile.lowest(grid)
     fitted = fit_trends(equations, profile.moved(best), prior_sigma, given.weight, units)
-    covariance, inflation = _with_unknown_origin(common, fitted, prior_sigma)
+    covariance, inflation = _with_unknown_origin(common, sums, fitted, prior_sigma)
     sigma, shared = float(np.sqrt(covariance[-1, -1])), covariance[:-1, -1]
     limit = profile.total(best) + _LIMIT * inflation * fitted.rms**2
     far, near = profile.crossings(best, grid, limit)
@@ -81,6 +82,7 @@ class _Profile:
     """The sum of squares as a function of the distance of the origin from the first block, days."""
 
     equations: NormalEquations
+    sums: BlockSums
     trends: dict[str, Dependence]
     logs: list[str]
     prior_sigma: Floats
@@ -108,7 +110,8 @@ class _Profile:
     def total(self, distance: float) -> float:
         """Return the least sum of squares with the origin so far before the first block."""
         expansion = _expansion(self.equations, self.moved(distance))
-        return profile_sum(self.equations, expansion, self.prior_sigma, self.variance)
+        scale = self.equations.dataset["scale"].values[:-1]
+        return profile_sum(self.sums, expansion, scale, self.prior_sigma, self.variance)
 
     def lowest(self, grid: Floats) -> float:
         """Return the distance of the least sum of squares."""
@@ -147,13 +150,11 @@ def _expansion(equations: NormalEquations, trends: Mapping[str, Dependence]) -> 
 
 
 def profile_sum(
-    equations: NormalEquations, expansion: Expansion, prior_sigma: Floats, variance: float
+    sums: BlockSums, expansion: Expansion, scale: Floats, prior_sigma: Floats, variance: float
 ) -> float:
     """Return the least sum of squares of all blocks for given functions of time."""
-    data = equations.dataset
-    scale = data["scale"].values[:-1]
-    turn, owners = expansion.turn(len(equations), scale.size)
-    gram = np.einsum("bik,bkl,bjl->ij", turn, data["gram"].values, turn, optimize=True)
+    owners = expansion.owners
+    gram = sums.expanded(expansion.values, owners)
     with np.errstate(divide="ignore"):
         held = variance * (scale / prior_sigma)[owners] ** 2
     free = np.flatnonzero(np.isfinite(held))
@@ -164,32 +165,41 @@ def profile_sum(
 
 
 def _with_unknown_origin(
-    equations: NormalEquations, fit: TrendFit, prior_sigma: Floats
+    equations: NormalEquations, sums: BlockSums, fit: TrendFit, prior_sigma: Floats
 ) -> tuple[Floats, float]:
     """Return the covariance of coefficients and origin (days), and the inflation of the origin's variance.
 
     The inflation is against white residuals.
     """
-    data = equations.dataset
-    place_of_one = np.zeros((len(equations), fit.value.size + 2, len(fit.trends) + 1))
-    unknown = replace(fit, origin=Origin(0.0, 1.0, 0.0, 0.0, True, np.zeros(fit.value.size)))
-    slopes = unknown.slopes(middles(equations)) / data["scale"].values[None, :-1, None]
-    place_of_one[:, :-1, :-1] = slopes.transpose(0, 2, 1)
-    place_of_one[:, -1, -1] = 1.0
-    moved = equations.dataset["gram"].values
-    here = (fit.at(middles(equations))[0] - data["reference"].values[:, :-1]) / data["scale"].values[:-1]
-    at_fit = np.array([shift_reference(one, step) for one, step in zip(moved, here, strict=True)])
-    gram = place_of_one @ at_fit @ place_of_one.transpose(0, 2, 1)
-    size = np.append(np.sqrt(np.diag(gram[:, :-1, :-1].sum(axis=0))), 1.0)
-    size = np.where(size > 0, size, 1.0)
-    gram, unit = gram / np.outer(size, size), size[:-1]
+    matrix, scores = _with_origin_column(equations, sums, fit)
+    unit = np.sqrt(np.diag(matrix))
+    unit = np.where(unit > 0, unit, 1.0)
+    matrix, scores = matrix / np.outer(unit, unit), scores / unit
     owners = [equations.columns.index(column.split("*")[0]) for column in fit.columns]
     fixed = np.append(prior_sigma[owners] <= 0, False)
     # The prior has had its say in the fit; here the data speak alone.
     wide = np.where(fixed, 0.0, 1e6 * fit.rms)
     functions = len(fit.columns) / len(fit.trends) + 1.0 / len(fit.trends)
-    covariance = sandwich(gram, np.zeros(unit.size), fit.rms**2, wide, functions) / np.outer(unit, unit)
+    covariance = sandwich(scores, matrix / fit.rms**2, fit.rms**2, wide, functions) / np.outer(unit, unit)
     free = np.flatnonzero(~fixed)
-    white = np.linalg.pinv(gram[:, :-1, :-1].sum(axis=0)[np.ix_(free, free)], hermitian=True)
+    white = np.linalg.pinv(matrix[np.ix_(free, free)], hermitian=True)
     plain = white[-1, -1] * fit.rms**2 / unit[-1] ** 2
     return covariance, max(float(covariance[-1, -1] / plain), 1.0) if plain > 0 else 1.0
+
+
+def _with_origin_column(equations: NormalEquations, sums: BlockSums, fit: TrendFit) -> tuple[Floats, Floats]:
+    """Return the matrix of [coefficients, origin] and the blocks' scores at the fit, the origin in days."""
+    times, data = middles(equations), equations.dataset
+    scale, names = data["scale"].values[:-1], list(fit.trends)
+    logs = [name for name, trend in fit.trends.items() if trend.time == "log"]
+    bases = [trend.basis(times, name) for name, trend in fit.trends.items()]
+    bases += [fit.by_origin(name, times)[:, None] for name in logs]
+    owners = np.array([*range(len(names)), *(names.index(name) for name in logs)])
+    owners = np.repeat(owners, [basis.shape[1] for basis in bases])
+    values = np.concatenate(bases, axis=1) / scale[owners]
+    here = (fit.values(times) - data["reference"].values[:, :-1]) / scale
+    # The origin is one unknown of all logarithms.
+    together = np.eye(len(fit.columns) + 1, owners.size)
+    together[-1, len(fit.columns) :] = 1.0
+    matrix = together @ sums.expanded(values, owners)[:-1, :-1] @ together.T
+    return matrix, sums.scores(values, owners, here) @ together.T

@@ -6,7 +6,7 @@ whose covariances make normal equations of it: one way for both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +14,11 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
-from inflight.calibration.solution import residual_sum
+from inflight.calibration.equations import larger_scatter
+from inflight.calibration.solution import residual_sum, solve
 from inflight.effects.base import Parameter
 from inflight.errors import CalibrationError
+from inflight.estimators.block_sums import BlockSums
 from inflight.estimators.days import mjd_of
 from inflight.estimators.longrun import long_run_covariance
 from inflight.estimators.trend_equations import (
@@ -25,7 +27,6 @@ from inflight.estimators.trend_equations import (
     middles,
     outlier_weights,
     own_wish,
-    weighted,
 )
 from inflight.estimators.trend_functions import Expansion
 from inflight.model.dependence import Dependence
@@ -122,11 +123,21 @@ class TrendFit:
 
     def at(self, times: Int64) -> tuple[Floats, Floats]:
         """Return values and standard deviations at TT2000 times; (time, parameter) each, physical units."""
+        covariance = self.whole_covariance
+        variance = []
+        for name in self.trends:
+            slope = self.slopes(times, [name])[:, 0]
+            own = np.append(
+                np.arange(self.value.size)[self.place(name)], np.arange(self.value.size, len(covariance))
+            )
+            part = slope[:, own]
+            variance.append(np.einsum("ti,ti->t", part @ covariance[np.ix_(own, own)], part))
+        return self.values(times), np.sqrt(np.maximum(np.stack(variance, axis=1), 0.0))
+
+    def values(self, times: Int64) -> Floats:
+        """Return the parameters at TT2000 times; (time, parameter), physical units."""
         places = [(trend.basis(times, name), self.place(name)) for name, trend in self.trends.items()]
-        value = np.stack([basis @ self.value[place] for basis, place in places], axis=1)
-        slope, covariance = self.slopes(times), self.whole_covariance
-        variance = np.einsum("tpi,ij,tpj->tp", slope, covariance, slope, optimize=True)
-        return value, np.sqrt(np.maximum(variance, 0.0))
+        return np.stack([basis @ self.value[place] for basis, place in places], axis=1)
 
     @property
     def whole_covariance(self) -> Floats:
@@ -137,23 +148,36 @@ class TrendFit:
         edge = found.shared[:, None]
         return np.block([[self.covariance, edge], [edge.T, np.array([[found.sigma**2]])]])
 
-    def slopes(self, times: Int64) -> Floats:
-        """Return what the parameters change by for one unit of each unknown of `whole_covariance`.
+    def slopes(self, times: Int64, names: Sequence[str] | None = None) -> Floats:
+        """Return what parameters change by for one unit of each unknown of `whole_covariance`.
 
         d/dt0 of ``b ln((t - t0)/per)`` is ``-b / (t - t0)``.
+
+        Parameters
+        ----------
+        times : ndarray of int64, shape (time,)
+            TT2000.
+        names : sequence of str, optional
+            Parameters; all when absent.
 
         Returns
         -------
         ndarray, shape (time, parameter, unknown)
         """
+        chosen = list(self.trends) if names is None else names
         unknowns = len(self.whole_covariance)
-        out = np.zeros((times.size, len(self.trends), unknowns))
-        for index, (name, trend) in enumerate(self.trends.items()):
-            place = self.place(name)
+        out = np.zeros((times.size, len(chosen), unknowns))
+        for index, name in enumerate(chosen):
+            place, trend = self.place(name), self.trends[name]
             out[:, index, place] = trend.basis(times, name)
             if trend.time == "log" and unknowns > self.value.size:
-                out[:, index, -1] = -self.value[place][1] / (mjd_of(times) - float(mjd_of(trend.t0)))
+                out[:, index, -1] = self.by_origin(name, times)
         return out
+
+    def by_origin(self, name: str, times: Int64) -> Floats:
+        """Return the change of a parameter that follows a logarithm for one day of its origin; (time,)."""
+        trend = self.trends[name]
+        return np.asarray(-self.value[self.place(name)][1] / (mjd_of(times) - float(mjd_of(trend.t0))))
 
     def table(self) -> xr.Dataset:
         """Return the coefficients: dims parameter (one a coefficient), other; valid from `start` to `end`.
@@ -252,7 +276,7 @@ def fit_trends(
     turns = 1 if weight is not None else _TURNS
     held = np.ones(len(common)) if weight is None else weight
     for turn in range(turns):
-        found = _solve(weighted(common, held), expansion, prior_sigma)
+        found = _solve(common, held, expansion, prior_sigma, sure=turn == turns - 1)
         if turn < turns - 1:
             held = outlier_weights(own_wish(common, found.parameters(expansion), prior_sigma))
     start, end = (int(common.dataset[name].values[i]) for name, i in (("start", 0), ("end", -1)))
@@ -289,29 +313,41 @@ class Solved:
         return np.stack(out, axis=1)
 
 
-def _solve(equations: NormalEquations, expansion: Expansion, prior_sigma: Floats) -> Solved:
-    # Only the values at the blocks' middles are ever asked for.
-    functions = {
-        name: {f"q{k}": (lambda _, v=values[:, k]: v) for k in range(values.shape[1])}
-        for name, values in expansion.functions.items()
-    }
-    expanded = equations.expand(functions)
-    owners = [column.split("*")[0] for column in expanded.columns]
-    sigma = np.array([prior_sigma[equations.columns.index(owner)] for owner in owners])
-    solution = expanded.solve(sigma)
-    value, _ = expanded.physical(solution)
-    data = expanded.dataset
-    scale, gram = data["scale"].values[:-1], data["gram"].values
-    covariance = sandwich(gram, solution.value, solution.variance, sigma / scale, expansion.functions_each)
+def _solve(
+    equations: NormalEquations, weight: Floats, expansion: Expansion, prior_sigma: Floats, sure: bool
+) -> Solved:
+    """Fit the functions; without a covariance, which takes longest, unless asked to be `sure`."""
+    data, owners, values = equations.dataset, expansion.owners, expansion.values
+    scale = data["scale"].values[:-1][owners]
+    sigma = prior_sigma[owners] / scale
+    sums = BlockSums(data["gram"].values, weight)
+    total = sums.expanded(values, owners)
+    within = BlockSums(data["scatter"].values, weight**2).expanded(values, owners)[:-1, :-1]
+    count = float((data["count"].values * weight).sum())
+    nothing = np.zeros_like(sigma)
+    solution = solve(total, within, count, nothing, sigma)
+    if len(equations) > 1:
+        scores = sums.scores(values, owners, expansion.parameters(solution.value))
+        between = scores.T @ scores * len(equations) / (len(equations) - 1)
+        scatter = larger_scatter(total[:-1, :-1], within, between, sigma)
+        solution = solve(total, scatter, count, nothing, sigma)
+    covariance = np.zeros((scale.size, scale.size))
+    if sure:
+        scores = sums.scores(values, owners, expansion.parameters(solution.value))
+        matrix, functions = total[:-1, :-1] / solution.variance, expansion.functions_each
+        covariance = sandwich(scores, matrix, solution.variance, sigma, functions)
     covariance *= np.outer(scale, scale)
+    # A function of time counts from 0, a constant from the reference.
+    still = np.array([trend.count == 1 for trend in expansion.trends.values()])[owners]
+    value = np.where(still, equations.reference[owners], 0.0) + solution.value * scale
     back = expansion.back
-    total = residual_sum(gram.sum(axis=0), solution.value)
+    left = residual_sum(total, solution.value)
     return Solved(
         back @ value + expansion.unit @ equations.reference,
         back @ covariance @ back.T,
         _determined(expansion, solution.determined),
-        float(np.sqrt(total / max(float(data["count"].values.sum()), 1.0))),
-        total,
+        float(np.sqrt(left / max(count, 1.0))),
+        left,
     )
 
 
@@ -325,16 +361,16 @@ def _determined(expansion: Expansion, of_functions: np.ndarray) -> np.ndarray:
 
 
 def sandwich(
-    gram: Floats, change: Floats, variance: float, prior_sigma: Floats, functions: float = 1.0
+    scores: Floats, matrix: Floats, variance: float, prior_sigma: Floats, functions: float = 1.0
 ) -> Floats:
     """Return the covariance of a fit from the scatter of its blocks' scores, correlated in time.
 
     Parameters
     ----------
-    gram : ndarray, shape (block, column + 1, column + 1)
-        Weighted [X | y] of the blocks, scaled.
-    change : ndarray, shape (column,)
-        The fit, scaled.
+    scores : ndarray, shape (block, column)
+        At the fit, scaled.
+    matrix : ndarray, shape (column, column)
+        Information of all blocks together.
     variance : float
         Residual variance.
     prior_sigma : ndarray, shape (column,)
@@ -342,8 +378,6 @@ def sandwich(
     functions : float
         Functions of time of each parameter, on average.
     """
-    scores = gram[:, :-1, -1] + gram[:, :-1, :-1] @ change
-    matrix = gram[:, :-1, :-1].sum(axis=0) / variance
     free = np.flatnonzero(prior_sigma > 0)
     grid, unit = np.ix_(free, free), prior_sigma[free]
     # In units of the prior's sigma: the columns differ by many orders.

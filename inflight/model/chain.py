@@ -8,7 +8,7 @@ which is farther from the spacecraft, gives the field that is kept.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import xarray as xr
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 Effects = Sequence["ModelEffect"]
 #: Roles that read a vector, in the order of correction: the field of the last one present is kept.
 VECTOR_ROLES = ("vector", "inboard", "outboard")
+#: What a correction makes of the vector reading.
+_STALE = ["field", "field_direction"]
 
 
 def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
@@ -48,15 +50,25 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
     SamplesError
         When a reading is missing.
     """
+    known = corrected(effects, samples)
+    made = {role: known[role] for role in (*VECTOR_ROLES, "scalar") if role in known}
+    made |= {name: known[name] for name in _STALE if name in known}
+    return samples.drop_vars(_STALE, errors="ignore").assign(made)
+
+
+def corrected(effects: Effects, samples: xr.Dataset | PlainSamples) -> PlainSamples:
+    """Return what `correct` does as plain variables: a Dataset would look at each of them again.
+
+    Parameters and errors are those of `correct`.
+    """
+    known = samples if isinstance(samples, PlainSamples) else PlainSamples.of(samples)
+    times = _times(cast("xr.Dataset", known))
     # A field of an earlier correction is none of this one's.
-    stale = ["field", "field_direction"]
-    known = PlainSamples.of(samples)
-    if any(role in samples for role in VECTOR_ROLES):
-        known = known.drop_vars(stale)
-    readings: dict[str, tuple[Any, Any, Any]] = {}
+    if any(role in known for role in VECTOR_ROLES):
+        known = known.drop_vars(_STALE)
     for role in (*VECTOR_ROLES, "scalar"):
         entries = [entry for entry in effects if entry.sensor.role == role]
-        if role not in samples:
+        if role not in known:
             if entries:
                 raise SamplesError(
                     f"the samples have no '{role}' reading", remedy="align the comparison's sensors"
@@ -64,19 +76,17 @@ def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
             continue
         if role in VECTOR_ROLES:
             # The other sensor's field is in the other sensor's axes.
-            known = known.drop_vars(stale)
-        reading = np.asarray(samples[role].values, dtype=np.float64)
-        # Effects only look variables up: a Dataset would be made anew at every step.
+            known = known.drop_vars(_STALE)
+        raw = known[role]
+        reading = np.asarray(raw.values, dtype=np.float64)
         for entry in entries:
             reading = entry.effect.correct(
-                reading, cast("xr.Dataset", known), entry.values(_times(samples)), entry.sensor
+                reading, cast("xr.Dataset", known), entry.values(times), entry.sensor
             )
-        readings[role] = (samples[role].dims, reading, samples[role].attrs)
-        known = known.assign({role: readings[role]})
+        known = known.assign({role: (raw.dims, reading, raw.attrs)})
         if role in VECTOR_ROLES:
             known = cast("PlainSamples", with_field(cast("xr.Dataset", known), reading))
-    made = {name: known[name] for name in stale if name in known}
-    return samples.drop_vars(stale, errors="ignore").assign({**readings, **made})
+    return known
 
 
 def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
@@ -122,12 +132,12 @@ def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]
         ``<effect>`` of a vector sensor: (time, axis) nT, sensor axes; ``<effect>`` of a scalar
         sensor: (time,) nT, along the field. Subtracting it from the reading is the correction.
     """
-    terms = {}
+    terms, times = {}, _times(samples)
     for entry in effects:
         if entry.is_additive:
-            count = samples.sizes["time"]
+            count = times.size
             still = np.zeros(count if entry.sensor.is_scalar else (count, 3))
-            values = entry.values(_times(samples))
+            values = entry.values(times)
             terms[entry.name] = -entry.effect.correct(still, samples, values, entry.sensor)
     return terms
 

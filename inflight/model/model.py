@@ -21,6 +21,7 @@ from inflight.errors import InflightError, ModelError
 from inflight.model import chain
 from inflight.model.changes import changes, tree_of
 from inflight.model.entries import ModelEffect, make_effect
+from inflight.plain import PlainSamples
 from inflight.sensors import Sensor, sensors_of
 
 if TYPE_CHECKING:
@@ -213,6 +214,10 @@ class Model:
     def correct(self, samples: xr.Dataset) -> xr.Dataset:
         """Take the effects out of the readings: see `inflight.model.chain.correct`."""
         return chain.correct(self.effects, samples)
+
+    def corrected(self, samples: xr.Dataset | PlainSamples) -> PlainSamples:
+        """Take the effects out of the readings, as plain variables: see `inflight.model.chain.corrected`."""
+        return chain.corrected(self.effects, samples)
 
     def disturb(self, samples: xr.Dataset) -> xr.Dataset:
         """Put the effects into true fields: the exact inverse of `correct`."""

@@ -66,7 +66,7 @@ def model_with(more: str = "") -> Model:
 def made_up(model: Model, blocks: list[NormalEquations]) -> MadeUp:
     """Split blocks into the model's equations and their strips, and fit them."""
     own = [name for term in terms_of(model) for name in term.columns]
-    strips = [split(one, own, dict.fromkeys(one.columns, True)) for one in blocks]
+    strips = [split(one.dataset, own, dict.fromkeys(one.columns, True)) for one in blocks]
     equations = joined([one.select(own) for one in blocks])
     reference = np.concatenate(
         [term.entry.parameters[p].value[:, 0] for term in terms_of(model) for p in term.parameters]

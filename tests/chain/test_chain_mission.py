@@ -215,7 +215,10 @@ def test_a_day_without_housekeeping_gets_a_product_with_a_wider_uncertainty(chai
     assert np.isfinite(after["field_sensor"].values).mean() > 0.99
     assert (after["flag"].values & np.uint32(Flag.CHANNEL_MISSING) != 0).mean() > 0.99
     # What the uncertainty grew by is about as much as the field is off.
-    widened = np.sqrt(after["uncertainty"].values ** 2 - before["uncertainty"].values ** 2)
+    # A day that is not fitted is taken to be as noisy as the others: some may come out a picotesla surer.
+    grown = after["uncertainty"].values ** 2 - before["uncertainty"].values ** 2
+    assert np.nanmin(after["uncertainty"].values - before["uncertainty"].values) > -1e-3
+    widened = np.sqrt(np.maximum(grown, 0.0))
     off = np.abs(after["field_sensor"].values - before["field_sensor"].values)
     assert np.nanmedian(widened[:, 2]) > 0.05
     assert 0.3 < np.sqrt(np.nanmean(off[:, 2] ** 2) / np.nanmean(widened[:, 2] ** 2)) < 1.5

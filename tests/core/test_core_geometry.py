@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from inflight.geometry import GEOMETRY, add_geometry, itrf_to_nec, rotate
+from inflight.geometry import GEOMETRY, add_geometry, geometry_at, itrf_to_nec, rotate
 from inflight.sun import (
     EARTH_RADIUS,
     days_since_j2000,
@@ -241,3 +241,29 @@ def test_it_agrees_with_the_geometry_the_simulator_makes_on_its_own():
     expected = sunlight(made.zenith, float(np.linalg.norm(made.position[0])))
     assert np.abs(found["sunlit"].values - expected).max() < 0.2
     assert np.mean(np.abs(found["sunlit"].values - expected)) < 1e-3
+
+
+def test_places_at_some_samples_are_those_of_all():
+    samples = orbit(step=1.0, hours=3)[0]
+    rows = np.array([0, 7, 4000, samples.sizes["time"] - 1])
+    whole, some = add_geometry(samples), geometry_at(samples, rows)
+    assert set(some) == set(whole) - set(samples)
+    for name, told in some.items():
+        np.testing.assert_allclose(told.values, whole[name].values[rows], rtol=0, atol=1e-9)
+
+
+def test_only_what_is_asked_for_is_added():
+    samples = orbit(step=10.0, hours=1)[0]
+    assert set(add_geometry(samples, ("sunlit",))) - set(samples) == {"sunlit"}
+
+
+def test_vectors_turn_as_the_library_for_rotations_turns_them():
+    random = np.random.default_rng(3)
+    field, quaternion = random.standard_normal((50, 3)), random.standard_normal((50, 4))
+    quaternion *= 2.0 / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    expected = Rotation.from_quat(quaternion).apply(field)
+    np.testing.assert_allclose(rotate(field, quaternion), expected, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(
+        rotate(field, quaternion[0]), Rotation.from_quat(quaternion[0]).apply(field), rtol=1e-12, atol=1e-14
+    )
+    assert np.isnan(rotate(field, 0.1 * quaternion)).all()

@@ -23,6 +23,7 @@ from inflight.time import (
     parse_utc,
     to_tt2000,
     to_utc,
+    usual_step,
 )
 
 #: UTC days that ended with an inserted second (IERS Bulletin C).
@@ -165,3 +166,13 @@ def test_durations_may_have_fractions_and_no_blank(text, ns):
 def test_what_is_no_duration_is_refused_with_the_known_units(text):
     with pytest.raises(ValueError, match="ns"):
         parse_duration(text)
+
+
+@given(st.lists(st.integers(1, 4), min_size=1, max_size=60))
+def test_the_usual_step_is_the_median_one(steps):
+    stamps = np.cumsum(np.array([0, *steps], dtype=np.int64))
+    assert usual_step(stamps) == int(np.median(steps))
+
+
+def test_one_stamp_has_no_step():
+    assert usual_step(np.array([5]), 7) == 7
