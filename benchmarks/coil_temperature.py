@@ -28,8 +28,10 @@ from inflight.estimators.temperature_rivals import compare_temperatures
 from inflight.mission import Mission
 from inflight.model import Model, make_effect
 from inflight.sensors import sensors_of
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.ingest import ingest
-from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.needs import needs_of
+from inflight.tasks.samples import load_samples
 from inflight.time import SECOND, Int64
 
 ROOT = Path(__file__).parents[1]

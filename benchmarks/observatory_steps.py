@@ -29,11 +29,13 @@ from inflight.estimators.days import mjd_of
 from inflight.estimators.event_steps import event_steps
 from inflight.estimators.jumps import table_jumps
 from inflight.geometry import direction_of
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.ingest import ingest
 from inflight.tasks.models import preflight_model
+from inflight.tasks.needs import needs_of
 from inflight.tasks.planning import ReprocessSettings
 from inflight.tasks.reprocess import reprocess
-from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.samples import load_samples
 from inflight.time import SECOND, Int64, to_tt2000
 
 #: Readings faster than this are averaged, s.

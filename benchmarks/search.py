@@ -80,9 +80,10 @@ def ranking(draws: int = 2000) -> list[str]:
 def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
     """Return the lines to print: the pass of a mission against its floor, a day and core."""
     from inflight.tasks import diagnose
+    from inflight.tasks.archive_index import ArchiveIndex
     from inflight.tasks.channels import ChannelReader, DerivedChannels
     from inflight.tasks.evidence import block_evidence
-    from inflight.tasks.samples import ArchiveIndex, load_samples
+    from inflight.tasks.samples import load_samples
 
     mission = Workspace.open(cat.workspace).mission()
     made = diagnose.planned(cat, mission, diagnose.DiagnoseSettings())

@@ -26,8 +26,10 @@ from inflight.comparison import Band, Layout, Rows, filter_rows, rows_of
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.sensors import sensors_of
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.ingest import ingest
-from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.needs import needs_of
+from inflight.tasks.samples import load_samples
 
 ROOT = Path(__file__).parents[1]
 #: Columns by mechanism, in the order of the effect's parameters.

@@ -29,7 +29,10 @@ from inflight.errors import CalibrationError, InflightError
 from inflight.flags import UNUSABLE, Flag, tally
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.samples import ArchiveIndex, Need, kept_readings, load_samples
+from inflight.tasks.archive_index import ArchiveIndex
+from inflight.tasks.channel_series import kept_readings
+from inflight.tasks.needs import Need
+from inflight.tasks.samples import load_samples
 from inflight.time import SECOND, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the normal equations change.

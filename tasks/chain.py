@@ -31,8 +31,8 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.calibrate import Job, Outcome, fit_day, make_days
 from inflight.tasks.chain_parts import alike, pack_parts
+from inflight.tasks.channel_series import own_readings
 from inflight.tasks.needs import channel_homes, position_channel
-from inflight.tasks.samples import own_readings
 from inflight.time import Int64, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the chain's days change.

@@ -16,8 +16,8 @@ from inflight.diagnosis.library import Told
 from inflight.effects.families import NO_CAUSE
 from inflight.geometry import add_geometry
 from inflight.mission import Mission
-from inflight.tasks.needs import channel_homes
-from inflight.tasks.samples import ArchiveIndex, Need
+from inflight.tasks.archive_index import ArchiveIndex
+from inflight.tasks.needs import Need, channel_homes
 from inflight.tasks.turning import Turning
 from inflight.time import SECOND, Int64, day_bounds
 

@@ -22,6 +22,7 @@ from inflight.effects.families import channels_of
 from inflight.errors import CatalogError, WorkerError
 from inflight.geometry import GEOMETRY
 from inflight.mission import Mission
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Job
 from inflight.tasks.channels import ChannelReader
 from inflight.tasks.delivery import each_result
@@ -29,7 +30,6 @@ from inflight.tasks.evidence import Loaded, PassPlan, evidence_batch, load_evide
 from inflight.tasks.models import UsedModel, current_model
 from inflight.tasks.needs import Need, base_role, channel_needs, needs_of, position_channel
 from inflight.tasks.report import Progress
-from inflight.tasks.samples import ArchiveIndex
 from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, placebo_shifts, survey
 from inflight.tasks.turning import shows_spin
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within

@@ -30,9 +30,11 @@ from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor, joined_floor, level_of_rows
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
-from inflight.tasks.samples import ArchiveIndex, Need, load_samples
+from inflight.tasks.needs import Need
+from inflight.tasks.samples import load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.

@@ -14,18 +14,11 @@ from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.errors import CatalogError, MissionError
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.tasks.archive_index import STAND_IN_DAYS, ArchiveIndex
 from inflight.tasks.calibrate import EQUATIONS_VERSION
 from inflight.tasks.chain import CHAIN_VERSION, Witnesses
 from inflight.tasks.models import UsedModel, current_model
-from inflight.tasks.needs import replaceable_needs
-from inflight.tasks.samples import (
-    STAND_IN_DAYS,
-    ArchiveIndex,
-    Need,
-    base_role,
-    geometry_channels,
-    needs_of,
-)
+from inflight.tasks.needs import Need, base_role, geometry_channels, needs_of, replaceable_needs
 from inflight.time import DayLike, as_day, day_range, is_within
 
 ONE_DAY = np.timedelta64(1, "D")

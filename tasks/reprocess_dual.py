@@ -27,11 +27,11 @@ from inflight.estimators.two_fluxgates import (
 )
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.models import current_model
 from inflight.tasks.planning import ReprocessSettings, equations_of, product_of
 from inflight.tasks.report import RunReport
-from inflight.tasks.samples import ArchiveIndex
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
 #: Clusters of a day at most: two orbits each, and one cut at either end.

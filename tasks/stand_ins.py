@@ -12,7 +12,8 @@ from inflight.catalog import Catalog, Day
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.substitution import Substituted, Treated, Typical, missing_rows, substitute
-from inflight.tasks.samples import ArchiveIndex, Need
+from inflight.tasks.archive_index import ArchiveIndex
+from inflight.tasks.needs import Need
 
 #: Cause of a day that is there, though not all of it was measured.
 PARTIAL = "partial"

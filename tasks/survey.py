@@ -20,8 +20,10 @@ from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.sensors import sensors_of
 from inflight.spin.fit import fit_spin, spinning_entry
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.channels import ChannelReader
-from inflight.tasks.samples import ArchiveIndex, Need, load_samples
+from inflight.tasks.needs import Need
+from inflight.tasks.samples import load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Channels that get a placebo.

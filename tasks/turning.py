@@ -12,8 +12,9 @@ from inflight.comparison import folding_of
 from inflight.errors import InflightError
 from inflight.folding import Folding, fold_series
 from inflight.mission import Mission
-from inflight.tasks.needs import clock_of
-from inflight.tasks.samples import ArchiveIndex, Need, channel_series
+from inflight.tasks.archive_index import ArchiveIndex
+from inflight.tasks.channel_series import channel_series
+from inflight.tasks.needs import Need, clock_of
 from inflight.tasks.spinning import spin_phase
 from inflight.time import Int64, day_bounds
 

@@ -1,8 +1,6 @@
-"""Periods in a daily parameter: Lomb-Scargle with false alarms that know red noise (Yin 2010, ch. 4).
+"""Periods in a daily parameter: Lomb-Scargle, false alarms from simulated red noise (Yin 2010, ch. 4).
 
-Daily parameters wander: a spectrum that is read against white noise finds lines where there are none. The
-background is a Lorentzian (a first-order memory) plus white noise, fitted to the spectrum itself without
-its peaks; false alarms come from simulated series of that noise on the same days, treated alike.
+The background is a Lorentzian plus white noise, fitted without the peaks.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def uncertainty(readings: Floats, twelve: TwelveParameters, covariance: Floats) 
     variance = np.stack(
         [np.einsum("ti,ij,tj->t", known, form, known, optimize=True) for form in forms], axis=1
     )
-    return np.sqrt(np.maximum(variance, 0.0))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _matrix(one: TwelveParameters) -> Floats:

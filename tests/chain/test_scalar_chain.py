@@ -12,14 +12,15 @@ import pytest
 import xarray as xr
 from ruamel.yaml import YAML
 
-from inflight.chain import Continuous, fit_mission, terms_of, wide_equations
+from inflight.chain import Continuous, fit_mission, terms_of, wide_equations, with_nine
 from inflight.chain.crosstalk import of_everything
+from inflight.comparison import rows_of
 from inflight.estimators.absorption import left
-from inflight.estimators.rows import joined
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import remanent_fields
+from inflight.tasks.chain_parts import equations_of_days
 from inflight.time import SECOND, day_bounds
 
 ROOT = Path(__file__).parents[2] / "missions"
@@ -112,8 +113,9 @@ def fitted(term: str = "", dropped: str = "", equations: bool = False):
         told = YAML(typ="safe").load(made.truth.attrs["nine_parameters"])
         nine = np.concatenate([np.ravel(one) for one in told.values()])
         attributes = {"comparison": "main", "model": "", "filter": "raw"}
-        blocks.append(wide_equations(model, samples_of(made), nine, day_bounds(day), attributes))
-    whole = joined(blocks)
+        own, samples = with_nine(model, nine), samples_of(made)
+        blocks.append(wide_equations(own, samples, rows_of(own, samples), day_bounds(day), attributes))
+    whole, _ = equations_of_days(blocks)
     return (whole, model) if equations else fit_mission(whole, model, "constant")
 
 

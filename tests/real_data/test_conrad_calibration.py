@@ -11,10 +11,12 @@ from inflight.calibration.nine import residuals
 from inflight.calibration.sensor import kernel_parameters
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.ingest import ingest
 from inflight.tasks.models import current_model
+from inflight.tasks.needs import needs_of
 from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.samples import load_samples
 from inflight.tasks.tables import load_equations
 
 ROOT = Path(__file__).parents[2]

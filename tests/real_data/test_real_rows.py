@@ -14,9 +14,11 @@ from inflight.comparison import Layout, rows_of
 from inflight.derived import respond
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.ingest import ingest
 from inflight.tasks.models import current_model
-from inflight.tasks.samples import ArchiveIndex, channel_homes, load_samples, needs_of
+from inflight.tasks.needs import channel_homes, needs_of
+from inflight.tasks.samples import load_samples
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

@@ -9,9 +9,11 @@ import pytest
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.model import Model
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.ingest import ingest
+from inflight.tasks.needs import needs_of
 from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.samples import load_samples
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

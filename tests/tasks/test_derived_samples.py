@@ -9,8 +9,10 @@ from inflight.catalog.workspace import Workspace
 from inflight.derived import play, respond
 from inflight.errors import SamplesError
 from inflight.geometry import GEOMETRY, add_geometry
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.models import ideal_model
-from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.needs import needs_of
+from inflight.tasks.samples import load_samples
 from inflight.time import SECOND, day_bounds
 
 YAML = """\

@@ -7,8 +7,10 @@ import xarray as xr
 from inflight.alignment import align
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
+from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.models import ideal_model
-from inflight.tasks.samples import ArchiveIndex, load_samples, needs_of
+from inflight.tasks.needs import needs_of
+from inflight.tasks.samples import load_samples
 from inflight.time import SECOND, day_bounds
 
 YAML = """\
