@@ -280,7 +280,11 @@ def _platform(layout: Layout, corrected: xr.Dataset) -> Rows:
 
 
 def _spin(layout: Layout, corrected: xr.Dataset) -> Rows:
-    """Return what turns with the spin: along the axis, and of the modulus across it."""
+    """Return what turns with the spin: along the axis, and of the modulus across it.
+
+    Directions are those of a steady field outside, and so is the field that effects see: of the measured one
+    the residual itself would be a cause, the field scaled to nothing.
+    """
     if layout.folding is None:
         raise ModelError(
             "the mission does not say how fast it spins", remedy="state 'spin' under the mission's periods"
@@ -288,18 +292,20 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> Rows:
     sensor = layout.sensor("vector").name
     field = _values(corrected, "field")
     across = np.hypot(field[:, 0], field[:, 1])
+    both = np.column_stack([field[:, 2], across])
+    good = _good(corrected, both) & (across > 0)
+    stamps = corrected["tt2000"].values
+    residual = layout.folding.keep(both, stamps, good)
+    steady = layout.folding.steady(field, _values(corrected, "spin_phase"), stamps, good)
     directions = np.zeros((len(field), 2, 3))
     directions[:, 0, 2] = 1.0
     with np.errstate(invalid="ignore", divide="ignore"):
-        directions[:, 1, :2] = field[:, :2] / across[:, None]
-    both = np.column_stack([field[:, 2], across])
-    good = _good(corrected, both) & (across > 0)
-    residual = layout.folding.keep(both, corrected["tt2000"].values, good)
+        directions[:, 1, :2] = steady[:, :2] / np.hypot(steady[:, 0], steady[:, 1])[:, None]
     return Rows(
         residual,
         {sensor: directions},
-        {sensor: field},
-        field,
+        {sensor: steady},
+        steady,
         good & np.isfinite(residual).all(axis=1),
         _step(corrected),
         layout.folding,

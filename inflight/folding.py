@@ -91,6 +91,23 @@ class Folding:
         out[~used] = np.nan
         return out.reshape(np.shape(values))
 
+    def steady(self, field: Floats, phase: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return the field of each interval as it would be without spin tones; (time, 3) nT, turning axes.
+
+        Parameters
+        ----------
+        field : ndarray, shape (time, 3)
+            Folded, axes that turn with the spacecraft.
+        phase : ndarray, shape (time,)
+            Rad.
+        """
+        c, s = np.cos(phase), np.sin(phase)
+        payload = np.column_stack(
+            [c * field[:, 0] - s * field[:, 1], s * field[:, 0] + c * field[:, 1], field[:, 2]]
+        )
+        mean = payload - self.keep(payload, stamps, good)
+        return np.column_stack([c * mean[:, 0] + s * mean[:, 1], c * mean[:, 1] - s * mean[:, 0], mean[:, 2]])
+
     @property
     def cadence_ns(self) -> int:
         """Distance of the folded samples."""

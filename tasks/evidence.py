@@ -262,6 +262,10 @@ def day_rows(
     """Return a day's rows on the library's cadence, and sums over its native samples."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
+    if made.folding is not None:
+        # What a sensor reads that turns in the steady field: effects are linearised there.
+        steady = samples.assign(vector=(samples["vector"].dims, native.field, samples["vector"].attrs))
+        samples = samples.assign(vector=made.model.disturb(steady)["vector"])
     start, end = day_bounds(day)
     geometry = _geometry(mission, derived.reader, day, samples)
     there = {name: np.asarray(geometry[name].values) for name in GEOMETRY if name in geometry}

@@ -15,6 +15,13 @@ from inflight.sensors import Sensor
 _SENSORS = ("1", "2", "3")
 
 
+def _steady(value: Floats) -> Floats:
+    """Return values (component,) where those at all times (time, component) are the same."""
+    if value.ndim == 2 and len(value) and np.array_equal(value, np.broadcast_to(value[:1], value.shape)):
+        return np.asarray(value[0])
+    return value
+
+
 class SpinningSensor(Effect):
     """Twelve parameters of a vector sensor that turns: ``B = Phi Sigma Gamma G (E - offset)``.
 
@@ -57,14 +64,11 @@ class SpinningSensor(Effect):
     @staticmethod
     def _matrices(values: Values) -> tuple[Floats, Floats]:
         """Return the coupling matrix and its inverse, row by row; (9,) or (time, 9)."""
-        one = {key: values[key][..., 0] for key in ("gain_ratio", "spin_plane_gain", "axial_gain")}
-        found = coupling(
-            **one,
-            elevation=values["elevation"],
-            azimuth=values["azimuth"][..., 0],
-            spin_axis=values["spin_axis"],
-            rotation=values["rotation"][..., 0],
-        )
+        told = {key: _steady(value) for key, value in values.items() if key != "offset"}
+        alone = ("gain_ratio", "spin_plane_gain", "axial_gain", "azimuth", "rotation")
+        shape = max((value.shape[:-1] for value in told.values()), key=len)
+        wide = {key: np.broadcast_to(value, (*shape, value.shape[-1])) for key, value in told.items()}
+        found = coupling(**{key: value[..., 0] if key in alone else value for key, value in wide.items()})
         return found[0].reshape(*found[0].shape[:-2], 9), found[1].reshape(*found[1].shape[:-2], 9)
 
     @classmethod

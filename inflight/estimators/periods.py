@@ -1,7 +1,4 @@
-"""Periods in a daily parameter: Lomb-Scargle, false alarms from simulated red noise (Yin 2010, ch. 4).
-
-The background is a Lorentzian plus white noise, fitted without the peaks.
-"""
+"""Periods in a daily parameter: Lomb-Scargle, false alarms from simulated red noise (Yin 2010, ch. 4)."""
 
 from __future__ import annotations
 

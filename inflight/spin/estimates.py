@@ -197,7 +197,9 @@ def _solve(equations: SpinEquations, rows: slice, columns: list[int]) -> tuple[F
     """Return the change (sub, 2) that removes two tones, its sigma, and its slopes by all parameters."""
     design = equations.design[:, rows, columns]
     scale = np.linalg.norm(design, axis=(1, 2), keepdims=True)
-    known = np.isfinite(scale[:, 0, 0]) & (np.abs(np.linalg.det(design)) > 1e-6 * scale[:, 0, 0] ** 2)
+    known = np.isfinite(scale[:, 0, 0]) & (
+        np.abs(np.linalg.det(np.nan_to_num(design))) > 1e-6 * scale[:, 0, 0] ** 2
+    )
     safe = np.where(known[:, None, None], design, np.eye(2))
     inverse = np.linalg.inv(safe)
     inverse[~known] = np.nan
