@@ -35,6 +35,8 @@ _LENGTHS_S = tuple(length for length in range(SECTORS, 21_601, SECTORS) if 86_40
 _QUIET_NT = 1e-3
 #: Power of all harmonics up to the fifth over that of the first two, by nature's spectrum (f^-5/3).
 _HIGHER = 1.25
+#: Turns whose means are this much of a turn apart are neighbours.
+_NEXT = 1.6
 #: An interval is used with this part of its samples.
 _LEAST = 0.5
 #: FourierSums of one turn's fit: offsets stand at the first in payload axes, gains at the second.
@@ -279,10 +281,13 @@ class _Day:
             return np.full(values.shape, np.nan + 0j)
         knots = centre[there]
         line = CubicSpline(knots, means[there], axis=0)
-        out = np.asarray(line(np.clip(phase, knots[0], knots[-1])))
-        # Beside a turn that is not there the line is a guess.
-        near = np.abs(self.phase[:, None] - knots[_nearest(knots, phase)][:, None])[:, 0] <= 1.01 * _TWO_PI
-        out[~near] = np.nan
+        after = np.searchsorted(knots, phase)
+        inside = (after > 0) & (after < knots.size)
+        after = np.clip(after, 1, knots.size - 1)
+        # Beyond the ends, and beside a turn that is not there, the line is a guess.
+        sure = inside & (knots[after] - knots[after - 1] < _NEXT * _TWO_PI)
+        out = np.asarray(line(np.where(sure, phase, knots[0])))
+        out[~sure] = np.nan
         return out
 
     def _interval_means(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
@@ -341,9 +346,3 @@ class _Day:
             "weight": xr.Variable("time", np.where(lost | ~np.isfinite(weight), 0.0, weight)),
         }
         return xr.Dataset(made, coords={"time": to_utc(stamps)}).isel(time=inside)
-
-
-def _nearest(knots: Floats, values: Floats) -> npt.NDArray[np.int64]:
-    after = np.clip(np.searchsorted(knots, values), 1, knots.size - 1)
-    closer = np.abs(knots[after] - values) < np.abs(values - knots[after - 1])
-    return np.where(closer, after, after - 1).astype(np.int64)
