@@ -13,7 +13,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
-from inflight.errors import CatalogError
+from inflight.errors import CatalogError, SettingsError
 from inflight.failures import Coordinate, find_failures, measure
 from inflight.flags import UNUSABLE, Flag
 from inflight.geometry import direction_of
@@ -80,6 +80,11 @@ def compare(
         When no product of the comparison is published in the span.
     """
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
+    if mission.comparisons[comparison].kind == "spin":
+        raise SettingsError(
+            f"'{comparison}' holds a turning sensor against itself: products have no residual a sample",
+            remedy="see the days' tones in 'inflight catalog show', and ask 'inflight diagnose'",
+        )
     days = _products(cat, comparison, span)
     digest = _digest_of(cat, mission, comparison, days, progress or (lambda stage, done, total: None))
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}

@@ -9,6 +9,7 @@ from typing import Any
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
+from inflight.comparison import folding_of
 from inflight.effects.naming import did_you_mean
 from inflight.errors import SettingsError
 from inflight.mission import Mission
@@ -75,7 +76,7 @@ def require_sampled(mission: Mission, comparison: str) -> None:
     SettingsError
         Naming those that can be diagnosed.
     """
-    usable = [name for name, one in mission.comparisons.items() if one.kind in SAMPLED_KINDS]
+    usable = [name for name in mission.comparisons if _has_rows(mission, name)]
     choice = f"choose one of {', '.join(usable)}" if usable else "the mission has none that can be diagnosed"
     if comparison not in mission.comparisons:
         raise SettingsError(
@@ -86,9 +87,18 @@ def require_sampled(mission: Mission, comparison: str) -> None:
     if comparison not in usable:
         kind = mission.comparisons[comparison].kind
         raise SettingsError(
-            f"--comparison: {comparison!r} is of kind '{kind}', which has no residual at every sample",
-            remedy=choice,
+            f"--comparison: {comparison!r} is of kind '{kind}', and nothing tells how it is turned",
+            remedy="state 'spin' under periods and a channel of kind 'sun_pulse' or 'spin_phase'"
+            + (f", or {choice}" if usable else ""),
         )
+
+
+def _has_rows(mission: Mission, comparison: str) -> bool:
+    """Return True when a comparison has a residual: of a spin comparison, when its turns are known."""
+    if mission.comparisons[comparison].kind in SAMPLED_KINDS:
+        return True
+    kinds = {channel.kind for _, _, channel in mission.channel_instruments()}
+    return folding_of(mission, comparison) is not None and bool({"sun_pulse", "spin_phase"} & kinds)
 
 
 def keep(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from inflight.catalog import Catalog
 from inflight.comparison import Layout
 from inflight.effects import EffectSource
+from inflight.effects.spinning_sensor import SpinningSensor
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.model import Model, make_effect
@@ -88,16 +89,20 @@ def preflight_model(cat: Catalog, mission: Mission, comparison: str = "main") ->
 def ideal_model(mission: Mission, comparison: str = "main", own: tuple[EffectSource, ...] = ()) -> Model:
     """Return a model of ideal sensors.
 
-    Against a scalar sensor the vector sensor's nine parameters are free, with the effect's own wide
-    priors; in other comparisons the readings are taken as delivered.
+    Against a scalar sensor the vector sensor's nine parameters are free, in a spin comparison the eight
+    that the spin tells, with the effect's own wide priors; else readings are taken as delivered.
     """
     name, layout = f"{mission.mission}-ideal", Layout.of(mission, comparison)
-    if layout.kind != "scalar":
+    if layout.kind not in ("scalar", "spin"):
         return Model(name, mission.mission, comparison, (), layout=layout, own=own)
     sensors = sensors_of(mission, comparison)
     vector = next(sensor for sensor in sensors.values() if sensor.role == "vector")
-    parts = {part: {"time": "block"} for part in ("scale_factor", "misalignment", "offset")}
-    entry = {"effect": "vector_sensor", "sensor": vector.name, **parts}
+    names: tuple[str, ...] = ("scale_factor", "misalignment", "offset")
+    kind = "vector_sensor"
+    if layout.kind == "spin":
+        kind, names = "spinning_sensor", tuple(SpinningSensor.SPIN_RELATED)
+    parts = {part: {"time": "block"} for part in names}
+    entry = {"effect": kind, "sensor": vector.name, **parts}
     effects = (make_effect(entry, sensors, mission=mission),)
     return Model(name, mission.mission, comparison, effects, layout=layout, own=own)
 

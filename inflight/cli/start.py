@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 SIMULATED_MISSION = "champ"
 #: The same with a second fluxgate: made with `new`, before it is simulated.
 WITH_SECOND = "champ-two-fluxgates"
+#: Missions of spinning spacecraft that are simulated.
+SPINNING = ("themis", "imp8", "helios")
 
 
 def register(app: typer.Typer) -> None:
@@ -96,7 +98,8 @@ def simulate(
     """Write day files like a real mission delivers, into the workspace's data folder.
 
     A folder that is no workspace becomes one of the simulated mission. A workspace of
-    champ-two-fluxgates gets the files of a second fluxgate, too.
+    champ-two-fluxgates gets the files of a second fluxgate, too; one of themis, imp8 or helios those of a
+    spinning spacecraft.
     """
     from inflight.catalog.workspace import Workspace
     from inflight.tasks.report import RunReport
@@ -110,7 +113,11 @@ def simulate(
     if SECOND_FLUXGATE in workspace.mission().instruments:
         settings |= {"second_fluxgate": True}
     with session.progress() as progress:
-        written = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
+        if workspace.mission().mission in SPINNING:
+            settings |= {"craft": workspace.mission().mission}
+            written = write_spinning(workspace.data, settings, workers=workers, progress=progress)
+        else:
+            written = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
     report = RunReport(
         "simulate",
         days={"planned": days, "done": days},
@@ -123,12 +130,28 @@ def simulate(
 def _require_simulated(workspace: Workspace) -> None:
     """Refuse to put simulated files among the measurements of another mission."""
     named = workspace.mission().mission
-    if named not in (SIMULATED_MISSION, WITH_SECOND):
+    known = (SIMULATED_MISSION, WITH_SECOND, *SPINNING)
+    if named not in known:
         raise SettingsError(
-            f"{workspace.root} holds mission {named!r}; only {SIMULATED_MISSION!r} and {WITH_SECOND!r} are "
-            "simulated",
+            f"{workspace.root} holds mission {named!r}; only {', '.join(map(repr, known))} are simulated",
             remedy="name a new folder with --workspace",
         )
+
+
+def write_spinning(
+    folder: Path, settings: Mapping[str, Any], *, workers: int | None, progress: Progress
+) -> list[Path]:
+    """Simulate day files of a spinning spacecraft; `settings` are those of `SpinningSettings`."""
+    from inflight.flows.cluster import available_cores
+    from inflight.simulate.spinning import SpinningSettings
+    from inflight.tasks.simulate_spinning import simulate_spinning
+
+    return simulate_spinning(
+        SpinningSettings.model_validate(settings),
+        folder,
+        progress=lambda done, total: progress("simulate", done, total),
+        workers=workers or available_cores(),
+    )
 
 
 def write_deliveries(
