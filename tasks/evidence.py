@@ -29,10 +29,11 @@ from inflight.folding import FOLDING_VERSION, Folding
 from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.noise import NoiseFloor, joined_floor, level_of_rows
+from inflight.noise import NoiseFloor
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
+from inflight.tasks.evidence_floor import floor_of_samples, floor_of_turns, joined_floors
 from inflight.tasks.needs import Need
 from inflight.tasks.samples import load_samples
 from inflight.time import DAY, SECOND, day_bounds
@@ -277,9 +278,9 @@ def day_rows(
     rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
     rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
     if made.folding is None:
-        sums |= _floor(native.residual, native.good, samples["tt2000"].values)
+        sums |= floor_of_samples(native.residual, native.good, samples["tt2000"].values)
     else:
-        sums |= _floor_of_turns(samples, native.good, made.folding.sectors)
+        sums |= floor_of_turns(samples, native.good, made.folding.sectors)
     return rows, sums
 
 
@@ -291,54 +292,6 @@ def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
         if (missing & used).sum() <= _GEOMETRY_GAPS * max(used.sum(), 1):
             out |= missing
     return out
-
-
-def _floor(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
-    """Return the white level of a day's residual, all rows together, as sums of squares over its samples."""
-    level = level_of_rows(residual, good, stamps)
-    if not np.isfinite(level.level_nT):
-        return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
-    return {
-        "floor_samples": float(level.samples),
-        "floor": level.samples * level.level_nT**2,
-        "floor_low": level.samples * level.low_nT**2,
-        "floor_high": level.samples * level.high_nT**2,
-    }
-
-
-def _floor_of_turns(samples: xr.Dataset, good: np.ndarray, sectors: int) -> dict[str, float]:
-    """Return what nature leaves in a day's synthetic turns, by the scatter of the turns they are made of."""
-    noise = np.asarray(samples["noise"].values)
-    used = good & np.isfinite(noise) & (samples["weight"].values > 0)
-    total = float(samples["weight"].values[used].sum())
-    if not total > 0:
-        return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
-    square = float(np.sum((samples["weight"].values * noise**2)[used])) / total
-    # Two rows an interval with a sine and a cosine at two harmonics each.
-    unsure = 2.0 * np.sqrt(2.0 / (8.0 * max(used.sum() / sectors, 1.0)))
-    count = float(used.sum())
-    return {
-        "floor_samples": count,
-        "floor": count * square,
-        "floor_low": count * square * max(1.0 - unsure, 0.0),
-        "floor_high": count * square * (1.0 + unsure),
-    }
-
-
-def _floor_of(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
-    """Return the white level of several blocks together."""
-    known = [report for report in reports if report.get("floor_samples")]
-    return joined_floor(
-        [
-            NoiseFloor(
-                float(np.sqrt(report["floor"] / report["floor_samples"])),
-                float(np.sqrt(report["floor_low"] / report["floor_samples"])),
-                float(np.sqrt(report["floor_high"] / report["floor_samples"])),
-                int(report["floor_samples"]),
-            )
-            for report in known
-        ]
-    )
 
 
 def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
@@ -397,6 +350,6 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         within,
         replace(series, kept=made.kept),
         sums,
-        _floor_of([day.report for day in ordered]),
+        joined_floors([day.report for day in ordered]),
         Outliers.of([day.report for day in ordered], made.keep_bursts),
     )
