@@ -95,6 +95,7 @@ class ChannelReader:
                 if there is not None
                 else None
             )
+            phase: Floats | None = None
             for need in needs:
                 instrument, name = homes[need.name]
                 width = len(self.mission.instruments[instrument].channels[name].axis_names)
@@ -107,7 +108,9 @@ class ChannelReader:
                     cadence = max(cadence, self.cadence_ns + 1)
                 values, stamps = data[need.channel].values, data["tt2000"].values
                 if turning is not None and turning.is_seen_by(cadence):
-                    out[need.name] = turning.folded(values, stamps, edges)
+                    # One instrument's channels have the same stamps.
+                    phase = turning.phase(stamps) if phase is None else phase
+                    out[need.name] = turning.folded(values, stamps, phase, edges)
                 else:
                     out[need.name] = channel_on(values, stamps, edges, cadence)
         return out

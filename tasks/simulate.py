@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -108,7 +108,10 @@ def simulate(
         When the disk refuses a write; days written before stay.
     """
     folder = Path(destination)
-    _claim(settings, folder)
+    truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
+    claim(
+        folder, settings.model_dump(mode="json"), truth, SimulationSettings().model_dump(mode="json"), _SPAN
+    )
     days = settings.day_list
     missing = [day for day in days if not _is_complete(settings, folder, day)]
     for number, _ in enumerate(written(write_day, settings, folder, missing, workers), start=1):
@@ -183,14 +186,28 @@ def written(
             raise
 
 
-def _claim(settings: SimulationSettings, folder: Path) -> None:
-    """Write the settings into the truth folder, or check that those there are the same."""
+def claim(
+    folder: Path,
+    wanted: Mapping[str, Any],
+    truth: Mapping[str, Any],
+    standard: Mapping[str, Any],
+    span: set[str],
+) -> None:
+    """Write the settings of a simulation into the truth folder, or check that those there are the same.
+
+    Parameters
+    ----------
+    wanted, truth : mapping
+        Settings, and what they make of the simulation.
+    standard : mapping
+        Settings that older folders do not name.
+    span : set of str
+        Settings that may differ between two runs into one folder: they only widen the span.
+    """
     path = folder / TRUTH / "settings.json"
-    wanted = settings.model_dump(mode="json")
     if path.exists():
-        standard = SimulationSettings().model_dump(mode="json")
-        found = standard | json.loads(path.read_text())
-        differing = sorted(key for key in set(wanted) - _SPAN if found.get(key) != wanted.get(key))
+        found = {**standard, **json.loads(path.read_text())}
+        differing = sorted(key for key in set(wanted) - span if found.get(key) != wanted.get(key))
         if differing:
             raise CatalogError(
                 f"the folder holds a simulation with other {', '.join(differing)}",
@@ -199,8 +216,7 @@ def _claim(settings: SimulationSettings, folder: Path) -> None:
             )
         return
     with storage(folder, None), atomic(path) as partial:
-        truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
-        partial.write_text(json.dumps(wanted | {"truth": truth}, indent=1))
+        partial.write_text(json.dumps({**wanted, "truth": dict(truth)}, indent=1))
 
 
 def _is_complete(settings: SimulationSettings, folder: Path, day: np.datetime64) -> bool:

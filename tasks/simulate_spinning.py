@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 from cdflib.cdfwrite import CDF
 from threadpoolctl import threadpool_limits
 
-from inflight.errors import CatalogError
 from inflight.simulate.spinning import CRAFT, SpinningSettings, simulate_spinning_day
 from inflight.tasks.delivered_cdf import Source, Variable, atomic, compact, storage, write_cdf
-from inflight.tasks.simulate import TRUTH, Progress, write_truth, written
+from inflight.tasks.simulate import TRUTH, Progress, claim, write_truth, written
 
 _XYZ = ("x", "y", "z")
 _VARIABLES = {
@@ -75,7 +73,9 @@ def simulate_spinning(
         When the disk refuses a write.
     """
     folder = Path(destination)
-    _claim(settings, folder)
+    truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
+    # What drifts counts from the first day: only the end may differ between two runs.
+    claim(folder, settings.model_dump(mode="json"), truth, {}, {"days"})
     days = settings.day_list
     missing = [day for day in days if not truth_path(settings, folder, day).exists()]
     for number, _ in enumerate(written(write_spinning_day, settings, folder, missing, workers), start=1):
@@ -99,21 +99,3 @@ def write_spinning_day(settings: SpinningSettings, destination: Path, day: np.da
             paths.append(path)
         write_truth(truth_path(settings, destination, day), simulated.truth)
     return paths
-
-
-def _claim(settings: SpinningSettings, folder: Path) -> None:
-    """Write the settings into the truth folder, or check that those there are the same."""
-    path = folder / TRUTH / "settings.json"
-    wanted = settings.model_dump(mode="json")
-    if path.exists():
-        found = json.loads(path.read_text())
-        differing = sorted(key for key in set(wanted) - {"days"} if found.get(key) != wanted.get(key))
-        if differing:
-            raise CatalogError(
-                f"the folder holds a simulation with other {', '.join(differing)}",
-                file=str(folder),
-                remedy="choose an empty folder or the same settings",
-            )
-        return
-    with storage(folder, None), atomic(path) as partial:
-        partial.write_text(json.dumps(wanted | {"parameters": settings.parameters.as_dict()}, indent=1))

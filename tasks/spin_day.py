@@ -14,6 +14,7 @@ from inflight.errors import CalibrationError, ModelError
 from inflight.flags import UNUSABLE, Flag
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
+from inflight.spin.despin import despin
 from inflight.spin.equation import NAMES, SPIN_RELATED, TwelveParameters
 from inflight.spin.estimates import estimate_pairs
 from inflight.spin.fit import spinning_entry
@@ -54,7 +55,7 @@ def spin_day(
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)
     start, end = day_bounds(day)
     present, known = ground_of(entry, (start + end) // 2)
-    readings, good = plain_readings(model, entry, samples)
+    readings, good, _ = plain_readings(model, entry, samples)
     phase, stamps = np.asarray(samples["spin_phase"].values), np.asarray(samples["tt2000"].values)
     layout = lay_out(readings, phase, stamps, good, SubIntervals(), exclusions_of(mission, start, end))
     found = joint_estimate(readings, phase, stamps, layout, present, _free(entry, known))
@@ -110,8 +111,12 @@ def _free(entry: ModelEffect, known: dict[str, float]) -> dict[str, float]:
     return {name: UNKNOWN[name] * 1e-9 if name in fixed else known[name] for name in SPIN_RELATED}
 
 
-def plain_readings(model: Model, entry: ModelEffect, samples: xr.Dataset) -> tuple[Floats, np.ndarray]:
+def plain_readings(
+    model: Model, entry: ModelEffect, samples: xr.Dataset
+) -> tuple[Floats, np.ndarray, xr.Dataset]:
     """Return readings as if the sensor's equation were all there is, (time, axis) nT, and which are good.
+
+    The corrected samples they are made from come with them.
 
     Everything else the model knows is taken out: what stands before the equation, and fields.
     """
@@ -121,7 +126,7 @@ def plain_readings(model: Model, entry: ModelEffect, samples: xr.Dataset) -> tup
     readings = entry.effect.disturb(field, corrected, values, entry.sensor)
     bad = np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
     good = ((samples["flag"].values & bad) == 0) & np.isfinite(readings).all(axis=1)
-    return readings, good
+    return readings, good, corrected
 
 
 def exclusions_of(mission: Mission, start: int, end: int) -> list[Exclusion]:
@@ -172,10 +177,7 @@ def _means(
     known = good & np.isfinite(phase)
     if not known.any():
         raise CalibrationError("no sample of the day has a phase", remedy="look at the day's sun pulses")
-    c, s = np.cos(phase), np.sin(phase)
-    payload = np.column_stack(
-        [field[:, 0] * c - field[:, 1] * s, field[:, 0] * s + field[:, 1] * c, field[:, 2]]
-    )
+    payload = despin(field, phase)
     group = np.floor(np.where(known, phase, 0.0) / (2.0 * np.pi * turns)).astype(np.int64)
     group = np.where(known, group - group[known].min(), most)
     group = np.clip(group, 0, most)

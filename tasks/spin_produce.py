@@ -37,8 +37,8 @@ def spin_product(
     bound = model.bind(table)
     entry = require_spinning(bound)
     twelve, covariance = _holding(table, (span[0] + span[1]) // 2)
-    readings, _ = plain_readings(bound, entry, samples)
-    product = spin_level2(bound, samples, readings, twelve, covariance)
+    readings, _, corrected = plain_readings(bound, entry, samples)
+    product = spin_level2(bound, corrected, readings, twelve, covariance)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
     report: dict[str, Any] = {

@@ -55,16 +55,22 @@ class Turning:
         """Return True when a channel of a cadence shows what goes with the spin."""
         return shows_spin(self.mission, self.comparison, cadence_ns)
 
-    def folded(self, values: Floats, stamps: Int64, edges: Int64) -> Floats:
+    def phase(self, stamps: Int64) -> Floats:
+        """Return the phase at the stamps of an instrument's channels, rad; NaN where nothing tells it."""
+        try:
+            told = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
+            found = spin_phase(self.mission, self.comparison, self.clock, told, stamps, str(self.day))
+        except InflightError:
+            return np.full(stamps.size, np.nan)
+        return np.asarray(found.values, dtype=np.float64)
+
+    def folded(self, values: Floats, stamps: Int64, phase: Floats, edges: Int64) -> Floats:
         """Return a channel on the synthetic turns whose bins have these edges; NaN without a phase."""
         flat = np.asarray(values, dtype=np.float64)
         out = np.full((edges.size - 1, *flat.shape[1:]), np.nan)
-        try:
-            told = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
-            phase = spin_phase(self.mission, self.comparison, self.clock, told, stamps, str(self.day)).values
-        except InflightError:
+        if not np.isfinite(phase).any():
             return out
-        found = fold_series(flat, stamps, np.asarray(phase), self.folding, day_bounds(self.day))
+        found = fold_series(flat, stamps, phase, self.folding, day_bounds(self.day))
         count = min(len(out), len(found))
         out[:count] = found[:count]
         return out

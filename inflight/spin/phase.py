@@ -9,7 +9,6 @@ counted where the spin rate is known well enough to leave no other count.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntFlag
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +16,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
+from inflight.flags import Flag
 from inflight.spin.marks import Marks, believed, count_turns, usual_period
 from inflight.time import SECOND, Int64, utc_text
 
@@ -30,18 +30,6 @@ _CARRIED = 1.0
 #: Hermite's cubic through both ends: an error of the rate at both ends makes at most this part of it, times
 #: the gap, in the middle.
 _BENT = 0.15
-
-
-class PhaseFlag(IntFlag):
-    """What is wrong with the phase of one sample; bits that follow those of `inflight.flags.Flag`."""
-
-    GOOD = 0
-    #: No trustworthy spin phase.
-    NO_PHASE = 1 << 10
-    #: The spin phase was carried over missing Sun pulses.
-    PHASE_BRIDGED = 1 << 11
-    #: The sample lies where the spin phase jumps from one mark to the next.
-    PHASE_JUMP = 1 << 12
 
 
 @dataclass(frozen=True)
@@ -58,7 +46,7 @@ class SpinPhase:
     sigma : ndarray, shape (time,)
         Standard deviation, radians, by the scatter of the marks and the change of the rate across gaps.
     flag : ndarray of uint32, shape (time,)
-        `PhaseFlag`.
+        `inflight.flags.Flag`.
     marks : Marks
         What the phase rests on.
     nominal : float
@@ -254,16 +242,16 @@ def _at_samples(
     at = place[bridged]
     phase[bridged] += _bend(share[bridged], apart[at], marks.rate[at], marks.rate[at + 1], advance[bridged])
     sigma[bridged] = np.hypot(sigma[bridged], _BENT * marks.unsure[at])
-    flag[bridged] |= np.uint32(PhaseFlag.PHASE_BRIDGED)
+    flag[bridged] |= np.uint32(Flag.PHASE_BRIDGED)
     outside = (share < 0) | (share > 1)
     end = np.where(share < 0, 0, marks.time.size - 1)
     since = (stamps - marks.time[end]) / SECOND * marks.rate[end]
     phase = np.where(outside, marks.turn[end] + since, phase)
-    flag[outside] |= np.uint32(PhaseFlag.PHASE_BRIDGED)
+    flag[outside] |= np.uint32(Flag.PHASE_BRIDGED)
     jump = (marks.jumped | marks.uncounted)[place] & (share > 0) & (share < 1)
-    flag[(marks.jumped)[place] & jump] |= np.uint32(PhaseFlag.PHASE_JUMP)
+    flag[(marks.jumped)[place] & jump] |= np.uint32(Flag.PHASE_JUMP)
     bad = jump | (outside & (np.abs(since) > _CARRIED)) | (TURN * sigma > certain)
-    flag[bad] |= np.uint32(PhaseFlag.NO_PHASE)
+    flag[bad] |= np.uint32(Flag.NO_PHASE)
     phase = np.where(bad, np.nan, TURN * phase + offset)
     if not np.isfinite(phase).any() and stamps.size:
         reports.append(f"no sample has a phase; marks scatter by {360 * marks.sigma:.2g} degrees")

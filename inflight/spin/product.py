@@ -9,6 +9,7 @@ from inflight.arrays import Floats
 from inflight.coupling import coupling
 from inflight.flags import UNUSABLE, Flag, meanings
 from inflight.model import Model
+from inflight.spin.despin import despin
 from inflight.spin.equation import NAMES, TwelveParameters
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
@@ -16,19 +17,8 @@ _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 _STEPS = {name: 1.0 if name.startswith("offset") else 1e-6 for name in NAMES}
 
 
-def despun(field: Floats, phase: Floats) -> Floats:
-    """Return a field of turning axes in payload axes, x towards the Sun's projection; (time, 3) nT.
-
-    Eq. (1) of Farrell et al. (1995); phase in rad.
-    """
-    c, s = np.cos(phase), np.sin(phase)
-    return np.column_stack(
-        [c * field[:, 0] - s * field[:, 1], s * field[:, 0] + c * field[:, 1], field[:, 2]]
-    )
-
-
 def spin_level2(
-    model: Model, samples: xr.Dataset, readings: Floats, twelve: TwelveParameters, covariance: Floats
+    model: Model, corrected: xr.Dataset, readings: Floats, twelve: TwelveParameters, covariance: Floats
 ) -> xr.Dataset:
     """Return the level-2 product of one day of a turning sensor.
 
@@ -36,8 +26,8 @@ def spin_level2(
     ----------
     model : Model
         Bound to the calibration table that holds.
-    samples : xarray.Dataset
-        As measured, not folded, with `spin_phase`.
+    corrected : xarray.Dataset
+        Samples as measured, not folded, with `spin_phase`, that the model has corrected.
     readings : ndarray, shape (time, axis)
         Of the sensor's equation alone, nT: everything else is taken out.
     twelve : TwelveParameters
@@ -52,17 +42,16 @@ def spin_level2(
         (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
         `field_payload` is NaN and the flag says so.
     """
-    corrected = model.correct(samples)
     field = np.asarray(corrected["field"].values)
-    phase = np.asarray(samples["spin_phase"].values, dtype=np.float64)
-    flag = samples["flag"].values.astype(np.uint32)
+    phase = np.asarray(corrected["spin_phase"].values, dtype=np.float64)
+    flag = corrected["flag"].values.astype(np.uint32)
     flag[~np.isfinite(phase)] |= np.uint32(Flag.NO_PHASE)
     lost = ~np.isfinite(field).all(axis=1)
     flag[lost & (flag & np.uint32(UNUSABLE) == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
     told = {"units": "nT", "long_name": "calibrated field"}
     variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]] = {
         "field_sensor": (_VECTOR, field, {**told, "frame": "spin-aligned, turning"}),
-        "field_payload": (_VECTOR, despun(field, phase), {**told, "frame": "payload"}),
+        "field_payload": (_VECTOR, despin(field, phase), {**told, "frame": "payload"}),
         "spin_phase": (
             _SCALAR,
             np.mod(phase, 2.0 * np.pi),
@@ -80,7 +69,7 @@ def spin_level2(
     masks, names = meanings()
     out = xr.Dataset(variables, coords={"axis": ["x", "y", "z"]}, attrs={"comparison": model.comparison})
     out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
-    out["tt2000"] = (_SCALAR, samples["tt2000"].values, {"units": "ns", "scale": "TT2000"})
+    out["tt2000"] = (_SCALAR, corrected["tt2000"].values, {"units": "ns", "scale": "TT2000"})
     return out
 
 

@@ -5,8 +5,9 @@ import pytest
 from farrell_cases import TURN, phase_of, record, sensors, stamps_of
 
 from inflight.errors import CalibrationError, SamplesError
+from inflight.flags import Flag
 from inflight.spin.period import check_period
-from inflight.spin.phase import PhaseFlag, phase_from_angle, phase_from_period, phase_from_pulses
+from inflight.spin.phase import phase_from_angle, phase_from_period, phase_from_pulses
 from inflight.time import SECOND
 
 PERIOD = 3.03
@@ -45,7 +46,7 @@ def test_missing_and_spurious_and_repeated_pulses_leave_the_phase_right():
     found = spin.found(pulses)
     assert found.good.all()
     assert np.abs(spin.error(found)).max() < 0.01
-    bridged = (found.flag & PhaseFlag.PHASE_BRIDGED) > 0
+    bridged = (found.flag & Flag.PHASE_BRIDGED) > 0
     assert bridged[np.searchsorted(spin.samples, spin.times[530])]
     assert 0.05 < bridged.mean() < 0.30
     told = found.told()
@@ -84,7 +85,7 @@ def test_a_jump_of_the_phase_is_found_with_its_size_and_time():
     lost = spin.samples[bad]
     assert lost.min() > pulses[999]
     assert lost.max() < pulses[1000]
-    assert (found.flag[bad] & PhaseFlag.PHASE_JUMP).all()
+    assert (found.flag[bad] & Flag.PHASE_JUMP).all()
     assert "jumps by +47" in found.told()
 
 
