@@ -16,10 +16,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.spin.block_sums import SERIES
 from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.harmonics import SpinTones
 from inflight.spin.layout import Bools
-from inflight.spin.sums import SERIES
 from inflight.time import Int64
 
 #: The pairs in the order they are determined in, and for each which tones show it.

@@ -14,22 +14,10 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
+from inflight.spin.block_sums import SERIES, TONES, M, U, V, Z
 from inflight.spin.equation import TwelveParameters
 from inflight.spin.layout import WIDEST_STEP, Bools, Layout
-from inflight.spin.sums import (
-    SERIES,
-    TONES,
-    M,
-    U,
-    V,
-    Z,
-    beside_without_lines,
-    block_sums,
-    chunks,
-    gathered,
-    tone_sums,
-    without_lines,
-)
+from inflight.spin.sums import beside_without_lines, block_sums, tone_sums, without_lines
 from inflight.time import Int64
 
 #: Derivatives hold while the field changes by less than this part.
@@ -65,6 +53,8 @@ class SpinTones:
         Bx and By averaged over the spins, nT: a first guess of large offsets.
     excluded : tuple of (str, ndarray of bool of shape (sub,))
         Why sub-intervals are left out.
+    known : ndarray of bool, shape (block,)
+        Blocks with samples enough for a line of their own.
     parameters : TwelveParameters
     blocks : int
         A sub-interval shares blocks with this many before and after, itself included.
@@ -82,6 +72,7 @@ class SpinTones:
     coherence: Floats
     mean: Floats
     excluded: tuple[tuple[str, Bools], ...]
+    known: Bools
     parameters: TwelveParameters
     blocks: int
 
@@ -118,11 +109,7 @@ def spin_tones(
         The readings are corrected with these.
 
     """
-    parts = [
-        block_sums(*gathered(readings, phase, layout, parameters, low), layout) for low in chunks(layout)
-    ]
-    sums = [np.concatenate(one) for one in zip(*parts, strict=True)]
-    return _of_blocks(layout, stamps, parameters, *sums)
+    return _of_blocks(layout, stamps, parameters, *block_sums(readings, phase, layout, parameters))
 
 
 def corrected_tones(
@@ -130,7 +117,7 @@ def corrected_tones(
 ) -> SpinTones:
     """Return tones of Bz and of the modulus under other parameters, and all else as it was before.
 
-    A quarter of the work of `spin_tones`. Derivatives and noise change by the relative change of the field
+    A third of the work of `spin_tones`. Derivatives and noise change by the relative change of the field
     only: for small steps (see `small_step`) they hold.
 
     Parameters
@@ -141,10 +128,9 @@ def corrected_tones(
         Of the same record and layout.
     parameters : TwelveParameters
     """
-    parts = [tone_sums(*gathered(readings, phase, layout, parameters, low)) for low in chunks(layout)]
+    sums = tone_sums(readings, phase, layout, parameters)
     lost = np.isnan(before.tones[:, 0, Z])
-    known = np.concatenate([np.isfinite(one[:, 0, 0]) & (one[:, 0, 0] > 2.0) for one in parts])
-    rest = without_lines(np.concatenate(parts), known)
+    rest = without_lines(sums, before.known)
     summed = layout.over_blocks(rest).sum(axis=1)
     gram = np.where(lost[:, None, None], np.eye(TONES), summed[:, :, :TONES])
     tones = before.tones.copy()
@@ -171,9 +157,8 @@ def _of_blocks(
     filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
     enough = filled >= settings.filled
     known = covered > 0.1
-    tone_sums = without_lines(inner, known)
-    beside = beside_without_lines(inner, beside, known)
-    windows = [layout.over_blocks(one) for one in (tone_sums, beside)]
+    rest = without_lines(inner, known), beside_without_lines(inner, beside, known)
+    windows = [layout.over_blocks(one) for one in rest]
     summed = windows[0].sum(axis=1)
     gram = np.where(enough[:, None, None], summed[:, :, :TONES], np.eye(TONES))
     tones = np.linalg.solve(gram, summed[:, :, -len(SERIES) :])
@@ -204,6 +189,7 @@ def _of_blocks(
             *layout.excluded(),
             (NOT_TURNING, enough & (coherence < _COHERENT)),
         ),
+        known=known,
         parameters=parameters,
         blocks=settings.blocks,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.spin.block_sums import SERIES
 from inflight.spin.equation import TwelveParameters
 from inflight.spin.harmonics import (
     SpinTones,
@@ -14,7 +15,6 @@ from inflight.spin.harmonics import (
     spin_tones,
 )
 from inflight.spin.layout import Layout
-from inflight.spin.sums import SERIES
 from inflight.time import Int64
 
 #: Above this part of the field an offset bends the modulus too much for one linear step.
