@@ -1,4 +1,4 @@
-"""Print all benchmarks: nine, pipeline, front, search, chain (``python -m benchmarks --help``)."""
+"""Print all benchmarks, or those named: see ``python -m benchmarks --help``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import argparse
 import os
 import tempfile
 from pathlib import Path
+
+_ALL = ["nine", "pipeline", "front", "search", "chain", "spin_fits", "spin_eight"]
 
 
 def main() -> None:
@@ -15,19 +17,21 @@ def main() -> None:
     parser.add_argument(
         "which",
         nargs="*",
-        choices=["nine", "pipeline", "front", "search", "chain", []],
+        choices=[*_ALL, []],
         help="all when absent",
     )
     parser.add_argument("--keep", type=Path, help="folder of the simulated archive, made once and kept")
     parser.add_argument("--days", type=int, default=90, help="days of the archive")
     given = parser.parse_args()
-    which = given.which or ["nine", "pipeline", "front", "search", "chain"]
+    which = given.which or _ALL
 
     from benchmarks.archive import simulated_workspace
     from benchmarks.chain import whole_chain
     from benchmarks.nine import nine_parameters
     from benchmarks.pipeline import front_door, memory_and_speed
     from benchmarks.search import evidence_pass, ranking
+    from benchmarks.spin_eight import spin_eight
+    from benchmarks.spin_fits import spin_fit_ratios
 
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.keep or Path(scratch) / "archive"
@@ -41,6 +45,10 @@ def main() -> None:
             print("\n".join([*evidence_pass(cat), *ranking()]), flush=True)
         if "chain" in which:
             print("\n".join(whole_chain(given.days, folder.with_name(f"{folder.name}-chain"))), flush=True)
+        if "spin_fits" in which:
+            print("\n".join(spin_fit_ratios()), flush=True)
+        if "spin_eight" in which:
+            print("\n".join(spin_eight()), flush=True)
         if "front" in which:
             print("\n".join(front_door()), flush=True)
 

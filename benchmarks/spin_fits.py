@@ -1,6 +1,6 @@
 """A day of spin fits against the loop people write, and against reading the day's memory.
 
-``python -m benchmarks.spin_fits`` prints it: 28 800 spins of 12 readings, three components. The loop makes
+``python -m benchmarks spin_fits`` prints it: 28 800 spins of 12 readings, three components. The loop makes
 one ``numpy.linalg.lstsq`` a spin for all three components at once; rivals take turns, and the least of
 several processor times counts, because the machine may be shared.
 """

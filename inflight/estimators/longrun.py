@@ -33,11 +33,11 @@ def memory_of(series: Floats) -> npt.NDArray[np.int64]:
     most = max(int(_LONGEST * blocks), 1)
     correlation = np.abs(autocorrelation(series, min(most + _IN_A_ROW, blocks - 1)))
     small = correlation < _CHANCE * np.sqrt(np.log10(max(blocks, 10)) / blocks)
-    found = []
-    for column in small.T:
-        runs = [m for m in range(most) if column[m + 1 : m + 1 + _IN_A_ROW].all()]
-        found.append(runs[0] if runs else most)
-    return np.array(found, dtype=np.int64)
+    # Beyond the last lag nothing is known, and nothing speaks against a run.
+    ahead = np.ones((most + _IN_A_ROW, small.shape[1]), dtype=np.bool_)
+    ahead[: len(small) - 1] = small[1 : most + _IN_A_ROW + 1]
+    quiet = np.lib.stride_tricks.sliding_window_view(ahead, _IN_A_ROW, axis=0)[:most].all(axis=-1)
+    return np.asarray(np.where(quiet.any(axis=0), quiet.argmax(axis=0), most), dtype=np.int64)
 
 
 def long_run_covariance(scores: Floats, functions: float = 1.0) -> Floats:

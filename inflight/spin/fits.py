@@ -18,6 +18,7 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.calibration.robust import WEIGHTED_RMS
 from inflight.errors import CalibrationError, SamplesError
+from inflight.spin.sine import fill_sine_cosine
 from inflight.spin.spin_sums import fit_plain, fit_weighted
 from inflight.time import Int64, utc_text
 
@@ -210,7 +211,9 @@ def spin_fits(
         raise SamplesError("the spin phase falls", remedy="unwrap it; it grows with time by definition")
     turn = np.floor(phase * (1.0 / (TURN * spins))).astype(np.int64)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(turn)) + 1, [turn.size]])
-    samples = np.sin(phase), np.cos(phase), np.ascontiguousarray(field, dtype=np.float64)
+    sine, cosine = np.empty(phase.size), np.empty(phase.size)
+    fill_sine_cosine(np.asarray(phase, dtype=np.float64), sine, cosine)
+    samples = sine, cosine, np.ascontiguousarray(field, dtype=np.float64)
     sums = _fit_all(*samples, edges, 2 * harmonics + 1)
     if robust:
         _again(sums, samples, edges)

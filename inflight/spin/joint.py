@@ -178,9 +178,8 @@ def _fit(equations: SpinEquations, tones: SpinTones, known: _Known) -> _Fit:
     change = np.zeros(unit.size)
     for _ in range(_TURNS):
         weight = np.repeat(say, _PAIR, axis=1)
-        normal = np.einsum("sri,sr,srj->ij", design, weight, design) + np.diag(prior)
-        inverse, told = _inverse(normal)
-        new = inverse @ (np.einsum("sri,sr,sr->i", design, weight, target) + shift)
+        inverse, told = _inverse(_crossed(design, design * weight[..., None]) + np.diag(prior))
+        new = inverse @ (_flat(design).T @ (weight * target).ravel() + shift)
         moved, change = float(np.abs(new - change).max()), new
         left = target - design @ change
         say, excess, pull = _weights(left, usable)
@@ -191,6 +190,16 @@ def _fit(equations: SpinEquations, tones: SpinTones, known: _Known) -> _Fit:
     covariance[~told, :], covariance[:, ~told] = np.nan, np.nan
     sigma = np.sqrt(np.where(told, np.diag(covariance), np.inf))
     return _Fit(np.where(told, change / unit, 0.0), sigma, covariance, say, excess)
+
+
+def _flat(rows: Floats) -> Floats:
+    """Return equations (sub, row, parameter) one after the other."""
+    return rows.reshape(-1, rows.shape[-1])
+
+
+def _crossed(one: Floats, other: Floats) -> Floats:
+    """Return the sum of products of equations (sub, row, parameter); a matrix product, not a loop."""
+    return np.asarray(_flat(one).T @ _flat(other))
 
 
 def _inverse(normal: Floats) -> tuple[Floats, Bools]:
@@ -235,18 +244,16 @@ def _covariance(
     # A tone gives way by the slope along its length and by the weight across it.
     slope = 0.5 * (np.maximum(biweight_slope(pull), 0.0) + biweight(pull))
     slope = np.repeat(slope, _PAIR, axis=1) * (weight > 0.0)
-    bread = np.linalg.pinv(
-        np.einsum("sri,sr,srj->ij", design, slope, design) + np.diag(prior), hermitian=True
-    )
+    bread = np.linalg.pinv(_crossed(design, design * slope[..., None]) + np.diag(prior), hermitian=True)
     wide = _widened(excess, int((weight.max(axis=1) > 0.0).sum()))
     pushed = design * (weight * np.repeat(wide, _PAIR))[..., None]
-    stated = np.einsum("sri,srj->ij", pushed, pushed) + np.diag(prior)
+    stated = _crossed(pushed, pushed) + np.diag(prior)
     for apart in range(1, min(blocks, len(pushed))):
-        shared = np.einsum("sri,srj->ij", pushed[apart:], pushed[:-apart])
+        shared = _crossed(pushed[apart:], pushed[:-apart])
         stated += (1.0 - apart / blocks) * (shared + shared.T)
-    scores = np.einsum("sri,sr->si", design, weight * left)
+    scores = (design * (weight * left)[..., None]).sum(axis=1)
     seen = long_run_covariance(scores) + np.diag(prior)
-    lever = np.einsum("sri,ij,srj->s", pushed, bread, design)
+    lever = ((pushed @ bread) * design).sum(axis=(1, 2))
     # The kernel of the long-run covariance reaches over twice the overlap, and sees so many fewer scores.
     alike = float(lever.sum()) ** 2 / max(float(np.sum(lever**2)), 1e-300) / (2.0 * blocks)
     # The largest eigenvalue that covariances of so few scores have by chance (Marchenko and Pastur 1967).

@@ -10,7 +10,7 @@ from orbit_fields import steady
 from inflight.errors import CalibrationError, SamplesError
 from inflight.spin.block_sums import SERIES
 from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.estimates import estimate_pairs
+from inflight.spin.estimates import estimate_pairs, spin_equations
 from inflight.spin.harmonics import check_turning, spin_tones, turn_ratio
 from inflight.spin.layout import Exclusion, SubIntervals, lay_out
 
@@ -69,6 +69,33 @@ def test_amplitudes_are_the_papers_fourier_components():
         left = values - shapes @ np.linalg.lstsq(shapes, values)[0]
         sizes = [abs(2 / 1200 * np.sum(left * np.exp(-1j * (around + d) * phase))) for d in (-0.15, 0.15)]
         assert np.isclose(found.amplitude[0, column], max(sizes), rtol=2e-3)
+
+
+def test_tones_and_derivatives_are_those_of_a_least_squares_fit_to_each_sub_interval():
+    """With a line of its own for each block, over gaps; derivatives by differences of the exact equation."""
+    record = steady(3, hours=0.5, density=0.05)
+    readings, step = TRUTH.disturb(record.field), 1e-6
+    readings[np.random.default_rng(2).random(len(readings)) < 0.1] = np.nan
+    readings[900:1000] = np.nan
+    layout = lay_out(readings, record.phase, record.stamps)
+    found = spin_equations(spin_tones(readings, record.phase, record.stamps, layout, PRESENT))
+    parts = [np.arange(layout.start[1 + b], layout.stop[1 + b]) for b in range(2)]
+    parts = [part[layout.good[part]] for part in parts]
+    angle, one = record.phase[np.concatenate(parts)], np.repeat([0, 1], [len(part) for part in parts])
+    lines = [(one == b) * shape for b in range(2) for shape in (np.ones(angle.size), angle - angle.mean())]
+    shapes = np.column_stack([*lines, *(f(k * angle) for k in (1, 2) for f in (np.cos, np.sin))])
+
+    def tones(parameters):
+        field = parameters.correct(readings[np.concatenate(parts)])
+        fits = np.linalg.lstsq(shapes, np.column_stack([field[:, 2], np.hypot(*field[:, :2].T)]))[0][4:]
+        return np.concatenate([fits[:2, 0], fits[:, 1]])
+
+    assert np.allclose(found.residual[1], tones(PRESENT), rtol=0, atol=1e-10)
+    for at, name in enumerate(SPIN_RELATED):
+        value = PRESENT.spin_related()[at]
+        up, down = (PRESENT.changed({name: value + way * step}) for way in (1, -1))
+        slope = (tones(up) - tones(down)) / (2 * step)
+        assert np.allclose(found.design[1, :, at], slope, rtol=0, atol=1e-6), name
 
 
 def test_published_uncertainty_is_1p7_sigma_in_white_noise_and_sigma_is_the_scatter():
