@@ -42,6 +42,12 @@ class Flag(IntFlag):
     PHASE_BRIDGED = 1 << 11
     #: The sample lies where the phase of the spin jumps.
     PHASE_JUMP = 1 << 12
+    #: The spacecraft is in a state that no training has seen: its stray field is not known from states.
+    UNKNOWN_STATE = 1 << 13
+    #: Two or more states fit about equally well, or the stretch is too short to tell.
+    AMBIGUOUS_STATE = 1 << 14
+    #: The sample lies in a passing disturbance or in the transition between two states.
+    TRANSIENT = 1 << 15
 
 
 #: Flags that take a sample out of every fit.

@@ -1,0 +1,145 @@
+"""The readings of two sensors on one time base, their difference and its noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import TO_SIGMA
+from inflight.errors import SamplesError
+from inflight.time import GAP, SECOND, Int64, usual_step
+
+#: The noise is estimated from about this many samples, in stretches spread evenly over the record.
+_NOISE_SAMPLES = 200_000
+_STRETCH = 2_000
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of an inboard and an outboard sensor at the same moments; spacecraft axes.
+
+    Attributes
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000, strictly increasing; gaps stay gaps.
+    inboard, outboard : ndarray, shape (time, axis)
+        nT; NaN where a reading is missing.
+
+    Raises
+    ------
+    SamplesError
+        When the shapes do not agree or the stamps do not increase.
+    """
+
+    stamps: Int64
+    inboard: Floats
+    outboard: Floats
+
+    def __post_init__(self) -> None:
+        count = self.stamps.size
+        for name, field in (("inboard", self.inboard), ("outboard", self.outboard)):
+            if field.shape != (count, 3):
+                raise SamplesError(
+                    f"{name} readings of shape {field.shape} for {count} stamps, expected ({count}, 3)",
+                    remedy="put both sensors on one time base, in spacecraft axes",
+                )
+        if count > 1 and not bool(np.all(self.stamps[1:] > self.stamps[:-1])):
+            raise SamplesError("the stamps do not increase", remedy="sort the samples and drop double ones")
+
+    def __len__(self) -> int:
+        return int(self.stamps.size)
+
+    @cached_property
+    def difference(self) -> Floats:
+        """``d = B_in - B_out`` (Venus Express paper, equation 3); (time, axis), nT."""
+        return np.asarray(self.inboard - self.outboard)
+
+    @cached_property
+    def good(self) -> npt.NDArray[np.bool_]:
+        """Where both sensors have all three components; (time,)."""
+        d = self.difference
+        return np.asarray(np.isfinite(d[:, 0]) & np.isfinite(d[:, 1]) & np.isfinite(d[:, 2]))
+
+    @cached_property
+    def step(self) -> int:
+        """Usual distance of neighbouring stamps, ns."""
+        return usual_step(self.stamps, SECOND)
+
+    @cached_property
+    def noise(self) -> Floats:
+        """Covariance of the white noise of the difference; (axis, axis), nT^2."""
+        return white_covariance(self.difference[self.good])
+
+    def span(self, start: int, end: int) -> Readings:
+        """Return the readings of the half-open TT2000 span ``[start, end)``."""
+        first, last = np.searchsorted(self.stamps, [start, end])
+        return self.part(slice(int(first), int(last)))
+
+    def part(self, rows: slice | npt.NDArray[np.bool_]) -> Readings:
+        """Return some of the readings, in their order."""
+        return Readings(self.stamps[rows], self.inboard[rows], self.outboard[rows])
+
+    def pieces(self) -> list[slice]:
+        """Return the rows of stretches without a gap in the stamps; missing readings do not end one."""
+        if not len(self):
+            return []
+        cuts = np.flatnonzero(np.diff(self.stamps) > GAP * self.step) + 1
+        edges = [0, *cuts.tolist(), len(self)]
+        return [slice(first, last) for first, last in pairwise(edges)]
+
+
+def white_covariance(values: Floats) -> Floats:
+    """Return the covariance of the white noise of a series, whatever its steps and slow part; nT^2.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time, axis)
+        Finite.
+
+    Returns
+    -------
+    ndarray, shape (axis, axis)
+        From second differences ``v[t-1] - 2 v[t] + v[t+1]``, whose variance is six times that of white noise:
+        the median of their absolute values for each axis and, for pairs of axes, for sum and difference
+        (Gnanadesikan and Kettenring 1972). Zero for fewer than three samples. Readings so coarse that most do
+        not change have no such median: their mean square is taken.
+    """
+    width = values.shape[1]
+    covariance = np.zeros((width, width))
+    if len(values) < 3:
+        return covariance
+    bend = _bends(values)
+    variance = np.array([_square_scale(one) for one in bend.T])
+    unit = bend / np.sqrt(np.where(variance > 0, variance, 1.0))
+    for i in range(width):
+        covariance[i, i] = variance[i]
+        for j in range(i):
+            wide, narrow = _square_scale(unit[:, i] + unit[:, j]), _square_scale(unit[:, i] - unit[:, j])
+            share = (wide - narrow) / (wide + narrow) if wide + narrow > 0 else 0.0
+            covariance[i, j] = covariance[j, i] = share * np.sqrt(variance[i] * variance[j])
+    return _positive(covariance / 6.0)
+
+
+def _bends(values: Floats) -> Floats:
+    """Return second differences, of stretches spread over a long record."""
+    if len(values) <= _NOISE_SAMPLES:
+        return np.asarray(values[:-2] - 2.0 * values[1:-1] + values[2:])
+    starts = np.linspace(0, len(values) - _STRETCH, _NOISE_SAMPLES // _STRETCH).astype(np.int64)
+    parts = np.stack([values[first : first + _STRETCH] for first in starts])
+    return np.asarray(parts[:, :-2] - 2.0 * parts[:, 1:-1] + parts[:, 2:]).reshape(-1, values.shape[1])
+
+
+def _square_scale(values: Floats) -> float:
+    scale = TO_SIGMA * float(np.median(np.abs(values)))
+    return scale**2 if scale > 0 else float(np.mean(values**2))
+
+
+def _positive(matrix: Floats) -> Floats:
+    """Return the nearest matrix without negative eigenvalues: medians of pairs need not fit together."""
+    value, vector = np.linalg.eigh(matrix)
+    return np.asarray((vector * np.clip(value, 1e-3 * value.max(), None)) @ vector.T)
