@@ -104,25 +104,32 @@ def white_covariance(values: Floats) -> Floats:
     Returns
     -------
     ndarray, shape (axis, axis)
-        From second differences ``v[t-1] - 2 v[t] + v[t+1]``, whose variance is six times that of white noise:
-        the median of their absolute values for each axis and, for pairs of axes, for sum and difference
-        (Gnanadesikan and Kettenring 1972). Zero for fewer than three samples. Readings so coarse that most do
-        not change have no such median: their mean square is taken.
+        The `robust_covariance` of second differences ``v[t-1] - 2 v[t] + v[t+1]``, whose variance is six
+        times that of white noise. Zero for fewer than three samples.
+    """
+    if len(values) < 3:
+        return np.zeros((values.shape[1], values.shape[1]))
+    return robust_covariance(_bends(values)) / 6.0
+
+
+def robust_covariance(values: Floats) -> Floats:
+    """Return the covariance about zero of values (time, axis) by medians; (axis, axis).
+
+    The median of the absolute values of each axis and, for pairs of axes, of sum and difference
+    (Gnanadesikan and Kettenring 1972). Values most of which are zero have no such median: their mean square
+    is taken.
     """
     width = values.shape[1]
     covariance = np.zeros((width, width))
-    if len(values) < 3:
-        return covariance
-    bend = _bends(values)
-    variance = np.array([_square_scale(one) for one in bend.T])
-    unit = bend / np.sqrt(np.where(variance > 0, variance, 1.0))
+    variance = np.array([_square_scale(one) for one in values.T])
+    unit = values / np.sqrt(np.where(variance > 0, variance, 1.0))
     for i in range(width):
         covariance[i, i] = variance[i]
         for j in range(i):
             wide, narrow = _square_scale(unit[:, i] + unit[:, j]), _square_scale(unit[:, i] - unit[:, j])
             share = (wide - narrow) / (wide + narrow) if wide + narrow > 0 else 0.0
             covariance[i, j] = covariance[j, i] = share * np.sqrt(variance[i] * variance[j])
-    return _positive(covariance / 6.0)
+    return _positive(covariance)
 
 
 def _bends(values: Floats) -> Floats:

@@ -1,0 +1,366 @@
+"""Change points of the difference of two sensors: where the spacecraft's state changes.
+
+Two ways. The published one compares neighbouring samples with a threshold (equations 6 and 7 of the Venus
+Express paper), so that a step must exceed some six standard deviations of a single sample. The other one
+compares the means of ever longer stretches before and after each moment, in all three axes at once. The
+noise of such a step is measured at each length from the record itself, which holds for coloured noise as
+well; the local median of the steps, which is the drift, is taken off first; the level of the noise may change
+with time. The shortest stretch that shows a jump places it, and longer ones never reach over a jump found
+before (narrowest over threshold, Baranowski et al. 2019).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from inflight.arrays import Floats
+from inflight.calibration.robust import TO_SIGMA
+from inflight.dual.readings import robust_covariance, white_covariance
+from inflight.errors import SettingsError
+
+Places = npt.NDArray[np.int64]
+
+#: False jumps expected of a record of white noise, whatever its length.
+FALSE_ALARMS = 0.01
+#: The longest stretch on either side of a jump, samples.
+LONGEST = 512
+#: Windows of the longer stretches are moved by this part of their length.
+_STRIDES = 8
+#: Stretches behind one local median of the steps, the fewest samples of one, and the fewest positions.
+_LOCAL, _DRIFT, _FEWEST = 64, 4096, 24
+#: The noise of a length is measured at this many positions.
+_POSITIONS = 40_000
+#: Samples behind one local level of the noise, and the least level beside the usual one (variance).
+_BLOCK, _LEAST = 256, 0.25
+#: Part of the independent windows that a median makes use of, and the fewest that make a noise.
+_EFFICIENCY, _FEWEST_FREE = 0.37, 8.0
+
+
+@dataclass(frozen=True)
+class StepNoise:
+    """Noise of the difference between the means of two neighbouring stretches of equal length.
+
+    Attributes
+    ----------
+    length : ndarray of int64, shape (scale,)
+        Samples in either stretch, increasing by factors of two.
+    covariance : ndarray, shape (scale, axis, axis)
+        nT^2.
+    freedom : ndarray, shape (scale,)
+        Degrees of freedom behind it.
+    """
+
+    length: Places
+    covariance: Floats
+    freedom: Floats
+
+    def of_mean(self, count: npt.ArrayLike) -> Floats:
+        """Return the covariance of the mean of `count` samples; (..., axis, axis), nT^2.
+
+        Half that of a step of this length; between two lengths, by the logarithm. A mean of more samples than
+        the longest length is taken to be no better than that: slow noise does not average away.
+        """
+        wanted = np.log2(np.maximum(np.asarray(count, dtype=np.float64), 1.0))
+        known = np.log2(self.length.astype(np.float64))
+        upper = np.clip(np.searchsorted(known, wanted), 1, max(known.size - 1, 1))
+        if known.size == 1:
+            return np.asarray(0.5 * self.covariance[np.zeros_like(upper)])
+        share = np.clip((wanted - known[upper - 1]) / (known[upper] - known[upper - 1]), 0.0, 1.0)[
+            ..., None, None
+        ]
+        return np.asarray(0.5 * ((1 - share) * self.covariance[upper - 1] + share * self.covariance[upper]))
+
+
+def false_alarm_probability(threshold: float, *, components: str = "sum") -> float:
+    """Return how often white noise alone exceeds the published thresholds.
+
+    Parameters
+    ----------
+    threshold : float
+        In standard deviations of one component of the difference, one sample.
+    components : str
+        ``sum`` for ``|d Bx| + |d By| + |d Bz|`` (equation 6), ``any`` for one component at least (equation 7).
+
+    Raises
+    ------
+    SettingsError
+    """
+    if components not in ("sum", "any"):
+        raise SettingsError(f"components is {components!r}", remedy="'sum' (equation 6) or 'any' (equation 7)")
+    # The step between two samples has twice the variance of one.
+    normal = threshold / np.sqrt(2.0)
+    if components == "any":
+        return float(1.0 - (1.0 - 2.0 * stats.norm.sf(normal)) ** 3)
+    grid = np.linspace(0.0, normal, 2001)
+    width = grid[1] - grid[0]
+    one = 2.0 * stats.norm.pdf(grid)
+    below = 2.0 * stats.norm.cdf(grid) - 1.0
+    two = np.array([np.trapezoid(one[: k + 1] * one[k::-1], dx=width) for k in range(grid.size)])
+    return float(1.0 - np.trapezoid(two * below[::-1], dx=width))
+
+
+def published_jumps(
+    difference: Floats, *, sum_threshold: float | None = None, component_threshold: float | None = None
+) -> Places:
+    """Return the samples that differ from the one before by more than a threshold (equations 6 and 7).
+
+    Parameters
+    ----------
+    difference : ndarray, shape (time, axis)
+        nT; a missing sample makes no jump.
+    sum_threshold, component_threshold : float, optional
+        nT. The paper prints none: `false_alarm_probability` tells what a multiple of the noise means.
+
+    Returns
+    -------
+    ndarray of int64, shape (jump,)
+        Rows of the first samples after a jump.
+
+    Raises
+    ------
+    SettingsError
+        Neither threshold is given.
+    """
+    if sum_threshold is None and component_threshold is None:
+        raise SettingsError("no threshold of a jump is given", remedy="give one for the sum or a component")
+    step = np.abs(np.diff(difference, axis=0))
+    over = np.zeros(len(step), dtype=bool)
+    if sum_threshold is not None:
+        over |= step.sum(axis=1) > sum_threshold
+    if component_threshold is not None:
+        over |= (step > component_threshold).any(axis=1)
+    return np.flatnonzero(over).astype(np.int64) + 1
+
+
+def find_jumps(
+    values: Floats, *, false_alarms: float = FALSE_ALARMS, longest: int = LONGEST
+) -> tuple[Places, StepNoise]:
+    """Return where a series of three components jumps, and the noise of steps in it.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time, axis)
+        nT, finite, in the order of time; what is missing has been left out.
+    false_alarms : float
+        Expected number of false jumps in the whole record.
+    longest : int
+        Longest stretch before and after a jump, samples.
+
+    Returns
+    -------
+    places : ndarray of int64, shape (jump,)
+        Rows of the first samples after a jump, increasing.
+    noise : StepNoise
+        From where there is no jump.
+    """
+    white = white_covariance(values)
+    count = len(values)
+    if count < 4 * _FEWEST_FREE or not white.max() > 0:
+        return np.empty(0, dtype=np.int64), _white_noise(white, longest)
+    back = np.linalg.cholesky(white + 1e-12 * np.trace(white) * np.eye(3))
+    unit = (values - values.mean(axis=0)) @ np.linalg.inv(back).T
+    level = _local_levels(unit)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(unit, axis=0)])
+    found, noise = _all_lengths(unit, sums, level, false_alarms, longest)
+    length, covariance, freedom = noise
+    return found, StepNoise(length, back @ covariance @ back.T, freedom)
+
+
+def _all_lengths(
+    unit: Floats, sums: Floats, level: Floats, false_alarms: float, longest: int
+) -> tuple[Places, tuple[Places, Floats, Floats]]:
+    """Return the jumps and the noise of whitened values, from the shortest stretch to the longest."""
+    # Windows of one length at less than about a quarter of it apart are hardly independent tests.
+    chance = false_alarms / (8.0 * len(unit))
+    found = np.empty(0, dtype=np.int64)
+    noises: list[tuple[int, Floats, float]] = []
+    length = 1
+    while length <= longest and 2 * length <= len(unit):
+        measured = _noise_of(sums, level, found, length)
+        if measured is None:
+            break
+        covariance, freedom, centre, block = measured
+        noises.append((length, covariance, freedom))
+        # Hotelling's: the noise is itself measured, from fewer and fewer stretches.
+        limit = 3.0 * (freedom - 1.0) / (freedom - 3.0) * stats.f.isf(chance, 3, freedom - 3.0)
+        stride = max(1, length // _STRIDES)
+        at, pull = _over(sums, level, centre, block, np.linalg.inv(covariance), limit, length, stride)
+        free = _free(at, found, length)
+        order = np.argsort(-pull[free], kind="stable")
+        taken = _apart(at[free][order], length)
+        if taken.size:
+            found = np.unique(np.concatenate([found, _placed(unit, taken, found, length)]))
+        length *= 2
+    if not noises:
+        return found, (np.array([1]), 2.0 * np.eye(3)[None], np.array([1.0]))
+    return found, (
+        np.array([one[0] for one in noises]),
+        np.array([one[1] for one in noises]),
+        np.array([one[2] for one in noises]),
+    )
+
+
+def _noise_of(
+    sums: Floats, level: Floats, found: Places, length: int
+) -> tuple[Floats, float, Floats, int] | None:
+    """Return covariance and freedom of steps where nothing jumps, their local medians and these' distance.
+
+    None when too few windows of this length are free of jumps.
+    """
+    count = len(sums) - 1
+    stride = max(1, length // _STRIDES, count // _POSITIONS)
+    at = np.arange(length, count - length + 1, stride)
+    at = at[_free(at, found, length)]
+    freedom = _EFFICIENCY * at.size * stride / (2.0 * length)
+    if freedom < _FEWEST_FREE:
+        return None
+    step = _steps(sums, at, length)
+    block = max(_LOCAL * length, _DRIFT)
+    nodes = _local_medians(step, at, block, count)
+    middle = (np.arange(len(nodes)) + 0.5) * block
+    step -= np.stack([np.interp(at, middle, axis) for axis in nodes.T], axis=1)
+    covariance = robust_covariance(step / np.sqrt(level[at // _BLOCK])[:, None])
+    # A median of few windows may come out too small; white noise is in all of them.
+    return covariance * max(1.0, 2.0 / length / covariance.diagonal().min()), freedom, nodes, block
+
+
+def _white_noise(white: Floats, longest: int) -> StepNoise:
+    lengths = 2 ** np.arange(int(np.log2(max(longest, 1))) + 1)
+    return StepNoise(lengths, 2.0 * white / lengths[:, None, None], np.full(lengths.size, 1.0))
+
+
+def _steps(sums: Floats, at: Places, length: int) -> Floats:
+    """Return mean after less mean before each place; (place, axis)."""
+    return np.asarray((sums[at + length] - 2.0 * sums[at] + sums[at - length]) / length)
+
+
+def _free(at: Places, found: Places, length: int) -> npt.NDArray[np.bool_]:
+    """Return which windows hold no jump found before."""
+    if not found.size:
+        return np.ones(at.size, dtype=bool)
+    inside = np.searchsorted(found, at + length) - np.searchsorted(found, at - length, side="right")
+    return np.asarray(inside == 0)
+
+
+def _local_medians(step: Floats, at: Places, block: int, count: int) -> Floats:
+    """Return the median step in each block of samples, the drift's part of it; (block, axis)."""
+    blocks = -(-count // block)
+    edges = np.searchsorted(at, np.arange(blocks + 1) * block)
+    known = np.flatnonzero(np.diff(edges) >= _FEWEST)
+    if not known.size:
+        return np.zeros((blocks, 3))
+    centre = np.array([np.median(step[edges[one] : edges[one + 1]], axis=0) for one in known])
+    every = np.arange(blocks)
+    return np.stack([np.interp(every, known, axis) for axis in centre.T], axis=1)
+
+
+def _local_levels(unit: Floats) -> Floats:
+    """Return the local variance of whitened noise beside the usual one; (block,), by 256 samples.
+
+    The larger of a block's own and its neighbours': a burst may begin inside one.
+    """
+    count = len(unit)
+    whole = count // _BLOCK
+    own = np.ones(whole + 1)
+    if whole:
+        parts = unit[: whole * _BLOCK].reshape(whole, _BLOCK, 3)
+        # Every third second difference: neighbouring ones tell nearly the same.
+        bend = np.abs(parts[:, :-2:3] - 2.0 * parts[:, 1:-1:3] + parts[:, 2::3]).reshape(whole, -1)
+        middle = np.partition(bend, bend.shape[1] // 2, axis=1)[:, bend.shape[1] // 2]
+        own[:whole] = (TO_SIGMA * middle) ** 2 / 6.0
+        own[whole] = own[whole - 1]
+    wide = np.pad(own, 1, mode="edge")
+    return np.maximum(np.maximum.reduce([wide[:-2], own, wide[2:]]), _LEAST)
+
+
+@numba.njit(cache=True, nogil=True)
+def _over(
+    sums: Floats,
+    level: Floats,
+    centre: Floats,
+    block: int,
+    weight: Floats,
+    limit: float,
+    length: int,
+    stride: int,
+) -> tuple[Places, Floats]:
+    """Return places and pulls of the steps whose squared distance from the drift's exceeds a limit."""
+    last = centre.shape[0] - 1
+    at = np.arange(length, sums.shape[0] - length, stride)
+    pulls = np.zeros(at.size)
+    step = np.empty(3)
+    for one in range(at.size):
+        place = at[one]
+        node = min(max(place / block - 0.5, 0.0), float(last))
+        lower = int(node)
+        upper, share = min(lower + 1, last), node - lower
+        for k in range(3):
+            moved = (sums[place + length, k] - 2.0 * sums[place, k] + sums[place - length, k]) / length
+            step[k] = moved - (1.0 - share) * centre[lower, k] - share * centre[upper, k]
+        for k in range(3):
+            pulls[one] += step[k] * (weight[k, 0] * step[0] + weight[k, 1] * step[1] + weight[k, 2] * step[2])
+        pulls[one] /= level[place // _BLOCK]
+    over = np.flatnonzero(pulls > limit)
+    return at[over], pulls[over]
+
+
+@numba.njit(cache=True, nogil=True)
+def _apart(at: Places, length: int) -> Places:
+    """Return of places, best first, those that no better one taken is nearer to than `length`."""
+    if at.size == 0:
+        return at
+    lowest = at.min()
+    cell = np.full((at.max() - lowest) // length + 3, -1, dtype=np.int64)
+    kept = np.empty(at.size, dtype=np.int64)
+    number = 0
+    for place in at:
+        own = (place - lowest) // length + 1
+        clear = True
+        for near in (own - 1, own, own + 1):
+            if cell[near] >= 0 and abs(cell[near] - place) < length:
+                clear = False
+        if clear:
+            cell[own] = place
+            kept[number] = place
+            number += 1
+    return np.sort(kept[:number])
+
+
+def _placed(unit: Floats, taken: Places, found: Places, length: int) -> Places:
+    """Return where exactly each jump is: the split of its surroundings into two levels that fits best."""
+    if length == 1:
+        return taken
+    others = np.concatenate([[0], np.sort(np.concatenate([found, taken])), [len(unit)]])
+    where = np.searchsorted(others[1:-1], taken) + 1
+    return _best_splits(
+        unit,
+        taken,
+        np.maximum(others[where - 1], taken - 2 * length),
+        np.minimum(others[where + 1], taken + 2 * length),
+    )
+
+
+@numba.njit(cache=True, nogil=True)
+def _best_splits(unit: Floats, taken: Places, first: Places, last: Places) -> Places:
+    """Return the row between first and last that splits whitened values into the two levels of best fit."""
+    best = taken.copy()
+    for one in range(taken.size):
+        begin, end = first[one], last[one]
+        total = np.zeros(3)
+        for row in range(begin, end):
+            total += unit[row]
+        before = np.zeros(3)
+        highest = -1.0
+        for row in range(begin + 1, end):
+            before += unit[row - 1]
+            left, right = row - begin, end - row
+            gain = np.sum((before / left - (total - before) / right) ** 2) * left * right / (left + right)
+            if gain > highest:
+                highest = gain
+                best[one] = row
+    return best
