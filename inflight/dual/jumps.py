@@ -84,14 +84,16 @@ def false_alarm_probability(threshold: float, *, components: str = "sum") -> flo
     threshold : float
         In standard deviations of one component of the difference, one sample.
     components : str
-        ``sum`` for ``|d Bx| + |d By| + |d Bz|`` (equation 6), ``any`` for one component at least (equation 7).
+        ``sum`` for ``|d Bx| + |d By| + |d Bz|`` (equation 6), ``any`` for one at least (equation 7).
 
     Raises
     ------
     SettingsError
     """
     if components not in ("sum", "any"):
-        raise SettingsError(f"components is {components!r}", remedy="'sum' (equation 6) or 'any' (equation 7)")
+        raise SettingsError(
+            f"components is {components!r}", remedy="'sum' (equation 6) or 'any' (equation 7)"
+        )
     # The step between two samples has twice the variance of one.
     normal = threshold / np.sqrt(2.0)
     if components == "any":
@@ -171,6 +173,31 @@ def find_jumps(
     return found, StepNoise(length, back @ covariance @ back.T, freedom)
 
 
+def step_noise(values: Floats, jumps: Places, *, longest: int = LONGEST) -> StepNoise:
+    """Return the noise of steps of a series where known jumps are not; see `find_jumps`.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time, axis)
+        nT, finite. Of a reading this is the noise and what the ambient field does in the meantime.
+    jumps : ndarray of int64, shape (jump,)
+        Increasing rows of the first samples after a jump.
+    """
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values - values.mean(axis=0), axis=0)])
+    level = np.ones(len(values) // _BLOCK + 1)
+    noises: list[tuple[int, Floats, float]] = []
+    length = 1
+    while length <= longest and 2 * length <= len(values):
+        measured = _noise_of(sums, level, jumps, length, white=0.0)
+        if measured is None:
+            break
+        noises.append((length, measured[0], measured[1]))
+        length *= 2
+    if not noises:
+        return _white_noise(white_covariance(values), longest)
+    return StepNoise(*_stacked(noises))
+
+
 def _all_lengths(
     unit: Floats, sums: Floats, level: Floats, false_alarms: float, longest: int
 ) -> tuple[Places, tuple[Places, Floats, Floats]]:
@@ -189,7 +216,16 @@ def _all_lengths(
         # Hotelling's: the noise is itself measured, from fewer and fewer stretches.
         limit = 3.0 * (freedom - 1.0) / (freedom - 3.0) * stats.f.isf(chance, 3, freedom - 3.0)
         stride = max(1, length // _STRIDES)
-        at, pull = _over(sums, level, centre, block, np.linalg.inv(covariance), limit, length, stride)
+        at, pull = _over(
+            sums,
+            level,
+            centre,
+            block,
+            np.asarray(np.linalg.inv(covariance), dtype=np.float64),
+            limit,
+            length,
+            stride,
+        )
         free = _free(at, found, length)
         order = np.argsort(-pull[free], kind="stable")
         taken = _apart(at[free][order], length)
@@ -198,15 +234,16 @@ def _all_lengths(
         length *= 2
     if not noises:
         return found, (np.array([1]), 2.0 * np.eye(3)[None], np.array([1.0]))
-    return found, (
-        np.array([one[0] for one in noises]),
-        np.array([one[1] for one in noises]),
-        np.array([one[2] for one in noises]),
-    )
+    return found, _stacked(noises)
+
+
+def _stacked(noises: list[tuple[int, Floats, float]]) -> tuple[Places, Floats, Floats]:
+    length, covariance, freedom = zip(*noises, strict=True)
+    return np.array(length), np.array(covariance), np.array(freedom)
 
 
 def _noise_of(
-    sums: Floats, level: Floats, found: Places, length: int
+    sums: Floats, level: Floats, found: Places, length: int, white: float = 1.0
 ) -> tuple[Floats, float, Floats, int] | None:
     """Return covariance and freedom of steps where nothing jumps, their local medians and these' distance.
 
@@ -226,7 +263,8 @@ def _noise_of(
     step -= np.stack([np.interp(at, middle, axis) for axis in nodes.T], axis=1)
     covariance = robust_covariance(step / np.sqrt(level[at // _BLOCK])[:, None])
     # A median of few windows may come out too small; white noise is in all of them.
-    return covariance * max(1.0, 2.0 / length / covariance.diagonal().min()), freedom, nodes, block
+    least = 2.0 * white / length / max(float(covariance.diagonal().min()), 1e-300)
+    return covariance * max(1.0, least), freedom, nodes, block
 
 
 def _white_noise(white: Floats, longest: int) -> StepNoise:
@@ -275,7 +313,7 @@ def _local_levels(unit: Floats) -> Floats:
         own[:whole] = (TO_SIGMA * middle) ** 2 / 6.0
         own[whole] = own[whole - 1]
     wide = np.pad(own, 1, mode="edge")
-    return np.maximum(np.maximum.reduce([wide[:-2], own, wide[2:]]), _LEAST)
+    return np.asarray(np.maximum(np.maximum.reduce([wide[:-2], own, wide[2:]]), _LEAST))
 
 
 @numba.njit(cache=True, nogil=True)

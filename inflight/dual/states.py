@@ -1,0 +1,354 @@
+"""The spacecraft's states: which stretches of the difference have the same level, drift aside.
+
+Every segment is a point in the space of the difference (Venus Express paper, section 2). All points share a
+slow drift c(t), of the sensors' offsets or of units that warm up: within a segment it is seen, between two
+segments it is a random walk, so that it is carried along by a Kalman filter and a state is recognised after
+days although its point has moved. How many states there are is chosen by the data: a state of its own must
+lower the Bayesian information criterion, and so must a scatter of the states' points beyond noise.
+
+A step common to all later segments, of an offset for instance, cannot be told from new states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from inflight.arrays import Floats
+from inflight.dual.correction import TRANSIENT
+from inflight.dual.segments import Segments
+from inflight.time import SECOND
+
+Labels = npt.NDArray[np.int64]
+
+#: Chance that one segment of all is taken for a new state by its noise.
+_FALSE_STATES = 1e-3
+#: Scatters of the states' points that are tried, in standard deviations of one sample.
+_SCATTERS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
+#: Median of a squared Gaussian of variance one.
+_MEDIAN_SQUARE = 0.4549
+_TURNS = 6
+#: The fewest groups of slopes that tell how fast they change.
+_GROUPS = 6
+
+
+@dataclass(frozen=True)
+class States:
+    """States found in segments.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (state, axis)
+        Difference in the state, without the drift, nT; states are numbered as they appear.
+    covariance : ndarray, shape (state, axis, axis)
+        Of `centre`, nT^2.
+    count : ndarray of int64, shape (state,)
+        Segments.
+    label : ndarray of int64, shape (segment,)
+        State of each segment; `TRANSIENT` (-2) for one too short.
+    drift, drift_end : ndarray, shape (segment, axis)
+        Common drift at the beginning and end of each segment, nT; 0 at the first.
+    drift_rate : DriftRate
+    scatter : float
+        Standard deviation of a state's points beyond noise, nT, any axis.
+    """
+
+    centre: Floats
+    covariance: Floats
+    count: Labels
+    label: Labels
+    drift: Floats
+    drift_end: Floats
+    drift_rate: DriftRate
+    scatter: float
+
+    def __len__(self) -> int:
+        return len(self.centre)
+
+
+def find_states(segments: Segments) -> States:
+    """Return the states that the segments tell, their number chosen by the data.
+
+    Notes
+    -----
+    For each of a few scatters segments are assigned in turn, the drift carried along, until labels stay;
+    states closer than their noise allows are merged. The scatter of the lowest criterion
+    ``sum(r^T S^-1 r + ln det S) + 3 K ln n`` (K states, n segments) is taken.
+    """
+    sample = float(np.sqrt(np.trace(segments.noise.of_mean(1)) / 3.0))
+    rate = drift_rate(segments)
+    tried = [_with_scatter(segments, rate, part * sample) for part in _SCATTERS]
+    return min(tried, key=lambda one: one[0])[1]
+
+
+@dataclass
+class Track:
+    """The common drift as it is carried along: its value and its slope, each axis for itself.
+
+    Attributes
+    ----------
+    value, slope : ndarray, shape (axis,)
+        nT, nT/s.
+    covariance : ndarray, shape (axis, 2, 2)
+        Of value and slope.
+    rate : DriftRate
+    """
+
+    value: Floats
+    slope: Floats
+    covariance: Floats
+    rate: DriftRate
+
+    @classmethod
+    def start(cls, rate: DriftRate) -> Track:
+        """Return a drift of zero whose slope is not known."""
+        covariance = np.zeros((3, 2, 2))
+        covariance[:, 1, 1] = rate.slope
+        return cls(np.zeros(3), np.zeros(3), covariance, rate)
+
+    def forward(self, seconds: float) -> None:
+        """Let time pass in which nothing is seen."""
+        self.value = self.value + seconds * self.slope
+        move = np.array([[1.0, seconds], [0.0, 1.0]])
+        self.covariance = move @ self.covariance @ move.T
+        walk = self.rate.bend * seconds
+        self.covariance[:, 0, 0] += self.rate.value * seconds + walk * seconds**2 / 3.0
+        self.covariance[:, 0, 1] += walk * seconds / 2.0
+        self.covariance[:, 1, 0] += walk * seconds / 2.0
+        # The slope stays what slopes usually are, however long nobody looks.
+        self.covariance[:, 1, 1] = np.minimum(self.covariance[:, 1, 1] + walk, 4.0 * self.rate.slope)
+
+    def sloping(self, slope: Floats, variance: Floats) -> None:
+        """Take the slope within a segment into account, which does not need its state."""
+        total = self.covariance[:, 1, 1] + variance
+        gain = np.where(total > 0, self.covariance[:, :, 1].T / np.where(total > 0, total, 1.0), 0.0).T
+        left = slope - self.slope
+        self.value, self.slope = self.value + gain[:, 0] * left, self.slope + gain[:, 1] * left
+        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 1, :]
+
+    def through(self, segments: Segments, one: int) -> None:
+        """Go from a segment's beginning to its end, between which the drift itself is seen."""
+        seconds = float(segments.seconds[one])
+        if not seconds > 0:
+            return
+        known = self.covariance[:, 0, 0].copy()
+        value = self.value
+        self.forward(seconds)
+        expected = np.maximum(self.covariance[:, 0, 0] - known, 0.0)
+        noise = 2.0 * np.diag(segments.covariance[one])
+        gain = expected / np.maximum(expected + noise, 1e-300)
+        change = segments.finish.mean[one] - segments.begin.mean[one]
+        self.value = self.value + gain * (change - (self.value - value))
+        self.covariance[:, 0, 0] = known + gain * noise
+        self.covariance[:, 0, 1] = self.covariance[:, 1, 0] = 0.0
+        self.sloping(segments.finish.slope[one], segments.slope_variance[one])
+
+    def seen(self, left: Floats, variance: Floats) -> None:
+        """Take a segment in a known state into account: what is left of it, and the variance; (axis,)."""
+        gain = self.covariance[:, :, 0] / variance[:, None]
+        self.value, self.slope = self.value + gain[:, 0] * left, self.slope + gain[:, 1] * left
+        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 0, :]
+
+    @property
+    def spread(self) -> Floats:
+        """Covariance of the value; (axis, axis)."""
+        return np.diag(self.covariance[:, 0, 0])
+
+
+class DriftRate(NamedTuple):
+    """How fast the difference drifts; each of shape (axis,).
+
+    Attributes
+    ----------
+    slope : ndarray
+        Variance of the slope, nT^2/s^2.
+    bend : ndarray
+        Variance by which the slope changes, nT^2/s^3.
+    value : ndarray
+        Variance by which the drift itself wanders beside that, nT^2/s.
+    """
+
+    slope: Floats
+    bend: Floats
+    value: Floats
+
+
+def drift_rate(segments: Segments) -> DriftRate:
+    """Return how fast the segments drift; zero where they do so by no more than noise."""
+    zero = np.zeros(3)
+    steady = np.flatnonzero(~segments.transient)
+    if steady.size < 3:
+        return DriftRate(zero, zero, zero)
+    noise, slope = segments.slope_variance[steady], segments.begin.slope[steady]
+    usual, bend = _sloping(slope, noise, segments.begin.middle[steady] / SECOND)
+    long = np.flatnonzero(~segments.transient & (segments.seconds > 0))
+    if not long.size:
+        return DriftRate(usual, bend, zero)
+    span = segments.seconds[long]
+    mean = 0.5 * (segments.begin.slope[long] + segments.finish.slope[long])
+    change = segments.finish.mean[long] - segments.begin.mean[long]
+    error = 2.0 * np.einsum("sii->si", segments.covariance[long])
+    error += 0.5 * span[:, None] ** 2 * segments.slope_variance[long]
+    wander = _beyond(change - mean * span[:, None], error, span)
+    return DriftRate(usual, bend, wander)
+
+
+def _sloping(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floats]:
+    """Return the variance of slopes, and that a second by which they change; (axis,) each.
+
+    The largest that groups of any size show: one slope is often lost in its noise where the mean of many is
+    not. Slopes are not taken to change less than turns a usual one round in the whole record.
+    """
+    usual, bend = np.zeros(3), np.zeros(3)
+    size = 1
+    while len(slope) // size >= _GROUPS:
+        edges = np.arange(0, len(slope) - size + 1, size)
+        error = 1.0 / np.add.reduceat(1.0 / noise, edges, axis=0)
+        mean = np.add.reduceat(slope / noise, edges, axis=0) * error
+        middle = np.add.reduceat(at, edges) / np.diff(np.append(edges, len(slope)))
+        seconds = np.maximum(np.diff(middle), 1e-9)
+        usual = np.maximum(usual, _beyond(mean, error, np.ones(edges.size)))
+        bend = np.maximum(bend, _beyond(np.diff(mean, axis=0), error[1:] + error[:-1], seconds))
+        size *= 2
+    least = usual / max(float(at[-1] - at[0]), 1e-9)
+    return usual, np.asarray(np.where(usual > 0, np.maximum(bend, least), 0.0))
+
+
+def _beyond(values: Floats, noise: Floats, unit: Floats) -> Floats:
+    """Return the variance of values (row, axis) a unit (row,) beyond their noise; (axis,), 0 if no more."""
+    ratio = values**2 / noise
+    middle = np.median(ratio, axis=0) / _MEDIAN_SQUARE
+    # The median of n squares of noise alone scatters by 2.3 / sqrt(n).
+    over = middle - 1.0 > 2.0 * 2.3 / np.sqrt(len(values))
+    size = np.median((values**2 / _MEDIAN_SQUARE - noise) / unit[:, None], axis=0)
+    return np.asarray(np.where(over, np.maximum(size, 0.0), 0.0))
+
+
+def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
+    """Return the covariance (axis, axis) that allows a state's own drift: what changed within the segment.
+
+    Where all segments drift alike the common drift takes the change; where only this one does, its unit
+    warms up, and the next time the level is another.
+    """
+    seconds = float(segments.end[one] - segments.start[one]) / SECOND
+    whole = segments.finish.mean[one] - segments.begin.mean[one]
+    noise = 2.0 * np.diag(segments.covariance[one])
+    if not segments.seconds[one] > 0:
+        whole = segments.begin.slope[one] * seconds
+        noise = segments.slope_variance[one] * seconds**2
+    allowed = 4.0 * noise + seconds * rate.value + seconds**2 * rate.slope
+    return np.diag(np.where(whole**2 > allowed, whole**2, 0.0))
+
+
+class _Clustering:
+    """Segments assigned in turn, a new state where none fits."""
+
+    def __init__(self, segments: Segments, rate: DriftRate, scatter: float) -> None:
+        self.segments, self.rate = segments, rate
+        self.steady = np.flatnonzero(~segments.transient)
+        self.spread = scatter**2 * np.eye(3)
+        self.limit = float(stats.chi2.isf(_FALSE_STATES / max(self.steady.size, 1), 3))
+        self.centre, self.covariance = np.empty((0, 3)), np.empty((0, 3, 3))
+        count = len(segments)
+        self.label = np.full(count, TRANSIENT, dtype=np.int64)
+        self.drift, self.drift_end = np.zeros((count, 3)), np.zeros((count, 3))
+        self.own = [self.spread + own_drift(segments, one, rate) for one in range(count)]
+        self.cost = 0.0
+
+    def run(self, *, may_add: bool) -> None:
+        """Assign all segments once; without `may_add` to the nearest state, however far."""
+        track = Track.start(self.rate)
+        self.cost = 0.0
+        before = self.segments.begin.middle[0] if len(self.segments) else 0
+        for one in self.steady.tolist():
+            track.forward(float(self.segments.begin.middle[one] - before) / SECOND)
+            track.sloping(self.segments.begin.slope[one], self.segments.slope_variance[one])
+            spread = self.segments.covariance[one] + self.own[one]
+            self._assign(one, spread, track, may_add)
+            self.drift[one] = track.value
+            track.through(self.segments, one)
+            self.drift_end[one] = track.value
+            before = self.segments.finish.middle[one]
+        self._follow_transients()
+
+    def _assign(self, one: int, spread: Floats, track: Track, may_add: bool) -> None:
+        left = self.segments.begin.mean[one] - track.value - self.centre
+        total = spread + track.spread + self.covariance
+        far = np.einsum("ki,kij,kj->k", left, np.linalg.inv(total), left) if len(left) else np.empty(0)
+        if not far.size or (may_add and far.min() > self.limit):
+            self.label[one] = len(self.centre)
+            self.centre = np.append(self.centre, [self.segments.begin.mean[one] - track.value], axis=0)
+            self.covariance = np.append(self.covariance, [spread + track.spread], axis=0)
+            return
+        likely = far + np.linalg.slogdet(total)[1]
+        # Far beyond its noise a wide state must not win by its width alone.
+        state = int(np.argmin(np.where(far <= max(self.limit, far.min()), likely, np.inf)))
+        self.label[one] = state
+        self.cost += far[state] + float(np.linalg.slogdet(spread + track.spread)[1])
+        if may_add:
+            gain = self.covariance[state] @ np.linalg.inv(total[state])
+            self.centre[state] += gain @ left[state]
+            self.covariance[state] -= gain @ self.covariance[state]
+        track.seen(left[state], np.diag(total[state]))
+
+    def _follow_transients(self) -> None:
+        known = self.steady
+        if known.size:
+            last = np.maximum(np.searchsorted(known, np.arange(len(self.segments)), side="right") - 1, 0)
+            short = self.segments.transient
+            self.drift[short] = self.drift_end[short] = self.drift_end[known[last[short]]]
+
+    def centres(self) -> None:
+        """Take the states' centres anew from the segments assigned to them; empty states go."""
+        used, label = np.unique(self.label[self.steady], return_inverse=True)
+        self.label[self.steady] = label
+        weight = np.linalg.inv(self.segments.covariance + self.spread)
+        point = self.segments.begin.mean - self.drift
+        centre, covariance = np.empty((used.size, 3)), np.empty((used.size, 3, 3))
+        for state in range(used.size):
+            own = np.flatnonzero(self.label == state)
+            covariance[state] = np.linalg.inv(weight[own].sum(axis=0))
+            centre[state] = covariance[state] @ np.einsum("sij,sj->i", weight[own], point[own])
+        self.centre, self.covariance = centre, covariance
+
+    def merge(self) -> bool:
+        """Make one of the two states that are nearest to each other, if one explains both."""
+        apart = self.centre[:, None] - self.centre[None]
+        total = self.covariance[:, None] + self.covariance[None]
+        far = np.einsum("kli,klij,klj->kl", apart, np.linalg.inv(total), apart)
+        np.fill_diagonal(far, np.inf)
+        if not far.size or far.min() > max(self.limit, 3.0 * np.log(self.steady.size)):
+            return False
+        first, second = sorted(int(one) for one in np.unravel_index(np.argmin(far), far.shape))
+        self.label[self.label == second] = first
+        self.centres()
+        return True
+
+
+def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[float, States]:
+    found = _Clustering(segments, rate, scatter)
+    if not found.steady.size:
+        nothing = np.empty(0, dtype=np.int64)
+        zero = np.zeros((len(segments), 3))
+        return 0.0, States(
+            np.empty((0, 3)), np.empty((0, 3, 3)), nothing, found.label, zero, zero, rate, scatter
+        )
+    found.run(may_add=True)
+    for _ in range(_TURNS):
+        found.centres()
+        while found.merge():
+            pass
+        before = found.label.copy()
+        found.run(may_add=False)
+        if np.array_equal(before, found.label):
+            break
+    found.centres()
+    cost = found.cost + 3.0 * len(found.centre) * np.log(found.steady.size)
+    count = np.bincount(found.label[found.steady], minlength=len(found.centre))
+    return cost, States(
+        found.centre, found.covariance, count, found.label, found.drift, found.drift_end, rate, scatter
+    )
