@@ -256,7 +256,8 @@ class _Clustering:
         count = len(segments)
         self.label = np.full(count, TRANSIENT, dtype=np.int64)
         self.drift, self.drift_end = np.zeros((count, 3)), np.zeros((count, 3))
-        self.own = [self.spread + own_drift(segments, one, rate) for one in range(count)]
+        self.drift_covariance = np.zeros((count, 3, 3))
+        self.own = np.array([self.spread + own_drift(segments, one, rate) for one in range(count)])
         self.cost = 0.0
 
     def run(self, *, may_add: bool) -> None:
@@ -269,7 +270,7 @@ class _Clustering:
             track.sloping(self.segments.begin.slope[one], self.segments.slope_variance[one])
             spread = self.segments.covariance[one] + self.own[one]
             self._assign(one, spread, track, may_add)
-            self.drift[one] = track.value
+            self.drift[one], self.drift_covariance[one] = track.value, track.spread
             track.through(self.segments, one)
             self.drift_end[one] = track.value
             before = self.segments.finish.middle[one]
@@ -306,7 +307,7 @@ class _Clustering:
         """Take the states' centres anew from the segments assigned to them; empty states go."""
         used, label = np.unique(self.label[self.steady], return_inverse=True)
         self.label[self.steady] = label
-        weight = np.linalg.inv(self.segments.covariance + self.spread)
+        weight = np.linalg.inv(self.segments.covariance + self.own + self.drift_covariance)
         point = self.segments.begin.mean - self.drift
         centre, covariance = np.empty((used.size, 3)), np.empty((used.size, 3, 3))
         for state in range(used.size):

@@ -1,0 +1,249 @@
+"""Training: the states of a spacecraft, and what each adds to the outboard sensor.
+
+From readings alone: the steps of the outboard sensor at the jumps of the difference. Then only differences
+between states are known, and the correction is relative to the state seen longest: a stray field that never
+changes is in every reading and cannot be told from the ambient field and the offsets. With the ambient field
+known the corrections are absolute (Venus Express paper, section 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, step_noise
+from inflight.dual.outboard import OutboardSteps, StrayFit, fit_stray, outboard_steps
+from inflight.dual.readings import Readings
+from inflight.dual.segments import SHORTEST, Segments, segments_of
+from inflight.dual.states import DriftRate, States, find_states
+from inflight.dual.units import Occupancy, Units, find_units
+from inflight.errors import CalibrationError
+from inflight.time import SECOND
+
+#: Before anything is measured, a unit's field at the outboard sensor is 0 +- this many times its difference.
+_PRIOR = 3.0
+
+
+@dataclass(frozen=True)
+class Training:
+    """States of a spacecraft, seen or predicted, with their corrections; spacecraft axes.
+
+    Attributes
+    ----------
+    number : ndarray of int64, shape (state,)
+        Of each state; it stays with the state through later trainings.
+    centre, centre_covariance : ndarray, shape (state, axis) and (state, axis, axis)
+        Difference ``B_in - B_out`` in the state, without drift, nT and nT^2.
+    correction, covariance : ndarray, shape (state, axis) and (state, axis, axis)
+        To take off the outboard reading, nT, and its error's covariance, nT^2.
+    segments : ndarray of int64, shape (state,)
+        Segments seen; 0 for a combination of units that is only predicted.
+    seconds : ndarray, shape (state,)
+        Time seen.
+    transitions : ndarray, shape (state, state)
+        How often one state followed another.
+    occupancy : ndarray of int64, shape (state, unit)
+        Which units are switched.
+    unit, unit_correction : ndarray, shape (unit, axis)
+        What each adds to the difference and to the outboard reading, nT.
+    unit_covariance : ndarray, shape (unit, axis, axis)
+        Of `unit_correction`, nT^2.
+    scatter : float
+        Of the states' points beyond noise, nT.
+    drift : ndarray, shape (axis,)
+        Of the difference at `end`, nT, zero at `start`.
+    drift_rate : DriftRate
+    start, end : int
+        TT2000 of the readings behind it.
+    constant_known : bool
+        The corrections are absolute; else relative to `reference`.
+    reference : int
+        Number of the state whose correction is zero by definition; -1 for absolute corrections.
+    excess : float
+        Scatter of the outboard steps beside what they state.
+    reason : str
+        What is known of units.
+    """
+
+    number: npt.NDArray[np.int64]
+    centre: Floats
+    centre_covariance: Floats
+    correction: Floats
+    covariance: Floats
+    segments: npt.NDArray[np.int64]
+    seconds: Floats
+    transitions: Floats
+    occupancy: Occupancy
+    unit: Floats
+    unit_correction: Floats
+    unit_covariance: Floats
+    scatter: float
+    drift: Floats
+    drift_rate: DriftRate
+    start: int
+    end: int
+    constant_known: bool
+    reference: int
+    excess: float
+    reason: str
+
+    def __len__(self) -> int:
+        return int(self.number.size)
+
+    @property
+    def seen(self) -> npt.NDArray[np.bool_]:
+        """Which states were seen, not only predicted; (state,)."""
+        return np.asarray(self.segments > 0)
+
+
+def train(
+    readings: Readings,
+    *,
+    ambient: Floats | None = None,
+    shortest: int = SHORTEST,
+    false_alarms: float = FALSE_ALARMS,
+    longest: int = LONGEST,
+    jumps: Places | None = None,
+) -> Training:
+    """Learn states, units and outboard corrections.
+
+    Parameters
+    ----------
+    readings : Readings
+        Of a commissioning phase, or of any span with switching.
+    ambient : ndarray, shape (time, axis), optional
+        Known ambient field in the axes of the readings, nT; NaN where it is not known. The outboard sensor's
+        offset becomes part of the corrections.
+    shortest, false_alarms, longest, jumps
+        See `segments.segments_of`.
+
+    Raises
+    ------
+    CalibrationError
+        No steady segment: the span is too short or switches all the time.
+    """
+    segments = segments_of(
+        readings, shortest=shortest, false_alarms=false_alarms, longest=longest, jumps=jumps
+    )
+    states = find_states(segments)
+    if not len(states):
+        raise CalibrationError(
+            f"no stretch of {shortest} samples without a jump in {len(readings)} samples",
+            remedy="take a longer span, or a shorter minimum dwell",
+        )
+    units = find_units(states)
+    steps = outboard_steps(readings, segments)
+    levels = _levels(readings, segments, ambient) if ambient is not None else None
+    return _trained(segments, states, units, steps, levels)
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """Stray field and offset of segments where the ambient field is known."""
+
+    segment: Places
+    level: Floats
+    covariance: Floats
+
+
+def _levels(readings: Readings, segments: Segments, ambient: Floats) -> _Levels:
+    left = readings.outboard - ambient
+    rows = np.flatnonzero(readings.good & np.isfinite(left).all(axis=1))
+    if not rows.size:
+        raise CalibrationError("the ambient field is nowhere known", remedy="leave it out, or give it")
+    first, last = np.searchsorted(rows, segments.first), np.searchsorted(rows, segments.last)
+    noise = step_noise(left[rows], first[1:])
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(left[rows], axis=0)])
+    count = last - first
+    own = np.flatnonzero(~segments.transient & (count > 0))
+    level = (sums[last[own]] - sums[first[own]]) / count[own, None]
+    return _Levels(own, level, noise.of_mean(count[own]))
+
+
+def _trained(
+    segments: Segments, states: States, units: Units, steps: OutboardSteps, levels: _Levels | None
+) -> Training:
+    seconds = _state_seconds(segments, states)
+    reference = int(np.argmax(seconds))
+    of_units = units.consistent and len(units) > 0
+    occupancy = units.occupancy if of_units else np.zeros((len(states), 0), dtype=np.int64)
+    unseen = units.unseen() if of_units else np.zeros((0, 0), dtype=np.int64)
+    every = np.concatenate([occupancy, unseen]) if of_units else occupancy
+    design = occupancy.astype(np.float64) if of_units else np.eye(len(states))
+    predicted = np.concatenate([design, unseen.astype(np.float64)]) if of_units else design
+    known = levels is not None
+    size = np.linalg.norm(units.vector if of_units else states.centre - states.centre[reference], axis=1)
+    fit = _fit(states, design, steps, levels, size)
+    if known:
+        predicted = np.column_stack([predicted, np.ones(len(predicted))])
+    else:
+        predicted = predicted - predicted[reference]
+    centre, spread = states.centre, states.covariance
+    if len(unseen):
+        more, more_spread = units.centre(unseen)
+        centre, spread = np.concatenate([centre, more]), np.concatenate([spread, more_spread])
+    count = len(predicted)
+    new = count - len(states)
+    return Training(
+        number=np.arange(count),
+        centre=centre,
+        centre_covariance=spread,
+        correction=predicted @ fit.value,
+        covariance=np.einsum("sp,piqj,sq->sij", predicted, fit.covariance, predicted),
+        segments=np.append(states.count, np.zeros(new, dtype=np.int64)),
+        seconds=np.append(seconds, np.zeros(new)),
+        transitions=_transitions(states, count),
+        occupancy=every,
+        unit=units.vector if of_units else np.empty((0, 3)),
+        unit_correction=fit.value[: len(units)] if of_units else np.empty((0, 3)),
+        unit_covariance=_own(fit, len(units) if of_units else 0),
+        scatter=states.scatter,
+        drift=states.drift_end[-1],
+        drift_rate=states.drift_rate,
+        start=int(segments.start[0]),
+        end=int(segments.end[-1]),
+        constant_known=known,
+        reference=-1 if known else reference,
+        excess=fit.excess,
+        reason=units.reason,
+    )
+
+
+def _fit(
+    states: States, design: Floats, steps: OutboardSteps, levels: _Levels | None, size: Floats
+) -> StrayFit:
+    """Fit the units' or states' fields at the outboard sensor, and last the constant where it is known."""
+    label = states.label
+    rows = design[label[steps.after]] - design[label[steps.before]]
+    # A passage from a state to itself tells nothing.
+    moved = np.any(rows != 0, axis=1)
+    rows, observed, covariance = rows[moved], steps.step[moved], steps.covariance[moved]
+    prior = _PRIOR * np.maximum(size, 1e-6 + size.max(initial=1e-6))
+    if levels is not None:
+        rows = np.column_stack([rows, np.zeros(len(rows))])
+        own = np.column_stack([design[label[levels.segment]], np.ones(levels.segment.size)])
+        rows, observed = np.concatenate([rows, own]), np.concatenate([observed, levels.level])
+        covariance = np.concatenate([covariance, levels.covariance])
+        prior = np.append(prior, 1e3 * max(float(np.abs(levels.level).max()), 1.0))
+    return fit_stray(rows, observed, covariance, prior)
+
+
+def _own(fit: StrayFit, count: int) -> Floats:
+    return np.array([fit.covariance[one, :, one] for one in range(count)]).reshape(count, 3, 3)
+
+
+def _state_seconds(segments: Segments, states: States) -> Floats:
+    steady = states.label >= 0
+    spent = (segments.end - segments.start)[steady] / SECOND
+    total = np.bincount(states.label[steady], weights=spent, minlength=len(states))
+    return total.astype(np.float64)
+
+
+def _transitions(states: States, count: int) -> Floats:
+    label = states.label[states.label >= 0]
+    table = np.zeros((count, count))
+    np.add.at(table, (label[:-1], label[1:]), 1.0)
+    return table
