@@ -68,9 +68,7 @@ def name_units(signs: Floats, changes: Mapping[str, Floats], *, seed: int = 0) -
     random = np.random.default_rng(seed)
     # Rearrangements tell no smaller level than their number does.
     pairs = min(max(1, signs.shape[1] * len(changes)), round(_CHANCE * _REARRANGED / 2.0))
-    return [
-        _named(unit, signs[:, unit], changes, _CHANCE / pairs, random) for unit in range(signs.shape[1])
-    ]
+    return [_named(unit, signs[:, unit], changes, _CHANCE / pairs, random) for unit in range(signs.shape[1])]
 
 
 def _named(

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.arrays import Floats
 from inflight.comparison import Layout
 from inflight.dual.correction import Correction
 from inflight.dual.readings import Readings, white_covariance

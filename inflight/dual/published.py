@@ -88,9 +88,10 @@ def relation_to_published(
     """
     centre, means = _means(stamps, np.hstack([inboard, outboard, published]), mean_s)
     cluster = (centre // round(cluster_s * SECOND)).astype(np.int64)
-    if np.unique(cluster).size < FEWEST_CLUSTERS:
+    stretches = np.unique(cluster).size
+    if stretches < FEWEST_CLUSTERS:
         raise CalibrationError(
-            f"{np.unique(cluster).size} stretches of {cluster_s:g} s found, at least {FEWEST_CLUSTERS} needed",
+            f"{stretches} stretches of {cluster_s:g} s found, at least {FEWEST_CLUSTERS} needed",
             remedy="give a longer record, or shorter clusters",
         )
     inner, outer, target = means[:, :3], means[:, 3:6], means[:, 6:]
@@ -110,7 +111,10 @@ def relation_to_published(
         if np.all(np.abs(step) <= _ENOUGH * fit.sigma):
             break
     else:
-        raise CalibrationError("the relation of both sensors to the product is not found", remedy="see k")
+        raise CalibrationError(
+            f"the fit of the relation does not come to rest in {_MOST_STEPS} steps",
+            remedy="leave out samples with bad flags, or take a record in which the field varies more",
+        )
     sigma = fit.sigma
     return TwoSensorRelation(
         k,

@@ -146,10 +146,8 @@ class Remaining:
     def told(self, unit: str) -> str:
         """Return a sentence."""
         axis = int(np.argmax(np.abs(self.value) / self.sigma))
-        return (
-            f"after the correction {self.value[axis]:+.3g} ± {self.sigma[axis]:.2g} {unit} along {'xyz'[axis]} "
-            f"still goes with {self.coordinate} ({self.count} switchings)"
-        )
+        size = f"{self.value[axis]:+.3g} ± {self.sigma[axis]:.2g} {unit} along {'xyz'[axis]}"
+        return f"after the correction {size} still goes with {self.coordinate} ({self.count} switchings)"
 
 
 def regressed(coordinate: str, steps: Floats, change: Floats) -> Remaining | None:
