@@ -24,6 +24,8 @@ SIMULATED_MISSION = "champ"
 WITH_SECOND = "champ-two-fluxgates"
 #: Missions of spinning spacecraft that are simulated.
 SPINNING = ("themis", "imp8", "helios")
+#: The one with two sensors on a boom and nothing else to hold them against.
+TWO_SENSORS = "venus-express"
 
 
 def register(app: typer.Typer) -> None:
@@ -99,7 +101,7 @@ def simulate(
 
     A folder that is no workspace becomes one of the simulated mission. A workspace of
     champ-two-fluxgates gets the files of a second fluxgate, too; one of themis, imp8 or helios those of a
-    spinning spacecraft.
+    spinning spacecraft, and one of venus-express those of two sensors on one boom.
     """
     from inflight.catalog.workspace import Workspace
     from inflight.tasks.report import RunReport
@@ -116,6 +118,8 @@ def simulate(
         if workspace.mission().mission in SPINNING:
             settings |= {"craft": workspace.mission().mission}
             written = write_spinning(workspace.data, settings, workers=workers, progress=progress)
+        elif workspace.mission().mission == TWO_SENSORS:
+            written = write_two_sensors(workspace.data, settings, workers=workers, progress=progress)
         else:
             written = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
     report = RunReport(
@@ -130,7 +134,7 @@ def simulate(
 def _require_simulated(workspace: Workspace) -> None:
     """Refuse to put simulated files among the measurements of another mission."""
     named = workspace.mission().mission
-    known = (SIMULATED_MISSION, WITH_SECOND, *SPINNING)
+    known = (SIMULATED_MISSION, WITH_SECOND, *SPINNING, TWO_SENSORS)
     if named not in known:
         raise SettingsError(
             f"{workspace.root} holds mission {named!r}; only {', '.join(map(repr, known))} are simulated",
@@ -148,6 +152,22 @@ def write_spinning(
 
     return simulate_spinning(
         SpinningSettings.model_validate(settings),
+        folder,
+        progress=lambda done, total: progress("simulate", done, total),
+        workers=workers or available_cores(),
+    )
+
+
+def write_two_sensors(
+    folder: Path, settings: Mapping[str, Any], *, workers: int | None, progress: Progress
+) -> list[Path]:
+    """Simulate day files of two sensors on one boom; `settings` are those of `DualSettings`."""
+    from inflight.flows.cluster import available_cores
+    from inflight.simulate.dual import DualSettings
+    from inflight.tasks.simulate_dual import simulate_dual
+
+    return simulate_dual(
+        DualSettings.model_validate(settings),
         folder,
         progress=lambda done, total: progress("simulate", done, total),
         workers=workers or available_cores(),

@@ -1,0 +1,125 @@
+"""The level-2 product of two sensors: both readings, the correction apart, the field, and how sure it is."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.comparison import Layout
+from inflight.dual.correction import Correction
+from inflight.dual.readings import Readings, white_covariance
+from inflight.errors import SamplesError
+from inflight.flags import UNUSABLE, Flag, meanings
+from inflight.model import Model
+
+_VECTOR, _SCALAR = ("time", "axis"), ("time",)
+
+
+def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArray[np.uint32]]:
+    """Return the readings of a dual comparison in spacecraft axes, and the flags of the samples.
+
+    Parameters
+    ----------
+    model : Model
+        Its effects are taken out of the readings first.
+    samples : Dataset
+        Aligned raw samples with `inboard`, `outboard` (time, axis), `flag` and `tt2000`.
+
+    Returns
+    -------
+    Readings
+        NaN where the flags make a sample unusable.
+    ndarray of uint32, shape (time,)
+
+    Raises
+    ------
+    SamplesError
+        When no sample has both readings.
+    """
+    layout = Layout.of_model(model)
+    corrected = cast("xr.Dataset", model.corrected(samples))
+    flag = np.asarray(samples["flag"].values, dtype=np.uint32)
+    bad = (flag & np.uint32(UNUSABLE)) != 0
+    fields = []
+    for role in ("inboard", "outboard"):
+        turned = layout.sensor(role).rotation.apply(np.asarray(corrected[role].values, dtype=np.float64))
+        fields.append(np.where(bad[:, None], np.nan, turned))
+    readings = Readings(np.asarray(samples["tt2000"].values, dtype=np.int64), fields[0], fields[1])
+    if not readings.good.any():
+        raise SamplesError(
+            "no sample has readings of both sensors", remedy="look at the flags of both instruments' days"
+        )
+    return readings, flag
+
+
+def dual_level2(
+    readings: Readings, correction: Correction, flag: npt.NDArray[np.uint32], comparison: str
+) -> xr.Dataset:
+    """Return the level-2 product of a span.
+
+    Parameters
+    ----------
+    readings : Readings
+        Spacecraft axes.
+    correction : Correction
+        For the same samples; it is in the product whether it is applied or not.
+    flag : ndarray of uint32, shape (time,)
+        Of the samples.
+
+    Returns
+    -------
+    xarray.Dataset
+        `inboard`, `outboard`, `correction`, `field_spacecraft` (time, axis) nT, spacecraft axes, with
+        ``field = outboard - correction`` where attribute `applied` is ``yes`` and the correction is known;
+        `uncertainty` (time, axis) nT, 1 sigma of the part of `field_spacecraft` that changes: white noise of
+        the outboard sensor and the correction's error, NaN where nothing is known of the stray field;
+        `state`, `probability`, `flag`, `tt2000` (time). Attributes `method`, `applied`, `reason` and
+        `constant_known`: two sensors alone do not tell the stray field that never changes.
+    """
+    field = correction.corrected(readings.outboard)
+    good = np.isfinite(readings.outboard).all(axis=1)
+    noise = np.diag(white_covariance(readings.outboard[good]))
+    sigma = np.sqrt(noise + correction.sigma**2)
+    if not correction.applied:
+        sigma = np.full(field.shape, np.nan)
+    bits = flag | correction.flag
+    bits = np.where(correction.known | ~good, bits, bits | np.uint32(Flag.UNKNOWN_STATE)).astype(np.uint32)
+    masks, names = meanings()
+    axes = "spacecraft"
+    variables = {
+        "inboard": (_VECTOR, readings.inboard, _told("calibrated reading of the inboard sensor", axes)),
+        "outboard": (_VECTOR, readings.outboard, _told("calibrated reading of the outboard sensor", axes)),
+        "correction": (
+            _VECTOR,
+            correction.field,
+            _told("stray field at the outboard sensor", axes) | {"applied": _yes(correction.applied)},
+        ),
+        "field_spacecraft": (_VECTOR, field, _told("field of the outboard sensor less the correction", axes)),
+        "uncertainty": (_VECTOR, sigma, _told("one sigma of the part that changes", axes)),
+        "state": (_SCALAR, correction.state.astype(np.int32), {"unknown": -1, "transient": -2}),
+        "probability": (_SCALAR, correction.probability, {"units": "1"}),
+        "flag": (_SCALAR, bits, {"flag_masks": masks, "flag_meanings": names}),
+        "tt2000": (_SCALAR, readings.stamps, {"units": "ns", "scale": "TT2000"}),
+    }
+    return xr.Dataset(
+        variables,
+        coords={"axis": ["x", "y", "z"]},
+        attrs={
+            "comparison": comparison,
+            "method": correction.method,
+            "applied": _yes(correction.applied),
+            "reason": correction.reason,
+            "constant_known": _yes(correction.constant_known),
+        },
+    )
+
+
+def _told(what: str, frame: str) -> dict[str, object]:
+    return {"units": "nT", "long_name": what, "frame": frame}
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"

@@ -1,0 +1,250 @@
+"""One simulated day of two sensors on one boom: what is delivered, and the truth behind it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+
+from inflight.simulate.dipole import dipole_matrix
+from inflight.simulate.dual.settings import DualSettings
+from inflight.simulate.dual.switching import NEW_UNIT, UNITS, Calendar, Unit, part_on, six_states, together
+from inflight.simulate.grid import Float, Int64, Sampling
+from inflight.simulate.randomness import generator, wander
+from inflight.simulate.spinning.ambient import wind
+from inflight.simulate.spinning.settings import SpinningParameters
+from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
+
+#: Seconds between currents and between temperatures.
+_CURRENTS, _SLOW = 8, 60
+_GAP_S, _VALVE_S = 900.0, 2.0
+#: Where the valve and the leads of the array are, m; the usual current of the array, mA.
+_VALVE, _ARRAY, _ARRAY_CURRENT = (0.1, -0.1, -0.2), (0.0, 0.5, -0.4), 6000.0
+#: Names of the delivered currents.
+_CHANNELS = {"transmitter": "I_TX", "spectrometer": "I_SPEC", "camera": "I_CAM"}
+
+
+@dataclass(frozen=True)
+class DualDay:
+    """Deliveries and truth of one day.
+
+    Attributes
+    ----------
+    instruments : dict of Dataset
+        ``ib``, ``ob``: B_RAW (record, axis) nT, sensor axes, and FLAG; ``hk``: I_TX, I_SPEC, I_CAM,
+        I_ARRAY mA; ``slow``: T_BODY degC. ``Epoch`` is TT2000.
+    truth : Dataset
+        FIELD, STRAY_IN, STRAY_OUT, OFFSET_IN, OFFSET_OUT (record, axis) nT, spacecraft axes; STATE
+        (record): a bit for each unit in order that is on, or the number of the published state; attributes
+        hold effects, hidden ones and parameters as JSON.
+    """
+
+    day: np.datetime64
+    instruments: dict[str, xr.Dataset]
+    truth: xr.Dataset
+
+
+def simulate_dual_day(settings: DualSettings, day: DayLike) -> DualDay:
+    """Return one day of a simulated mission, the same whatever other days are asked for."""
+    scene = _Scene(settings, as_day(day))
+    instruments = {
+        "ib": scene.magnetometer("inboard"),
+        "ob": scene.magnetometer("outboard"),
+        "hk": scene.currents(),
+        "slow": scene.slow(),
+    }
+    return DualDay(scene.day, instruments, scene.truth())
+
+
+class _Scene:
+    """Everything about one day, each part computed once when first needed."""
+
+    def __init__(self, settings: DualSettings, day: np.datetime64) -> None:
+        self.settings, self.parameters, self.effects = settings, settings.parameters, settings.effects
+        self.day, self.number = day, int(day.astype(np.int64))
+        self.first = int(np.datetime64(settings.start, "D").astype(np.int64))
+        self.start, self.end = day_bounds(day)
+        self.times = Sampling.of_span(self.start, self.end, round(self.parameters.cadence * SECOND))
+        self.since = (self.times.tt2000 - self.start) / SECOND
+        self.calendar = Calendar(settings.seed, self.first, self.parameters.commissioning)
+
+    def _random(self, stream: str) -> np.random.Generator:
+        return generator(self.settings.seed, stream, self.number)
+
+    @cached_property
+    def field(self) -> Float:
+        """Ambient field, spacecraft axes."""
+        p = self.parameters
+        nature = SpinningParameters(field=p.field, turning=p.turning, compression=p.compression)
+        return wind(self.times.seconds, self.settings.seed, self.number, nature)
+
+    @cached_property
+    def units(self) -> tuple[Unit, ...]:
+        """Units that may be on this day; none where the six published states are flown."""
+        if "six_states" in self.effects:
+            return ()
+        known = tuple(unit for unit in UNITS if unit.name in self.effects)
+        late = self.number >= self.first + self.parameters.new_unit_day
+        return (*known, NEW_UNIT) if "new_unit" in self.effects and late else known
+
+    @cached_property
+    def _switchings(self) -> dict[str, tuple[bool, Float]]:
+        units = [unit for unit in self.units if unit is not NEW_UNIT]
+        out = {
+            unit.name: self.calendar.switchings(unit, place, len(units), self.number)
+            for place, unit in enumerate(units)
+        }
+        if NEW_UNIT in self.units:
+            out[NEW_UNIT.name] = self.calendar.switchings(NEW_UNIT, 0, 10**6, self.number)
+        if "simultaneous" in self.effects and {"camera", "spectrometer"} <= set(out):
+            begins, times = out["camera"]
+            out["camera"] = begins, together(times, out["spectrometer"][1])
+        return out
+
+    def _on(self, unit: Unit, seconds: Float, rise: float) -> Float:
+        return part_on(seconds, *self._switchings[unit.name], rise)
+
+    @cached_property
+    def states(self) -> Int64:
+        """The published state at each sample."""
+        chosen, begins = self.calendar.states(len(six_states()[0]), self.number)
+        return np.asarray(chosen[np.searchsorted(begins, self.since, side="right") - 1])
+
+    def _array_current(self, seconds: Float) -> Float:
+        """Current of the array, mA: a daily swing and a slow wander."""
+        absolute = self.start / SECOND + seconds
+        slow = wander(absolute, self.settings.seed, "array", (0.05,), periods=(1800.0, 40_000.0))[:, 0]
+        swing = 0.1 * np.sin(2.0 * np.pi * absolute / (DAY / SECOND))
+        return np.asarray(_ARRAY_CURRENT * (1.0 + swing + slow))
+
+    def stray(self, sensor: str) -> Float:
+        """What the spacecraft adds at a sensor, nT, spacecraft axes."""
+        place = self.parameters.inboard if sensor == "inboard" else self.parameters.outboard
+        out = np.zeros((self.since.size, 3))
+        grown = 1.0
+        if "ageing" in self.effects:
+            grown += self.parameters.ageing * (self.number - self.first)
+        for unit in self.units:
+            part = self._on(unit, self.since, self.parameters.rise)
+            out += grown * part[:, None] * unit.field_at(place)
+        if "six_states" in self.effects:
+            out += six_states()[0 if sensor == "inboard" else 1][self.states]
+        if "valve" in self.effects:
+            driven = np.sort(
+                self._random("valve").uniform(0.0, DAY / SECOND, round(self.parameters.valve_switches))
+            )
+            last = self.since - np.concatenate([[-np.inf], driven])[np.searchsorted(driven, self.since)]
+            out += (last < _VALVE_S)[:, None] * self._dipole(_VALVE, self.parameters.valve_moment, place)
+        if "array_current" in self.effects:
+            strength = self._array_current(self.since) / _ARRAY_CURRENT
+            out += strength[:, None] * self._dipole(_ARRAY, self.parameters.array_moment, place)
+        return out
+
+    @staticmethod
+    def _dipole(source: tuple[float, ...], moment: tuple[float, ...], place: tuple[float, ...]) -> Float:
+        arm = np.asarray(place) - np.asarray(source)
+        return np.asarray(dipole_matrix(arm) @ np.asarray(moment))
+
+    def _temperature(self, seconds: Float) -> Float:
+        """Temperature of the body, degC."""
+        absolute = self.start / SECOND + seconds
+        slow = wander(absolute, self.settings.seed, "body", (1.5,), periods=(20_000.0, 400_000.0))[:, 0]
+        return np.asarray(24.0 + 2.5 * np.sin(2.0 * np.pi * absolute / (DAY / SECOND)) + slow)
+
+    def offset(self, sensor: str) -> Float:
+        """Reading of a sensor in zero field, nT, spacecraft axes."""
+        p = self.parameters
+        out = np.zeros((self.since.size, 3))
+        if "offset" in self.effects:
+            out += p.offset_inboard if sensor == "inboard" else p.offset_outboard
+        if "offset_drift" in self.effects:
+            size, seconds = (p.offset_drift,) * 3, self.times.seconds
+            out += wander(seconds, self.settings.seed, f"{sensor} offset", size, periods=(40_000.0, 1e6))
+        if "thermal_drift" in self.effects and sensor == "inboard":
+            out += (self._temperature(self.since) - 24.0)[:, None] * p.thermal_drift
+        return out
+
+    def magnetometer(self, sensor: str) -> xr.Dataset:
+        """What a sensor delivers, in its own axes."""
+        p = self.parameters
+        inner = sensor == "inboard"
+        reading = self.field + self.stray(sensor) + self.offset(sensor)
+        noise = p.noise_inboard if inner else p.noise_outboard
+        if inner:
+            extra = p.misalignment if "misalignment" in self.effects else 0.0
+            reading = _turned(reading, p.turned + extra)
+        random = self._random(sensor)
+        reading = reading + noise * random.standard_normal(reading.shape)
+        if "spikes" in self.settings.defects:
+            reading[random.random(len(reading)) < 2e-4] += 5.0
+        reading = np.rint(reading / p.resolution) * p.resolution
+        data = _delivery(self.times.tt2000, B_RAW=reading, FLAG=np.zeros(len(reading), dtype=np.uint8))
+        if "gaps" not in self.settings.defects:
+            return data
+        lost = self._random(f"{sensor} gaps").uniform(0.0, DAY / SECOND - _GAP_S, 3)
+        kept = ~np.any([(self.since >= one) & (self.since < one + _GAP_S) for one in lost], axis=0)
+        return data.isel(record=kept)
+
+    def currents(self) -> xr.Dataset:
+        """Currents of the units whose housekeeping is delivered, mA, and of the array."""
+        times = Sampling.of_span(self.start, self.end, _CURRENTS * SECOND)
+        since = (times.tt2000 - self.start) / SECOND
+        random = self._random("currents")
+        out = {"I_ARRAY": np.rint(self._array_current(since))}
+        for unit in UNITS:
+            if unit.name not in _CHANNELS or unit.name in self.settings.hide:
+                continue
+            on = self._on(unit, since, 0.0) if unit in self.units else np.zeros(since.size)
+            amount = unit.current * on + 2.0 * random.standard_normal(since.size) + 20.0
+            out[_CHANNELS[unit.name]] = np.rint(amount)
+        return _delivery(times.tt2000, **out)
+
+    def slow(self) -> xr.Dataset:
+        """Temperature of the body every minute."""
+        times = Sampling.of_span(self.start, self.end, _SLOW * SECOND)
+        warm = self._temperature((times.tt2000 - self.start) / SECOND)
+        return _delivery(times.tt2000, T_BODY=np.rint(warm / 0.02) * 0.02)
+
+    def _state_bits(self) -> Int64:
+        if "six_states" in self.effects:
+            return self.states
+        names = [*UNITS, NEW_UNIT]
+        bits = [
+            (self._on(unit, self.since, 0.0) > 0).astype(np.int64) << names.index(unit) for unit in self.units
+        ]
+        return np.asarray(sum(bits, np.zeros(self.since.size, dtype=np.int64)))
+
+    def truth(self) -> xr.Dataset:
+        """What nobody who processes the deliveries may see."""
+        truth = _delivery(
+            self.times.tt2000,
+            FIELD=self.field,
+            STRAY_IN=self.stray("inboard"),
+            STRAY_OUT=self.stray("outboard"),
+            OFFSET_IN=self.offset("inboard"),
+            OFFSET_OUT=self.offset("outboard"),
+            STATE=self._state_bits(),
+        )
+        return truth.assign_attrs(
+            day=str(self.day),
+            effects=json.dumps(sorted(self.effects)),
+            hidden=json.dumps(sorted(self.settings.hide)),
+            parameters=json.dumps(self.parameters.as_dict()),
+        )
+
+
+def _turned(vectors: Float, angle: float) -> Float:
+    """Return vectors in axes that are turned by an angle about z, deg."""
+    cosine, sine = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+    return np.asarray(vectors @ np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
+
+
+def _delivery(stamps: Int64, **variables: np.ndarray) -> xr.Dataset:
+    named = {
+        name: (("record",) if values.ndim == 1 else ("record", "axis"), values)
+        for name, values in variables.items()
+    }
+    return xr.Dataset({"Epoch": ("record", stamps), **named})

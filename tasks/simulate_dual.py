@@ -1,0 +1,89 @@
+"""Write a simulated mission with two sensors on one boom as day files, and its truth apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from cdflib.cdfwrite import CDF
+from threadpoolctl import threadpool_limits
+
+from inflight.simulate.dual import DualSettings, simulate_dual_day
+from inflight.tasks.delivered_cdf import Source, Variable, atomic, compact, storage, write_cdf
+from inflight.tasks.simulate import TRUTH, Progress, claim, write_truth, written
+
+_XYZ = ("x", "y", "z")
+_VARIABLES = {
+    "B_RAW": Variable("Raw vector field, sensor axes", "nT", -8000, 8000, labels=_XYZ),
+    "FLAG": Variable("Quality flag, 0 is good", " ", 0, 254, CDF.CDF_UINT1, format="I3"),
+    "I_TX": Variable("Current of the transmitter", "mA", 0, 5000, CDF.CDF_REAL4),
+    "I_SPEC": Variable("Current of the spectrometer", "mA", 0, 5000, CDF.CDF_REAL4),
+    "I_CAM": Variable("Current of the camera", "mA", 0, 5000, CDF.CDF_REAL4),
+    "I_ARRAY": Variable("Current of the solar array", "mA", 0, 20000, CDF.CDF_REAL4),
+    "T_BODY": Variable("Temperature of the body", "degC", -60, 80, CDF.CDF_REAL4),
+}
+_TITLES = {
+    "ib": "Inboard fluxgate",
+    "ob": "Outboard fluxgate",
+    "hk": "Housekeeping currents",
+    "slow": "Slow housekeeping",
+}
+_SOURCE = Source("vex", "Venus-Express-like simulated spacecraft", _TITLES, _VARIABLES)
+
+
+def truth_path(destination: Path, day: np.datetime64) -> Path:
+    """Return where the truth of a day stands, for tests and nobody else."""
+    return destination / TRUTH / f"{_SOURCE.name}_truth_{compact(day)}.nc"
+
+
+def simulate_dual(
+    settings: DualSettings, destination: Path | str, progress: Progress | None = None, workers: int = 2
+) -> list[Path]:
+    """Write the day files of a simulated mission with two sensors; days already there are kept.
+
+    Parameters
+    ----------
+    destination : Path
+        Folder for ``ib/``, ``ob/``, ``hk/``, ``slow/`` and, apart, ``truth/``.
+    progress : callable, optional
+        Called with (days done, days).
+    workers : int
+        Processes; 1 stays in this one.
+
+    Returns
+    -------
+    list of Path
+        The delivered files of all days.
+
+    Raises
+    ------
+    CatalogError
+        When the folder holds files of other settings.
+    StorageError
+        When the disk refuses a write.
+    """
+    folder = Path(destination)
+    truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
+    # What ages counts from the first day: only the end may differ between two runs.
+    claim(folder, settings.model_dump(mode="json"), truth, {}, {"days"})
+    days = settings.day_list
+    missing = [day for day in days if not truth_path(folder, day).exists()]
+    for number, _ in enumerate(written(write_dual_day, settings, folder, missing, workers), start=1):
+        if progress is not None:
+            progress(len(days) - len(missing) + number, len(days))
+    paths = (_SOURCE.path(folder, instrument, day) for day in days for instrument in _TITLES)
+    return [path for path in paths if path.exists()]
+
+
+def write_dual_day(settings: DualSettings, destination: Path, day: np.datetime64) -> list[Path]:
+    """Simulate and write one day, the truth last; return the delivered files."""
+    with threadpool_limits(limits=1), storage(destination, day):
+        simulated = simulate_dual_day(settings, day)
+        paths = []
+        for instrument, data in simulated.instruments.items():
+            path = _SOURCE.path(destination, instrument, day)
+            with atomic(path) as partial:
+                write_cdf(partial, _SOURCE, instrument, data, day)
+            paths.append(path)
+        write_truth(truth_path(destination, day), simulated.truth)
+    return paths
