@@ -13,7 +13,7 @@ from inflight.flows.settings import prefect_settings
 from inflight.tasks.report import Progress, RunReport
 
 #: Flows there are; each lives in the module of its name.
-FLOWS = ("ingest", "reprocess", "backfill", "diagnose", "release")
+FLOWS = ("ingest", "reprocess", "backfill", "monthly", "diagnose", "release")
 
 
 def run_embedded(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.cluster import client_when_needed, dask_client
-from inflight.flows.span import Span
+from inflight.flows.span import Span, month_span
 from inflight.tasks.release import make_release
 from inflight.tasks.report import Progress, RunReport
 
@@ -54,6 +55,19 @@ def backfill(
     return taken.followed_by(reprocess(workspace, parameters, workers, progress), "backfill")
 
 
+def monthly(
+    workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
+) -> RunReport:
+    """Take in what was delivered late for a calendar month, and calibrate it with its own offsets."""
+    from inflight.flows.monthly import MONTHLY_SETTINGS
+
+    span = month_span(parameters.get("month"), dt.datetime.now(dt.UTC).date())
+    settings = MONTHLY_SETTINGS.model_dump() | dict(parameters.get("settings") or {})
+    given = {"data": parameters.get("data"), "settings": settings} | span.model_dump()
+    taken = ingest(workspace, given | span.with_neighbours().model_dump(), workers, progress)
+    return taken.followed_by(reprocess(workspace, given, workers, progress), "monthly")
+
+
 def diagnose(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
@@ -80,6 +94,7 @@ STEPS: dict[str, Callable[[Workspace, Parameters, int | None, Progress | None], 
     "ingest": ingest,
     "reprocess": reprocess,
     "backfill": backfill,
+    "monthly": monthly,
     "diagnose": diagnose,
     "release": release,
 }

@@ -7,6 +7,8 @@ from typing import Self, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
+from inflight.errors import SettingsError
+
 DateOrNone: TypeAlias = dt.date | None
 
 
@@ -31,3 +33,34 @@ class Span(BaseModel):
         """Return both ends as ``YYYY-MM-DD``, as the steps take them."""
         start = None if self.start is None else self.start.isoformat()
         return start, None if self.end is None else self.end.isoformat()
+
+    def with_neighbours(self) -> Span:
+        """Return the span with a day more on either side: days are made with their neighbours' edges."""
+        day = dt.timedelta(days=1)
+        return Span(start=self.start and self.start - day, end=self.end and self.end + day)
+
+
+def month_span(month: str | None, today: dt.date) -> Span:
+    """Return the days of a calendar month.
+
+    Parameters
+    ----------
+    month : str or None
+        ``YYYY-MM``; the last month that is over today when None.
+    today : date
+        UTC.
+
+    Raises
+    ------
+    SettingsError
+        When the text names no month.
+    """
+    try:
+        begin = (
+            (today.replace(day=1) - dt.timedelta(days=1)).replace(day=1)
+            if month is None
+            else dt.datetime.strptime(month, "%Y-%m").replace(tzinfo=dt.UTC).date()
+        )
+    except ValueError:
+        raise SettingsError(f"{month!r} is no month", remedy="write it as YYYY-MM") from None
+    return Span(start=begin, end=(begin + dt.timedelta(days=31)).replace(day=1))

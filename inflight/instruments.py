@@ -27,6 +27,7 @@ Kind = Literal[
     "sun_direction",
     "sun_pulse",
     "spin_phase",
+    "spin_axis",
     "sunlight",
     "frequency",
     "flag",
@@ -113,7 +114,7 @@ class Channel(Strict):
     smooth: Duration = 0
     #: Readings outside [low, high] are flagged OUT_OF_RANGE and not used.
     range: tuple[float, float] | None = None
-    #: Frame of an attitude or a position: itrf, gcrf, nec, gse.
+    #: Frame of an attitude, a spin axis or a position: itrf, gcrf, gei, nec, gse, gsm.
     frame: str | None = None
     description: str = ""
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
@@ -50,6 +50,7 @@ __all__ = [
     "Reader",
     "Role",
     "ScalarComparison",
+    "SpinAxis",
     "SpinComparison",
     "Unit",
     "Vector3",
@@ -102,6 +103,27 @@ class DualComparison(Strict):
         return {"inboard": self.inboard, "outboard": self.outboard}
 
 
+class SpinAxis(Strict):
+    """How a spinning spacecraft lies in space, from a time on."""
+
+    #: The axis is known from here on; for all times when absent.
+    since: Instant | None = None
+    #: gse, gsm, gei (equator and equinox of date), gcrf (of J2000) or itrf.
+    frame: Literal["gse", "gsm", "gei", "gcrf", "itrf"] = "gcrf"
+    #: Of the rotation, right-handed: a vector, or right ascension and declination (the frame's), degrees.
+    direction: tuple[float, float] | Vector3
+
+    @model_validator(mode="after")
+    def _points_somewhere(self) -> Self:
+        if not any(self.direction) and len(self.direction) == 3:
+            raise ValueError("a direction of (0, 0, 0) points nowhere")
+        return self
+
+
+def _axes(value: Any) -> Any:
+    return [value] if isinstance(value, Mapping) else value
+
+
 class SpinComparison(Strict):
     """Spin tones of one vector sensor (two rows a sample of the synthetic turns, nT).
 
@@ -114,6 +136,9 @@ class SpinComparison(Strict):
     phase: str | None = None
     #: Angle of the spacecraft's x axis from the Sun at a pulse, degrees.
     phase_at_pulse: float = 0.0
+    #: Spin axis: a channel of kind ``spin_axis``, or where it lay since when. Without it products are in
+    #: turning and payload axes only.
+    spin_axis: Annotated[str | list[SpinAxis] | None, BeforeValidator(_axes)] = None
     #: Turns that are folded into one, about.
     turns: Annotated[int, Field(ge=8, le=2000)] = 100
     base: str | None = None

@@ -15,6 +15,8 @@ from inflight.time import DAY, SECOND
 
 #: Name of the spin's phase in samples.
 SPIN_PHASE = "spin_phase"
+#: Name of the need of the channel that tells the direction of the spin axis; samples do not hold it.
+SPIN_AXIS = "spin_axis"
 #: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
 MARGIN_CADENCES = 40
 
@@ -95,7 +97,7 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
     roles = mission.comparisons[model.comparison].instruments()
     needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
     known = _Known(mission)
-    needs += known.clock(model.comparison)
+    needs += [*known.clock(model.comparison), *known.axis(model.comparison)]
     used = {channel for entry in model.effects for channel in entry.effect.channels}
     if unknown := {base for name in used for base in known.bases(name)} - known.names:
         raise SamplesError(
@@ -151,6 +153,17 @@ def clock_of(mission: Mission, comparison: str) -> list[Need]:
     return _Known(mission).clock(comparison)
 
 
+def axis_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the channel that tells how a spin comparison's spin axis lies; none where there is none.
+
+    Raises
+    ------
+    SamplesError
+        When the comparison names a channel the mission has not, or one of another kind.
+    """
+    return _Known(mission).axis(comparison)
+
+
 class _Known:
     """The names a model may use of a mission: its channels, what geometry adds, what is made of both."""
 
@@ -186,6 +199,19 @@ class _Known:
                 remedy="give one channel the kind 'sun_pulse' or 'spin_phase' and name it as the 'phase'",
             )
         return [replace(self._need(found[0], None, ()), name=SPIN_PHASE)]
+
+    def axis(self, comparison: str) -> list[Need]:
+        """Return the series of `axis_of`."""
+        entry = self.mission.comparisons[comparison]
+        if entry.kind != "spin" or not isinstance(entry.spin_axis, str):
+            return []
+        home = self.homes.get(entry.spin_axis)
+        if home is None or self.mission.instruments[home[0]].channels[home[1]].kind != "spin_axis":
+            raise SamplesError(
+                f"no channel of kind 'spin_axis' has the name {entry.spin_axis!r}",
+                remedy="name one as the 'spin_axis' of the comparison, or state frame and direction there",
+            )
+        return [replace(self._need(entry.spin_axis, None, ()), name=SPIN_AXIS)]
 
     def bases(self, name: str) -> tuple[str, ...]:
         """Return the channels a name is made from; a channel of the mission may be called anything."""

@@ -32,9 +32,9 @@ class ReprocessSettings(BaseModel):
     comparison : str
         Entry of the mission's `comparisons`.
     table : str
-        Which table the products take: each day's own fit, windows of `window_days`, one for the whole
-        span, or ``continuous``: everything the model lets data move, fitted to all days at once, with
-        scale factors that follow a trend in time.
+        Which table the products take: each day's own fit, windows of `window_days`, calendar months, one
+        for the whole span, or ``continuous``: everything the model lets data move, fitted to all days at
+        once, with scale factors that follow a trend in time.
     window_days : int
         Length of a window; windows lie on a fixed grid from 2000-01-01.
     batch_days : int
@@ -55,7 +55,7 @@ class ReprocessSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     comparison: str = "main"
-    table: Literal["daily", "window", "span", "continuous"] = "window"
+    table: Literal["daily", "window", "monthly", "span", "continuous"] = "window"
     window_days: int = Field(15, ge=1, le=3660)
     batch_days: int = Field(10, ge=1, le=60)
     min_coverage: float = Field(0.0, ge=0.0, le=1.0)
@@ -148,7 +148,7 @@ def plan(
     _check_comparison(mission, settings.comparison)
     if settings.is_chain and mission.comparisons[settings.comparison].kind == "spin":
         raise MissionError(
-            "a spin comparison has no table 'continuous'", remedy="choose daily, window or span"
+            "a spin comparison has no table 'continuous'", remedy="choose daily, window, monthly or span"
         )
     used = current_model(cat, mission, settings.comparison)
     seen = Witnesses.of(mission, settings.comparison).names if settings.is_chain else ()

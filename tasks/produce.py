@@ -25,7 +25,7 @@ from inflight.tasks.stand_ins import stand_ins, treated_report
 from inflight.time import day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the products change.
-PRODUCT_VERSION = 3
+PRODUCT_VERSION = 4
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
 #: Stored steps of product variables: a tenth of a picotesla, a micro-degree.

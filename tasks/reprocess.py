@@ -32,6 +32,7 @@ from inflight.tasks.tables import (
     MOST_BEND,
     daily_table,
     load_equations,
+    month_edges,
     relinearise_at,
     window_edges,
     window_table,
@@ -144,6 +145,9 @@ def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day])
         "window": partial(window_table, equations, model, edges, "window"),
         "span": partial(window_table, equations, model, whole, "span"),
     }
+    if settings.table == "monthly":
+        months = month_edges(min(days), max(days))
+        makers["monthly"] = partial(window_table, equations, model, months, "monthly")
     keep = TableKeeper(cat, made, run, days)
     tables = {kind: keep.table(kind, make) for kind, make in makers.items()}
     return SolvedTables(tables[settings.table], keep.ids, keep.certify, model)

@@ -19,6 +19,7 @@ from inflight.model import Model
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.channel_series import channel_series
 from inflight.tasks.needs import (
+    SPIN_AXIS,
     SPIN_PHASE,
     Need,
     base_role,
@@ -67,6 +68,7 @@ def load_samples(
         When a field's day is not in the archive.
     """
     base = next(need for need in needs if need.name == base_role(mission, model.comparison))
+    needs = [need for need in needs if need.name != SPIN_AXIS]
     channels = {}
     clock = next((need for need in needs if need.name == SPIN_PHASE), None)
     for need in needs:

@@ -22,6 +22,14 @@ _VARIABLES = {
     "I_SOL": Variable("Current of the solar array", "mA", 0, 20000, CDF.CDF_REAL4),
     "T_ELECTRONICS": Variable("Temperature of the electronics", "degC", -60, 80, CDF.CDF_REAL4),
     "SHADOW": Variable("1 in the shadow of the Earth", " ", 0, 1, CDF.CDF_UINT1, format="I3"),
+    "SPIN_AXIS": Variable(
+        "Right ascension and declination of the spin axis",
+        "deg",
+        -90,
+        360,
+        labels=("ra", "dec"),
+        format="F11.5",
+    ),
     "POS_GSE": Variable("Position in GSE", "km", -200000, 200000, labels=_XYZ, format="F13.3"),
 }
 _TITLES = {
@@ -30,6 +38,7 @@ _TITLES = {
     "hk": "Housekeeping currents",
     "slow": "Slow housekeeping",
     "orb": "Orbit",
+    "att": "Attitude",
 }
 SOURCES = {
     name: Source(name, f"{name.upper()}-like simulated spacecraft", _TITLES, _VARIABLES) for name in CRAFT

@@ -15,7 +15,7 @@ from inflight.tasks.keeping import SolvedTables, TableKeeper
 from inflight.tasks.planning import ONE_DAY, Plan
 from inflight.tasks.spin_day import spin_day
 from inflight.tasks.spin_tables import spin_table, zero_level_table
-from inflight.tasks.tables import window_edges
+from inflight.tasks.tables import month_edges, window_edges
 
 
 def spin_batch(cat: Catalog, mission: Mission, model: Model, job: Job) -> Outcome:
@@ -24,18 +24,27 @@ def spin_batch(cat: Catalog, mission: Mission, model: Model, job: Job) -> Outcom
 
 
 def solve_spin(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
-    """Make the tables of a spin comparison: zero level, each day, windows, the whole span."""
+    """Make the tables of a spin comparison: zero levels, each day, windows, months, the whole span.
+
+    The offset along the spin axis takes many hours of wind: days and months have that of their calendar
+    month, windows and the span those of the windows.
+    """
     settings, model = made.settings, made.model
-    read = [cat.read(days[day]) for day in sorted(days)]
     ordered = sorted(days)
-    edges = window_edges(ordered[0], ordered[-1], settings.window_days)
-    each = [*ordered, ordered[-1] + ONE_DAY]
-    whole = [ordered[0], ordered[-1] + ONE_DAY]
+    read = [cat.read(days[day]) for day in ordered]
+    windows = window_edges(ordered[0], ordered[-1], settings.window_days)
+    months = month_edges(ordered[0], ordered[-1])
     keep = TableKeeper(cat, made, run, days)
-    zero = keep.table("zero-level", partial(zero_level_table, read, model, edges))
-    makers = {"daily": each, "window": edges, "span": whole}
+    by_window = keep.table("zero-level", partial(zero_level_table, read, model, windows))
+    by_month = keep.table("zero-level-monthly", partial(zero_level_table, read, model, months))
+    makers = {
+        "daily": ([*ordered, ordered[-1] + ONE_DAY], by_month),
+        "window": (windows, by_window),
+        "monthly": (months, by_month),
+        "span": ([ordered[0], ordered[-1] + ONE_DAY], by_window),
+    }
     tables = {
         kind: keep.table(kind, partial(spin_table, read, model, bounds, kind, zero))
-        for kind, bounds in makers.items()
+        for kind, (bounds, zero) in makers.items()
     }
     return SolvedTables(tables[settings.table], keep.ids, keep.certify, model)

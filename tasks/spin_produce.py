@@ -18,6 +18,7 @@ from inflight.spin.equation import NAMES, TwelveParameters
 from inflight.spin.product import spin_level2
 from inflight.tasks.calibrate import Job
 from inflight.tasks.samples import load_samples
+from inflight.tasks.spin_axis import attitude_of
 from inflight.tasks.spin_day import plain_readings, require_spinning
 from inflight.time import day_bounds, to_utc
 
@@ -38,7 +39,8 @@ def spin_product(
     entry = require_spinning(bound)
     twelve, covariance = _holding(table, (span[0] + span[1]) // 2)
     readings, _, corrected = plain_readings(bound, entry, samples)
-    product = spin_level2(bound, corrected, readings, twelve, covariance)
+    attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
+    product = spin_level2(bound, corrected, readings, twelve, covariance, attitude)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
     report: dict[str, Any] = {

@@ -43,6 +43,13 @@ def window_edges(first: np.datetime64, last: np.datetime64, days: int) -> list[n
     return [begin + index * step for index in range(count + 1)]
 
 
+def month_edges(first: np.datetime64, last: np.datetime64) -> list[np.datetime64]:
+    """Return the edges of the calendar months that hold the days first to last (inclusive)."""
+    begin, end = (as_day(day).astype("datetime64[M]") for day in (first, last))
+    months = np.arange(begin, end + np.timedelta64(2, "M"), dtype="datetime64[M]")
+    return list(months.astype("datetime64[D]"))
+
+
 def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
     """Return the table of the blocks' own fits, one interval a block."""
     data = equations.dataset

@@ -33,7 +33,7 @@ NoPrefectOption = Annotated[
     bool, typer.Option("--no-prefect", help="Run the plain functions, without a flow.")
 ]
 TableOption = Annotated[
-    Literal["daily", "window", "span", "continuous"] | None,
+    Literal["daily", "window", "monthly", "span", "continuous"] | None,
     typer.Option(
         help="Table the products take; continuous fits everything to all days at once (default: window)",
         show_default=False,

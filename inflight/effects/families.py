@@ -49,7 +49,7 @@ FAMILY_OF_KIND = {
     "position": "unknown",
 }
 #: Kinds of channels that tell where and how the spacecraft is, and are no cause themselves.
-NO_CAUSE = ("attitude", "position", "sun_pulse", "spin_phase")
+NO_CAUSE = ("attitude", "position", "sun_pulse", "spin_phase", "spin_axis")
 #: The same of what `inflight.geometry.add_geometry` works out.
 FAMILY_OF_GEOMETRY = {
     "sunlit": "day_night",

@@ -80,6 +80,16 @@ def _synthesis(radius: Float, theta: Float, phi: Float, days: Float) -> tuple[Fl
     )
 
 
+def dipole_pole(days: float) -> tuple[float, float]:
+    """Return colatitude and east longitude, rad, of the dipole's boreal pole; days since 1858-11-17."""
+    epochs, g, h, degree, order = _coefficients()
+    since = np.array([days - 40_587.0])
+    first = degree == 1
+    axial, turned = (_at(epochs, g[:, first & (order == at)], since)[0, 0] for at in (0, 1))
+    side = _at(epochs, h[:, first & (order == 1)], since)[0, 0]
+    return float(np.arctan2(np.hypot(turned, side), -axial)), float(np.arctan2(-side, -turned))
+
+
 def external_field(grid: Grid, seed: int, rms: float) -> Float:
     """Return a field both sensors see, nT in itrf on the nodes, with waves of 250 s to 3000 s."""
     return wander(grid.seconds, seed, "external field", (rms, rms, rms), periods=(250.0, 3000.0), waves=16)

@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.coupling import coupling
 from inflight.flags import UNUSABLE, Flag, meanings
+from inflight.geocentric import gse_to_gsm, payload_to_gse
 from inflight.model import Model
 from inflight.spin.despin import despin
 from inflight.spin.equation import NAMES, TwelveParameters
+from inflight.time import Int64
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 #: Step of the derivative of the field by each of the twelve: gains, angles in rad, offsets in nT.
 _STEPS = {name: 1.0 if name.startswith("offset") else 1e-6 for name in NAMES}
 
 
+@dataclass(frozen=True)
+class Attitude:
+    """Where spin axis and Sun stand at samples; unit vectors, gse.
+
+    Attributes
+    ----------
+    axis : ndarray, shape (time, 3)
+        Of the rotation, right-handed; NaN where it is not known.
+    towards : ndarray, shape (time, 3)
+        To the Sun as the spacecraft sees it.
+    """
+
+    axis: Floats
+    towards: Floats
+
+
 def spin_level2(
-    model: Model, corrected: xr.Dataset, readings: Floats, twelve: TwelveParameters, covariance: Floats
+    model: Model,
+    corrected: xr.Dataset,
+    readings: Floats,
+    twelve: TwelveParameters,
+    covariance: Floats,
+    attitude: Attitude | None = None,
 ) -> xr.Dataset:
     """Return the level-2 product of one day of a turning sensor.
 
@@ -33,6 +58,8 @@ def spin_level2(
     twelve : TwelveParameters
         That hold for the day.
     covariance : ndarray, shape (12, 12)
+    attitude : Attitude, optional
+        Without one there are no `field_gse` and `field_gsm`.
 
     Returns
     -------
@@ -40,7 +67,8 @@ def spin_level2(
         `field_sensor` (time, axis) nT in axes that turn with the spacecraft, z along the spin axis;
         `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `uncertainty`
         (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
-        `field_payload` is NaN and the flag says so.
+        `field_payload` is NaN and the flag says so. With an attitude `field_gse`, `field_gsm` (time, axis)
+        nT; samples without one carry ``NO_ATTITUDE``.
     """
     field = np.asarray(corrected["field"].values)
     phase = np.asarray(corrected["spin_phase"].values, dtype=np.float64)
@@ -63,6 +91,7 @@ def spin_level2(
             {"units": "nT", "long_name": "one sigma of the calibration", "frame": "spin-aligned, turning"},
         ),
     }
+    flag |= _geocentric(variables, np.asarray(corrected["tt2000"].values, dtype=np.int64), attitude)
     for name, term in model.correction_terms(corrected).items():
         kind = {"units": "nT", "long_name": f"taken out of the reading: {name}"}
         variables[f"correction_{name}"] = (_VECTOR if term.ndim == 2 else _SCALAR, term, dict(kind))
@@ -71,6 +100,23 @@ def spin_level2(
     out["flag"] = (_SCALAR, flag, {"flag_masks": masks, "flag_meanings": names})
     out["tt2000"] = (_SCALAR, corrected["tt2000"].values, {"units": "ns", "scale": "TT2000"})
     return out
+
+
+def _geocentric(
+    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]],
+    tt2000: Int64,
+    attitude: Attitude | None,
+) -> np.ndarray[tuple[int], np.dtype[np.uint32]]:
+    """Add the field in gse and gsm as far as the attitude is known; return the flag of where it is not."""
+    lost = np.uint32(Flag.NO_ATTITUDE)
+    if attitude is None:
+        return np.full(tt2000.size, lost)
+    gse = payload_to_gse(variables["field_payload"][1], attitude.axis, attitude.towards)
+    for name, field in (("gse", gse), ("gsm", gse_to_gsm(gse, tt2000))):
+        told: dict[str, object] = {"units": "nT", "long_name": "calibrated field", "frame": name}
+        variables[f"field_{name}"] = (_VECTOR, field, told)
+    known = np.isfinite(payload_to_gse(np.ones_like(gse), attitude.axis, attitude.towards)).all(axis=1)
+    return np.where(known, np.uint32(0), lost)
 
 
 def uncertainty(readings: Floats, twelve: TwelveParameters, covariance: Floats) -> Floats:

@@ -1,5 +1,6 @@
 """Flows on the embedded server: they do what the plain functions do, and try again only what can pass."""
 
+import datetime as dt
 from pathlib import Path
 
 import pytest
@@ -8,9 +9,10 @@ from tiny_mission import make_tiny_workspace
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.errors import ContentError, SettingsError, StorageError
+from inflight.errors import CatalogError, ContentError, SettingsError, StorageError
 from inflight.flows import stages
 from inflight.flows.launch import run_embedded, run_plain
+from inflight.flows.span import month_span
 
 pytestmark = pytest.mark.usefixtures("shared_cluster")
 
@@ -85,6 +87,27 @@ def test_a_late_delivery_costs_only_its_own_day(embedded, tmp_path):
     assert report.days["done"] == 1
 
 
+def test_a_month_is_closed_by_its_flow_and_no_other_day_is_touched(embedded, tmp_path):
+    workspace = Workspace.open(make_tiny_workspace(tmp_path / "month", days=2))
+    settings = {"settings": {"table": "monthly", "batch_days": 1}}
+    report = run_embedded("monthly", workspace, {"month": "2024-03", **settings}, workers=1)
+    assert report.command == "monthly"
+    assert report.days["done"] == 2
+    table = Catalog(workspace.root).table("main-monthly", "2024-03-02")
+    assert table.sizes["interval"] == 1
+    with pytest.raises(CatalogError, match="no day of the span"):
+        run_embedded("monthly", workspace, {"month": "2024-02", **settings}, workers=1)
+
+
+@pytest.mark.parametrize(("month", "expected"), [("2024-02", "2024-02"), (None, "2023-12")])
+def test_a_month_is_the_named_one_or_the_last_that_is_over(month, expected):
+    span = month_span(month, dt.date(2024, 1, 31))
+    assert f"{span.start:%Y-%m}" == expected
+    assert span.start.day == span.end.day == 1
+    with pytest.raises(SettingsError, match="YYYY-MM"):
+        month_span("March", dt.date(2024, 1, 31))
+
+
 @pytest.mark.parametrize(
     "parameters",
     [{"start": "soon"}, {"settings": {"batch_days": 0}}, {"settings": {"bogus": 1}}, {"bogus": 1}],
@@ -95,8 +118,6 @@ def test_wrong_parameters_are_refused_before_anything_runs(by_flow, parameters):
 
 
 def test_a_release_by_flow_is_copied_out_and_its_version_is_never_used_again(by_flow):
-    from inflight.errors import CatalogError
-
     report = run_embedded("release", by_flow, {"version": "1.0", "notes": "First."})
     folder = by_flow.root / report.outputs[0]
     assert (folder / "MANIFEST.sha256").is_file()

@@ -9,6 +9,7 @@ import numpy as np
 
 from inflight.simulate.grid import Float
 from inflight.simulate.randomness import generator, wander
+from inflight.simulate.spinning.attitude import payload_axes, to_payload
 from inflight.simulate.spinning.settings import SpinningParameters
 
 EARTH_RADIUS_KM = 6371.2
@@ -18,7 +19,7 @@ _MU, _DIPOLE_NT = 398_600.4, 30_000.0
 _INDEX, _LONGEST = -5.0 / 3.0, 7200.0
 #: The dipole ends and the wind begins at these distances, Earth radii; between them is the sheath.
 MAGNETOPAUSE, BOW_SHOCK = 9.0, 12.0
-#: Tilt of dipole and orbit from the spin axis, rad: every direction of field is met.
+#: Tilt of dipole and orbit from the pole of the ecliptic, rad: every direction of field is met.
 _DIPOLE_TILT, _ORBIT_TILT = 0.35, 0.15
 #: Fluctuations over the mean field: in the sheath by angle and strength, in the dipole by component.
 _SHEATH_TURNING, _SHEATH_COMPRESSION, _SHEATH_FIELD, _QUIET = 0.9, 0.25, 22.0, 2e-4
@@ -61,7 +62,7 @@ def _kolmogorov(count: int, step: float, columns: int, seed: int, day: int, stre
 
 
 def position(seconds: Float, parameters: SpinningParameters) -> Float:
-    """Return the position along the orbit, km, payload axes; (time, 3); zeros where there is none."""
+    """Return the position along the orbit, km, gse; (time, 3); zeros where there is none."""
     if parameters.apogee <= 0.0:
         return np.zeros((seconds.size, 3))
     low, high = parameters.perigee * EARTH_RADIUS_KM, parameters.apogee * EARTH_RADIUS_KM
@@ -90,7 +91,7 @@ def field(seconds: Float, place: Float, seed: int, day: int, parameters: Spinnin
         return outside
     radius = np.linalg.norm(place, axis=1) / EARTH_RADIUS_KM
     sheath = _turbulent(seconds, seed, day, "sheath", _SHEATH_FIELD, _SHEATH_TURNING, _SHEATH_COMPRESSION)
-    inside = _dipole(place)
+    inside = to_payload(_dipole(place), payload_axes(place, parameters))
     # Currents of the magnetosphere: fluctuations that grow with the field.
     strength = np.linalg.norm(inside, axis=1, keepdims=True)
     loose = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 3, seed, day, "magnetosphere")

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from inflight.simulate.grid import Float, Int64, Sampling
 from inflight.simulate.randomness import generator
-from inflight.simulate.spinning import ambient, sensor
+from inflight.simulate.spinning import ambient, attitude, sensor
 from inflight.simulate.spinning.settings import SpinningSettings
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
@@ -36,7 +36,8 @@ class SpinningDay:
     instruments : dict of Dataset
         ``fgm``: FGM_RAW (record, axis) nT, T_SENSOR degC, FGM_FLAG; ``sun``: SPIN_PERIOD s at every
         sun pulse; ``hk``: I_COIL, I_SOL mA; ``slow``: T_ELECTRONICS degC, SHADOW; ``orb``: POS_GSE km
-        (only with an orbit). ``Epoch`` is TT2000.
+        and ``att``: SPIN_AXIS (record, 2) deg, right ascension and declination of date (both only with an
+        orbit). ``Epoch`` is TT2000.
     truth : Dataset
         FIELD (record, axis) nT in payload axes, PHASE rad (unwrapped from the day's begin), OFFSET
         (record, axis) nT; attributes hold effects, hidden ones and parameters as JSON.
@@ -58,6 +59,7 @@ def simulate_spinning_day(settings: SpinningSettings, day: DayLike) -> SpinningD
     }
     if scene.parameters.apogee > 0.0:
         instruments["orb"] = scene.orbit()
+        instruments["att"] = scene.spin_axis()
     return SpinningDay(scene.day, instruments, scene.truth())
 
 
@@ -226,6 +228,11 @@ class _Scene:
         """Position every minute, km."""
         times = Sampling.of_span(self.start, self.end, 60 * SECOND)
         return _delivery(times.tt2000, POS_GSE=ambient.position(times.seconds, self.parameters))
+
+    def spin_axis(self) -> xr.Dataset:
+        """Direction of the spin axis every ten minutes."""
+        stamps = Sampling.of_span(self.start, self.end, 600 * SECOND).tt2000
+        return _delivery(stamps, SPIN_AXIS=attitude.spin_direction(stamps, self.parameters))
 
     def truth(self) -> xr.Dataset:
         """What nobody who processes the deliveries may see."""

@@ -44,6 +44,8 @@ class SpinningParameters:
         Angle of the sensor's x axis from the Sun at a sun pulse.
     gain_ratio, spin_plane_gain, axial_gain, elevation, azimuth, spin_axis, rotation, offset
         The twelve of Plaschke et al. (2019), angles as departures from their nominal values.
+    attitude : tuple of float, optional
+        Direction of the spin axis, gse; fields are simulated in payload axes.
     perigee, apogee : float
         Of the orbit, Earth radii; no orbit where apogee is 0.
     range : float
@@ -69,6 +71,7 @@ class SpinningParameters:
     compression: float = 0.06
     noise: float = 0.01
     resolution: float = 0.003
+    attitude: tuple[float, float, float] | None = None
     perigee: float = 0.0
     apogee: float = 0.0
     range: float = 25000.0
@@ -107,8 +110,10 @@ class SpinningParameters:
 #: Spacecraft: THEMIS turns in 3 s and passes through dipole, sheath and wind; IMP-8 in 2.6 s and Helios
 #: in 1 s, both in the solar wind.
 CRAFT: dict[str, SpinningParameters] = {
-    "themis": SpinningParameters(perigee=1.5, apogee=19.5),
-    "imp8": SpinningParameters(spin_period=2.5871, cadence=0.32, noise=0.03, resolution=0.05),
+    "themis": SpinningParameters(perigee=1.5, apogee=19.5, attitude=(0.07, -0.05, 1.0)),
+    "imp8": SpinningParameters(
+        spin_period=2.5871, cadence=0.32, noise=0.03, resolution=0.05, attitude=(0.0, 0.0, 1.0)
+    ),
     "helios": SpinningParameters(spin_period=1.0043, cadence=0.125, field=8.0, noise=0.03, resolution=0.05),
 }
 
