@@ -1,4 +1,4 @@
-"""What a workspace has to show: its comparisons, the days of each, and what to do first when there is none."""
+"""What a workspace has to show: its comparisons, the days of each, and what to do first without any."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ def first_step(workspace: Workspace, mission: Mission, offer: Offer) -> str:
     named = "" if offer.comparison == "main" else f" --comparison {offer.comparison}"
     if offer.is_empty:
         return (
-            f"This workspace holds no measurements yet. Put the delivered files into {workspace.data}, or name "
-            f"their folder, and type: inflight ingest{where}"
+            f"This workspace holds no measurements yet. Put the delivered files into {workspace.data} (or "
+            f"name their folder), and type: inflight ingest{where}"
         )
     if offer.products or (offer.tables and offer.comparison in dual_comparisons(mission)):
         return ""

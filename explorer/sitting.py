@@ -7,7 +7,7 @@ Results are kept for as long as what they were made from stays as it is.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from inflight.explorer.background import Background
 from inflight.figures.page import Section
 from inflight.flows.cluster import client_when_needed
 from inflight.mission import Mission
+from inflight.model.changes import tree_of
 from inflight.tasks.compare import measured
 from inflight.tasks.compare_page import CompareReport, Drawn, compare_sections
 from inflight.tasks.diagnose import DiagnoseSettings
@@ -28,6 +29,8 @@ from inflight.tasks.models import find_model
 from inflight.tasks.planning import product_of
 from inflight.tasks.report import Progress
 from inflight.tasks.revise import Workbench
+from inflight.tasks.table_sections import table_sections
+from inflight.tasks.versions import Versions
 
 #: Comparisons kept in memory: the aggregates of 3000 days are some hundred megabytes.
 _KEPT = 3
@@ -88,6 +91,17 @@ class Sitting:
                 del self._measured[old]
         return compare_sections(*self._measured[key])
 
+    def tables(self, comparison: str, progress: Progress) -> list[Section]:
+        """Return what the newest published tables of a comparison show; none when there are no tables.
+
+        Raises
+        ------
+        CatalogError
+            When a table is damaged.
+        """
+        progress("tables", 0, 1)
+        return table_sections(self.cat, self.mission(), comparison)
+
     # The missing effect.
 
     def last_diagnosis(self, comparison: str) -> dict[str, Any] | None:
@@ -105,9 +119,7 @@ class Sitting:
         settings = _settings(self._asked(comparison), comparison)
         self._bench = None
         with client_when_needed(self.workers) as client:
-            return diagnose_span(
-                self.workspace, *days.bounds(), settings, client=client, progress=progress
-            )
+            return diagnose_span(self.workspace, *days.bounds(), settings, client=client, progress=progress)
 
     def figures_of_diagnosis(self, comparison: str, progress: Progress) -> list[Section]:
         """Return everything `inflight report` shows of the last diagnosis, for the model in use."""
@@ -129,6 +141,12 @@ class Sitting:
         return (self.last_diagnosis(comparison) or {}).get("asked") or {}
 
     # The model, revised.
+
+    def versions(self, comparison: str) -> tuple[list[dict[str, Any]], list[str]]:
+        """Return the versions of the workspace's models, as `Versions.items`, and the effects in use."""
+        known = Versions(self.cat, self.mission(), comparison)
+        effects = [str(one.get("name", one["effect"])) for one in tree_of(known.used.text)["effects"]]
+        return known.items(), effects
 
     def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
         """Do what `inflight add`, `drop` or `undo` does, on evidence that stays in memory.
@@ -182,4 +200,3 @@ class Sitting:
 
 def _settings(asked: Mapping[str, Any], comparison: str) -> DiagnoseSettings:
     return DiagnoseSettings.model_validate(asked.get("settings") or {"comparison": comparison})
-
