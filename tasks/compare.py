@@ -79,6 +79,21 @@ def compare(
     CatalogError
         When no product of the comparison is published in the span.
     """
+    report, drawn = measured(cat, mission, start, end, comparison, progress)
+    if output is not None:
+        write_page(report, output, mission, drawn)
+    return report
+
+
+def measured(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    comparison: str = "main",
+    progress: Progress | None = None,
+) -> tuple[CompareReport, Drawn]:
+    """Measure as `compare` does; return with the report the aggregates that its figures are drawn from."""
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     if mission.comparisons[comparison].kind == "spin":
         raise SettingsError(
@@ -112,9 +127,7 @@ def compare(
         outliers=digest.outliers,
         acknowledgement=mission.acknowledgement,
     )
-    if output is not None:
-        write_page(report, output, mission, Drawn(digest.counts, rows, spectra, found, tables))
-    return report
+    return report, Drawn(digest.counts, rows, spectra, found, tables)
 
 
 def _products(cat: Catalog, comparison: str, span: slice) -> list[Day]:

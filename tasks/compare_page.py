@@ -24,7 +24,7 @@ from inflight.figures import (
     spectrum_figure,
     wander_figure,
 )
-from inflight.figures.page import html_table
+from inflight.figures.page import Section, html_table
 from inflight.lines import Line, drawn_periods, told_period
 from inflight.mission import Mission
 from inflight.spectrum import SERIES, Power
@@ -121,8 +121,8 @@ class Drawn:
     tables: tuple[xr.Dataset, xr.Dataset]
 
 
-def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Drawn) -> None:
-    """Write the static page whole, by one rename."""
+def compare_sections(report: CompareReport, drawn: Drawn) -> list[Section]:
+    """Return everything that is shown of a comparison, as the page and the explorer have it."""
     rows, counts = drawn.rows, drawn.counts
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before = np.array([entry["before_nT"] for entry in report.by_day])
@@ -132,24 +132,26 @@ def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Dra
         histogram_figure(counts["edges"], counts["before"], counts["after"]),
     ]
     series = series_figure(*_thinned(rows))
-    first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
     order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
     axes = [axis_figure(one.response) for one in report.fails_where if one.response is not None]
-    page = html_page(
-        f"{mission.mission}: model against measurement, {first} to {last}",
-        [
-            ("Residual", _told(report), [*overview, series]),
-            ("Where it fails", _fails(report), axes),
-            ("What the residual follows", [_legend(report)], [dependence_figure(one) for one in order]),
-            ("Spectrum", _lines(report), _spectrum_figures(drawn.spectra)),
-            (
-                "Parameters",
-                [*_known(report), _wandering(report)],
-                [*parameter_figures(*drawn.tables), wander_figure(report.wander)],
-            ),
-        ],
-        mission.acknowledgement,
-    )
+    return [
+        ("Residual", _told(report), [*overview, series]),
+        ("Where it fails", _fails(report), axes),
+        ("What the residual follows", [_legend(report)], [dependence_figure(one) for one in order]),
+        ("Spectrum", _lines(report), _spectrum_figures(drawn.spectra)),
+        (
+            "Parameters",
+            [*_known(report), _wandering(report)],
+            [*parameter_figures(*drawn.tables), wander_figure(report.wander)],
+        ),
+    ]
+
+
+def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Drawn) -> None:
+    """Write the static page whole, by one rename."""
+    first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
+    title = f"{mission.mission}: model against measurement, {first} to {last}"
+    page = html_page(title, compare_sections(report, drawn), mission.acknowledgement)
     output.parent.mkdir(parents=True, exist_ok=True)
     unfinished = output.with_name(f".{output.name}.part")
     unfinished.write_text(page, encoding="utf-8")

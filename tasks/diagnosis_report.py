@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,18 +18,16 @@ from inflight.diagnosis.material import Material
 from inflight.diagnosis.pictures import seen_of
 from inflight.diagnosis.search import Search
 from inflight.diagnosis.verdict import conclude
+from inflight.figures.found import found_effects, rivals_apart
 from inflight.figures.ledger import facts_list, ledger_table
-from inflight.figures.page import html_page
+from inflight.figures.page import Section, html_page
 from inflight.figures.verdict import verdict_strip
 from inflight.mission import Mission
 from inflight.tasks.diagnose import DiagnoseSettings, material_of, prepare, search_of
 from inflight.tasks.diagnosis_sections import (
-    Section,
-    effects_found,
     error_falls,
     fails_here,
     follows,
-    rivals_apart,
     shapes,
     spectrum,
     stands_for,
@@ -87,6 +85,39 @@ def report(
     MissionError, ModelError, CatalogError, CalibrationError
         As `inflight.tasks.diagnose.diagnose` raises them.
     """
+    examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
+    tell = progress or (lambda stage, done, total: None)
+    tell("report", 0, 1)
+    page = diagnosis_page(*examined)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = output.with_name(f".{output.name}.part")
+    unfinished.write_text(page, encoding="utf-8")
+    unfinished.replace(output)
+    tell("report", 1, 1)
+    return DiagnosisReport(examined.found, output)
+
+
+class Examined(NamedTuple):
+    """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
+
+    search: Search
+    material: Material
+    found: Diagnosis
+    settings: DiagnoseSettings
+    facts: Mapping[str, Any]
+
+
+def examine(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: DiagnoseSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Examined:
+    """Diagnose a span and return with the result what it was made from; arguments are those of `report`."""
     settings = settings or DiagnoseSettings()
     tell = progress or (lambda stage, done, total: None)
     made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
@@ -94,15 +125,8 @@ def report(
     search, material = search_of(made, settings), material_of(made, mission)
     found = conclude(search, material)
     tell("search", 1, 1)
-    tell("report", 0, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
-    page = diagnosis_page(search, material, found, settings, facts)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = output.with_name(f".{output.name}.part")
-    unfinished.write_text(page, encoding="utf-8")
-    unfinished.replace(output)
-    tell("report", 1, 1)
-    return DiagnosisReport(found, output)
+    return Examined(search, material, found, settings, facts)
 
 
 def diagnosis_page(
@@ -112,7 +136,22 @@ def diagnosis_page(
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the page of a finished search as HTML.
+    """Return the page of a finished search as HTML; parameters are those of `diagnosis_sections`."""
+    raw = search.raw
+    first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
+    name = f"{material.mission.mission}: what is missing from the model, {first} to {last}"
+    sections = diagnosis_sections(search, material, found, settings, facts)
+    return html_page(name, sections, material.mission.acknowledgement)
+
+
+def diagnosis_sections(
+    search: Search,
+    material: Material,
+    found: Diagnosis,
+    settings: DiagnoseSettings,
+    facts: Mapping[str, Any] | None = None,
+) -> list[Section]:
+    """Return everything that is shown of a finished search.
 
     Parameters
     ----------
@@ -122,12 +161,10 @@ def diagnosis_page(
         More lines of the ledger.
     """
     seen = seen_of(search, material)
-    raw = search.raw
-    first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
     told = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, told["residual"], told["remaining"]["verdict"])
     sections: list[Section] = [
-        ("Verdict", [strip, *effects_found(found), *rivals_apart(found)], []),
+        ("Verdict", [strip, *found_effects(told), *rivals_apart(told)], []),
         fails_here(seen),
         follows(seen, found),
         spectrum(seen, material),
@@ -137,9 +174,7 @@ def diagnosis_page(
         stands_for(search, found),
         _ledger(search, material, found, settings, facts or {}),
     ]
-    name = f"{material.mission.mission}: what is missing from the model, {first} to {last}"
-    kept = [section for section in sections if section[1] or section[2]]
-    return html_page(name, kept, material.mission.acknowledgement)
+    return [section for section in sections if section[1] or section[2]]
 
 
 # Ledger.

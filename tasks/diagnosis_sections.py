@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
-from inflight.diagnosis.diagnosis import Coefficient, Diagnosis, Signature
+from inflight.diagnosis.diagnosis import Diagnosis, Signature
 from inflight.diagnosis.findings import lag_profile
 from inflight.diagnosis.material import Material
 from inflight.diagnosis.pictures import Seen, along_field, epoch, heat_maps, sizes_of
@@ -19,10 +18,11 @@ from inflight.diagnosis.tradeoffs import cross_talk, shifts_of, trials, waterfal
 from inflight.diagnosis.unknown import known_periods
 from inflight.figures.candidates import candidate_table, drop_figure, unscorable_list
 from inflight.figures.crosstalk import cross_talk_figure, shift_table, strongest_pairs
+from inflight.figures.found import telling
 from inflight.figures.heatmap import heat_map_figures
 from inflight.figures.lagprofile import lag_figure
-from inflight.figures.naming import bare_parameter, short_name
-from inflight.figures.page import html_table
+from inflight.figures.naming import short_name
+from inflight.figures.page import Section
 from inflight.figures.periodogram import periodogram_figures
 from inflight.figures.residual import daily_figure, histogram_figure
 from inflight.figures.response import (
@@ -39,100 +39,7 @@ from inflight.time import SECOND, to_utc
 
 #: Channels whose response is drawn, beside those of found effects; and found effects drawn one by one.
 _CHANNELS, _EFFECTS = 6, 6
-#: Coefficients of an effect that are printed.
-_COEFFICIENTS = 6
 _STATES = ("before", "after")
-
-Section = tuple[str, list[str], list[Any]]
-
-
-def effects_found(found: Diagnosis) -> list[str]:
-    """Return the found effects with all their values as a table."""
-    if not found.effects:
-        return [f"<p>No effect was added: {escape(found.stopped)}.</p>", *_signature(found)]
-    head = ("found", "family", "value ± sigma", "at", "gain", "t", "p", "retained", "W/k", "rms, nT")
-    rows = []
-    for one in found.effects:
-        shown = _telling(one.coefficients)
-        for place, value in enumerate(shown):
-            own = (short_name(one.name), one.family.replace("_", " ")) if place == 0 else ("", "")
-            numbers = (
-                f"{one.gain:.1%}",
-                f"{one.t:.1f}",
-                f"{one.flip_p:.2g}",
-                f"{one.retained:.2g}",
-                f"{one.consistency:.1f}" if one.consistency is not None else "",
-                f"{one.rms_nT:.3g}",
-            )
-            said = f"{bare_parameter(value.name)} {value.value:.4g} ± {value.sigma:.2g} {value.unit}"
-            rows.append((*own, said, value.at, *(numbers if place == 0 else ("",) * len(numbers))))
-        if len(shown) < len(one.coefficients):
-            hidden = len(one.coefficients) - len(shown)
-            rows.append(("", "", f"and {hidden} less significant ones", *[""] * (len(head) - 3)))
-    note = (
-        "Gain, t and family-wise p are held out, against the model without the effect; retained is the part "
-        "of its variance that no other parameter explains; W/k compares raw and within-day values, and large "
-        "ones hint at a wrong form."
-    )
-    stopped = f"The rounds ended: {found.stopped}."
-    return [
-        html_table(head, rows),
-        f'<p class="quiet">{escape(note)} {escape(stopped)}</p>',
-        *_signature(found),
-    ]
-
-
-def _signature(found: Diagnosis) -> list[str]:
-    left: Signature | None = found.remaining.get("signature")
-    if left is None:
-        return []
-    parts = [
-        ("period", f"{told_period(left.period_s)}" if left.period_s else ""),
-        ("axis", left.axis or ""),
-        ("shape", left.shape or ""),
-        ("half of peak to peak" if left.period_s else "amplitude", _nanotesla(left.amplitude_nT)),
-        *((f"step on {name}", f"{size:+.3g} ± {sigma:.2g} nT") for name, (size, sigma) in left.steps.items()),
-        ("periods", " to ".join(told_period(one) for one in left.periods_s or ())),
-        ("channel", left.channel or ""),
-        ("lag", told_period(left.lag_s) if left.lag_s else ""),
-        ("duty", f"{left.duty:.2f}" if left.duty is not None else ""),
-    ]
-    said = ", ".join(f"{name} {value}" for name, value in parts if value)
-    return [f"<p><b>Signature of what is left:</b> {escape(said)}</p>"]
-
-
-def _nanotesla(size: float | None) -> str:
-    return f"{size:.3g} nT" if size else ""
-
-
-def _telling(coefficients: Sequence[Coefficient]) -> list[Coefficient]:
-    """Return the most significant coefficients in their own order; a field of many has too many to print."""
-    ordered = sorted(coefficients, key=lambda one: -abs(one.value) / max(one.sigma, 1e-300))
-    kept = {one.name for one in ordered[:_COEFFICIENTS]}
-    return [one for one in coefficients if one.name in kept]
-
-
-def rivals_apart(found: Diagnosis) -> list[str]:
-    """Return the blocks in which rivals differ most, as a table; nothing without rivals."""
-    if not found.confusion_set:
-        return []
-    out = []
-    if found.separating:
-        pairs: dict[str, list[dict[str, Any]]] = {}
-        for one in found.separating:
-            pairs.setdefault(" / ".join(short_name(name) for name in one["rivals"]), []).append(one)
-        rows = [
-            (
-                pair,
-                ", ".join(one["start"][:16].replace("T", " ") for one in blocks),
-                f"{max(one['difference_nT'] for one in blocks):.2g}",
-            )
-            for pair, blocks in pairs.items()
-        ]
-        out.append("<p>What would tell the rivals apart: the blocks in which they differ most.</p>")
-        out.append(html_table(("rivals", "blocks that begin (UTC)", "largest difference, nT rms"), rows))
-    return out
-
 
 # Fails here.
 
@@ -292,9 +199,9 @@ def stands_for(search: Search, found: Diagnosis) -> Section:
         return "What stands for what", [], []
     shifts = [
         shift
-        for option, one in zip(search.accepted, found.effects, strict=True)
+        for option, one, told in zip(search.accepted, found.effects, found.as_json()["effects"], strict=True)
         for shift in shifts_of(search, option, one.coefficients)
-        if shift.coefficient in {value.name for value in _telling(one.coefficients)}
+        if shift.coefficient in {value["name"] for value in telling(told["coefficients"])}
     ]
     text = [
         '<p class="quiet">Correlations of errors, the whole span as one calibration interval: pairs near '

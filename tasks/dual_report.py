@@ -31,18 +31,8 @@ def dual_report(
     CatalogError
         When none is certified.
     """
-    tables = {}
-    for name in TABLES:
-        records = [one for one in cat.tables(f"{comparison}-{name}") if one.certified and not one.damaged]
-        if records:
-            tables[name] = cat.table_by_id(records[-1].id)
-    if "relation-daily" not in tables:
-        raise CatalogError(
-            f"no tables are published for comparison '{comparison}'",
-            remedy=f"run 'inflight reprocess --comparison {comparison}' first",
-        )
+    tables, parts = dual_parts(cat, comparison)
     daily = tables["relation-daily"]
-    parts = (_relation(tables), _corners(tables))
     days = [str(one)[:10] for one in day_of(daily["start"].values[[0, -1]])]
     if output is not None:
         title = f"{mission.mission}: {comparison}, {days[0]} to {days[1]}"
@@ -59,6 +49,27 @@ def dual_report(
         "sections": {part.key: part.fields | {"absent": part.absent} for part in parts},
         "path": str(output) if output else "",
     }
+
+
+def dual_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tuple[Part, ...]]:
+    """Return the newest tables of a dual comparison, and what is told of them.
+
+    Raises
+    ------
+    CatalogError
+        When none is certified.
+    """
+    tables = {}
+    for name in TABLES:
+        records = [one for one in cat.tables(f"{comparison}-{name}") if one.certified and not one.damaged]
+        if records:
+            tables[name] = cat.table_by_id(records[-1].id)
+    if "relation-daily" not in tables:
+        raise CatalogError(
+            f"no tables are published for comparison '{comparison}'",
+            remedy=f"run 'inflight reprocess --comparison {comparison}' first",
+        )
+    return tables, (_relation(tables), _corners(tables))
 
 
 def _relation(tables: Mapping[str, xr.Dataset]) -> Part:

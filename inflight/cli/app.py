@@ -8,7 +8,19 @@ from typing import Annotated
 import typer
 
 from inflight import __version__
-from inflight.cli import browse, chain, demo, diagnose, figures, models, pipeline, report, results, start
+from inflight.cli import (
+    browse,
+    chain,
+    demo,
+    diagnose,
+    explore,
+    figures,
+    models,
+    pipeline,
+    report,
+    results,
+    start,
+)
 from inflight.cli.session import (
     EXIT_USAGE,
     DebugOption,
@@ -25,7 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     epilog="Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done with days missing.",
 )
-for module in (start, pipeline, results, chain, diagnose, report, models, browse, figures, demo):
+for module in (start, pipeline, results, chain, diagnose, report, explore, models, browse, figures, demo):
     module.register(app)
 
 

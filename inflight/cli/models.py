@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -13,7 +12,7 @@ from inflight.cli.session import Session, verb
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.catalog import Catalog, ModelRecord
+    from inflight.tasks.versions import Versions
 
 model = typer.Typer(
     help="Look into the model: its effects, versions and what they change.", no_args_is_help=True
@@ -23,79 +22,6 @@ ComparisonOption = Annotated[str | None, typer.Option("--comparison", help="Comp
 ModelArgument = Annotated[str, typer.Argument(help="Version (3), name, or both (champ-preflight:3).")]
 #: Digits a value is shown with; --json has all.
 _DIGITS = 9
-
-
-@dataclass(frozen=True)
-class _Version:
-    """A text of a model, and what the catalog knows of it."""
-
-    name: str
-    version: int
-    text: str
-    record: ModelRecord | None = None
-
-    @property
-    def fields(self) -> dict[str, Any]:
-        """Name, version and parent; version and parent are None for a model not used yet."""
-        parent = self.record.parent if self.record else None
-        return {"name": self.name, "version": self.version or None, "parent": parent}
-
-    @property
-    def told(self) -> str:
-        """How a person calls it."""
-        return f"{self.name} version {self.version}" if self.version else f"{self.name}, not used yet"
-
-
-class _Versions:
-    """The models of a workspace; nothing is saved by looking at them."""
-
-    def __init__(self, session: Session, comparison: str | None) -> None:
-        from inflight.tasks.models import find_model
-
-        self._cat: Catalog = session.open_catalog()
-        mission = session.open_workspace().mission()
-        used = find_model(self._cat, mission, _comparison(mission, comparison))
-        self._records = {(record.name, record.version): record for record in self._cat.models()}
-        self.used = self._version(used.model.name, used.version, used.text)
-
-    def _version(self, name: str, version: int, text: str) -> _Version:
-        return _Version(name, version, text, self._records.get((name, version)))
-
-    def named(self, text: str | None) -> _Version:
-        """Return the version a person names: its number, a name's newest, or ``name:number``."""
-        from inflight.effects.naming import did_you_mean
-        from inflight.errors import CatalogError
-
-        if text is None:
-            return self.used
-        name, _, number = text.rpartition(":") if ":" in text else ("", "", text)
-        if not number.isdigit():
-            name, number = text, ""
-        name = name or self.used.name
-        known = [key for key in self._records if key[0] == name and number in ("", str(key[1]))]
-        if not known:
-            listed = [f"{one}:{version}" for one, version in self._records]
-            names = [one for one, _ in self._records]
-            raise CatalogError(
-                f"there is no model {text!r}{did_you_mean(text, [*listed, *names])}",
-                remedy=f"the catalog has {', '.join(listed) or 'none yet; reprocess saves the first'}",
-            )
-        return self._version(*self._cat.model_text(*known[-1]))
-
-    def items(self) -> list[dict[str, Any]]:
-        """Return every version, oldest first, with a mark at the one in use."""
-        return [
-            {
-                "name": record.name,
-                "version": record.version,
-                "parent": record.parent,
-                "message": record.message,
-                "created": record.created,
-                "sha256": record.sha256,
-                "used": key == (self.used.name, self.used.version),
-            }
-            for key, record in self._records.items()
-        ]
 
 
 def register(app: typer.Typer) -> None:
@@ -115,7 +41,7 @@ def show_model(
     """Show the effects of a model in the order of correction, with values and uncertainties."""
     from inflight.model.changes import tree_of
 
-    found = _Versions(session, comparison).named(named)
+    found = _versions(session, comparison).named(named)
     tree = tree_of(found.text)
     message = found.record.message if found.record else ""
 
@@ -145,7 +71,7 @@ def diff_models(
     """Tell what one version of a model changes of another."""
     from inflight.model.changes import changes, tree_of
 
-    versions = _Versions(session, comparison)
+    versions = _versions(session, comparison)
     old, new = versions.named(before), versions.named(after)
     found = changes(tree_of(old.text)["effects"], tree_of(new.text)["effects"])
 
@@ -163,7 +89,7 @@ def diff_models(
 @verb(model, "history")
 def model_history(session: Session, *, comparison: ComparisonOption = None) -> None:
     """List the versions of the workspace's models: from what each was made, why and when."""
-    items = _Versions(session, comparison).items()
+    items = _versions(session, comparison).items()
 
     def show(console: Console) -> None:
         if not items:
@@ -174,17 +100,11 @@ def model_history(session: Session, *, comparison: ComparisonOption = None) -> N
     session.emit({"command": "model history", "items": items}, show)
 
 
-def _comparison(mission: Any, named: str | None) -> str:
-    from inflight.effects.naming import did_you_mean
-    from inflight.errors import SettingsError
+def _versions(session: Session, comparison: str | None) -> Versions:
+    from inflight.tasks.versions import Versions, comparison_of
 
-    name = named or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons), "main"))
-    if name not in mission.comparisons:
-        raise SettingsError(
-            f"comparison: the mission has no {name!r}{did_you_mean(name, mission.comparisons)}",
-            remedy=f"it has {', '.join(mission.comparisons) or 'none'}",
-        )
-    return name
+    mission = session.open_workspace().mission()
+    return Versions(session.open_catalog(), mission, comparison_of(mission, comparison))
 
 
 def _rows(tree: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

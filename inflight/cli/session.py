@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.errors import InflightError, SettingsError, WorkspaceError
+from inflight.errors import SettingsError, WorkspaceError
+from inflight.tasks.complaints import as_settings_error, place_of, told_error
 from inflight.tasks.report import Progress
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ class Session:
         from rich.console import Console
         from rich.text import Text
 
-        place = ": ".join(part for part in (fields.get("file"), _named(fields)) if part)
+        place = place_of(fields)
         told = Text(f"{place}: " if place else "", style="red")
         told.append(fields["message"], style="red")
         Console(stderr=True, highlight=False, soft_wrap=True).print(told)
@@ -153,31 +154,9 @@ def _has_width() -> bool:
     return sys.stdout.isatty() or "COLUMNS" in os.environ
 
 
-def _named(fields: Mapping[str, str]) -> str:
-    day = f"day {fields['day']}" if fields.get("day") else ""
-    channel = f"channel '{fields['channel']}'" if fields.get("channel") else ""
-    return ", ".join(part for part in (day, channel) if part)
-
-
-def _as_settings_error(error: Exception) -> Exception:
-    """Return pydantic's complaint about an option as ours; every other error as it is."""
-    complaints = getattr(error, "errors", None)
-    if type(error).__name__ != "ValidationError" or not callable(complaints):
-        return error
-    told = "; ".join(_complaint(item) for item in complaints())
-    return SettingsError(told, remedy="correct the option and run the command again")
-
-
-def _complaint(item: Mapping[str, Any]) -> str:
-    place = ".".join(map(str, item["loc"])) or "settings"
-    if item["type"].startswith("date_"):
-        return f"{place}: {str(item['input'])!r} is no date; write YYYY-MM-DD, as in 2024-03-01"
-    return f"{place}: {item['msg'].removeprefix('Value error, ')}"
-
-
 def exit_code_of(error: Exception) -> int:
     """Return 2 for errors of the person who typed the command, 1 for everything else."""
-    wrong_usage = isinstance(_as_settings_error(error), SettingsError | WorkspaceError)
+    wrong_usage = isinstance(as_settings_error(error), SettingsError | WorkspaceError)
     return EXIT_USAGE if wrong_usage else EXIT_FAILED
 
 
@@ -200,7 +179,7 @@ def carry_out(session: Session, work: Callable[[], None]) -> None:
             if interrupted.is_set() or not isinstance(error, Exception):
                 session.fail(_INTERRUPTED)
                 raise typer.Exit(EXIT_INTERRUPTED) from None
-            session.fail(_fields_of(error))
+            session.fail(told_error(error))
             raise typer.Exit(exit_code_of(error)) from None
 
 
@@ -230,20 +209,6 @@ _INTERRUPTED = {
     "channel": "",
     "day": "",
 }
-
-
-def _fields_of(error: Exception) -> Mapping[str, str]:
-    error = _as_settings_error(error)
-    if isinstance(error, InflightError):
-        return error.as_json()
-    return {
-        "kind": type(error).__name__,
-        "message": f"unexpected error: {error}" if str(error) else f"unexpected {type(error).__name__}",
-        "remedy": "this is a defect; run again with --debug and report what it prints",
-        "file": "",
-        "channel": "",
-        "day": "",
-    }
 
 
 def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

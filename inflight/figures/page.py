@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from typing import Any
+from typing import Any, TypeAlias
 
 from bokeh.embed import components
 from bokeh.resources import Resources
 
+#: Heading; paragraphs, which are HTML that is escaped already; figures, which are Bokeh models.
+Section: TypeAlias = tuple[str, Sequence[str], Sequence[Any]]
+
 #: What figures alone need: widgets, tables of Bokeh's own and formulas would triple the page.
 _RESOURCES = Resources(mode="inline", components=["bokeh"])
-_STYLE = """
+_BODY = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1180px; color: #222 }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
+"""
+#: How the text of sections looks, wherever it is shown.
+TEXT_STYLE = """
 .row { display: flex; flex-wrap: wrap; gap: 8px }
 table { border-collapse: collapse; margin: .5rem 0 }
 td, th { padding: .15rem .8rem .15rem 0; text-align: right }
@@ -24,17 +30,14 @@ td:first-child, th:first-child { text-align: left } th { border-bottom: 1px soli
 """
 
 
-def html_page(
-    title: str, sections: Sequence[tuple[str, Sequence[str], Sequence[Any]]], footer: str = ""
-) -> str:
+def html_page(title: str, sections: Sequence[Section], footer: str = "") -> str:
     """Return a page.
 
     Parameters
     ----------
     title : str
         Heading.
-    sections : sequence of (heading, paragraphs, figures)
-        Paragraphs are HTML the caller has escaped; figures are Bokeh models.
+    sections : sequence of Section
     footer : str
         Plain text, such as an acknowledgement of the data.
     """
@@ -48,7 +51,7 @@ def html_page(
         body.append('<div class="row">' + "".join(place for _, place in parts) + "</div>")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<style>{_STYLE}</style>{_RESOURCES.render()}</head><body><h1>{escape(title)}</h1>"
+        f"<style>{_BODY}{TEXT_STYLE}</style>{_RESOURCES.render()}</head><body><h1>{escape(title)}</h1>"
         "<noscript><p>Figures need scripts; text and tables do not.</p></noscript>"
         f'{"".join(body)}<p class="quiet">{escape(footer)}</p>{"".join(scripts)}</body></html>\n'
     )

@@ -9,12 +9,11 @@ from bokeh.plotting import figure
 from inflight.figures.style import COMPONENTS, error_bars, legend_below, plain_figure
 from inflight.time import to_utc
 
-#: What is drawn: part of the parameter's name, title, factor and unit shown, less the prior.
-_PANELS = (
-    ("scale_factor", "Scale factors less prior", 1e6, "ppm"),
-    ("misalignment", "Misalignment angles less prior", 3600.0, "arcsec"),
-    ("offset", "Offsets less prior", 1.0, "nT"),
-)
+#: How parts of the nine parameters are called; others by their own name.
+_TITLES = {"scale_factor": "Scale factors", "misalignment": "Misalignment angles", "offset": "Offsets"}
+_RADIAN = 3600.0 * 180.0 / np.pi
+#: Unit in the table -> factor and unit that are drawn, less the prior.
+_UNITS = {"1": (1e6, "ppm"), "deg": (3600.0, "arcsec"), "rad": (_RADIAN, "arcsec")}
 
 
 def parameter_figures(daily: xr.Dataset, used: xr.Dataset) -> list[figure]:
@@ -28,21 +27,31 @@ def parameter_figures(daily: xr.Dataset, used: xr.Dataset) -> list[figure]:
     Returns
     -------
     list of figure
-        Scale factors, misalignment angles, offsets; empty circles are not determined by the day alone.
+        One for each part, such as scale factors, misalignment angles, offsets, unless all of it stays at
+        its prior; empty circles are not determined by the day alone.
     """
-    return [_panel(daily, used, *panel) for panel in _PANELS]
+    parts: dict[str, list[str]] = {}
+    for name in map(str, daily["parameter"].values):
+        parts.setdefault(name.split(".", 1)[-1].partition("[")[0], []).append(name)
+    return [
+        _panel(daily, used, part, names)
+        for part, names in parts.items()
+        if (daily["value"] != daily["prior"]).sel(parameter=names).values.any()
+    ]
 
 
-def _panel(daily: xr.Dataset, used: xr.Dataset, part: str, title: str, factor: float, unit: str) -> figure:
-    plot = plain_figure(title, "", unit, x_axis_type="datetime")
-    names = [str(name) for name in daily["parameter"].values if f".{part}[" in str(name)]
+def _panel(daily: xr.Dataset, used: xr.Dataset, part: str, names: list[str]) -> figure:
+    stated = str(daily["units"].sel(parameter=names[0]).values)
+    factor, unit = _UNITS.get(stated, (1.0, stated))
+    title = _TITLES.get(part, part.replace("_", " ").capitalize())
+    plot = plain_figure(f"{title} less prior", "", unit, x_axis_type="datetime")
     middle = to_utc(daily["start"].values // 2 + daily["end"].values // 2)
     for name, colour in zip(names, COMPONENTS, strict=False):
         prior = float(daily["prior"].sel(parameter=name))
         value = (daily["value"].sel(parameter=name).values - prior) * factor
         sigma = daily["sigma"].sel(parameter=name).values * factor
         known = daily["determined"].sel(parameter=name).values
-        label = name.split("[")[-1].rstrip("]")
+        label = name.partition("[")[2].rstrip("]") or part.replace("_", " ")
         # The prior's width is no measurement, and would flatten what was measured.
         error_bars(plot, middle[known], value[known], sigma[known], colour, 0.4)
         fill = np.where(known, 1.0, 0.0)

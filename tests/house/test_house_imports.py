@@ -7,7 +7,7 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).parents[2]
-LAYERS = ("inflight.catalog", "inflight.tasks", "inflight.flows", "inflight.cli")
+LAYERS = ("inflight.catalog", "inflight.tasks", "inflight.flows", "inflight.explorer", "inflight.cli")
 #: What only the catalog and what stands above it may use.
 STORAGE_AND_ORCHESTRATION = (
     "zarr",
@@ -18,6 +18,7 @@ STORAGE_AND_ORCHESTRATION = (
     "distributed",
     "cdflib",
     "h5py",
+    "panel",
 )
 #: Calls that open, read or write a file.
 FILE_CALLS = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "to_zarr", "to_netcdf", "mkdir"}

@@ -1,0 +1,1 @@
+"""The web page: model against measurement, the missing effect, the falling error; of every mission."""

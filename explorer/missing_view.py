@@ -1,0 +1,205 @@
+"""The missing effect: what the last diagnosis found, changes of the model, and how the error falls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import panel as pn
+
+from inflight.explorer import drawing
+from inflight.explorer.offer import Offer
+from inflight.explorer.sitting import Days, Sitting
+from inflight.explorer.watching import Place
+from inflight.figures.candidates import candidate_table, drop_figure, unscorable_list
+from inflight.figures.found import found_effects, rivals_apart
+from inflight.figures.ledger import ledger_table
+from inflight.figures.naming import distinct, short_name
+from inflight.figures.page import Section, html_table
+from inflight.figures.revisions import change_tables, error_figure
+from inflight.figures.verdict import verdict_strip
+
+Fields = Mapping[str, Any]
+_NOTE = (
+    "Gain is the part of the mean square that a candidate alone takes off blocks it was not fitted to, with "
+    "its 95 % interval; the grey bar behind it is the best placebo, a channel shifted in time, which "
+    "explains by chance. p is family-wise over all candidates and forms."
+)
+
+
+class MissingView:
+    """The missing effect; every button does what the verb of its name does."""
+
+    title = "The missing effect"
+
+    def __init__(self, sitting: Sitting) -> None:
+        self._sitting = sitting
+        self._offer: Offer | None = None
+        self._days: Days | None = None
+        self._found, self._model = Place(sitting.background), Place(sitting.background)
+        self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
+        self._figures = pn.widgets.Button(name="All figures of this diagnosis")
+        self._candidate = pn.widgets.Select(name="Candidate", options=[], width=330)
+        self._other = pn.widgets.TextInput(
+            name="or a channel, an effect, an entry", placeholder="scale_drift", width=230
+        )
+        self._add = pn.widgets.Button(name="Add", button_type="primary", align="end")
+        self._undo = pn.widgets.Button(name="Undo", align="end")
+        self._own = pn.widgets.Select(name="Effect of the model", options=[], width=230)
+        self._drop = pn.widgets.Button(name="Drop", align="end")
+        for button, work in (
+            (self._diagnose, self._begin_diagnosis),
+            (self._figures, self._begin_figures),
+            (self._add, lambda: self._change("add", self._other.value.strip() or self._candidate.value)),
+            (self._undo, lambda: self._change("undo", "")),
+            (self._drop, lambda: self._change("drop", self._own.value)),
+        ):
+            button.on_click(lambda event, work=work: work())
+        self.panel = pn.Column(
+            pn.Row(self._diagnose, self._figures),
+            self._found.panel,
+            drawing.text('<h2 style="margin-top:1rem">The model, revised</h2>'),
+            pn.FlexBox(self._candidate, self._other, self._add, self._undo, self._own, self._drop),
+            self._model.panel,
+            sizing_mode="stretch_width",
+        )
+
+    def look_at(self, offer: Offer, days: Days | None) -> None:
+        """Show the last diagnosis of a comparison and the versions of its model."""
+        self._offer, self._days = offer, days
+        self._show_found(self._sitting.last_diagnosis(offer.comparison))
+        self._show_model()
+
+    # What the last diagnosis found.
+
+    def _begin_diagnosis(self) -> None:
+        if self._offer is None or self._days is None:
+            self._found.put(drawing.hint("The archive is empty: 'inflight ingest' fills it."))
+            return
+        comparison, days = self._offer.comparison, self._days
+        self._found.begin(
+            "Diagnosis",
+            lambda progress: self._sitting.diagnose(comparison, days, progress),
+            self._diagnosed,
+        )
+
+    def _diagnosed(self, fields: Fields) -> pn.viewable.Viewable:
+        self._offer_candidates(fields)
+        return drawing.sections(diagnosis_sections(fields))
+
+    def _begin_figures(self) -> None:
+        if self._offer is None:
+            return
+        comparison = self._offer.comparison
+        self._found.begin(
+            "All figures",
+            lambda progress: self._sitting.figures_of_diagnosis(comparison, progress),
+            drawing.sections,
+        )
+
+    def _show_found(self, fields: Fields | None) -> None:
+        self._figures.disabled = fields is None
+        if fields is None:
+            self._candidate.options = []
+            self._found.put(drawing.hint("Nobody has asked yet which effect is missing: diagnose a span."))
+        else:
+            self._found.put(self._diagnosed(fields))
+
+    def _offer_candidates(self, fields: Fields) -> None:
+        """Offer what was found first, then the ranking."""
+        self._figures.disabled = False
+        names = [one["name"] for one in fields["effects"]]
+        names += [one["name"] for one in fields["candidates"] if not one["placebo"]]
+        unique = list(dict.fromkeys(names))
+        labels = distinct([short_name(name) for name in unique])
+        self._candidate.options = dict(zip(labels, unique, strict=True))
+        if unique:
+            self._candidate.value = unique[0]
+
+    # The model.
+
+    def _change(self, verb: str, effect: str | None) -> None:
+        if self._offer is None:
+            return
+        if verb != "undo" and not effect:
+            self._model.put(drawing.hint(f"Choose what to {verb} first."))
+            return
+        comparison = self._offer.comparison
+        self._other.value = ""
+        self._model.begin(
+            f"{verb} {effect}".strip(),
+            lambda progress: self._sitting.change(comparison, verb, effect or "", progress),
+            lambda told: self._changed(),
+        )
+
+    def _changed(self) -> pn.viewable.Viewable:
+        assert self._offer is not None
+        versions, effects = self._sitting.versions(self._offer.comparison)
+        self._own.options = effects
+        return drawing.section(model_section(versions, self._sitting.changes[self._offer.comparison]))
+
+    def _show_model(self) -> None:
+        self._model.put(self._changed())
+
+
+def diagnosis_sections(fields: Fields) -> list[Section]:
+    """Return what a kept diagnosis shows, as `Diagnosis.as_json` with ``asked``."""
+    strip = verdict_strip(
+        fields["verdict"], fields["sentence"], fields["residual"], fields["remaining"]["verdict"]
+    )
+    rivals = {one["name"]: one["rivals"] for one in fields["effects"]}
+    table = candidate_table(fields["candidates"], {}, rivals)
+    unscorable = unscorable_list(fields["unscorable"])
+    return [
+        ("Verdict", [_asked(fields), strip, *found_effects(fields), *rivals_apart(fields)], []),
+        (
+            "Candidates",
+            [f'<p class="quiet">{escape(_NOTE)}</p>', table, unscorable],
+            [drop_figure(fields["candidates"])],
+        ),
+        ("Ledger", [ledger_table(fields["rounds"])], []),
+    ]
+
+
+def _asked(fields: Fields) -> str:
+    """Return of which span and model a diagnosis is."""
+    asked, model = fields.get("asked") or {}, fields["model"]
+    start, end = asked.get("start"), asked.get("end")
+    span = f"from {start or 'the first day'} until {end or 'the last'}" if start or end else "all days"
+    version = f" version {model['version']}" if model.get("version") else ""
+    return f'<p class="quiet">Of {escape(span)}, with {escape(str(model.get("name")))}{version}.</p>'
+
+
+def model_section(versions: Sequence[Fields], changes: Sequence[Fields]) -> Section:
+    """Return what the page's changes did, and every version of the model.
+
+    Parameters
+    ----------
+    versions : sequence of mapping
+        As `inflight.tasks.versions.Versions.items`.
+    changes : sequence of mapping
+        As `Revision.as_json`, in the order they were made.
+    """
+    paragraphs = change_tables(changes[-1]) if changes else []
+    if changes:
+        paragraphs.append(
+            "<p>Products and tables are those of the model before until "
+            "<code>inflight reprocess</code> makes them anew; a new diagnosis says what is still missing.</p>"
+        )
+    rows = [
+        (
+            "in use" if one["used"] else "",
+            one["name"],
+            str(one["version"]),
+            str(one["parent"] or ""),
+            one["message"],
+            str(one["created"])[:16].replace("T", " "),
+        )
+        for one in reversed(versions)
+    ]
+    if rows:
+        paragraphs.append(html_table(("", "model", "version", "from", "what was done", "UTC"), rows))
+    else:
+        paragraphs.append("<p>No version is saved yet: the model in use is the mission's own file.</p>")
+    return "The model, revised", paragraphs, [error_figure(changes)] if changes else []

@@ -1,0 +1,73 @@
+"""The server of the page: on this machine alone, asking nothing of any other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import panel as pn
+
+from inflight.catalog.workspace import Workspace
+from inflight.errors import SettingsError
+from inflight.explorer.page import Page
+from inflight.explorer.sitting import Sitting
+
+#: Nobody outside this machine can reach it: the page changes models without asking who it is.
+ADDRESS = "127.0.0.1"
+
+
+class Server:
+    """A server of one workspace's page, listening once it is made.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        Opened.
+    port : int
+        0 takes a free one.
+    workers : int, optional
+        Dask processes of a pass.
+
+    Raises
+    ------
+    SettingsError
+        When the port is taken.
+    """
+
+    def __init__(self, workspace: Workspace, port: int = 0, workers: int | None = None) -> None:
+        self.sitting = Sitting(workspace, workers)
+
+        def page() -> Any:
+            return Page(self.sitting).template()
+
+        try:
+            self._server = pn.serve(
+                {"/": page},
+                port=port,
+                address=ADDRESS,
+                show=False,
+                start=False,
+                verbose=False,
+                title=f"Inflight {workspace.root.resolve().name}",
+            )
+        except OSError as error:
+            raise SettingsError(
+                f"--port: {port} cannot be listened on: {error.strerror or error}",
+                remedy="name another port, or none to take a free one",
+            ) from None
+        self.url = f"http://{ADDRESS}:{self._server.port}/"
+
+    def run(self, ready: Callable[[str], None]) -> None:
+        """Serve until interrupted; `ready` is told the address first.
+
+        Ctrl-C is how it ends, not an error.
+        """
+        self._server.start()
+        ready(self.url)
+        try:
+            self._server.io_loop.start()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            self.sitting.background.close()
+            self._server.stop()

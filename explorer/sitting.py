@@ -1,0 +1,202 @@
+"""What one running page works with: a workspace, its catalog, and what was worked out from it so far.
+
+Every step is the function behind the verb of the same name; nothing is computed here in a second way.
+Results are kept for as long as what they were made from stays as it is.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.explorer.background import Background
+from inflight.figures.page import Section
+from inflight.flows.cluster import client_when_needed
+from inflight.mission import Mission
+from inflight.model.changes import tree_of
+from inflight.tasks.compare import measured
+from inflight.tasks.compare_page import CompareReport, Drawn, compare_sections
+from inflight.tasks.diagnose import DiagnoseSettings
+from inflight.tasks.diagnosing import diagnose_span, last_diagnosis, open_workbench
+from inflight.tasks.diagnosis_report import diagnosis_sections, examine
+from inflight.tasks.models import find_model
+from inflight.tasks.planning import product_of
+from inflight.tasks.report import Progress
+from inflight.tasks.revise import Workbench
+from inflight.tasks.table_sections import table_sections
+from inflight.tasks.versions import Versions
+
+#: Comparisons kept in memory: the aggregates of 3000 days are some hundred megabytes.
+_KEPT = 3
+
+
+@dataclass(frozen=True)
+class Days:
+    """A span as a person says it: its first and its last day."""
+
+    first: np.datetime64
+    last: np.datetime64
+
+    def bounds(self) -> tuple[str, str]:
+        """Return the half-open span that the steps take: first day, and the day after the last."""
+        return str(self.first), str(self.last + np.timedelta64(1, "D"))
+
+
+class Sitting:
+    """One workspace being explored; several pages may look at it at a time.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        Opened.
+    workers : int, optional
+        Dask processes of a pass; the cores when absent.
+    """
+
+    def __init__(self, workspace: Workspace, workers: int | None = None) -> None:
+        self.workspace, self.workers = workspace, workers
+        self.cat = Catalog(workspace.root)
+        self.background = Background()
+        #: What the page's changes of each comparison's model did, as `Revision.as_json`, in their order.
+        self.changes: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        self._measured: dict[tuple[Any, ...], tuple[CompareReport, Drawn]] = {}
+        self._bench: tuple[tuple[Any, ...], Workbench] | None = None
+
+    def mission(self) -> Mission:
+        """Return the mission as its file is now."""
+        return self.workspace.mission()
+
+    # Model against measurement.
+
+    def compare(self, comparison: str, days: Days, progress: Progress) -> list[Section]:
+        """Return what `inflight compare` shows of a span.
+
+        Raises
+        ------
+        CatalogError, SettingsError
+            As `inflight.tasks.compare.compare`.
+        """
+        span = days.bounds()
+        published = self.cat.days(product_of(comparison), slice(*span), states=("published",))
+        key = (comparison, *span, *(day.id for day in published))
+        if key not in self._measured:
+            self._measured[key] = measured(self.cat, self.mission(), *span, comparison, progress)
+            for old in list(self._measured)[:-_KEPT]:
+                del self._measured[old]
+        return compare_sections(*self._measured[key])
+
+    def tables(self, comparison: str, progress: Progress) -> list[Section]:
+        """Return what the newest published tables of a comparison show; none when there are no tables.
+
+        Raises
+        ------
+        CatalogError
+            When a table is damaged.
+        """
+        progress("tables", 0, 1)
+        return table_sections(self.cat, self.mission(), comparison)
+
+    # The missing effect.
+
+    def last_diagnosis(self, comparison: str) -> dict[str, Any] | None:
+        """Return the last diagnosis, whoever made it; None without any."""
+        return last_diagnosis(self.workspace, comparison)
+
+    def diagnose(self, comparison: str, days: Days, progress: Progress) -> dict[str, Any]:
+        """Do what `inflight diagnose` does; settings are those of the last diagnosis.
+
+        Raises
+        ------
+        SettingsError, InflightError
+            As `inflight.tasks.diagnosing.diagnose_span`.
+        """
+        settings = _settings(self._asked(comparison), comparison)
+        self._bench = None
+        with client_when_needed(self.workers) as client:
+            return diagnose_span(self.workspace, *days.bounds(), settings, client=client, progress=progress)
+
+    def figures_of_diagnosis(self, comparison: str, progress: Progress) -> list[Section]:
+        """Return everything `inflight report` shows of the last diagnosis, for the model in use."""
+        asked = self._asked(comparison)
+        with client_when_needed(self.workers) as client:
+            examined = examine(
+                self.cat,
+                self.mission(),
+                asked.get("start"),
+                asked.get("end"),
+                _settings(asked, comparison),
+                client=client,
+                progress=progress,
+            )
+        return diagnosis_sections(*examined)
+
+    def _asked(self, comparison: str) -> Mapping[str, Any]:
+        """Return span and settings of the last diagnosis; nothing without one."""
+        return (self.last_diagnosis(comparison) or {}).get("asked") or {}
+
+    # The model, revised.
+
+    def versions(self, comparison: str) -> tuple[list[dict[str, Any]], list[str]]:
+        """Return the versions of the workspace's models, as `Versions.items`, and the effects in use."""
+        known = Versions(self.cat, self.mission(), comparison)
+        effects = [str(one.get("name", one["effect"])) for one in tree_of(known.used.text)["effects"]]
+        return known.items(), effects
+
+    def change(self, comparison: str, verb: str, effect: str, progress: Progress) -> dict[str, Any]:
+        """Do what `inflight add`, `drop` or `undo` does, on evidence that stays in memory.
+
+        Parameters
+        ----------
+        verb : str
+            ``add``, ``drop`` or ``undo``.
+        effect : str
+            As the verbs take it; ``undo`` takes none.
+
+        Returns
+        -------
+        dict
+            As `Revision.as_json`.
+
+        Raises
+        ------
+        ModelError, InflightError
+            As `inflight.tasks.revise.Workbench`.
+        """
+        with client_when_needed(self.workers) as client:
+            bench = self._workbench(comparison, client, progress)
+            try:
+                revision = bench.undo() if verb == "undo" else getattr(bench, verb)(effect)
+            except Exception:
+                # Half a change may be in it.
+                self._bench = None
+                raise
+        told: dict[str, Any] = revision.as_json()
+        self.changes[comparison].append(told)
+        self._bench = (self._ground(comparison), bench)
+        return told
+
+    def _workbench(self, comparison: str, client: Any, progress: Progress) -> Workbench:
+        """Return the workbench of before, when nobody changed anything beside it."""
+        ground = self._ground(comparison)
+        if self._bench is None or self._bench[0] != ground:
+            self._bench = None
+            return open_workbench(self.workspace, comparison, client=client, progress=progress)
+        bench = self._bench[1]
+        bench.client, bench.progress = client, progress
+        return bench
+
+    def _ground(self, comparison: str) -> tuple[Any, ...]:
+        """Return what a workbench stands on: mission, model in use, and what the last diagnosis asked for."""
+        mission = self.mission()
+        used = find_model(self.cat, mission, comparison)
+        return comparison, mission.text, used.version, used.text, str(self._asked(comparison))
+
+
+def _settings(asked: Mapping[str, Any], comparison: str) -> DiagnoseSettings:
+    return DiagnoseSettings.model_validate(asked.get("settings") or {"comparison": comparison})

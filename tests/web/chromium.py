@@ -1,0 +1,151 @@
+"""A real browser for tests: headless Chromium, spoken to in its own protocol."""
+
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import time
+import urllib.request
+from base64 import b64decode
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import connect
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+#: Nothing of the browser's own may go out: what does is the page's.
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--window-size=1500,1100",
+    "--remote-debugging-port=0",
+)
+#: Elements of widgets live in shadow roots: these find text and things to click in all of them.
+_DEEP = """
+window.everything = function* (root) {
+  for (const one of (root || document).querySelectorAll('*')) {
+    yield one; if (one.shadowRoot) yield* window.everything(one.shadowRoot) } };
+window.shown = (one) => one.getClientRects().length > 0;
+window.allText = () => { const parts = [];
+  for (const one of window.everything()) if (window.shown(one) && !['STYLE', 'SCRIPT'].includes(one.tagName))
+    for (const child of one.childNodes) if (child.nodeType === 3) parts.push(child.data);
+  return parts.join(' ').replace(/\\s+/g, ' ') };
+window.pick = (selector) => [...window.everything()].filter(
+  (one) => one.matches(selector) && window.shown(one));
+window.press = (selector, label) => { const found = window.pick(selector).filter(
+  (one) => one.textContent.trim() === label); if (found.length) found[0].click(); return found.length };
+"""
+
+
+def find_chromium() -> str | None:
+    """Return the path of a browser of this family; None without one."""
+    given = os.environ.get("INFLIGHT_CHROMIUM")
+    return given or next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+class Chromium:
+    """One page of a browser with a profile of its own; `requests` has every address it asked for."""
+
+    def __init__(self, program: str, profile: Path) -> None:
+        self._log = (profile.parent / "chromium.log").open("w")
+        command = [program, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+        self._process = subprocess.Popen(command, stdout=self._log, stderr=self._log)
+        self._number = itertools.count(1)
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        self._socket = connect(self._address(profile), max_size=None, compression=None)
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=_DEEP)
+
+    def _address(self, profile: Path) -> str:
+        """Return the address of the page's socket as soon as the browser has one."""
+        told = profile / "DevToolsActivePort"
+        for _ in range(600):
+            if self._process.poll() is not None:
+                log = (profile.parent / "chromium.log").read_text()
+                raise RuntimeError(f"the browser ended: {log[-2000:]}")
+            if told.is_file() and (lines := told.read_text().splitlines()):
+                with urllib.request.urlopen(f"http://127.0.0.1:{lines[0]}/json/list") as answer:
+                    pages = [one for one in json.load(answer) if one["type"] == "page"]
+                if pages:
+                    return str(pages[0]["webSocketDebuggerUrl"])
+            time.sleep(0.1)
+        raise RuntimeError("the browser did not answer within a minute")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Ask the browser for something and return its answer; take note of what happens meanwhile."""
+        number = next(self._number)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        while True:
+            told = json.loads(self._socket.recv(timeout=120))
+            if told.get("id") == number:
+                if "error" in told:
+                    raise RuntimeError(f"{method}: {told['error']}")
+                return told["result"]
+            self._note(told)
+
+    def _note(self, told: dict[str, Any]) -> None:
+        given = told.get("params", {})
+        if told.get("method") == "Network.requestWillBeSent":
+            self.requests.append(given["request"]["url"])
+        elif told.get("method") == "Network.webSocketCreated":
+            self.requests.append(given["url"])
+        elif told.get("method") == "Runtime.exceptionThrown":
+            self.complaints.append(json.dumps(given["exceptionDetails"])[:500])
+        elif told.get("method") == "Runtime.consoleAPICalled" and given["type"] == "error":
+            self.complaints.append(json.dumps(given["args"])[:500])
+
+    def open(self, url: str) -> None:
+        """Go to an address."""
+        self.call("Page.navigate", url=url)
+
+    def evaluate(self, expression: str) -> Any:
+        """Return the value of an expression in the page."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        if "exceptionDetails" in answer:
+            raise RuntimeError(f"{expression}: {answer['exceptionDetails']}")
+        return answer["result"].get("value")
+
+    def text(self) -> str:
+        """Return all text that is shown."""
+        return str(self.evaluate("window.allText ? window.allText() : ''"))
+
+    def wait_for(self, expression: str, seconds: float = 60.0) -> Any:
+        """Return the value of an expression as soon as it is true."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if value := self.evaluate(expression):
+                return value
+            time.sleep(0.1)
+        shown = self.text()[:1500]
+        raise AssertionError(f"{expression} is not true after {seconds} s; the page shows: {shown}")
+
+    def wait_for_text(self, text: str, seconds: float = 60.0) -> None:
+        """Wait until a text is shown."""
+        self.wait_for(f"window.allText && window.allText().includes({json.dumps(text)})", seconds)
+
+    def press(self, selector: str, label: str) -> None:
+        """Click the first thing of a kind that has a label, as soon as it is shown."""
+        self.wait_for(f"window.press && window.press({json.dumps(selector)}, {json.dumps(label)})")
+
+    def screenshot(self, path: Path) -> None:
+        """Write what is shown as PNG."""
+        path.write_bytes(b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+
+    def close(self) -> None:
+        """End the browser that was started here."""
+        try:
+            self.call("Browser.close")
+        except Exception:
+            self._process.kill()
+        self._process.wait(30)
+        self._log.close()
