@@ -17,6 +17,8 @@ from inflight.time import GAP, SECOND, Int64, usual_step
 #: The noise is estimated from about this many samples, in stretches spread evenly over the record.
 _NOISE_SAMPLES = 200_000
 _STRETCH = 2_000
+#: Standard deviation of a Gaussian over the size that three quarters of its values stay below.
+_THREE_QUARTERS = 0.86930
 
 
 @dataclass(frozen=True)
@@ -115,9 +117,9 @@ def white_covariance(values: Floats) -> Floats:
 def robust_covariance(values: Floats) -> Floats:
     """Return the covariance about zero of values (time, axis) by medians; (axis, axis).
 
-    The median of the absolute values of each axis and, for pairs of axes, of sum and difference
-    (Gnanadesikan and Kettenring 1972). Values most of which are zero have no such median: their mean square
-    is taken.
+    The median and the upper quartile of the absolute values, whichever tells more, of each axis and, for
+    pairs of axes, of sum and difference (Gnanadesikan and Kettenring 1972). Values most of which are zero
+    have no such median: their mean square is taken.
     """
     width = values.shape[1]
     covariance = np.zeros((width, width))
@@ -142,7 +144,11 @@ def _bends(values: Floats) -> Floats:
 
 
 def _square_scale(values: Floats) -> float:
-    scale = TO_SIGMA * float(np.median(np.abs(values)))
+    size = np.abs(values)
+    half, most = size.size // 2, (3 * size.size) // 4
+    ranked = np.partition(size, (half, most))
+    # Of readings coarser than their noise the median alone may be zero, or one step too small.
+    scale = max(TO_SIGMA * float(ranked[half]), _THREE_QUARTERS * float(ranked[most]))
     return scale**2 if scale > 0 else float(np.mean(values**2))
 
 
