@@ -18,7 +18,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
-from inflight.dual.readings import robust_covariance, white_covariance
+from inflight.dual.readings import trimmed_covariance, white_covariance
 
 Places = npt.NDArray[np.int64]
 
@@ -36,8 +36,8 @@ _POSITIONS = 40_000
 _BLOCK, _LEAST = 256, 0.25
 #: Squares of second differences (whitened) count no more than this for it.
 _CLIPPED = 9.0
-#: Part of the independent windows that a median makes use of, and the fewest that make a noise.
-_EFFICIENCY, _FEWEST_FREE = 0.37, 8.0
+#: Degrees of freedom behind each window free of others, and the fewest that make a noise.
+_EFFICIENCY, _FEWEST_FREE = 0.8, 8.0
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _noise_of(
     nodes = _local_medians(step, at, block, count)
     middle = (np.arange(len(nodes)) + 0.5) * block
     step -= np.stack([np.interp(at, middle, axis) for axis in nodes.T], axis=1)
-    covariance = robust_covariance(step / np.sqrt(level[at // _BLOCK])[:, None])
+    covariance = trimmed_covariance(step / np.sqrt(level[at // _BLOCK])[:, None])
     # A median of few windows may come out too small; white noise is in all of them.
     least = 2.0 * white / length / max(float(covariance.diagonal().min()), 1e-300)
     return covariance * max(1.0, least), freedom, nodes, block
