@@ -92,7 +92,7 @@ def _along_moment(near: Floats, far: Floats, direction: npt.ArrayLike | None) ->
             remedy="give 'direction', the dipole's moment, or positions along the boom's axis",
         )
     moment = np.asarray(direction, dtype=np.float64)
-    fields = [_unit_dipole(place) @ moment for place in (near, far)]
+    fields = [unit_dipole(place) @ moment for place in (near, far)]
     seen = fields[0] - fields[1]
     power = float(seen @ seen)
     if power <= 1e-12 * float(fields[0] @ fields[0]):
@@ -100,7 +100,7 @@ def _along_moment(near: Floats, far: Floats, direction: npt.ArrayLike | None) ->
     return np.outer(fields[0], seen) / power, np.outer(fields[1], seen) / power
 
 
-def _unit_dipole(place: Floats) -> Floats:
+def unit_dipole(place: Floats) -> Floats:
     """Return the matrix from moment to field, up to a constant: ``(3 r r^T - 1) / r^3``."""
     distance = float(np.linalg.norm(place))
     unit = place / distance

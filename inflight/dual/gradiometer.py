@@ -1,0 +1,193 @@
+"""The outboard sensor's stray field from the difference of both sensors: Ness et al. (1971), and beyond it.
+
+A dipole on the boom's axis makes ``k`` times its inboard field at the outboard sensor, so that the ambient
+field is ``B = (B_out - k B_in) / (1 - k)`` and the stray field at the outboard sensor ``k / (1 - k) d`` with
+``d = B_in - B_out``. Units off the axis have other factors: in general the stray field is a matrix times ``d``.
+Its forms are one ratio, one for each axis, the strongest directions of ``d`` (`principal`), the matrix of a
+dipole whose place is fitted, and the full matrix.
+
+What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the matrix
+(`mixing`) and taken out before: otherwise the field that is measured would be changed in proportion to
+itself. What of ``d`` is the sensors' noise is not taken over: `bands` weighs it on each time scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.dual.mixing import WIDE, Mixing, Moments, fit_mixing, moments, outboard_share, usable_cells
+from inflight.dual.places import BODY, dipole_matrix, fit_place, matrix_from_geometry
+from inflight.dual.principal import principal_directions
+from inflight.dual.readings import Readings
+from inflight.dual.scales import cells_of
+from inflight.errors import CalibrationError, SettingsError
+
+#: Forms of the matrix, from the fewest numbers to the most.
+FORMS = ("ratio", "axes", "dipole", "principal", "matrix")
+#: Standard deviation of an element of the leak before anything is seen: a percent is a poor calibration.
+LEAK_SIGMA = 0.01
+_FEWEST = 256
+#: Part of the weighted variance of the difference that the principal directions must hold.
+_HELD = 0.99
+
+
+@dataclass(frozen=True)
+class Gradiometer:
+    """A fitted gradiometer: ``stray at the outboard sensor = matrix e``, ``e = d - leak B``.
+
+    Attributes
+    ----------
+    form : str
+        One of `FORMS`.
+    mixing : Mixing
+        The matrix in this form, and the leak.
+    covariance : ndarray, shape (9, 9)
+        Of the elements of the matrix, row by row.
+    value, value_covariance : ndarray, shape (parameter,), (parameter, parameter)
+        The numbers of the form.
+    noise : ndarray, shape (3, 3)
+        Covariance of the white noise of the difference, nT^2.
+    facts : mapping
+        Of ``ratio``: k and its sigma. Of ``dipole``: the place and its sigma, m. Of ``principal``: directions.
+    """
+
+    form: str
+    mixing: Mixing
+    covariance: Floats
+    value: Floats
+    value_covariance: Floats
+    noise: Floats
+    facts: Mapping[str, float | list[float]] = field(default_factory=dict)
+
+    @property
+    def matrix(self) -> Floats:
+        """What takes the stray part of the difference to the outboard sensor; (3, 3)."""
+        return self.mixing.matrix
+
+    @property
+    def leak(self) -> Floats:
+        """Share of the ambient field in the difference; (3, 3)."""
+        return self.mixing.leak
+
+    def stray(self, readings: Readings) -> Floats:
+        """Return the difference without what it holds of the ambient field; (time, axis), nT."""
+        both = np.concatenate([readings.outboard, readings.difference], axis=1)
+        return np.asarray(both @ self.mixing.stray_rows().T)
+
+
+def fit_gradiometer(
+    readings: Readings,
+    form: str = "matrix",
+    positions: Floats | None = None,
+    leak_sigma: float = LEAK_SIGMA,
+) -> Gradiometer:
+    """Fit a gradiometer to readings in which the spacecraft's field changes.
+
+    Parameters
+    ----------
+    readings : Readings
+    form : str
+        One of `FORMS`.
+    positions : ndarray, shape (2, 3), optional
+        Of the inboard and the outboard sensor from the middle of the body, m, spacecraft axes. Where given,
+        the full matrix starts from what geometry says; ``dipole`` needs them.
+    leak_sigma : float
+        Standard deviation of the elements of the leak before the fit: how well the two sensors are aligned
+        and scaled to each other. 0 when they are perfect.
+
+    Raises
+    ------
+    SettingsError
+        For an unknown form, or a dipole without positions.
+    CalibrationError
+        With fewer than 256 good samples.
+    """
+    if form not in FORMS:
+        raise SettingsError(f"form '{form}' of a gradiometer", remedy=f"choose one of {', '.join(FORMS)}")
+    places = None if positions is None else np.asarray(positions, dtype=np.float64)
+    if form == "dipole" and places is None:
+        raise SettingsError("a dipole has no place", remedy="give both sensors' positions")
+    good = readings.good
+    if good.sum() < _FEWEST:
+        raise CalibrationError(
+            f"{good.sum()} samples with both sensors found, at least {_FEWEST} needed",
+            remedy="take a longer span",
+        )
+    noise = readings.noise
+    every = cells_of(readings.outboard[good], readings.difference[good])
+    share = outboard_share(every, noise)
+    cells = usable_cells(every, noise, share)
+    prior = (np.zeros(9), WIDE**2 * np.eye(9)) if places is None else matrix_from_geometry(places)
+    mixing = fit_mixing(cells, noise, share, prior, leak_sigma)
+    told = moments(cells, mixing, noise)
+    basis = np.eye(9).reshape(9, 3, 3)
+    _, covariance = told.solve(basis, prior)
+    covariance = covariance + told.of_leak(mixing.leak_covariance, prior)
+    full = Gradiometer("matrix", mixing, covariance, mixing.matrix.ravel(), covariance, noise)
+    return full if form == "matrix" else as_form(full, told, form, places)
+
+
+def as_form(full: Gradiometer, told: Moments, form: str, positions: Floats | None = None) -> Gradiometer:
+    """Return another form of a fitted full matrix, from the moments it was fitted to."""
+    if form == "dipole" and positions is not None:
+        return _as_dipole(full, told, positions)
+    facts: dict[str, float | list[float]] = {}
+    if form == "principal":
+        directions = _held_directions(told, full.noise)
+        basis = np.einsum("ki,rj->krij", np.eye(3), directions).reshape(-1, 3, 3)
+        facts = {"directions": float(len(directions))}
+    elif form == "ratio":
+        basis = np.eye(3)[None]
+    else:
+        basis = np.einsum("ki,kj->kij", np.eye(3), np.eye(3))
+    value, covariance = told.solve(basis)
+    if form == "ratio":
+        # stray = k / (1 - k) d
+        sigma = float(np.sqrt(covariance[0, 0])) / (1.0 + float(value[0])) ** 2
+        facts = {"ratio": float(value[0] / (1.0 + value[0])), "sigma": sigma}
+    return _with_matrix(full, form, np.einsum("p,pij->ij", value, basis), basis, (value, covariance), facts)
+
+
+def _with_matrix(
+    full: Gradiometer,
+    form: str,
+    matrix: Floats,
+    basis: Floats,
+    fitted: tuple[Floats, Floats],
+    facts: dict[str, float | list[float]],
+) -> Gradiometer:
+    flat = basis.reshape(len(basis), 9)
+    return Gradiometer(
+        form,
+        replace(full.mixing, matrix=matrix),
+        np.asarray(flat.T @ fitted[1] @ flat),
+        fitted[0],
+        fitted[1],
+        full.noise,
+        facts,
+    )
+
+
+def _held_directions(told: Moments, noise: Floats) -> Floats:
+    """Return the fewest principal directions that hold nearly all of the difference's weighted variance."""
+    square = told.square.sum(axis=(0, 1))
+    directions = principal_directions(square, noise)
+    power = np.einsum("ri,ij,rj->r", directions, square, directions)
+    held = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    return directions[: int(np.searchsorted(held, _HELD)) + 1]
+
+
+def _as_dipole(full: Gradiometer, told: Moments, positions: Floats) -> Gradiometer:
+    square, cross = told.square.sum(axis=0), told.cross.sum(axis=0)
+    place, slope = fit_place(positions, square, cross)
+    matrix = dipole_matrix(positions, place)
+    bent = Moments(told.square, told.cross - np.einsum("bkij,kj->bki", told.square, matrix), told.count)
+    spread = BODY * float(np.linalg.norm(positions[0]))
+    _, covariance = bent.solve(slope, (-place, np.eye(3) * spread**2))
+    sigma = np.sqrt(np.diag(covariance))
+    facts: dict[str, float | list[float]] = {"place_m": place.tolist(), "sigma_m": sigma.tolist()}
+    return _with_matrix(full, "dipole", matrix, slope, (place, covariance), facts)

@@ -1,0 +1,285 @@
+"""Ambient field and stray field told apart in two sensors that both see both.
+
+``B_out = B + M e`` and ``d = B_in - B_out = L B + e``: the matrix M takes the stray part e of the difference to the
+outboard sensor, the leak L is what badly aligned or scaled sensors let through of the ambient field. The two
+fields do not know of each other. In every cell of time and scale they are uncorrelated, while their
+sizes differ from cell to cell: the spacecraft switches where the ambient field is quiet, the ambient field moves
+where the spacecraft rests. That is enough to find both matrices, by Gaussian maximum likelihood with the variances
+of each cell as they come (Pham and Cardoso 2001, IEEE Trans. Signal Process. 49); where all
+cells have the same proportion it is not, and the covariance says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from inflight.arrays import Floats
+from inflight.dual.scales import Cells
+
+#: A cell whose difference is not this many times its noise (nor its outboard reading that many times)
+#: knows of no matrix.
+_LOUD_DIFFERENCE, _LOUD_OUTBOARD = 3.0, 10.0
+#: The leak is seen where the difference is less than this part of the outboard reading, in power.
+_RESTFUL = 0.05
+#: Standard deviation of an element of the matrix before anything is seen; a ratio k of 0.75 makes 3.
+WIDE = 3.0
+#: Standard deviations of what is known before that a fit may go.
+_FAR = 3.0
+#: Contrasts that a cell's variances are taken to have beside its own, of the size of the noise.
+_OWN = 1.0
+#: Blocks of time whose scatter tells how far the variances can be believed.
+_BLOCKS = 24
+
+
+@dataclass(frozen=True)
+class Mixing:
+    """Both matrices and how well they are known.
+
+    Attributes
+    ----------
+    matrix, leak : ndarray, shape (3, 3)
+        M and L.
+    leak_covariance : ndarray, shape (9, 9)
+        Of the elements of L, row by row.
+    share : float
+        Part of the white noise of d that is the outboard sensor's.
+    """
+
+    matrix: Floats
+    leak: Floats
+    leak_covariance: Floats
+    share: float
+
+    def ambient_rows(self) -> Floats:
+        """Return the rows that make ``B`` of [B_out, d]; (3, 6)."""
+        inverse = np.linalg.inv(np.eye(3) - self.matrix @ self.leak)
+        return np.asarray(inverse @ np.concatenate([np.eye(3), -self.matrix], axis=1))
+
+    def stray_rows(self) -> Floats:
+        """Return the rows that make ``e`` of [B_out, d]; (3, 6)."""
+        inverse = np.linalg.inv(np.eye(3) - self.leak @ self.matrix)
+        return np.asarray(inverse @ np.concatenate([-self.leak, np.eye(3)], axis=1))
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Weighted sums over cells for each axis of the outboard sensor, in blocks of time.
+
+    Attributes
+    ----------
+    square : ndarray, shape (block, axis, 3, 3)
+        Of the stray part of the difference.
+    cross : ndarray, shape (block, axis, 3)
+        Of it with the outboard reading.
+    count : float
+        Contrasts, for each axis.
+    """
+
+    square: Floats
+    cross: Floats
+    count: float
+
+    def solve(self, basis: Floats, prior: tuple[Floats, Floats] | None = None) -> tuple[Floats, Floats]:
+        """Return the factors of matrices (parameter, 3, 3) that explain the outboard reading, with covariance.
+
+        The covariance is widened by what blocks of time disagree beyond it: units of different places, which
+        no one matrix describes, show there.
+        """
+        normal = np.einsum("pki,bkij,qkj->bpq", basis, self.square, basis)
+        right = np.einsum("pki,bki->bp", basis, self.cross)
+        precision = np.eye(len(basis)) / WIDE**2 if prior is None else np.linalg.inv(prior[1])
+        start = np.zeros(len(basis)) if prior is None else prior[0]
+        total = normal.sum(axis=0) + precision
+        value = np.linalg.solve(total, right.sum(axis=0) + precision @ start)
+        covariance = np.linalg.inv(total)
+        score = right - normal @ value
+        middle = score.T @ score - np.outer(score.sum(axis=0), score.sum(axis=0)) / len(score)
+        excess = float(np.trace(middle @ covariance)) / len(basis)
+        return value, covariance * max(excess, 1.0)
+
+    def of_leak(self, leak: Floats, prior: tuple[Floats, Floats]) -> Floats:
+        """Return what the leak's covariance (9, 9) adds to that of the matrix's elements; (9, 9).
+
+        Ambient field left in the difference is regressed on itself: row k of the matrix moves by the inverse
+        of its squares times the number of contrasts times column k of the leak.
+        """
+        out = np.zeros((9, 9))
+        by_column = leak.reshape(3, 3, 3, 3)
+        precision = np.linalg.inv(prior[1])
+        for axis in range(3):
+            rows = slice(3 * axis, 3 * axis + 3)
+            inverse = np.linalg.inv(self.square[:, axis].sum(axis=0) + precision[rows, rows]) * self.count
+            out[rows, rows] = inverse @ by_column[:, axis, :, axis] @ inverse.T
+        return out
+
+
+def usable_cells(cells: Cells, noise: Floats, share: float) -> Cells:
+    """Return the cells with more than noise in them, their shared noise taken out.
+
+    Parameters
+    ----------
+    noise : ndarray, shape (3, 3)
+        Covariance of the white noise of d, nT^2.
+    share : float
+        Of it, the outboard sensor's part: it stands in both series, with opposite sign.
+    """
+    size = np.einsum("cii->ci", cells.covariance)
+    level = max(float(np.trace(noise)), 1e-300)
+    use = size[:, 3:].sum(axis=1) > _LOUD_DIFFERENCE * level
+    use |= size[:, :3].sum(axis=1) > _LOUD_OUTBOARD * level
+    kept = cells.part(use)
+    covariance = kept.covariance.copy()
+    covariance[:, :3, 3:] += share * noise
+    covariance[:, 3:, :3] += share * noise
+    # The products of a cell need not allow for the whole of it.
+    return Cells(_bounded(covariance), kept.count, kept.scale, kept.row)
+
+
+def _bounded(covariance: Floats) -> Floats:
+    """Return covariances whose correlations are below one."""
+    size = np.sqrt(np.einsum("cii->ci", covariance)) + 1e-300
+    most = 0.999999 * size[:, :, None] * size[:, None, :]
+    off = ~np.eye(6, dtype=bool)
+    return np.where(off, np.clip(covariance, -most, most), covariance)
+
+
+def outboard_share(cells: Cells, noise: Floats) -> float:
+    """Return the part of the difference's white noise that is the outboard sensor's, 0.02 to 0.98.
+
+    Outboard reading and difference share it with opposite sign, which their covariance on the shortest scale
+    shows; the median over cells, lest a few that switch decide. A half where the ambient field hides it.
+    """
+    first = cells.part(cells.scale == 1)
+    variance = np.diag(noise)
+    if len(first) < 4 or not np.all(variance > 0):
+        return 0.5
+    found = -np.einsum("cii->ci", first.covariance[:, :3, 3:]) / variance
+    middle = np.median(found, axis=0)
+    spread = 1.4826 * np.median(np.abs(found - middle), axis=0) * 1.25 / np.sqrt(len(first)) + 1e-6
+    weight = 1.0 / spread**2
+    prior = 1.0 / 0.3**2
+    return float(np.clip((weight @ middle + 0.5 * prior) / (weight.sum() + prior), 0.02, 0.98))
+
+
+def fit_mixing(
+    cells: Cells, noise: Floats, share: float, prior: tuple[Floats, Floats], leak_sigma: float
+) -> Mixing:
+    """Fit both matrices: the leak where the spacecraft rests, then the matrix in all cells.
+
+    Parameters
+    ----------
+    cells : Cells
+        Of [B_out, d], as `usable_cells` makes them.
+    noise : ndarray, shape (3, 3)
+        Covariance of the white noise of d, nT^2.
+    share : float
+        Of it, the outboard sensor's part.
+    prior : tuple of ndarray, shapes (9,), (9, 9)
+        Mean and covariance of the elements of M before anything is seen.
+    leak_sigma : float
+        Standard deviation of the elements of L before anything is seen; 0 when there is none.
+    """
+    size = np.einsum("cii->ci", cells.covariance)
+    restful = cells.part(size[:, 3:].sum(axis=1) < _RESTFUL * size[:, :3].sum(axis=1))
+    floor = np.maximum(np.concatenate([share * np.diag(noise), np.diag(noise)]), 1e-12)
+    leak, of_leak = np.zeros((3, 3)), np.zeros((9, 9))
+    if leak_sigma > 0:
+        _, leak = _maximum(restful, floor, prior, leak, leak_sigma)
+        of_leak = _leak_covariance(restful, prior, leak, leak_sigma)
+    matrix, _ = _maximum(cells, floor, prior, leak, 0.0)
+    return Mixing(matrix, leak, of_leak, share)
+
+
+def _maximum(
+    cells: Cells, floor: Floats, prior: tuple[Floats, Floats], leak: Floats, leak_sigma: float
+) -> tuple[Floats, Floats]:
+    """Return the most likely matrices; the leak stays as it is when it has no spread."""
+    precision = np.linalg.inv(prior[1])
+    unit, free = np.sqrt(np.diag(prior[1])), leak_sigma > 0
+
+    def cost(scaled: Floats) -> tuple[float, Floats]:
+        now = scaled[9:].reshape(3, 3) * leak_sigma if free else leak
+        total, slope = _likelihood(cells, floor, (scaled[:9] * unit).reshape(3, 3), now)
+        away = scaled[:9] * unit - prior[0]
+        total += float(away @ precision @ away + np.sum(scaled[9:] ** 2))
+        of_matrix = (slope[:9] + 2.0 * precision @ away) * unit
+        return total, np.concatenate([of_matrix, slope[9:] * leak_sigma + 2.0 * scaled[9:]] if free else [of_matrix])
+
+    middle = prior[0] / unit
+    start = np.concatenate([middle, np.zeros(9 if free else 0)])
+    # So far and no further: beyond it the leak could stand for the matrix.
+    limits = [(one - _FAR, one + _FAR) for one in start]
+    best = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 300}).x
+    return (best[:9] * unit).reshape(3, 3), best[9:].reshape(3, 3) * leak_sigma if free else leak
+
+
+def _leak_covariance(restful: Cells, prior: tuple[Floats, Floats], leak: Floats, sigma: float) -> Floats:
+    """Return the covariance of the leak's elements, the matrix being known as little as before."""
+    information = _information(restful, prior[0].reshape(3, 3), leak)
+    information[:9, :9] += np.linalg.inv(prior[1])
+    information[9:, 9:] += np.eye(9) / sigma**2
+    value, vector = np.linalg.eigh(information)
+    return np.asarray((vector / np.maximum(value, 1e-3 / sigma**2)) @ vector.T)[9:, 9:]
+
+
+def _variance(values: Floats, cells: Cells, floor: Floats) -> Floats:
+    """Return variances of cells (cell, row) with a little of the noise's: few contrasts can cancel by chance."""
+    own = cells.count[:, None]
+    return np.asarray((own * np.maximum(values, 0.0) + _OWN * floor) / (own + _OWN))
+
+
+def moments(cells: Cells, now: Mixing, noise: Floats) -> Moments:
+    """Return what cells say of the matrix, in blocks of time."""
+    stray = now.stray_rows()
+    bent = cells.covariance @ stray.T
+    square = stray @ bent
+    cross = bent[:, :3]
+    ambient = now.ambient_rows()
+    floor = np.maximum(now.share * np.diag(noise), 1e-12)
+    variance = _variance(np.einsum("ki,cij,kj->ck", ambient, cells.covariance, ambient), cells, floor)
+    weight = cells.count[:, None] / variance
+    block = np.minimum(cells.row * _BLOCKS // (int(cells.row.max(initial=0)) + 1), _BLOCKS - 1)
+    sums, crosses = np.zeros((_BLOCKS, 3, 3, 3)), np.zeros((_BLOCKS, 3, 3))
+    np.add.at(sums, block, weight[:, :, None, None] * square[:, None])
+    np.add.at(crosses, block, weight[:, :, None] * cross)
+    return Moments(sums, crosses, float(cells.count.sum()))
+
+
+def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tuple[float, Floats]:
+    """Return minus twice the logarithm of the likelihood, and its slope by the elements of M and L.
+
+    Sum over cells and axes of the logarithms of the variances of ``B_out - M d`` and ``d - L B_out``, less that
+    of the determinant of both rows together.
+    """
+    unmix = np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
+    weight = cells.count + _OWN
+    count = float(weight.sum())
+    bent = cells.covariance @ unmix.T
+    variance = _variance(np.einsum("cik,ki->ck", bent, unmix), cells, floor)
+    sign, logarithm = np.linalg.slogdet(unmix)
+    if sign <= 0:
+        return 1e30, np.zeros(18)
+    total = float(weight @ np.log(variance).sum(axis=1)) - 2.0 * count * logarithm
+    slope = 2.0 * np.einsum("ck,cik->ki", cells.count[:, None] / variance, bent)
+    slope -= 2.0 * count * np.linalg.inv(unmix).T
+    return total, np.concatenate([-slope[:3, 3:].ravel(), -slope[3:, :3].ravel()])
+
+
+def _information(cells: Cells, matrix: Floats, leak: Floats) -> Floats:
+    """Return Fisher's information on the elements of M and L, small products of both left out."""
+    unmix = np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
+    own = unmix @ cells.covariance @ unmix.T
+    out = np.zeros((18, 18))
+    variance = np.maximum(np.einsum("cii->ci", own), 1e-300)
+    for axis in range(3):
+        rows = slice(3 * axis, 3 * axis + 3)
+        out[rows, rows] = np.einsum("c,cij->ij", cells.count / variance[:, axis], own[:, 3:, 3:])
+        rows = slice(9 + 3 * axis, 12 + 3 * axis)
+        out[rows, rows] = np.einsum("c,cij->ij", cells.count / variance[:, 3 + axis], own[:, :3, :3])
+        for other in range(3):
+            out[3 * axis + other, 9 + 3 * other + axis] = cells.count.sum()
+            out[9 + 3 * other + axis, 3 * axis + other] = cells.count.sum()
+    return out

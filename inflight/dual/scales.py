@@ -1,0 +1,106 @@
+"""Covariances of both sensors' readings on many time scales, stretch by stretch.
+
+A contrast is the mean over some samples less that over as many before them, times the root of half their
+number: white noise gives the same variance on every scale, a constant gives nothing, and contrasts that do
+not overlap hold all there is to know. A cell is a stretch of contrasts on one scale. Where the ambient field is
+restless, or the spacecraft switches, the cell shows it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+
+#: The longest blocks are this part of the record.
+_LONGEST = 16
+#: Contrasts of one cell.
+_CELL = 31
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Covariances of [outboard, difference] in cells of time and scale.
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (cell, 6, 6)
+        Mean products of contrasts, nT^2.
+    count : ndarray, shape (cell,)
+        Contrasts that do not overlap, or as many as the overlapping ones are worth.
+    scale : ndarray of int64, shape (cell,)
+        Samples of a block: 1, 2, 4 and so on.
+    row : ndarray of int64, shape (cell,)
+        Sample in the middle of the cell.
+    """
+
+    covariance: Floats
+    count: Floats
+    scale: npt.NDArray[np.int64]
+    row: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return int(self.count.size)
+
+    def part(self, use: npt.NDArray[np.bool_]) -> Cells:
+        """Return some of the cells."""
+        return Cells(self.covariance[use], self.count[use], self.scale[use], self.row[use])
+
+
+def cells_of(outboard: Floats, difference: Floats) -> Cells:
+    """Return the cells of two series of samples that are all there.
+
+    Parameters
+    ----------
+    outboard, difference : ndarray, shape (time, axis)
+        nT, finite. Samples on both sides of a gap count as neighbours: the cell then shows a larger change of
+        the ambient field.
+    """
+    both = np.concatenate([outboard, difference], axis=1)
+    parts, block = [], 1
+    while block <= max(len(both) // _LONGEST, 1) and len(both) >= 4 * block:
+        values, middle, share = contrasts(both, block)
+        parts.append(_cells(values, middle, block, share))
+        block *= 2
+    if not parts:
+        none = np.zeros(0, dtype=np.int64)
+        return Cells(np.zeros((0, 6, 6)), np.zeros(0), none, none)
+    return Cells(
+        np.concatenate([one.covariance for one in parts]),
+        np.concatenate([one.count for one in parts]),
+        np.concatenate([one.scale for one in parts]),
+        np.concatenate([one.row for one in parts]),
+    )
+
+
+def contrasts(series: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], float]:
+    """Return contrasts of a series (time, column) over blocks of samples.
+
+    Returns
+    -------
+    values : ndarray, shape (contrast, column)
+    middle : ndarray of int64, shape (contrast,)
+        First sample of the later block.
+    share : float
+        What one contrast is worth of one that does not overlap.
+    """
+    # Sums of many large numbers would lose the noise: the mean says nothing here.
+    sums = np.concatenate(
+        [np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)]
+    )
+    stride = max(block // 2, 1)
+    middle = np.arange(block, len(series) - block + 1, stride)
+    values = (sums[middle + block] - 2.0 * sums[middle] + sums[middle - block]) / np.sqrt(2.0 * block)
+    return values, middle.astype(np.int64), stride / (2.0 * block)
+
+
+def _cells(values: Floats, middle: npt.NDArray[np.int64], block: int, share: float) -> Cells:
+    first = np.arange(0, max(len(values) - _CELL // 2, 1), _CELL)
+    number = np.diff(np.append(first, len(values)))
+    products = values[:, :, None] * values[:, None, :]
+    covariance = np.add.reduceat(products, first, axis=0) / number[:, None, None]
+    rows = np.asarray(middle[first + number // 2], dtype=np.int64)
+    return Cells(covariance, share * number, np.full(first.size, block, dtype=np.int64), rows)
