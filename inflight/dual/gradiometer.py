@@ -13,7 +13,7 @@ itself. What of ``d`` is the sensors' noise is not taken over: `bands` weighs it
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -85,13 +85,23 @@ def fit_gradiometer(
     positions: Floats | None = None,
     leak_sigma: float = LEAK_SIGMA,
 ) -> Gradiometer:
-    """Fit a gradiometer to readings in which the spacecraft's field changes.
+    """Fit a gradiometer of one form; as `fit_forms`."""
+    return fit_forms(readings, (form,), positions, leak_sigma)[form]
+
+
+def fit_forms(
+    readings: Readings,
+    forms: Sequence[str] = FORMS,
+    positions: Floats | None = None,
+    leak_sigma: float = LEAK_SIGMA,
+) -> dict[str, Gradiometer]:
+    """Fit gradiometers to readings in which the spacecraft's field changes.
 
     Parameters
     ----------
     readings : Readings
-    form : str
-        One of `FORMS`.
+    forms : sequence of str
+        Of `FORMS`.
     positions : ndarray, shape (2, 3), optional
         Of the inboard and the outboard sensor from the middle of the body, m, spacecraft axes. Where given,
         the full matrix starts from what geometry says; ``dipole`` needs them.
@@ -106,10 +116,10 @@ def fit_gradiometer(
     CalibrationError
         With fewer than 256 good samples.
     """
-    if form not in FORMS:
-        raise SettingsError(f"form '{form}' of a gradiometer", remedy=f"choose one of {', '.join(FORMS)}")
+    if unknown := set(forms) - set(FORMS):
+        raise SettingsError(f"form '{min(unknown)}' of a gradiometer", remedy=f"choose from {', '.join(FORMS)}")
     places = None if positions is None else np.asarray(positions, dtype=np.float64)
-    if form == "dipole" and places is None:
+    if "dipole" in forms and places is None:
         raise SettingsError("a dipole has no place", remedy="give both sensors' positions")
     good = readings.good
     if good.sum() < _FEWEST:
@@ -124,11 +134,10 @@ def fit_gradiometer(
     prior = (np.zeros(9), WIDE**2 * np.eye(9)) if places is None else matrix_from_geometry(places)
     mixing = fit_mixing(cells, noise, share, prior, leak_sigma)
     told = moments(cells, mixing, noise)
-    basis = np.eye(9).reshape(9, 3, 3)
-    _, covariance = told.solve(basis, prior)
+    _, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
     covariance = covariance + told.of_leak(mixing.leak_covariance, prior)
     full = Gradiometer("matrix", mixing, covariance, mixing.matrix.ravel(), covariance, noise)
-    return full if form == "matrix" else as_form(full, told, form, places)
+    return {form: full if form == "matrix" else as_form(full, told, form, places) for form in forms}
 
 
 def as_form(full: Gradiometer, told: Moments, form: str, positions: Floats | None = None) -> Gradiometer:
