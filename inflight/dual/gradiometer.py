@@ -46,7 +46,7 @@ class Gradiometer:
     mixing : Mixing
         The matrix in this form, and the leak.
     covariance : ndarray, shape (9, 9)
-        Of the elements of the matrix, row by row.
+        Of the elements of the matrix, row by row: of the mean over units and of their scatter.
     value, value_covariance : ndarray, shape (parameter,), (parameter, parameter)
         The numbers of the form.
     noise : ndarray, shape (3, 3)
@@ -136,7 +136,8 @@ def fit_forms(
     told = moments(cells, mixing, noise)
     _, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
     covariance = covariance + told.of_leak(mixing.leak_covariance, prior)
-    full = Gradiometer("matrix", mixing, covariance, mixing.matrix.ravel(), covariance, noise)
+    scatter = told.scatter(mixing.matrix) * np.eye(9)
+    full = Gradiometer("matrix", mixing, covariance + scatter, mixing.matrix.ravel(), covariance, noise)
     return {form: full if form == "matrix" else as_form(full, told, form, places) for form in forms}
 
 
@@ -158,24 +159,25 @@ def as_form(full: Gradiometer, told: Moments, form: str, positions: Floats | Non
         # stray = k / (1 - k) d
         sigma = float(np.sqrt(covariance[0, 0])) / (1.0 + float(value[0])) ** 2
         facts = {"ratio": float(value[0] / (1.0 + value[0])), "sigma": sigma}
-    return _with_matrix(full, form, np.einsum("p,pij->ij", value, basis), basis, (value, covariance), facts)
+    return _with_matrix(full, told, form, np.einsum("p,pij->ij", value, basis), (basis, value, covariance), facts)
 
 
 def _with_matrix(
     full: Gradiometer,
+    told: Moments,
     form: str,
     matrix: Floats,
-    basis: Floats,
-    fitted: tuple[Floats, Floats],
+    fitted: tuple[Floats, Floats, Floats],
     facts: dict[str, float | list[float]],
 ) -> Gradiometer:
+    basis, value, covariance = fitted
     flat = basis.reshape(len(basis), 9)
     return Gradiometer(
         form,
         replace(full.mixing, matrix=matrix),
-        np.asarray(flat.T @ fitted[1] @ flat),
-        fitted[0],
-        fitted[1],
+        flat.T @ covariance @ flat + told.scatter(matrix) * np.eye(9),
+        value,
+        covariance,
         full.noise,
         facts,
     )
@@ -199,4 +201,4 @@ def _as_dipole(full: Gradiometer, told: Moments, positions: Floats) -> Gradiomet
     _, covariance = bent.solve(slope, (-place, np.eye(3) * spread**2))
     sigma = np.sqrt(np.diag(covariance))
     facts: dict[str, float | list[float]] = {"place_m": place.tolist(), "sigma_m": sigma.tolist()}
-    return _with_matrix(full, "dipole", matrix, slope, (place, covariance), facts)
+    return _with_matrix(full, told, "dipole", matrix, (slope, place, covariance), facts)

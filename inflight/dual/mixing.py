@@ -21,7 +21,7 @@ from inflight.dual.scales import Cells
 
 #: A cell whose difference is not this many times its noise (nor its outboard reading that many times)
 #: knows of no matrix.
-_LOUD_DIFFERENCE, _LOUD_OUTBOARD = 3.0, 10.0
+_LOUD_DIFFERENCE, _LOUD_OUTBOARD = 6.0, 10.0
 #: The leak is seen where the difference is less than this part of the outboard reading, in power.
 _RESTFUL = 0.05
 #: Standard deviation of an element of the matrix before anything is seen; a ratio k of 0.75 makes 3.
@@ -99,6 +99,21 @@ class Moments:
         middle = score.T @ score - np.outer(score.sum(axis=0), score.sum(axis=0)) / len(score)
         excess = float(np.trace(middle @ covariance)) / len(basis)
         return value, covariance * max(excess, 1.0)
+
+    def scatter(self, matrix: Floats) -> float:
+        """Return the variance of an element of the matrix between blocks of time, beyond chance.
+
+        Units of different places have different matrices; the one that switches now is not the mean of all.
+        """
+        extra = power = 0.0
+        for axis in range(3):
+            score = self.cross[:, axis] - self.square[:, axis] @ matrix[axis]
+            for one, square in zip(score, self.square[:, axis], strict=True):
+                value, vector = np.linalg.eigh(square)
+                seen = value > 1.0 / WIDE**2
+                extra += float(np.sum((vector.T @ one)[seen] ** 2 / value[seen])) - float(seen.sum())
+                power += float(value[seen].sum())
+        return max(extra, 0.0) / power if power > 0 else 0.0
 
     def of_leak(self, leak: Floats, prior: tuple[Floats, Floats]) -> Floats:
         """Return what the leak's covariance (9, 9) adds to that of the matrix's elements; (9, 9).

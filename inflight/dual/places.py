@@ -85,7 +85,7 @@ def fit_place(positions: Floats, square: Floats, cross: Floats) -> tuple[Floats,
     value, vector = np.linalg.eigh(square)
     roots = vector * np.sqrt(np.clip(value, 0.0, None))[:, None, :]
     # |L^T m - L^+ x|^2 is the weighted sum of squares of a row m of the matrix, but for a constant.
-    keep = np.sqrt(np.clip(value, 1e-9 * value.max(), None))
+    keep = np.sqrt(np.clip(value, max(1e-9 * float(value.max()), 1e-12), None))
     wanted = np.einsum("kij,ki->kj", vector, cross) / keep
     spread = BODY * float(np.linalg.norm(positions[0]))
 
