@@ -94,9 +94,23 @@ def _error(gradiometer: Gradiometer, kept: Floats, variance: Floats, outboard: F
     """
     matrix = gradiometer.matrix
     noise = matrix @ gradiometer.noise @ matrix.T
-    of_matrix = gradiometer.covariance.reshape(3, 3, 3, 3)
-    total = variance[:, None, None] * noise + np.einsum("ti,kilj,tj->tkl", kept, of_matrix, kept, optimize=True)
-    ambient = outboard - np.median(outboard, axis=0)
-    of_leak = gradiometer.mixing.leak_covariance.reshape(3, 3, 3, 3)
-    of_leak = np.einsum("ka,aibj,lb->kilj", matrix, of_leak, matrix)
-    return np.asarray(total + np.einsum("ti,kilj,tj->tkl", ambient, of_leak, ambient, optimize=True))
+    total = variance[:, None, None] * noise + quadratic(gradiometer.covariance, kept)
+    return np.asarray(total + quadratic(gradiometer.leak_effect, outboard - np.median(outboard, axis=0)))
+
+
+def quadratic(covariance: Floats, vectors: Floats) -> Floats:
+    """Return the covariance of a matrix times vectors, from that of its elements.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (9, 9)
+        Of the elements, row by row.
+    vectors : ndarray, shape (time, 3)
+
+    Returns
+    -------
+    ndarray, shape (time, 3, 3)
+    """
+    by_element = covariance.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
+    products = (vectors[:, :, None] * vectors[:, None, :]).reshape(-1, 9)
+    return np.asarray(products @ by_element.T).reshape(-1, 3, 3)

@@ -73,6 +73,12 @@ class Gradiometer:
         """Share of the ambient field in the difference; (3, 3)."""
         return self.mixing.leak
 
+    @property
+    def leak_effect(self) -> Floats:
+        """Covariance of the elements of matrix times leak, row by row; (9, 9)."""
+        wide = np.kron(self.matrix, np.eye(3))
+        return np.asarray(wide @ self.mixing.leak_covariance @ wide.T)
+
     def stray(self, readings: Readings) -> Floats:
         """Return the difference without what it holds of the ambient field; (time, axis), nT."""
         both = np.concatenate([readings.outboard, readings.difference], axis=1)

@@ -1,0 +1,99 @@
+"""What a correction does to the outboard reading, with the truth known."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.dual.candidates import every_candidate
+from inflight.dual.correction import Correction
+from inflight.dual.harm import Judgement, judge
+
+from .scenarios import Case, make_case
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of one case, nT a component, over the samples that both sensors have.
+
+    `raw`, `corrected`: without their constants; `raw_rms`, `corrected_rms`: with them. `pull`: rms error of the
+    correction over its sigma, without the constant.
+
+    """
+
+    seed: int
+    family: str
+    ambient: str
+    exceeds: bool
+    chosen: str
+    raw: float
+    corrected: float
+    raw_rms: float
+    corrected_rms: float
+    pull: float
+    seconds: float
+    reason: str
+
+    @property
+    def ratio(self) -> float:
+        return self.corrected / self.raw
+
+    @property
+    def ratio_rms(self) -> float:
+        return self.corrected_rms / self.raw_rms
+
+    @property
+    def applied(self) -> bool:
+        return self.chosen != "none"
+
+
+def score_seed(seed: int, known_positions: bool = True) -> Score:
+    """Make a case, correct it, and tell what became of it."""
+    case = make_case(seed)
+    started = time.perf_counter()
+    judgement = corrected(case, known_positions)
+    return score(case, judgement, time.perf_counter() - started)
+
+
+def corrected(case: Case, known_positions: bool = True) -> Judgement:
+    """Return the judgement on all candidates; the truth is not given."""
+    positions = case.positions if known_positions else None
+    return judge(case.readings, partial(every_candidate, positions=positions))
+
+
+def score(case: Case, judgement: Judgement, seconds: float = 0.0) -> Score:
+    good = case.readings.good
+    found = judgement.correction
+    before = (case.readings.outboard - case.ambient)[good]
+    after = (found.corrected(case.readings.outboard) - case.ambient)[good]
+    return Score(
+        case.seed,
+        case.family,
+        case.ambient_kind,
+        case.exceeds,
+        judgement.chosen,
+        changes(before),
+        changes(after),
+        float(np.sqrt(np.mean(before**2))),
+        float(np.sqrt(np.mean(after**2))),
+        pull(case, found),
+        seconds,
+        found.reason,
+    )
+
+
+def changes(values: Floats) -> float:
+    """Return the size of what changes, a component."""
+    return float(np.sqrt(np.mean(np.var(values, axis=0))))
+
+
+def pull(case: Case, found: Correction) -> float:
+    known = found.known & case.readings.good
+    if not found.applied or not known.any():
+        return float("nan")
+    error = (found.field - case.stray)[known]
+    return float(np.sqrt(np.mean(((error - error.mean(axis=0)) / found.sigma[known]) ** 2)))
