@@ -23,7 +23,7 @@ from inflight.dual.mixing import WIDE, Mixing, Moments, fit_mixing, moments, out
 from inflight.dual.places import BODY, dipole_matrix, fit_place, matrix_from_geometry
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
-from inflight.dual.scales import cells_of
+from inflight.dual.scales import cells_of, quietest
 from inflight.errors import CalibrationError, SettingsError
 
 #: Forms of the matrix, from the fewest numbers to the most.
@@ -133,8 +133,8 @@ def fit_forms(
             f"{good.sum()} samples with both sensors found, at least {_FEWEST} needed",
             remedy="take a longer span",
         )
-    noise = readings.noise
     every = cells_of(readings.outboard[good], readings.difference[good])
+    noise = quietest(every, readings.noise)
     share = outboard_share(every, noise)
     cells = usable_cells(every, noise, share)
     prior = (np.zeros(9), WIDE**2 * np.eye(9)) if places is None else matrix_from_geometry(places)

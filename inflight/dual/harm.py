@@ -22,8 +22,8 @@ from inflight.dual.scales import Cells, cells_of
 
 #: Parts that the record is held out in, one after the other.
 FOLDS = 4
-#: How many standard deviations the slope must be above one half.
-SURE = 3.0
+#: How many standard deviations the slope must be above zero, and above one half.
+SURE, SURE_OF_GAIN = 3.0, 1.64
 #: Slopes on single scales differ by so much from the common one: noise and drift of sensors, and no dipole.
 _SCATTER = 0.3
 #: Contrasts that a cell's variance has beside its own.
@@ -65,7 +65,7 @@ class Evidence:
     @property
     def helps(self) -> bool:
         """Whether the correction lowers the error beyond doubt."""
-        low = self.slope - SURE * self.sigma > 0.5
+        low = self.slope > max(SURE * self.sigma, 0.5 + SURE_OF_GAIN * self.sigma)
         high = self.slope - SURE * self.sigma < _STEEPEST
         return low and high and self.benefit > 0.0
 
@@ -77,7 +77,7 @@ class Evidence:
             return f"helps: {seen}"
         if self.slope - SURE * self.sigma >= _STEEPEST:
             return f"left alone, it holds ambient field: {seen}"
-        if self.slope + SURE * self.sigma < 0.5:
+        if self.slope + SURE_OF_GAIN * self.sigma < 0.5:
             return f"left alone, it would do harm: {seen}"
         return f"left alone, these readings do not tell whether it helps: {seen}"
 
@@ -160,8 +160,9 @@ def _cells_with(
     cells, block = [], []
     for number, (rows, correction) in enumerate(parts):
         both = readings.outboard[rows], correction.field
-        known = np.isfinite(both[0]).all(axis=1) & correction.known
-        here = cells_of(both[0][known], both[1][known])
+        # Where nothing is known nothing is taken off.
+        known = readings.good[rows]
+        here = cells_of(both[0][known], np.nan_to_num(both[1][known], nan=0.0))
         cells.append(here)
         block.append(number * blocks + here.row * blocks // max(int(known.sum()), 1))
     return (

@@ -19,6 +19,8 @@ from inflight.arrays import Floats
 _LONGEST = 16
 #: Contrasts of one cell.
 _CELL = 31
+#: Cells of a scale that tell the noise.
+_FEWEST_CELLS = 12
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,28 @@ def cells_of(outboard: Floats, difference: Floats) -> Cells:
         np.concatenate([one.scale for one in parts]),
         np.concatenate([one.row for one in parts]),
     )
+
+
+def quietest(cells: Cells, noise: Floats) -> Floats:
+    """Return the covariance of white noise of the difference: no scale has less.
+
+    Parameters
+    ----------
+    cells : Cells
+    noise : ndarray, shape (axis, axis)
+        From the shortest times, nT^2. A tone at a high frequency raises it; on other scales it is not seen.
+    """
+    best = noise
+    for scale in np.unique(cells.scale):
+        own = cells.covariance[cells.scale == scale, 3:, 3:]
+        size = np.einsum("cii->c", own)
+        if size.size >= _FEWEST_CELLS:
+            # The cells around the median, in all elements at once.
+            usual = np.abs(np.argsort(np.argsort(size)) - size.size // 2) <= size.size // 8
+            found = own[usual].mean(axis=0)
+            if np.trace(found) < np.trace(best):
+                best = found
+    return np.asarray(best)
 
 
 def contrasts(series: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], float]:
