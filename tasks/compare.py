@@ -22,11 +22,13 @@ from inflight.mission import Mission
 from inflight.resolving import resolve_lines
 from inflight.spectrum import Power, add_power, finest, slow_power, stretch_power
 from inflight.statistics import NoiseFloor, Size, joined, joined_floor, noise_floor, size_of
+from inflight.tasks.compare_dual import DualCompareReport, compare_dual
 from inflight.tasks.compare_page import CompareReport, Drawn, Spectra, write_page
 from inflight.tasks.compare_rows import Sources, Spans, rows_of_day, scalar_channels
 from inflight.tasks.models import current_model
 from inflight.tasks.planning import equations_of, product_of
 from inflight.tasks.report import Progress
+from inflight.tasks.states_units import is_told_by_states
 from inflight.tasks.tables import load_equations, span_solution
 from inflight.time import DAY, SECOND, DayLike, day_bounds, usual_step
 from inflight.wander import daily_wander
@@ -64,7 +66,7 @@ def compare(
     comparison: str = "main",
     output: Path | None = None,
     progress: Progress | None = None,
-) -> CompareReport:
+) -> CompareReport | DualCompareReport:
     """Measure the residual of published products before and after calibration, and draw it.
 
     Parameters
@@ -78,6 +80,10 @@ def compare(
     ------
     CatalogError
         When no product of the comparison is published in the span.
+
+    Notes
+    -----
+    Two sensors on one boom without a scalar one have another measure: see `compare_dual`.
     """
     report, drawn = measured(cat, mission, start, end, comparison, progress)
     if output is not None:
@@ -95,6 +101,9 @@ def measured(
 ) -> tuple[CompareReport, Drawn]:
     """Measure as `compare` does; return with the report the aggregates that its figures are drawn from."""
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
+    if is_told_by_states(mission, comparison):
+        told = progress or (lambda stage, done, total: None)
+        return compare_dual(cat, mission, start, end, comparison, output, told)
     if mission.comparisons[comparison].kind == "spin":
         raise SettingsError(
             f"'{comparison}' holds a turning sensor against itself: products have no residual a sample",
