@@ -18,6 +18,7 @@ from inflight.dual.residual_steps import (
     Switchings,
     by_state,
     quiet_steps,
+    quietest_width,
     regressed,
     rms,
     steps_across,
@@ -80,7 +81,6 @@ class DualDayRows:
     after: Floats
     quiet: Floats
     difference: Floats
-    quiet_difference: Floats
     signs: Floats
     changes: Mapping[str, Floats]
     stretches: Stretches
@@ -188,6 +188,7 @@ def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: 
     )
     difference = np.asarray(product["inboard"].values, dtype=np.float64) - outboard
     at = switchings(state, stamps, usual_step(stamps, SECOND))
+    width = quietest_width(field, at)
     thinned = slice(None, None, thin)
     return DualDayRows(
         day,
@@ -195,11 +196,10 @@ def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: 
         str(product.attrs["applied"]),
         str(product.attrs["reason"]),
         at,
-        steps_across(outboard, at),
-        steps_across(field, at),
-        quiet_steps(field, at),
-        steps_across(difference, at),
-        quiet_steps(difference, at),
+        steps_across(outboard, at, width),
+        steps_across(field, at, width),
+        quiet_steps(field, at, width),
+        steps_across(difference, at, width),
         unit_signs(table, at),
         channel_changes(cat, mission, day.day, stamps[at.last], stamps[at.first]),
         stretches_of(state, product["probability"].values, difference, stamps),

@@ -228,7 +228,7 @@ def verdicts(tables: Mapping[np.datetime64, tuple[int, str, xr.Dataset]]) -> lis
                 "units": int(table.sizes.get("unit", 0)),
                 "method": str(table.attrs.get("method", "")),
                 "applied": str(table.attrs.get("applied", "")),
-                "reason": str(table.attrs.get("reason", "")),
+                "verdict": str(table.attrs.get("verdict", "")),
             },
         )
         told["end"] = str(day + ONE_DAY)

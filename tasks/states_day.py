@@ -9,7 +9,7 @@ import xarray as xr
 
 from inflight.catalog import Catalog
 from inflight.dual.product import dual_level2, readings_of
-from inflight.dual.residual_steps import quiet_steps, rms, steps_across, switchings
+from inflight.dual.residual_steps import quiet_steps, quietest_width, rms, steps_across, switchings
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
@@ -53,12 +53,13 @@ def report_of(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
     state = np.asarray(product["state"].values, dtype=np.int64)
     at = switchings(state, stamps, step)
     field = np.asarray(product["field_spacecraft"].values)
+    width = quietest_width(field, at)
     begin, end = day_bounds(day)
     good = (product["flag"].values & ~np.uint32(_HARMLESS)) == 0
     steps = {
-        "before_nT": rms(steps_across(np.asarray(product["outboard"].values), at)),
-        "after_nT": rms(steps_across(field, at)),
-        "floor_nT": rms(quiet_steps(field, at)),
+        "before_nT": rms(steps_across(np.asarray(product["outboard"].values), at, width)),
+        "after_nT": rms(steps_across(field, at, width)),
+        "floor_nT": rms(quiet_steps(field, at, width)),
     }
     return {
         "coverage": float(good.sum() * step / (end - begin)),

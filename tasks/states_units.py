@@ -150,7 +150,7 @@ def _told(one: NamedUnit, table: xr.Dataset) -> dict[str, Any]:
         "sentence": sentence(one),
     }
     if one.unit < table.sizes.get("unit", 0):
-        for name, variable in (("difference_nT", "unit_difference"), ("outboard_nT", "unit_outboard")):
+        for name, variable in (("difference_nT", "unit"), ("outboard_nT", "unit_correction")):
             if variable in table:
                 fields[name] = table[variable].values[one.unit].tolist()
     return fields

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog
-from inflight.dual.correction import Correction, no_correction
-from inflight.dual.harm import Corrector, Judgement, judge
+from inflight.dual.bands import gradiometer_correction
+from inflight.dual.combined import combined_correction
+from inflight.dual.correction import Correction
+from inflight.dual.gradiometer import Gradiometer, fit_gradiometer
+from inflight.dual.gradiometer_table import (
+    correction_by_gradiometer,
+    gradiometer_of,
+    gradiometer_variables,
+    has_gradiometer,
+)
+from inflight.dual.harm import SURE, Corrector, Judgement, judge
 from inflight.dual.processing import process
 from inflight.dual.product import readings_of
 from inflight.dual.readings import Readings
+from inflight.dual.table import from_dataset, to_dataset
 from inflight.dual.training import Training, train
 from inflight.errors import InflightError, SamplesError
 from inflight.mission import Mission
@@ -24,7 +36,7 @@ from inflight.tasks.calibrate import Failure, failure_of
 from inflight.tasks.channel_series import kept_readings
 from inflight.tasks.needs import Need
 from inflight.tasks.samples import load_samples
-from inflight.time import SECOND, Int64
+from inflight.time import Int64
 
 #: Bumped by hand when the numbers of the tables change.
 STATES_VERSION = 1
@@ -45,26 +57,38 @@ def states_window(
     Returns
     -------
     Dataset
-        Of `Training.to_dataset`; variables `slope`, `slope_sigma`, `benefit` over `candidate` say what
-        held-out stretches tell of each correction. Attributes `method`, `applied` (yes or no), `reason`.
+        Of `inflight.dual.table.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`, `benefit`
+        over `candidate` say what held-out stretches tell of each correction. Attributes `method`,
+        `applied` (yes or no), `verdict`.
     """
     with threadpool_limits(1), kept_readings():
         try:
             readings = window_readings(cat, mission, model, days, needs, index)
             training = train(readings)
             found = judge(readings, candidates)
+            return table_of(readings, training, found)
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
-    return table_of(training, found)
 
 
 def candidates(readings: Readings) -> Mapping[str, Corrector]:
     """Return the corrections that readings offer, by name; those that cannot be learnt are left out."""
-    try:
+    found: dict[str, Corrector] = {}
+    with suppress(InflightError):
+        gradiometer = fit_gradiometer(readings)
+        found["gradiometer"] = partial(gradiometer_correction, gradiometer)
         training = train(readings)
-    except InflightError:
-        return {}
-    return {"states": lambda other: process(other, training)}
+        found["states"] = partial(_by_states, training)
+        found["combined"] = partial(_by_both, training, gradiometer)
+    return found
+
+
+def _by_states(training: Training, readings: Readings) -> Correction:
+    return process(readings, training)
+
+
+def _by_both(training: Training, gradiometer: Gradiometer, readings: Readings) -> Correction:
+    return combined_correction(readings, training, process(readings, training), gradiometer)
 
 
 def window_readings(
@@ -112,12 +136,16 @@ def thinned(readings: Readings, size: int) -> Readings:
     return Readings(middle[whole], fields[0][whole], fields[1][whole])
 
 
-def table_of(training: Training, found: Judgement) -> xr.Dataset:
+def table_of(readings: Readings, training: Training, found: Judgement) -> xr.Dataset:
     """Return the table of a training and of what was said of its correction."""
     evidence = list(found.evidence.values())
     one = ("candidate",)
+    table = to_dataset(training)
+    if readings.good.any():
+        gradiometer = gradiometer_variables(fit_gradiometer(readings), readings)
+        table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
     applied = found.chosen != "none"
-    return training.to_dataset().assign(
+    return table.assign(
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
@@ -125,16 +153,33 @@ def table_of(training: Training, found: Judgement) -> xr.Dataset:
     ).assign_attrs(
         method=found.chosen,
         applied="yes" if applied else "no",
-        reason=found.evidence[found.chosen].told if applied else found.correction.reason,
+        verdict=found.evidence[found.chosen].told if applied else found.correction.reason,
     )
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
-    """Return what a table takes off a day's readings; one that does not help is kept, and not applied."""
-    training = Training.from_dataset(table)
-    if not len(training):
-        return no_correction(len(readings), str(table.attrs["reason"]))
-    correction = process(readings, training)
-    if table.attrs["applied"] != "yes":
-        return correction.withheld(str(table.attrs["reason"]))
-    return correction
+    """Return what a table takes off a day's readings, by the method it chose.
+
+    One that does not help is kept, and not applied. In states that the table does not know a gradiometer
+    stands in when held-out stretches say that it helps by itself.
+    """
+    method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
+    if method == "gradiometer":
+        return replace(correction_by_gradiometer(table, readings), reason=verdict)
+    training = from_dataset(table)
+    if method == "combined":
+        return replace(_by_both(training, gradiometer_of(table), readings), reason=verdict)
+    fallback = correction_by_gradiometer(table, readings) if gradiometer_helps(table) else None
+    correction = process(readings, training, fallback=fallback)
+    if str(table.attrs["applied"]) != "yes":
+        return correction.withheld(verdict)
+    return replace(correction, reason=verdict)
+
+
+def gradiometer_helps(table: xr.Dataset) -> bool:
+    """Return True when held-out stretches say beyond doubt that a table's gradiometer helps."""
+    names = table["candidate"].values.tolist()
+    if "gradiometer" not in names or not has_gradiometer(table):
+        return False
+    row = table.isel(candidate=names.index("gradiometer"))
+    return bool(row["slope"] - SURE * row["slope_sigma"] > 0.5 and row["benefit"] > 0.0)

@@ -1,7 +1,8 @@
-"""A boom with two sensors from its deliveries to tables, products, a comparison and the names of its units."""
+"""A boom with two sensors: from its deliveries to tables, products, a comparison and its units' names."""
 
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,11 +19,17 @@ from inflight.tasks.reprocess import ReprocessSettings, reprocess
 from inflight.tasks.simulate_dual import simulate_dual, truth_path
 from inflight.tasks.states_units import named_units
 
-SETTINGS = DualSettings(days=2, seed=31, defects=("gaps",))
+MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
+#: Every four seconds, to be quick.
+COARSE = {"cadence": 4.0}
+SETTINGS = DualSettings(days=2, seed=31, defects=("gaps",), overrides=COARSE)
 
 
 def workspace(folder, settings):
-    made = Workspace.create(folder, "venus-express")
+    source = folder.parent / f"{folder.name}.yaml"
+    text = MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", "cadence: 4 s")
+    source.write_text(text, encoding="utf-8")
+    made = Workspace.create(folder, source)
     simulate_dual(settings, made.data, workers=1)
     cat, mission = Catalog(folder), made.mission()
     assert ingest(cat, mission, made.data).days["failed"] == 0
@@ -153,7 +160,7 @@ def test_a_table_that_two_sensors_have_not_is_refused(boom):
 
 
 def test_windows_of_a_day_learn_by_themselves(tmp_path):
-    cat, mission, _ = workspace(tmp_path / "w", DualSettings(days=2, seed=33))
+    cat, mission, _ = workspace(tmp_path / "w", DualSettings(days=2, seed=33, overrides=COARSE))
     report = reprocess(cat, mission, settings=ReprocessSettings(table="daily"))
     assert len(report.extra["windows"]) == 2
     tables = [cat.table("main-states", day) for day in ("2006-05-14", "2006-05-15")]
@@ -162,7 +169,9 @@ def test_windows_of_a_day_learn_by_themselves(tmp_path):
 
 def test_a_spacecraft_that_switches_nothing_is_left_alone(tmp_path):
     silent = ("transmitter", "spectrometer", "camera", "survival_heater")
-    cat, mission, _ = workspace(tmp_path / "w", DualSettings(days=1, seed=35, without=silent))
+    cat, mission, _ = workspace(
+        tmp_path / "w", DualSettings(days=1, seed=35, without=silent, overrides=COARSE)
+    )
     report = reprocess(cat, mission)
     assert report.exit_code == 0
     (window,) = report.extra["windows"]
