@@ -241,6 +241,8 @@ def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
     warms up, and the next time the level is another.
     """
     seconds = float(segments.end[one] - segments.start[one]) / SECOND
+    if not seconds > 0:
+        return np.zeros((3, 3))
     whole = segments.finish.mean[one] - segments.begin.mean[one]
     noise = 2.0 * np.diag(segments.covariance[one])
     if not segments.seconds[one] > 0:
