@@ -85,6 +85,8 @@ def compare(
     -----
     Two sensors on one boom without a scalar one have another measure: see `compare_dual`.
     """
+    if is_told_by_states(mission, comparison):
+        return compare_dual(cat, mission, start, end, comparison, output, progress)
     report, drawn = measured(cat, mission, start, end, comparison, progress)
     if output is not None:
         write_page(report, output, mission, drawn)
@@ -102,8 +104,10 @@ def measured(
     """Measure as `compare` does; return with the report the aggregates that its figures are drawn from."""
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     if is_told_by_states(mission, comparison):
-        told = progress or (lambda stage, done, total: None)
-        return compare_dual(cat, mission, start, end, comparison, output, told)
+        raise SettingsError(
+            f"'{comparison}' holds two sensors of one boom against each other: its measure is another",
+            remedy="see 'inflight compare', which tells the steps where the spacecraft switches",
+        )
     if mission.comparisons[comparison].kind == "spin":
         raise SettingsError(
             f"'{comparison}' holds a turning sensor against itself: products have no residual a sample",

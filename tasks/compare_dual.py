@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
@@ -147,7 +148,7 @@ def compare_dual(
     end: DayLike | None,
     comparison: str,
     output: Path | None,
-    progress: Progress,
+    progress: Progress | None,
 ) -> DualCompareReport:
     """Measure what is left at the switchings of published products; parameters as `compare`.
 
@@ -163,12 +164,12 @@ def compare_dual(
             f"'{product_of(comparison)}' has no published days in the span",
             remedy="run 'inflight reprocess' first",
         )
-    rows = []
+    rows, tell = [], progress or (lambda stage, done, total: None)
     for done, day in enumerate(days):
-        progress("compare", done, len(days))
+        tell("compare", done, len(days))
         table = cat.table(f"{comparison}-states", str(day.day))
         rows.append(day_rows(cat, mission, day, table, thin=max(1, 86_400 * len(days) // _POINTS)))
-    progress("compare", len(days), len(days))
+    tell("compare", len(days), len(days))
     report = DualCompareReport(comparison, days[-1].context or "", rows, [], table)
     report.fails_where = sorted(
         fails_where(report, mission), key=lambda one: -float(np.abs(one[0].value / one[0].sigma).max())
@@ -214,7 +215,7 @@ def stretches_of(state: Int64, probability: Floats, difference: Floats, stamps: 
     edges = np.flatnonzero(np.diff(state)) + 1
     first = np.concatenate([[0], edges]).astype(np.int64)
     last = np.concatenate([edges, [state.size]]).astype(np.int64)
-    good = np.isfinite(difference).all(axis=1)
+    good: npt.NDArray[np.bool_] = np.asarray(np.isfinite(difference).all(axis=1))
     counts = np.maximum(np.add.reduceat(good.astype(np.float64), first), 1.0)
     mean = np.add.reduceat(np.where(good[:, None], difference, 0.0), first, axis=0) / counts[:, None]
     sure = np.asarray(probability, dtype=np.float64)[first]

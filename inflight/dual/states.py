@@ -29,7 +29,7 @@ Labels = npt.NDArray[np.int64]
 _FALSE_STATES = 1e-3
 #: Scatters of the states' points that are tried, in standard deviations of one sample.
 _SCATTERS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
-#: Drifts over the whole record that are tried beside what segments show, in the same: slower than any of them.
+#: Drifts over the whole record that are tried beside what segments show, in the same unit.
 _WANDERS = (1.0, 3.0, 10.0, 30.0)
 #: Median of a squared Gaussian of variance one.
 _MEDIAN_SQUARE = 0.4549
