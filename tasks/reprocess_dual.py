@@ -82,6 +82,15 @@ class Pair:
         return cls(*names)
 
 
+def is_calibrated_apart(mission: Mission, comparison: str) -> bool:
+    """Return True when scalar comparisons calibrate both sensors of a dual comparison."""
+    try:
+        Pair.of(mission, comparison)
+    except MissionError:
+        return False
+    return True
+
+
 def dual_comparisons(mission: Mission) -> list[str]:
     """Return the names of a mission's comparisons of two vector sensors."""
     return [name for name, entry in mission.comparisons.items() if entry.kind == "dual"]
@@ -126,7 +135,7 @@ def reprocess_dual(
         batches = [todo[at : at + settings.batch_days] for at in range(0, len(todo), settings.batch_days)]
         arguments = [(cat, sources, _job(run, dataset, batch, keys, sources)) for batch in batches]
         for outcome in mapper("calibrate", dual_batch, arguments):
-            fresh |= _taken(run, dataset, outcome, failed)
+            fresh |= {day.day: day for day in take_outcome(run, dataset, outcome, failed)}
         made = known | fresh
         left_out = _keep_tables(cat, run, settings.comparison, [made[day] for day in sorted(made)])
         run.publish(certify=left_out.pop("certify"), supersede=True)
@@ -216,9 +225,10 @@ def _filled(values: Floats) -> Floats:
     return np.concatenate([values, np.zeros((MOST_CLUSTERS - len(values), *values.shape[1:]))])
 
 
-def _taken(
+def take_outcome(
     run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
-) -> dict[np.datetime64, Day]:
+) -> list[Day]:
+    """Register an outcome with the run; put failures among those known."""
     for day, failure in outcome.failures.items():
         run.record(dataset, day, "failed", failure.cause, failure.message)
         failed[day] = {
@@ -228,8 +238,7 @@ def _taken(
             "remedy": failure.remedy,
             "message": failure.message,
         }
-    staged = run.attach(outcome.segment) if outcome.segment is not None else []
-    return {day.day: day for day in staged}
+    return run.attach(outcome.segment) if outcome.segment is not None else []
 
 
 def _keep_tables(cat: Catalog, run: Run, comparison: str, days: Sequence[Day]) -> dict[str, Any]:
