@@ -14,7 +14,7 @@ import numpy as np
 
 from inflight.flags import Flag
 from inflight.mission import Mission
-from inflight.time import Int64, as_day, day_bounds, day_of
+from inflight.time import Int64, as_day, day_bounds, utc_text
 
 _KINDS = ("flip", "flip_back")
 _DAY = np.timedelta64(1, "D")
@@ -43,7 +43,7 @@ def position_edges(mission: Mission) -> list[np.datetime64]:
     """Return the first days of each position after the first one."""
     edges = []
     for at, _ in flips_of(mission):
-        day = as_day(day_of(at).astype("datetime64[D]"))
+        day = as_day(utc_text(at)[:10])
         edges.append(day if kept_span(mission, day)[0] >= at else day + _DAY)
     return sorted(set(edges))
 
