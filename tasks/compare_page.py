@@ -67,11 +67,11 @@ class Told(Protocol):
         """Return the fields of the command line's JSON."""
 
 
-Report = TypeVar("Report", bound=Told, covariant=True)
+Report_co = TypeVar("Report_co", bound=Told, covariant=True)
 
 
 @dataclass(frozen=True)
-class Compared(Generic[Report]):
+class Compared(Generic[Report_co]):
     """A comparison measured: its numbers, and its figures, drawn when asked for.
 
     Attributes
@@ -83,7 +83,7 @@ class Compared(Generic[Report]):
         Returns everything that is shown, as the page and the explorer have it.
     """
 
-    report: Report
+    report: Report_co
     title: str
     sections: Callable[[], list[Section]]
 

@@ -169,10 +169,10 @@ def solve_chain(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64,
     )
 
 
-def _solver(made: Plan) -> Callable[..., SolvedTables]:
+def _solver(made: Plan, mission: Mission) -> Callable[..., SolvedTables]:
     """Return what makes the tables of a plan."""
     if made.is_spin:
-        return solve_spin
+        return partial(solve_spin, mission=mission)
     return solve_chain if made.settings.is_chain else solve
 
 
@@ -271,7 +271,7 @@ def reprocess(
         days = _equations(cat, mission, made, run, spread, book)
         if not days:
             return _report(cat, made, run, book, [], {"residual": {}})
-        tables = _solver(made)(cat, made, run, days)
+        tables = _solver(made, mission)(cat, made, run, days)
         same = produce(cat, mission, made, run, tables, spread, book)
         if made.settings.is_chain:
             _keep_offsets(cat, made, run, days, tables, book.reports)
@@ -282,6 +282,8 @@ def reprocess(
             "model": {"name": tables.model.name, "version": tables.model.version},
             "left_out": tables.notes,
         }
+    elif tables.notes:
+        extra["left_out"] = tables.notes
     return _report(cat, made, run, book, same, extra)
 
 
