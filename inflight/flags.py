@@ -40,7 +40,8 @@ class Flag(IntFlag):
     NO_PHASE = 1 << 10
     #: The phase of the spin was carried over missing sun pulses.
     PHASE_BRIDGED = 1 << 11
-    #: The sample lies where the phase of the spin jumps.
+    #: The sample lies where the phase of the spin jumps (then NO_PHASE, too), or a jump before or after
+    #: it has shifted its phase or leaves it in doubt.
     PHASE_JUMP = 1 << 12
     #: The spacecraft is in a state that no training has seen: its stray field is not known from states.
     UNKNOWN_STATE = 1 << 13
@@ -48,11 +49,13 @@ class Flag(IntFlag):
     AMBIGUOUS_STATE = 1 << 14
     #: The sample lies in a passing disturbance or in the transition between two states.
     TRANSIENT = 1 << 15
+    #: The reading of a turning sensor stands at an end of the range the mission YAML states.
+    SATURATED = 1 << 16
 
 
 #: Flags that take a sample out of every fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-UNUSABLE |= Flag.INSTRUMENT_FLAG
+UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.SATURATED
 
 
 def meanings() -> tuple[list[int], str]:

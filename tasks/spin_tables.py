@@ -86,7 +86,8 @@ def _row(
     prior = np.array([sigma[name] for name in SPIN_RELATED])
     value, covariance, excess = _combined(days, ground.spin_related(), prior)
     known = np.sqrt(np.diag(covariance))
-    told = np.where(known < _BETTER * prior, known, np.inf)
+    free = [entry.parameters[name.partition("[")[0]].free for name in SPIN_RELATED]
+    told = np.where((known < _BETTER * prior) & free, known, np.inf)
     parameters = ground.changed(dict(zip(SPIN_RELATED, value.tolist(), strict=True)))
     others = _axial(zero, start, end)
     twelve = join_twelve((value, told, parameters), ground, sigma, others)
@@ -101,6 +102,8 @@ def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple
     parts = []
     for day in days:
         own = np.linalg.inv(day["covariance"].values[0])
+        if not np.isfinite(day["sigma"].values[0]).any():
+            continue  # it tells nothing
         weight, vectors = np.linalg.eigh(own - before)
         told = (vectors * np.maximum(weight, 0.0)) @ vectors.T
         # The day's own value holds the prior, too: what it adds is what is beyond.
@@ -110,8 +113,8 @@ def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple
     covariance = np.linalg.inv(information)
     value = covariance @ right
     square = sum(float((one - value) @ told @ (one - value)) for told, one in parts)
-    free = start.size * (len(days) - 1)
-    excess = max(1.0, square / free) if free else 1.0
+    free = start.size * (len(parts) - 1)
+    excess = max(1.0, square / free) if free > 0 else 1.0
     return value, np.asarray(covariance * excess), excess
 
 
