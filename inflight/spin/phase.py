@@ -230,11 +230,11 @@ def _from_marks(
         faults.append(Fault(found, "see what else the Sun sensor saw; the rest tells the phase without them"))
     held = _turns_between(marks, stamps)
     faults += _faults(counted, held, nominal, kind) + _jumps(marks, held)
-    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, certain, nominal, faults)
+    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, certain, nominal, kind, faults)
 
 
 def _turns_between(marks: Marks, stamps: Int64) -> Floats:
-    """Return how many turns the samples between neighbouring marks last; -1 where there are none; (mark - 1,).
+    """Return how many turns the samples between neighbouring marks last, -1 for none; (mark - 1,).
 
     Marks that are missing where nothing was measured are no fault.
     """
@@ -249,7 +249,13 @@ def _turns_between(marks: Marks, stamps: Int64) -> Floats:
 
 
 def _faults(marks: Marks, held: Floats, nominal: float | None, kind: str) -> list[Fault]:
-    """Say what the marks about the samples show that should not be; `held` turns of samples in each interval."""
+    """Say what the marks about the samples show that should not be.
+
+    Parameters
+    ----------
+    held : ndarray, shape (mark - 1,)
+        See `_turns_between`.
+    """
     faults = []
     usual = float(np.median(marks.period))
     if nominal is not None and abs(usual / nominal - 1.0) > _NOMINAL:
@@ -284,7 +290,13 @@ def _jumps(marks: Marks, held: Floats) -> list[Fault]:
 
 
 def _at_samples(
-    marks: Marks, stamps: Int64, offset: float, certain: float, nominal: float | None, faults: list[Fault]
+    marks: Marks,
+    stamps: Int64,
+    offset: float,
+    certain: float,
+    nominal: float | None,
+    kind: str,
+    faults: list[Fault],
 ) -> SpinPhase:
     """Carry the phase from the marks to the samples."""
     place = np.clip(np.searchsorted(marks.time, stamps, side="right") - 1, 0, marks.time.size - 2)
@@ -315,6 +327,10 @@ def _at_samples(
     bad = jump | (outside & (np.abs(since) > _CARRIED)) | (TURN * sigma > certain)
     flag[bad] &= ~np.uint32(Flag.PHASE_BRIDGED)
     flag[bad] |= np.uint32(Flag.NO_PHASE)
+    beyond = int(np.count_nonzero(bad & (stamps < marks.time[0]) | bad & (stamps > marks.time[-1])))
+    if beyond:
+        found = f"{beyond} samples lie beyond the first or last {kind}, which tell no phase there"
+        faults.append(Fault(found, f"deliver more {kind}s; {_UNKNOWN}"))
     phase = np.where(bad, np.nan, TURN * phase + offset)
     if not np.isfinite(phase).any() and stamps.size:
         found = f"no sample has a phase; marks scatter by {360 * marks.sigma:.2g} degrees"
