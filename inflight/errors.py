@@ -124,3 +124,7 @@ class SettingsError(InflightError, ValueError):
 
 class CalibrationError(InflightError, ArithmeticError):
     """A fit cannot be made from the data given."""
+
+
+class TooLittleError(CalibrationError):
+    """A record tells nothing of what is looked for, though nothing in it speaks against it."""

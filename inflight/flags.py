@@ -40,7 +40,8 @@ class Flag(IntFlag):
     NO_PHASE = 1 << 10
     #: The phase of the spin was carried over missing sun pulses.
     PHASE_BRIDGED = 1 << 11
-    #: The sample lies where the phase of the spin jumps.
+    #: The sample lies where the phase of the spin jumps (then NO_PHASE, too), or a jump before or after
+    #: it has shifted its phase or leaves it in doubt.
     PHASE_JUMP = 1 << 12
     #: The spacecraft is in a state that no training has seen: its stray field is not known from states.
     UNKNOWN_STATE = 1 << 13
@@ -50,11 +51,13 @@ class Flag(IntFlag):
     TRANSIENT = 1 << 15
     #: A flipper holds the sensors in the position that the day is not calibrated for.
     FLIPPED = 1 << 16
+    #: The reading of a turning sensor stands at an end of the range the mission YAML states.
+    SATURATED = 1 << 17
 
 
 #: Flags that take a sample out of every fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED
+UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED
 
 
 def meanings() -> tuple[list[int], str]:

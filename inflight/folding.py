@@ -25,7 +25,7 @@ from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 #: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.
 SECTORS, ORDER = 12, 4
 #: Bumped by hand when the numbers of folded samples change.
-FOLDING_VERSION = 1
+FOLDING_VERSION = 2
 #: Turns an interval should hold (Plaschke et al. 2019, section 5), and seconds intervals may last: such as
 #: divide a day, with whole seconds from phase to phase.
 TURNS = 100
@@ -205,7 +205,9 @@ class _Day:
         """Return the synthetic turns of the reading, (time, axis), and which native samples made them."""
         raw = np.asarray(samples["vector"].values, dtype=np.float64)
         bad = np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
-        good = self.known & np.isfinite(raw).all(axis=1) & ((samples["flag"].values & bad) == 0)
+        flag = np.asarray(samples["flag"].values)
+        good = self.known & np.isfinite(raw).all(axis=1) & ((flag & bad) == 0)
+        good &= ~self._spoilt(flag)
         wheel = np.exp(1j * np.where(self.known, self.phase, 0.0))
         # In payload axes the outside field hardly turns; along the axis it never did.
         payload = np.column_stack([(raw[:, 0] + 1j * raw[:, 1]) * wheel, raw[:, 2]])
@@ -233,6 +235,16 @@ class _Day:
         plane = turned[:, 0] * back
         self.noise = self._natural(steady, good)
         return np.column_stack([plane.real, plane.imag, turned[:, 1].real]), good
+
+    def _spoilt(self, flag: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+        """Return the samples of intervals in which the phase jumps or the sensor was saturated; (time,).
+
+        Turns on both sides of a jump are not of one phase, and those of a full sensor lack their tops.
+        """
+        hit = np.zeros(self.intervals, dtype=bool)
+        jump = np.uint32(Flag.PHASE_JUMP | Flag.NO_PHASE)
+        hit[self.interval[((flag & jump) == jump) | ((flag & np.uint32(Flag.SATURATED)) != 0)]] = True
+        return np.asarray(hit[self.interval])
 
     def _natural(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
         """Return what nature adds to the rows, nT rms, by the scatter from turn to turn; (interval,)."""

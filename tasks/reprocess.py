@@ -28,6 +28,7 @@ from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted
 from inflight.tasks.reprocess_dual import dual_comparisons, is_calibrated_apart, reprocess_dual
 from inflight.tasks.reprocess_states import reprocess_states
 from inflight.tasks.spin_batch import solve_spin, spin_batch
+from inflight.tasks.spinning import spin_problems
 from inflight.tasks.stand_ins import partial_problems
 from inflight.tasks.tables import (
     MOST_BEND,
@@ -385,9 +386,9 @@ def _report(
         }
         for day, message in made.no_work.items()
     ]
-    problems += partial_problems(
-        day for day in cat.days(made.product, states=("published",)) if day.day in made.keys
-    )
+    there = [day for day in cat.days(made.product, states=("published",)) if day.day in made.keys]
+    told = [day for day in cat.days(made.equations, states=("published",)) if day.day in made.keys]
+    problems += partial_problems(there) + spin_problems([*there, *told])
     return RunReport(
         "reprocess",
         run.id,

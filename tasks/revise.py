@@ -18,6 +18,7 @@ from inflight.catalog import Catalog
 from inflight.diagnosis.additions import Addition, Maker, held_at_nothing, values_of
 from inflight.diagnosis.carriers import carriers_of
 from inflight.diagnosis.changes import DRIFTS
+from inflight.diagnosis.columns import EQUATIONS
 from inflight.diagnosis.diagnosis import Diagnosis
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.library import Library, Term
@@ -27,7 +28,6 @@ from inflight.diagnosis.timed_additions import addition_of
 from inflight.diagnosis.verdict import conclude
 from inflight.diagnosis.wanted import best_lag, find_wanted, known_addition
 from inflight.effects.naming import did_you_mean
-from inflight.effects.vector_sensor import VectorSensor
 from inflight.errors import ModelError
 from inflight.mission import Mission
 from inflight.model import Model
@@ -107,7 +107,7 @@ class Workbench:
         added = [entry for entry in self.current.model.effects if entry.name not in root]
         self.additions: list[Addition] = [known_addition(self.maker, entry) for entry in added]
         for entry in self.root.model.effects:
-            if isinstance(entry.effect, VectorSensor) and entry.name in now:
+            if isinstance(entry.effect, EQUATIONS) and entry.name in now:
                 self.additions += self._freed(entry.name)
 
     def _freed(self, name: str) -> list[Addition]:
@@ -195,7 +195,7 @@ class Workbench:
                 f"model '{self.current.model.name}' has no effect {name!r}{did_you_mean(name, known)}",
                 remedy=f"it has {', '.join(known)}",
             )
-        if isinstance(self.current.model.effect(name).effect, VectorSensor):
+        if isinstance(self.current.model.effect(name).effect, EQUATIONS):
             raise ModelError(
                 f"'{name}' holds the parameters every calibration fits",
                 remedy="drop another, or hold its parameters by 'free: false' in the pre-flight model",

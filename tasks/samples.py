@@ -28,7 +28,7 @@ from inflight.tasks.needs import (
     geometry_channels,
     position_channel,
 )
-from inflight.tasks.spinning import spin_phase
+from inflight.tasks.spinning import saturated, spin_phase
 from inflight.time import day_bounds
 from inflight.units import parse_unit
 
@@ -87,9 +87,10 @@ def load_samples(
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
     if clock is not None:
         told = channel_series(cat, clock, day, index, alone=False)
-        samples[SPIN_PHASE] = spin_phase(
-            mission, model.comparison, clock, told, samples["tt2000"].values, str(day)
-        )
+        turned = spin_phase(mission, model.comparison, clock, told, samples["tt2000"].values)
+        samples[SPIN_PHASE] = turned.phase
+        channel = mission.instruments[base.instrument].channels[base.channel]
+        samples["flag"] = samples["flag"] | turned.flag | saturated(samples[base.name].values, channel)
         samples["flag"] = samples["flag"] | flip_flags(mission, day, samples["tt2000"].values)
     for need in needs:
         if need.name not in samples:

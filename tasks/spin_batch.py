@@ -15,7 +15,7 @@ from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.flips import cut_at_flips, flips_of
 from inflight.tasks.keeping import SolvedTables, TableKeeper
 from inflight.tasks.planning import ONE_DAY, Plan
-from inflight.tasks.spin_day import spin_day
+from inflight.tasks.spin_day import spin_day, together
 from inflight.tasks.spin_flipper import flipper_table
 from inflight.tasks.spin_tables import spin_table, zero_level_table
 from inflight.tasks.tables import month_edges, window_edges
@@ -23,7 +23,7 @@ from inflight.tasks.tables import month_edges, window_edges
 
 def spin_batch(cat: Catalog, mission: Mission, model: Model, job: Job) -> Outcome:
     """Make what each day of a batch tells, and write it as one segment."""
-    return make_days(cat, job, lambda day: spin_day(cat, mission, model, day, job))
+    return make_days(cat, job, lambda day: spin_day(cat, mission, model, day, job), together)
 
 
 def solve_spin(
@@ -33,7 +33,19 @@ def solve_spin(
 
     The offset along the spin axis takes many hours of wind: days and months have that of their calendar
     month, windows and the span those of the windows. No window holds two positions of a flipper.
+
+    Raises
+    ------
+    CalibrationError
+        When no day tells anything.
     """
+    if not any(day.report["used"] for day in days.values()):
+        earliest = days[min(days)]
+        raise CalibrationError(
+            f"no day of the span tells anything of the sensor; {earliest.day}: {earliest.report['phase']}; "
+            f"{earliest.report['told']}",
+            remedy="look at the sun pulses or the angle, the stated spin period and the flags of the field",
+        )
     settings, model = made.settings, made.model
     ordered = sorted(days)
     read = [cat.read(days[day]) for day in ordered]

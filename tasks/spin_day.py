@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.effects.spinning_sensor import SpinningSensor
-from inflight.errors import CalibrationError, ModelError
+from inflight.errors import CalibrationError, ModelError, TooLittleError
 from inflight.flags import UNUSABLE, Flag
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
@@ -20,17 +22,26 @@ from inflight.spin.estimates import estimate_pairs
 from inflight.spin.fit import spinning_entry
 from inflight.spin.joint import JointEstimate, joint_estimate
 from inflight.spin.layout import Exclusion, Layout, SubIntervals, lay_out
+from inflight.spin.period import PeriodCheck, check_period
 from inflight.spin.selection import UNKNOWN, spread_of
 from inflight.tasks.calibrate import Job
 from inflight.tasks.samples import load_samples
+from inflight.tasks.spinning import FAULTS
 from inflight.time import SECOND, Int64, day_bounds
 
 #: Averages over about so long, whole turns, are what zero levels are found of.
 MEAN_S = 30.0
-#: Sub-intervals share half; a day has two more than fit evenly, one at each end.
-_SPARE = 4
 #: A manoeuvre disturbs the spin for so long.
 _AFTER_MANOEUVRE = 3600 * SECOND
+#: Samples spoilt in one way are of one span when they are no further apart.
+_APART = 60 * SECOND
+#: How an empty row reads.
+_ESTIMATES, _MEANS = ("estimate", "uncertainty"), ("block", "mean_of", "axis")
+_TT2000 = {"scale": "TT2000"}
+_EMPTY = {
+    **dict.fromkeys((*_ESTIMATES, "mean"), np.nan),
+    **dict.fromkeys(("sub_start", "sub_end", "mean_time"), 0),
+}
 
 
 def spin_day(
@@ -46,10 +57,13 @@ def spin_day(
         `uncertainty` (block, sub, parameter) of each sub-interval, with `sub_start`, `sub_end`; `mean`
         (block, mean, axis) nT, payload axes, over whole turns, with `mean_time`; `start`, `end` TT2000.
 
+    A day whose field was measured, but of which nothing tells the phase, or too little is usable, tells
+    nothing: it gets its product with the parameters of the days around.
+
     Raises
     ------
     CalibrationError
-        When the day's field does not turn with the phase, or too little of it is usable.
+        When the day's field does not turn with the phase: the period or the pulses are wrong.
     """
     entry = require_spinning(model)
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)
@@ -57,22 +71,55 @@ def spin_day(
     present, known = ground_of(entry, (start + end) // 2)
     readings, good, _ = plain_readings(model, entry, samples)
     phase, stamps = np.asarray(samples["spin_phase"].values), np.asarray(samples["tt2000"].values)
-    layout = lay_out(readings, phase, stamps, good, SubIntervals(), exclusions_of(mission, start, end))
-    found = joint_estimate(readings, phase, stamps, layout, present, _free(entry, known))
-    period = mission.periods["spin"] / SECOND
-    dataset = _dataset(found, layout, (start, end), period)
-    means = _means(found.parameters.correct(readings), phase, stamps, good, period, (start, end))
+    excluded = [*exclusions_of(mission, start, end), *spoilt_spans(samples["flag"].values, stamps)]
+    told = samples["spin_phase"].attrs
+    report: dict[str, Any] = {"phase": str(told["told"]), "used": 0, "sub_intervals": 0}
+    try:
+        layout = lay_out(readings, phase, stamps, good, SubIntervals(), excluded)
+        found = joint_estimate(readings, phase, stamps, layout, present, _free(entry, known))
+    except TooLittleError as error:
+        lost = f"the day tells nothing of its sensor and has the table's parameters: {error.message}"
+        report |= {"coverage": 0.0, "told": error.message, FAULTS: [_fault(job, lost, error.remedy)]}
+        return _nothing(present, known, (start, end)), report
+    field = found.parameters.correct(readings)
+    means = _means(field, phase, stamps, good, told["period_s"], (start, end))
     usable = found.tones.usable
-    report = {
+    report |= {
         "coverage": float(good.sum() * np.median(np.diff(stamps)) / (end - start)),
         "used": int(usable.sum()),
         "sub_intervals": int(usable.size),
         "told": found.tones.told(),
-        "phase": str(samples["spin_phase"].attrs.get("told", "")),
         "excess": found.excess.tolist(),
         "settled": found.settled,
     }
-    return dataset.merge(means), report
+    rate = _rate(stamps, field, phase, good)
+    if rate is not None:
+        report["period"] = rate.told()
+        if not rate.agrees:
+            report[FAULTS] = [
+                _fault(job, rate.told(), "see the stated spin period and the clock of its marks")
+            ]
+    return _dataset(found, layout, (start, end)).merge(means), report
+
+
+def _fault(job: Job, message: str, remedy: str) -> dict[str, str]:
+    """Return what the run says of a day of the field's channel."""
+    base = next(need for need in job.needs if need.name == "vector")
+    return {"channel": f"{base.instrument}.{base.channel}", "message": message, "remedy": remedy}
+
+
+def _rate(stamps: Int64, field: Floats, phase: Floats, good: np.ndarray) -> PeriodCheck | None:
+    """Return the spin's period by field and phase where the phase is known longest; None for too little.
+
+    Across a gap turns may be miscounted, which harms no fit and would look like another rate.
+    """
+    known = np.flatnonzero(np.isfinite(phase))
+    pieces = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1)
+    run = max(pieces, key=len)
+    try:
+        return check_period(stamps[run], field[run], phase[run], good=good[run])
+    except CalibrationError:
+        return None
 
 
 def require_spinning(model: Model) -> ModelEffect:
@@ -138,11 +185,52 @@ def exclusions_of(mission: Mission, start: int, end: int) -> list[Exclusion]:
     ]
 
 
-def _dataset(found: JointEstimate, layout: Layout, span: tuple[int, int], period: float) -> xr.Dataset:
+def spoilt_spans(flag: npt.NDArray[np.uint32], stamps: Int64) -> list[Exclusion]:
+    """Return the spans in which the phase jumps, and those in which the sensor was full.
+
+    No sub-interval may hold one: the turns on both sides of a jump are not of one phase, and those of a full
+    sensor lack their tops.
+    """
+    found = []
+    jump = Flag.PHASE_JUMP | Flag.NO_PHASE
+    for bits, reason in ((jump, "phase jump"), (Flag.SATURATED, "saturated")):
+        at = np.flatnonzero((flag & np.uint32(bits)) == np.uint32(bits))
+        # Runs that lie nearer than blocks are long are one span: a full sensor is so once a turn.
+        parts = np.split(at, np.flatnonzero(np.diff(stamps[at]) > _APART) + 1) if at.size else []
+        found += [Exclusion(int(stamps[one[0]]), int(stamps[one[-1]]) + 1, reason) for one in parts]
+    return found
+
+
+def together(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+    """Return days with empty rows behind their sub-intervals and means: a store's days are of one size."""
+    most = {name: max(day.sizes[name] for day in days) for name in ("sub", "mean_of")}
+    return [
+        day.pad({name: (0, most[name] - day.sizes[name]) for name in most}, constant_values=_EMPTY)
+        for day in days
+    ]
+
+
+def _nothing(present: TwelveParameters, known: dict[str, float], span: tuple[int, int]) -> xr.Dataset:
+    """Return a day that tells nothing: the values known before, with covariances that add nothing."""
+    sigma = np.array([known[name] for name in SPIN_RELATED])
+    numbers, none = sigma.size, np.full((1, 0), 0, dtype=np.int64)
+    parts: dict[str, Any] = {
+        "value": (("block", "parameter"), present.spin_related()[None]),
+        "sigma": (("block", "parameter"), np.full((1, numbers), np.inf)),
+        "covariance": (("block", "parameter", "other"), np.diag(sigma**2)[None]),
+    }
+    rows: dict[str, Any] = {
+        name: (("block", "sub", "parameter"), np.zeros((1, 0, numbers))) for name in _ESTIMATES
+    }
+    rows |= {name: (("block", "sub"), none, dict(_TT2000)) for name in ("sub_start", "sub_end")}
+    rows |= {"mean": (_MEANS, np.zeros((1, 0, 3)), {"units": "nT", "frame": "payload"})}
+    return xr.Dataset(parts | rows | {"mean_time": (_MEANS[:2], none, dict(_TT2000))} | _span_of(span))
+
+
+def _dataset(found: JointEstimate, layout: Layout, span: tuple[int, int]) -> xr.Dataset:
     unknown = np.array([UNKNOWN[name] for name in SPIN_RELATED])
     spread = spread_of(np.where(np.isfinite(found.sigma), found.sigma, unknown))
     each = estimate_pairs(found.tones, spread)
-    most = int(86_401.0 / period / (layout.settings.spins / layout.settings.blocks)) + _SPARE
     one, sub = ("block", "parameter"), ("block", "sub", "parameter")
     covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
     return xr.Dataset(
@@ -150,22 +238,18 @@ def _dataset(found: JointEstimate, layout: Layout, span: tuple[int, int], period
             "value": (one, found.value[None]),
             "sigma": (one, found.sigma[None]),
             "covariance": (("block", "parameter", "other"), covariance[None]),
-            "estimate": (sub, _padded(each.value, most)[None]),
-            "uncertainty": (sub, _padded(each.uncertainty, most)[None]),
-            "sub_start": (("block", "sub"), _padded(each.start, most)[None]),
-            "sub_end": (("block", "sub"), _padded(each.end, most)[None]),
-            "start": ("block", np.array([span[0]], dtype=np.int64), {"scale": "TT2000"}),
-            "end": ("block", np.array([span[1]], dtype=np.int64), {"scale": "TT2000"}),
+            "estimate": (sub, each.value[None]),
+            "uncertainty": (sub, each.uncertainty[None]),
+            "sub_start": (("block", "sub"), each.start[None], dict(_TT2000)),
+            "sub_end": (("block", "sub"), each.end[None], dict(_TT2000)),
         }
+        | _span_of(span)
     )
 
 
-def _padded(values: np.ndarray, most: int) -> np.ndarray:
-    """Return rows with empty ones behind them: a store's days are of one size."""
-    empty = np.nan if values.dtype.kind == "f" else 0
-    out = np.full((most, *values.shape[1:]), empty, dtype=values.dtype)
-    out[: min(most, len(values))] = values[:most]
-    return out
+def _span_of(span: tuple[int, int]) -> dict[str, Any]:
+    both = zip(("start", "end"), span, strict=True)
+    return {name: ("block", np.array([one], dtype=np.int64), dict(_TT2000)) for name, one in both}
 
 
 def _means(
@@ -173,14 +257,11 @@ def _means(
 ) -> xr.Dataset:
     """Return means over whole turns in payload axes: (block, mean, axis) nT, and their times."""
     turns = max(1, round(MEAN_S / period))
-    most = int(86_401.0 / period / turns) + _SPARE
     known = good & np.isfinite(phase)
-    if not known.any():
-        raise CalibrationError("no sample of the day has a phase", remedy="look at the day's sun pulses")
     payload = despin(field, phase)
     group = np.floor(np.where(known, phase, 0.0) / (2.0 * np.pi * turns)).astype(np.int64)
-    group = np.where(known, group - group[known].min(), most)
-    group = np.clip(group, 0, most)
+    group -= group[known].min()
+    most = int(group[known].max()) + 1
     count = np.bincount(group[known], minlength=most + 1)[:most]
     usual = np.median(count[count > 0])
     whole = count > 0.9 * usual
@@ -192,7 +273,7 @@ def _means(
     at = np.where(whole, span[0] + np.rint(np.nan_to_num(middle) * SECOND), 0).astype(np.int64)
     return xr.Dataset(
         {
-            "mean": (("block", "mean_of", "axis"), mean[None], {"units": "nT", "frame": "payload"}),
-            "mean_time": (("block", "mean_of"), at[None], {"scale": "TT2000"}),
+            "mean": (_MEANS, mean[None], {"units": "nT", "frame": "payload"}),
+            "mean_time": (_MEANS[:2], at[None], dict(_TT2000)),
         }
     )

@@ -13,13 +13,14 @@ from inflight.errors import InflightError, ModelError
 from inflight.flags import Flag
 from inflight.folding import fold
 from inflight.mission import Mission
-from inflight.model import Model
+from inflight.model import Model, ModelEffect
 from inflight.spin.equation import NAMES, TwelveParameters
 from inflight.spin.product import spin_level2
 from inflight.tasks.calibrate import Job
 from inflight.tasks.samples import load_samples
 from inflight.tasks.spin_axis import attitude_of
 from inflight.tasks.spin_day import plain_readings, require_spinning
+from inflight.tasks.spinning import FAULTS, day_faults
 from inflight.time import day_bounds, to_utc
 
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
@@ -41,6 +42,8 @@ def spin_product(
     readings, _, corrected = plain_readings(bound, entry, samples)
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
     product = spin_level2(bound, corrected, readings, twelve, covariance, attitude)
+    if not _settled(table, entry, (span[0] + span[1]) // 2):
+        product["flag"] = product["flag"] | np.uint32(Flag.PRIOR_PARAMETERS)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = int(np.median(np.diff(product["tt2000"].values))) if product.sizes["time"] > 1 else 0
     report: dict[str, Any] = {
@@ -48,21 +51,34 @@ def spin_product(
         "samples": int(good.sum()),
     }
     report |= _tones(bound, raw, samples, span)
+    report["phase"] = str(samples["spin_phase"].attrs["told"])
+    report[FAULTS] = day_faults(samples, job.needs, job.index, day)
     product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
     return product, report
 
 
+def _settled(table: xr.Dataset, entry: ModelEffect, tt2000: int) -> bool:
+    """Return True when a table has a measured value of everything that the model leaves free."""
+    free = np.array([entry.parameters[name.partition("[")[0]].free for name in NAMES])
+    return bool(np.all(_row(table, tt2000)["determined"].values[free]))
+
+
 def _holding(table: xr.Dataset, tt2000: int) -> tuple[TwelveParameters, np.ndarray]:
     """Return the twelve that a table has for an instant, and their covariance."""
+    row = _row(table, tt2000)
+    assert row.sizes["parameter"] == len(NAMES)
+    return TwelveParameters.of_values(row["value"].values), np.asarray(row["covariance"].values)
+
+
+def _row(table: xr.Dataset, tt2000: int) -> xr.Dataset:
+    """Return the interval of a table that holds an instant."""
     inside = np.flatnonzero((table["start"].values <= tt2000) & (tt2000 < table["end"].values))
     if not inside.size:
         raise ModelError(
             f"the calibration table holds nothing at {to_utc(tt2000)}",
             remedy="reprocess the span with its table",
         )
-    row = table.isel(interval=int(inside[-1]))
-    assert row.sizes["parameter"] == len(NAMES)
-    return TwelveParameters.of_values(row["value"].values), np.asarray(row["covariance"].values)
+    return table.isel(interval=int(inside[-1]))
 
 
 def _tones(bound: Model, raw: Model, samples: xr.Dataset, span: tuple[int, int]) -> dict[str, float]:

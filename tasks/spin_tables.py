@@ -113,7 +113,8 @@ class _Book:
         ground, sigma = ground_of(entry, (start + end) // 2)
         prior = np.array([sigma[name] for name in SPIN_RELATED])
         value, covariance, excess = _combined(days, ground.spin_related(), prior)
-        told = np.sqrt(np.diag(covariance)) < _BETTER * prior
+        free = [entry.parameters[name.partition("[")[0]].free for name in SPIN_RELATED]
+        told = (np.sqrt(np.diag(covariance)) < _BETTER * prior) & free
         step = self.eight.after(value, covariance, told, (start + end) // 2 / DAY)
         self.eight = step.used
         known = _axial(zero, start, end)
@@ -149,6 +150,8 @@ def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple
     parts = []
     for day in days:
         own = np.linalg.inv(day["covariance"].values[0])
+        if not np.isfinite(day["sigma"].values[0]).any():
+            continue  # it tells nothing
         weight, vectors = np.linalg.eigh(own - before)
         told = (vectors * np.maximum(weight, 0.0)) @ vectors.T
         # The day's own value holds the prior, too: what it adds is what is beyond.
@@ -158,8 +161,8 @@ def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple
     covariance = np.linalg.inv(information)
     value = covariance @ right
     square = sum(float((one - value) @ told @ (one - value)) for told, one in parts)
-    free = start.size * (len(days) - 1)
-    excess = max(1.0, square / free) if free else 1.0
+    free = start.size * (len(parts) - 1)
+    excess = max(1.0, square / free) if free > 0 else 1.0
     return value, np.asarray(covariance * excess), excess
 
 

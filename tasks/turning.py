@@ -9,7 +9,6 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.comparison import folding_of
-from inflight.errors import InflightError
 from inflight.folding import Folding, fold_series
 from inflight.mission import Mission
 from inflight.tasks.archive_index import ArchiveIndex
@@ -57,12 +56,9 @@ class Turning:
 
     def phase(self, stamps: Int64) -> Floats:
         """Return the phase at the stamps of an instrument's channels, rad; NaN where nothing tells it."""
-        try:
-            told = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
-            found = spin_phase(self.mission, self.comparison, self.clock, told, stamps, str(self.day))
-        except InflightError:
-            return np.full(stamps.size, np.nan)
-        return np.asarray(found.values, dtype=np.float64)
+        told = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
+        found = spin_phase(self.mission, self.comparison, self.clock, told, stamps)
+        return np.asarray(found.phase.values, dtype=np.float64)
 
     def folded(self, values: Floats, stamps: Int64, phase: Floats, edges: Int64) -> Floats:
         """Return a channel on the synthetic turns whose bins have these edges; NaN without a phase."""

@@ -15,11 +15,11 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.derived import parse
 from inflight.diagnosis.changes import Carriers
+from inflight.diagnosis.columns import EQUATIONS
 from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.lags import mixture
 from inflight.diagnosis.library import Candidate, Library, Term
 from inflight.diagnosis.refit import Column
-from inflight.effects.vector_sensor import VectorSensor
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.sensors import sensors_of
@@ -82,7 +82,8 @@ class Addition:
             if moved:
                 zero = replace(timed, sigma=np.zeros_like(timed.sigma))
                 # A drift is held: what changes with time is no constant that a later fit could move.
-                parameters[key] = replace(zero.with_columns(moved, error), free=timed.time == "constant")
+                still = timed.time in ("constant", "block")
+                parameters[key] = replace(zero.with_columns(moved, error), free=still)
         return entry.with_parameters(parameters)
 
 
@@ -149,7 +150,7 @@ class Maker:
     def own_term(self, candidate: Candidate) -> Term | None:
         """Return the term of a candidate that frees a parameter of the model's own sensor; else None."""
         term = self.library.terms[candidate.terms[0]]
-        return term if isinstance(term.entry.effect, VectorSensor) else None
+        return term if isinstance(term.entry.effect, EQUATIONS) else None
 
     def _of_parameter(self, candidate: Candidate) -> Addition:
         term = self.library.terms[candidate.terms[0]]

@@ -23,7 +23,7 @@ from inflight.model import Model
 from inflight.plain import PlainSamples
 
 #: Effects that are the equation of a whole sensor: what stands before them is turned by their matrix.
-_EQUATIONS = (VectorSensor, SpinningSensor)
+EQUATIONS = (VectorSensor, SpinningSensor)
 #: Roles whose reading is a vector.
 _VECTORS = ("vector", "inboard", "outboard")
 
@@ -60,7 +60,7 @@ def turns_of(model: Model, tt2000: int) -> dict[str, Floats]:
     """Return the matrix of every sensor that has an equation, row by row; (9,) each."""
     found = {}
     for entry in model.effects:
-        if isinstance(entry.effect, _EQUATIONS):
+        if isinstance(entry.effect, EQUATIONS):
             values = entry.values(tt2000)
             still = np.zeros((3, 3))
             unit = entry.effect.correct(np.eye(3), xr.Dataset(), values, entry.sensor)
@@ -131,7 +131,7 @@ def _differenced(
     change = (up - down) / 2.0
     if entry.sensor.role not in _VECTORS:
         return np.asarray(-change[:, None])
-    if not isinstance(entry.effect, _EQUATIONS) and entry.sensor.name in rows.turn:
+    if not isinstance(entry.effect, EQUATIONS) and entry.sensor.name in rows.turn:
         change = multiply(rows.turn[entry.sensor.name], change)
     return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
 

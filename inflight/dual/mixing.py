@@ -85,8 +85,8 @@ class Moments:
     def solve(self, basis: Floats, prior: tuple[Floats, Floats] | None = None) -> tuple[Floats, Floats]:
         """Return the factors of matrices (parameter, 3, 3) that explain the outboard reading.
 
-        And their covariance, widened by what blocks of time disagree beyond it: units of different places, which
-        no one matrix describes, show there.
+        And their covariance, widened by what blocks of time disagree beyond it: units of different places,
+        which no one matrix describes, show there.
         """
         normal = np.einsum("pki,bkij,qkj->bpq", basis, self.square, basis)
         right = np.einsum("pki,bki->bp", basis, self.cross)

@@ -47,7 +47,8 @@ def found_effects(fields: Fields) -> list[str]:
 
 def _rows(one: Fields, width: int) -> list[tuple[str, ...]]:
     """Return one row a value; effect, family and how it stands in the first of them."""
-    shown, rows = telling(one["coefficients"]), []
+    shown = telling(one["coefficients"])
+    rows: list[tuple[str, ...]] = []
     numbers = (
         _told(one["gain"], ".1%"),
         _told(one["t"], ".1f"),

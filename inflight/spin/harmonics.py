@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.errors import CalibrationError
+from inflight.errors import CalibrationError, TooLittleError
 from inflight.spin.block_sums import SERIES, TONES, M, U, V, Z
 from inflight.spin.equation import TwelveParameters
 from inflight.spin.layout import WIDEST_STEP, Bools, Layout
@@ -222,7 +222,9 @@ def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Lay
     Raises
     ------
     CalibrationError
-        No sub-interval is usable, or the field does not turn with the phase.
+        The field does not turn with the phase.
+    TooLittleError
+        No sub-interval is usable.
     """
     turning, others = np.zeros((2, found.start.size), dtype=np.bool_)
     for name, hit in found.excluded:
@@ -239,7 +241,7 @@ def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Lay
             remedy="look at the spin period, the Sun pulses, the direction of the spin and the offsets",
         )
     if not found.usable.any():
-        raise CalibrationError(
+        raise TooLittleError(
             f"no sub-interval is usable: {found.told()}",
             remedy="take a longer span, fewer spins a sub-interval, or look at flags and exclusions",
         )

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.errors import CalibrationError, SamplesError
+from inflight.errors import CalibrationError, SamplesError, TooLittleError
 from inflight.time import Int64
 
 Bools = npt.NDArray[np.bool_]
@@ -156,7 +156,7 @@ def lay_out(
     ------
     SamplesError
         Shapes that differ, or times that do not rise.
-    CalibrationError
+    TooLittleError
         Less than one sub-interval of usable phase.
     """
     settings = settings or SubIntervals()
@@ -168,6 +168,8 @@ def lay_out(
         usable &= good
     known = phase if np.isfinite(phase).all() else np.fmax.accumulate(phase)
     edges = _edges(known, settings)
+    # Samples before the first known phase lie before the first block.
+    known = np.where(np.isnan(known), -np.inf, known)
     cut = np.searchsorted(np.maximum.accumulate(known), edges)
     start, stop = cut[:-1].astype(np.int64), cut[1:].astype(np.int64)
     beyond = (readings > settings.saturation) | (readings < -settings.saturation)
@@ -199,7 +201,7 @@ def _edges(phase: Floats, settings: SubIntervals) -> Floats:
     # The last spin may lack its last sample.
     blocks = int((turns + WIDEST_STEP) // settings.turn)
     if blocks < settings.blocks:
-        raise CalibrationError(
+        raise TooLittleError(
             f"{turns / (2.0 * np.pi):.1f} spins of known phase found, {settings.spins} needed",
             remedy="take a longer span, or sub-intervals of fewer spins",
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +48,8 @@ class Marks:
         Standard deviation of the turns predicted across the interval.
     jumped, uncounted, gap : ndarray of bool, shape (mark - 1,)
         The turns do not fit; cannot be counted; are more than one and were counted.
+    moved, doubtful : ndarray of bool, shape (mark,)
+        The mark's turn is taken back by the size of a jump; a jump leaves it in doubt. See `steadied`.
     sigma : float
         Scatter of a mark, turns.
     dropped : int
@@ -62,6 +64,8 @@ class Marks:
     jumped: npt.NDArray[np.bool_]
     uncounted: npt.NDArray[np.bool_]
     gap: npt.NDArray[np.bool_]
+    moved: npt.NDArray[np.bool_]
+    doubtful: npt.NDArray[np.bool_]
     sigma: float
     dropped: int
 
@@ -73,8 +77,13 @@ class Marks:
     @property
     def missing(self) -> int:
         """Number of whole turns without a mark, where they could be counted."""
-        advance = np.diff(self.turn)[~self.uncounted]
-        return int(np.sum(np.maximum(np.rint(advance) - 1, 0)))
+        return int(self.lacking.sum())
+
+    @property
+    def lacking(self) -> Int64:
+        """Whole turns without a mark in each interval, 0 where they cannot be counted; (mark - 1,)."""
+        lacking = np.maximum(np.rint(np.diff(self.turn)) - 1, 0)
+        return np.where(self.uncounted, 0, lacking).astype(np.int64)
 
     def table(self) -> xr.Dataset:
         """Return `value` (the local period) and `sigma` along ``mark``."""
@@ -172,7 +181,35 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
     turn = turns[0] + np.concatenate([[0.0], np.cumsum(advance)])
     ends = np.stack([np.append(before, after[-1]), np.append(before[0], after)])
     gap = (advance > 1.5) & ~jumped & ~uncounted
-    return Marks(times, turn, ends.mean(axis=0), left, unsure, jumped, uncounted, gap, sigma, 0)
+    none = np.zeros(turn.size, dtype=bool)
+    return Marks(times, turn, ends.mean(axis=0), left, unsure, jumped, uncounted, gap, none, none, sigma, 0)
+
+
+def steadied(marks: Marks) -> Marks:
+    """Return marks of a turn without jumps, as far as they tell which of them to believe.
+
+    A body that spins goes on turning as it did: what jumps is the clock of its marks, or the mark. Marks
+    between jumps that come back to where they were are taken back by the size of the jumps. Where they do
+    not come back, nothing tells which side is right: all marks of the stretch are in doubt. Stretches end
+    where turns cannot be counted.
+    """
+    if not marks.jumped.any():
+        return marks
+    turn, moved, doubtful = marks.turn.copy(), marks.moved.copy(), marks.doubtful.copy()
+    starts = np.concatenate([[0], np.flatnonzero(marks.uncounted) + 1])
+    for first, last in zip(starts, [*starts[1:], turn.size], strict=True):
+        inside = slice(first, last - 1)
+        jumped = marks.jumped[inside]
+        off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.left[inside], 0.0))])
+        error = np.hypot.reduce(np.where(jumped, marks.unsure[inside], 0.0))
+        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + _SURE * error
+        away = np.abs(off - np.rint(off)) > near
+        if away.size and away[-1]:
+            doubtful[first:last] = True
+        else:
+            turn[first:last] += off
+            moved[first:last] = away
+    return replace(marks, turn=turn, moved=moved, doubtful=doubtful)
 
 
 def _advance(seconds: Floats, turns: Floats, rate: Floats) -> Floats:

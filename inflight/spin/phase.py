@@ -9,6 +9,7 @@ counted where the spin rate is known well enough to leave no other count.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
-from inflight.spin.marks import Marks, believed, count_turns, usual_period
+from inflight.spin.marks import Marks, believed, count_turns, steadied, usual_period
 from inflight.time import SECOND, Int64, utc_text
 
 TURN = 2.0 * np.pi
@@ -30,6 +31,18 @@ _CARRIED = 1.0
 #: Hermite's cubic through both ends: an error of the rate at both ends makes at most this part of it, times
 #: the gap, in the middle.
 _BENT = 0.15
+#: What becomes of samples where the phase jumps, and where marks are missing.
+_MOVED = "marks between jumps that come back are taken back by their size, samples there carry phase_jump"
+_DOUBTFUL = "nothing tells which side of it is right, and samples on both carry the flag phase_jump"
+_BRIDGED = "samples between carry the flag phase_bridged, or no_phase where that is not sure enough"
+_UNKNOWN = "samples without a phase carry the flag no_phase and have their field in turning axes only"
+
+
+class Fault(NamedTuple):
+    """Something about the marks that was not as it should be, and what to do about it; a sentence each."""
+
+    found: str
+    remedy: str
 
 
 @dataclass(frozen=True)
@@ -51,8 +64,8 @@ class SpinPhase:
         What the phase rests on.
     nominal : float
         The period that was stated, s; NaN when none was.
-    reports : tuple of str
-        Everything that was not as it should be, a sentence each.
+    faults : tuple of Fault
+        Everything that was not as it should be.
     """
 
     stamps: Int64
@@ -61,7 +74,12 @@ class SpinPhase:
     flag: npt.NDArray[np.uint32]
     marks: Marks
     nominal: float = float("nan")
-    reports: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
+
+    @property
+    def reports(self) -> tuple[str, ...]:
+        """What was not as it should be, a sentence each."""
+        return tuple(fault.found for fault in self.faults)
 
     @property
     def good(self) -> npt.NDArray[np.bool_]:
@@ -185,7 +203,10 @@ def _from_marks(
     order = np.argsort(times, kind="stable")
     times, turns = times[order], turns[order]
     once = np.concatenate([[True], np.diff(times) > 0]) if times.size else np.empty(0, dtype=bool)
-    reports = [f"{np.count_nonzero(~once)} repeated {kind}s dropped"] if not once.all() else []
+    faults = []
+    if not once.all():
+        found = f"{np.count_nonzero(~once)} repeated {kind}s dropped"
+        faults.append(Fault(found, "see why the deliveries hold them twice; nothing is lost"))
     times, turns = times[once], turns[once]
     if times.size < 3:
         raise CalibrationError(
@@ -200,35 +221,82 @@ def _from_marks(
             f"{times.size} {kind}s found, none of them whole turns of {period:.6g} s from its neighbours",
             remedy="see whether the times are those of one Sun sensor",
         )
-    marks = count_turns(times[kept], turns[kept], period)
-    if marks.dropped or not kept.all():
-        reports.append(f"{int(np.count_nonzero(~kept)) + marks.dropped} spurious {kind}s dropped")
-    reports += _faults(marks, nominal, kind)
-    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, certain, nominal, reports)
+    counted = count_turns(times[kept], turns[kept], period)
+    marks = steadied(counted)
+    wrong = np.setdiff1d(times, marks.time)
+    spurious = int(np.count_nonzero((wrong >= stamps.min()) & (wrong <= stamps.max()))) if stamps.size else 0
+    if spurious:
+        found = f"{spurious} spurious {kind}s dropped"
+        faults.append(Fault(found, "see what else the Sun sensor saw; the rest tells the phase without them"))
+    held = _turns_between(marks, stamps)
+    faults += _faults(counted, held, nominal, kind) + _jumps(marks, held)
+    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, certain, nominal, kind, faults)
 
 
-def _faults(marks: Marks, nominal: float | None, kind: str) -> list[str]:
-    """Say what the marks show that should not be."""
-    reports = []
+def _turns_between(marks: Marks, stamps: Int64) -> Floats:
+    """Return how many turns the samples between neighbouring marks last, -1 for none; (mark - 1,).
+
+    Marks that are missing where nothing was measured are no fault.
+    """
+    if not stamps.size:
+        return np.full(marks.time.size - 1, -1.0)
+    ordered = np.sort(stamps)
+    first = np.searchsorted(ordered, marks.time[:-1], side="right")
+    last = np.searchsorted(ordered, marks.time[1:], side="left") - 1
+    there = last >= first
+    first, last = np.minimum(first, ordered.size - 1), np.maximum(last, 0)
+    return np.where(there, (ordered[last] - ordered[first]) / SECOND * marks.rate[:-1], -1.0)
+
+
+def _faults(marks: Marks, held: Floats, nominal: float | None, kind: str) -> list[Fault]:
+    """Say what the marks about the samples show that should not be.
+
+    Parameters
+    ----------
+    held : ndarray, shape (mark - 1,)
+        See `_turns_between`.
+    """
+    faults = []
     usual = float(np.median(marks.period))
     if nominal is not None and abs(usual / nominal - 1.0) > _NOMINAL:
-        reports.append(f"the stated spin period of {nominal:.6g} s is wrong: {usual:.6g} s seen")
-    missing = marks.missing
+        found = f"the stated spin period of {nominal:.6g} s is wrong: {usual:.6g} s seen"
+        faults.append(Fault(found, f"state 'spin: {usual:.6g} s' under the mission's periods"))
+    missing = int(np.minimum(marks.lacking, np.floor(np.maximum(held, 0.0))).sum())
     if kind == "Sun pulse" and missing:
-        reports.append(f"{missing} Sun pulses missing")
-    lost = np.flatnonzero(marks.uncounted)
+        faults.append(Fault(f"{missing} Sun pulses missing", f"deliver them; {_BRIDGED}"))
+    lost = np.flatnonzero(marks.uncounted & (held > 2.0 * _CARRIED))
     if lost.size:
         longest = float((np.diff(marks.time)[lost] / SECOND).max())
-        reports.append(f"{lost.size} gaps too long to count turns, the longest {longest:.0f} s")
-    for place in np.flatnonzero(marks.jumped)[:10]:
+        found = f"{lost.size} gap(s) too long to count turns, the longest {longest:.0f} s"
+        faults.append(Fault(found, f"deliver more {kind}s; {_UNKNOWN}"))
+    return faults
+
+
+def _jumps(marks: Marks, held: Floats) -> list[Fault]:
+    """Say where the phase jumps: the first ten places, and how many more there are."""
+    places = np.flatnonzero(marks.jumped & (held >= 0.0))
+    touched = marks.moved | marks.doubtful
+    if not places.size and not np.any((touched[1:] | touched[:-1]) & (held >= 0.0)):
+        return []
+    remedy = "see the Sun sensor and its clock; "
+    remedy += _DOUBTFUL if marks.doubtful.any() else _MOVED
+    found = []
+    for place in places[:10]:
         size, when = 360.0 * marks.left[place], utc_text(int(marks.time[place]))
-        reports.append(f"the phase jumps by {size:+.2f} degrees after {when}")
-    more = int(np.count_nonzero(marks.jumped)) - 10
-    return [*reports, f"and {more} more jumps"] if more > 0 else reports
+        found.append(Fault(f"the phase jumps by {size:+.2f} degrees after {when}", remedy))
+    if not found:
+        found.append(Fault("the phase jumps before or after the samples", remedy))
+    return [*found, Fault(f"and {places.size - 10} more jumps", remedy)] if places.size > 10 else found
 
 
 def _at_samples(
-    marks: Marks, stamps: Int64, offset: float, certain: float, nominal: float | None, reports: list[str]
+    marks: Marks,
+    stamps: Int64,
+    offset: float,
+    certain: float,
+    nominal: float | None,
+    kind: str,
+    faults: list[Fault],
 ) -> SpinPhase:
     """Carry the phase from the marks to the samples."""
     place = np.clip(np.searchsorted(marks.time, stamps, side="right") - 1, 0, marks.time.size - 2)
@@ -243,20 +311,32 @@ def _at_samples(
     phase[bridged] += _bend(share[bridged], apart[at], marks.rate[at], marks.rate[at + 1], advance[bridged])
     sigma[bridged] = np.hypot(sigma[bridged], _BENT * marks.unsure[at])
     flag[bridged] |= np.uint32(Flag.PHASE_BRIDGED)
-    outside = (share < 0) | (share > 1)
-    end = np.where(share < 0, 0, marks.time.size - 1)
+    # In a gap whose turns cannot be counted the phase is carried on as before the first and after the last.
+    outside = (share < 0) | (share > 1) | (marks.uncounted[place] & (share > 0) & (share < 1))
+    end = np.where(share < 0.5, place, place + 1)
     since = (stamps - marks.time[end]) / SECOND * marks.rate[end]
     phase = np.where(outside, marks.turn[end] + since, phase)
     flag[outside] |= np.uint32(Flag.PHASE_BRIDGED)
-    jump = (marks.jumped | marks.uncounted)[place] & (share > 0) & (share < 1)
-    flag[(marks.jumped)[place] & jump] |= np.uint32(Flag.PHASE_JUMP)
+    jump = marks.jumped[place] & (share > 0) & (share < 1)
+    touched = marks.moved | marks.doubtful
+    flag[jump] |= np.uint32(Flag.PHASE_JUMP)
+    flag[touched[place] | (touched[place + 1] & (share >= 1))] |= np.uint32(Flag.PHASE_JUMP)
+    sigma[marks.moved[place]] = np.hypot(
+        sigma[marks.moved[place]], np.hypot.reduce(marks.unsure[marks.jumped])
+    )
     bad = jump | (outside & (np.abs(since) > _CARRIED)) | (TURN * sigma > certain)
+    flag[bad] &= ~np.uint32(Flag.PHASE_BRIDGED)
     flag[bad] |= np.uint32(Flag.NO_PHASE)
+    beyond = int(np.count_nonzero(bad & (stamps < marks.time[0]) | bad & (stamps > marks.time[-1])))
+    if beyond:
+        found = f"{beyond} samples lie beyond the first or last {kind}, which tell no phase there"
+        faults.append(Fault(found, f"deliver more {kind}s; {_UNKNOWN}"))
     phase = np.where(bad, np.nan, TURN * phase + offset)
     if not np.isfinite(phase).any() and stamps.size:
-        reports.append(f"no sample has a phase; marks scatter by {360 * marks.sigma:.2g} degrees")
+        found = f"no sample has a phase; marks scatter by {360 * marks.sigma:.2g} degrees"
+        faults.append(Fault(found, f"see whether the times are those of one Sun sensor; {_UNKNOWN}"))
     stated = float("nan") if nominal is None else float(nominal)
-    return SpinPhase(stamps, phase, TURN * sigma, flag, marks, stated, tuple(reports))
+    return SpinPhase(stamps, phase, TURN * sigma, flag, marks, stated, tuple(faults))
 
 
 def _bend(share: Floats, apart: Floats, first: Floats, last: Floats, advance: Floats) -> Floats:

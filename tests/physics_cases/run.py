@@ -24,6 +24,7 @@ from inflight.tasks.ingest import ingest
 from .orbiter.case import make_case
 from .scenarios import scenarios
 from .score import Score, score
+from .turning import TurningScenario, make_turning_case
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def run_case(name: str, seed: int, root: Path, diagnose: bool = True, keep: bool
     """Make one case below a folder, diagnose it, score it; the workspace is removed unless kept."""
     scenario, times = scenarios()[name], [time.perf_counter()]
     with threadpool_limits(1):
-        case = make_case(scenario, seed)
+        turning = isinstance(scenario, TurningScenario)
+        case = make_turning_case(scenario, seed) if turning else make_case(scenario, seed)
         times.append(time.perf_counter())
         workspace, truth_file = case.write(root)
         if scenario.files:

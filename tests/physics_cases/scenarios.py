@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from .orbiter.scenario import Scenario
+from .turning import TurningScenario
 
 FOUND, CONFOUNDED, NOT_IDENTIFIABLE = "FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE"
 UNKNOWN_EFFECT, NOTHING_LEFT = "UNKNOWN_EFFECT", "NOTHING_LEFT"
@@ -98,7 +99,17 @@ def _hard_data() -> list[Scenario]:
     ]
 
 
-def scenarios() -> dict[str, Scenario]:
+def _turning() -> list[TurningScenario]:
+    """Return spinning spacecraft, whose only witness is their spin."""
+    return [
+        TurningScenario("turning_gain_ratio", "gain_ratio"),
+        TurningScenario("turning_torquer", "torquer"),
+        TurningScenario("turning_eclipse_shift", "eclipse_shift", "themis", 4),
+        TurningScenario("turning_null", verdicts=SILENT),
+    ]
+
+
+def scenarios() -> dict[str, Scenario | TurningScenario]:
     """Return every scenario by name."""
-    groups = (_alone(), _together(), _beyond(), _nothing(), _inseparable(), _hard_data())
+    groups = (_alone(), _together(), _beyond(), _nothing(), _inseparable(), _hard_data(), _turning())
     return {scenario.name: scenario for group in groups for scenario in group}

@@ -302,7 +302,9 @@ def _period(true: Json, told: Json, effect: Json | None = None) -> bool:
 
 def _floor_ratio(truth: Json, told: Json) -> float | None:
     after = (told.get("residual") or {}).get("held_out_after_nT")
-    return None if after is None else float(after) / float(truth["floor_nT"])
+    # Where nature's own fluctuations are the floor, what they are is measured, not put in.
+    floor = truth["floor_nT"] or told["residual"]["noise_floor_nT"]
+    return None if after is None else float(after) / float(floor)
 
 
 def _label(effect: Json) -> str:

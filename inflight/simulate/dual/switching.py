@@ -120,7 +120,8 @@ class Calendar:
         if is_first:
             length = _TURN_BY_TURN / units
             turns = place * length + 600.0 + _ON_S * np.arange(2 * _CYCLES)
-            turns = np.concatenate([[60.0] if begins else [], turns[turns < (place + 1) * length]])
+            first: Float = np.full(int(begins), 60.0)
+            turns = np.concatenate([first, turns[turns < (place + 1) * length]])
             if (turns.size + begins) % 2:
                 turns = turns[:-1]
         starts = begins != bool(turns.size % 2)
