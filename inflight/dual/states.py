@@ -247,7 +247,7 @@ def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
     noise = 2.0 * np.diag(segments.covariance[one])
     if not segments.seconds[one] > 0:
         whole = segments.begin.slope[one] * seconds
-        noise = segments.slope_variance[one] * seconds**2
+        noise = np.where(seconds > 0, segments.slope_variance[one], 0.0) * seconds**2
     allowed = 4.0 * noise + seconds * rate.value + seconds**2 * rate.slope
     return np.diag(np.where(whole**2 > allowed, whole**2, 0.0))
 

@@ -23,8 +23,9 @@ from inflight.dual.units import Occupancy, Units, find_units
 from inflight.errors import CalibrationError
 from inflight.time import SECOND
 
-#: Before anything is measured, a unit's field at the outboard sensor is 0 +- this many times its difference.
-_PRIOR = 3.0
+#: Before anything is measured, a unit's field at the outboard sensor is 0 +- this many times the size of its
+#: difference: a dipole as far from one sensor as 0.8 of the way to the other has just that.
+_PRIOR = 1.0
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ def _fit(
     # A passage from a state to itself tells nothing.
     moved = np.any(rows != 0, axis=1)
     rows, observed, covariance = rows[moved], steps.step[moved], steps.covariance[moved]
-    prior = _PRIOR * np.maximum(size, 1e-6 + size.max(initial=1e-6))
+    prior = _PRIOR * np.maximum(size, 1e-3 * size.max(initial=1e-6))
     if levels is not None:
         rows = np.column_stack([rows, np.zeros(len(rows))])
         own = np.column_stack([design[label[levels.segment]], np.ones(levels.segment.size)])

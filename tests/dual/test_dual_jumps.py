@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from dual_cases import power_law
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
+from switching_cases import power_law
 
 from inflight.dual.jumps import find_jumps, spikes
 from inflight.dual.thresholds import false_alarm_probability, published_jumps

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dual_cases import ADDED_INBOARD, ADDED_OUTBOARD, OUT_LESS_IN, Case, case, six_states, switched
 from numpy.testing import assert_allclose, assert_array_equal
+from switching_cases import ADDED_INBOARD, ADDED_OUTBOARD, OUT_LESS_IN, Case, case, six_states, switched
 
 from inflight.dual.ageing import continued
 from inflight.dual.correction import Correction

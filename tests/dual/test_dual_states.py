@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from dual_cases import case, switched
 from numpy.testing import assert_allclose
+from switching_cases import case, switched
 
 from inflight.dual.segments import segments_of
 from inflight.dual.states import find_states
