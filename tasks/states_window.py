@@ -40,6 +40,8 @@ from inflight.time import Int64
 
 #: Bumped by hand when the numbers of the tables change.
 STATES_VERSION = 1
+#: A slope this many of its errors above one is not that of the stray field.
+STEEP = 2.0
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -144,17 +146,31 @@ def table_of(readings: Readings, training: Training, found: Judgement) -> xr.Dat
     if readings.good.any():
         gradiometer = gradiometer_variables(fit_gradiometer(readings), readings)
         table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
-    applied = found.chosen != "none"
+    chosen, verdict = chosen_of(found)
     return table.assign(
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
         candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
-    ).assign_attrs(
-        method=found.chosen,
-        applied="yes" if applied else "no",
-        verdict=found.evidence[found.chosen].told if applied else found.correction.reason,
-    )
+    ).assign_attrs(method=chosen, applied="no" if chosen == "none" else "yes", verdict=verdict)
+
+
+def chosen_of(found: Judgement) -> tuple[str, str]:
+    """Return the correction to apply, ``none`` without any, and why.
+
+    The stray field itself has the slope one. A correction whose slope is clearly above it holds ambient
+    field that two sensors which are not quite aligned let into their difference: taken off, it would
+    change what is measured.
+    """
+    helping = [one for one in found.evidence.values() if one.helps]
+    sound = [one for one in helping if one.slope - STEEP * one.sigma <= 1.0]
+    if sound:
+        best = max(sound, key=lambda one: one.gain)
+        return best.name, best.told
+    if not helping:
+        return "none", found.correction.reason
+    told = "; ".join(f"{one.name} {one.slope:.2f} +- {one.sigma:.2f}" for one in helping)
+    return "none", f"left alone, ambient field may be in it: slopes above one, held out ({told})"
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
@@ -182,4 +198,5 @@ def gradiometer_helps(table: xr.Dataset) -> bool:
     if "gradiometer" not in names or not has_gradiometer(table):
         return False
     row = table.isel(candidate=names.index("gradiometer"))
-    return bool(row["slope"] - SURE * row["slope_sigma"] > 0.5 and row["benefit"] > 0.0)
+    low = row["slope"] - SURE * row["slope_sigma"] > 0.5
+    return bool(low and row["slope"] - STEEP * row["slope_sigma"] <= 1.0 and row["benefit"] > 0.0)

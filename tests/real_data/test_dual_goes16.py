@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from inflight.catalog import Catalog
 from inflight.dual.published import relation_to_published
 from inflight.tasks.ingest import ingest
+from inflight.tasks.reprocess import reprocess
 
 FOLDER = REAL / "goes16-mag-ib-ob"
 pytestmark = [
@@ -55,3 +56,44 @@ def test_the_rotations_are_those_of_the_missions_file(hour, relation):
         stated = Rotation.from_quat(mission.instruments[name].orientation).as_matrix()
         turn = Rotation.from_matrix(getattr(relation, name) @ stated.T).as_rotvec()
         assert np.all(np.abs(turn) < 4 * sigma + 1e-5)
+
+
+def against_product(cat):
+    """Return rms of measured and of own field less the published one, constants removed, nT; by day."""
+    out = {}
+    for day in cat.days("l2/field", states=("published",)):
+        own = cat.read(day, dated=False)
+        (there,) = [one for one in cat.days("l1/product", states=("published",)) if one.day == day.day]
+        told = cat.read(there, dated=False)
+        stamps = told["tt2000"].values
+        # The nearest stamp: some reports are a millisecond late.
+        row = np.clip(np.searchsorted(stamps, own["tt2000"].values - 5_000_000), 0, stamps.size - 1)
+        near = np.abs(stamps[row] - own["tt2000"].values) < 20_000_000
+        size = []
+        for name in ("outboard", "field_spacecraft"):
+            left = (own[name].values - told["field"].values[row])[near]
+            left = left[np.isfinite(left).all(axis=1)]
+            size.append(float(np.sqrt(np.mean((left - left.mean(axis=0)) ** 2))))
+        out[str(day.day)] = (*size, own)
+    return out
+
+
+def test_a_field_of_our_own_is_no_farther_from_the_published_one(hour):
+    """Both sensors alone do not tell the published coefficient: most of the difference stays."""
+    cat, mission = hour
+    assert reprocess(cat, mission).exit_code == 0
+    ((before, after, product),) = against_product(cat).values()
+    assert before == pytest.approx(0.376, abs=0.01)
+    assert after < 1.02 * before
+    assert product.attrs["constant_known"] == "no"
+
+
+def test_minutes_of_march_and_april_are_not_made_worse(tmp_path_factory):
+    made = workspace(tmp_path_factory.mktemp("goes") / "l2", "goes16-l2")
+    cat, mission = Catalog(made.root), made.mission()
+    assert ingest(cat, mission, FOLDER).days["failed"] == 0
+    report = reprocess(cat, mission)
+    assert (report.days["done"], report.days["failed"]) == (2, 0)
+    for before, after, product in against_product(cat).values():
+        assert after <= 1.02 * before, product.attrs["reason"]
+        assert product.attrs["reason"]
