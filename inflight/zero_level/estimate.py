@@ -190,7 +190,9 @@ def informed(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]
     total = keep.T @ slopes.sum(axis=0) @ keep
     value, vector = np.linalg.eigh(0.5 * (total + total.T))
     each = np.einsum("ia,kij,ja->ka", keep @ vector, slopes, keep @ vector)
-    spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each)), 0.0))
+    # Slopes of one sign whose size wanders for hours are no doubt: the sum is held against that of the sizes.
+    part = each.sum(axis=0) / np.maximum(np.abs(each).sum(axis=0), 1e-300)
+    spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each - part * np.abs(each))), 0.0))
     size = np.abs(value)
     told = (size > least * spread) & (size > 1e-12 * max(float(size.max()), 1e-300))
     good = vector[:, told]
