@@ -17,6 +17,9 @@ from inflight.scorecard import (
     residual,
     scalar_calibration,
     spacecraft_fields,
+    spin_angles,
+    spin_tones,
+    zero_levels,
 )
 from inflight.scorecard.figure import Figure, Report
 from inflight.scorecard.scene import Scene
@@ -27,6 +30,8 @@ SECTIONS = {
     "continuous-parameters": "Continuous parameters (Yin 2010, chapter 3)",
     "spacecraft-fields": "Fields of the spacecraft (Yin 2010, section 3.4)",
     "residual": "What the residual tells (Yin 2010, chapter 4)",
+    "spin": "Calibration from the spin (Farrell et al. 1995, Plaschke et al. 2019)",
+    "zero-level": "Zero levels from nature's statistics (Hedgecock; IMP-8 and Helios)",
 }
 _MODULES = (
     scalar_calibration,
@@ -37,6 +42,9 @@ _MODULES = (
     recovered_parameters,
     recovered_fields,
     recovered_residual,
+    spin_angles,
+    spin_tones,
+    zero_levels,
 )
 
 

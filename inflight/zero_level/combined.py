@@ -16,9 +16,8 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.estimators.longrun import long_run_covariance
 from inflight.zero_level.davis_smith import davis_smith, least_variance
-from inflight.zero_level.estimate import Estimate, Question
+from inflight.zero_level.estimate import Estimate, Question, covariance_of, freedom_of
 from inflight.zero_level.intervals import Bools, Intervals
 from inflight.zero_level.minimum_correlation import minimum_correlation
 from inflight.zero_level.mirror_mode import mirror_mode
@@ -216,6 +215,9 @@ def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[
 def weighted(methods: list[Estimate], question: Question) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
+    Covariances that are by chance too small weigh too much, and so the mean errs by more than they say:
+    ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
+
     Parameters
     ----------
     methods : list of Estimate
@@ -235,7 +237,11 @@ def weighted(methods: list[Estimate], question: Question) -> Estimate:
         [share @ one.systematic @ share.T for share, one in zip(shares, methods, strict=True)], axis=0
     )
     used = np.any([one.used for one in methods], axis=0)
-    covariance = long_run_covariance(influence) + systematic
+    part = [float(np.trace(share)) / max(int(free.sum()), 1) for share in shares]
+    chance = sum(
+        w * (1.0 - w) / freedom_of(one.influence[one.used]) for w, one in zip(part, methods, strict=True)
+    )
+    covariance = covariance_of(influence[used]) * (1.0 + 4.0 * max(chance, 0.0)) + systematic
     determined = question.determined(covariance)
     first = methods[0]
     names = ", ".join(one.method for one in methods)
@@ -258,7 +264,8 @@ def agreement(one: Estimate, other: Estimate) -> Agreement | None:
     if not both.any():
         return None
     apart = (one.solution - other.solution)[both]
-    shared = long_run_covariance((one.influence - other.influence)[:, both])
+    part = one.used | other.used
+    shared = covariance_of((one.influence - other.influence)[part])[np.ix_(both, both)]
     covariance = shared + (one.systematic + other.systematic)[np.ix_(both, both)]
     chi2 = float(apart @ np.linalg.solve(covariance, apart))
     axes = int(both.sum())

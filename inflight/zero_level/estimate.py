@@ -25,6 +25,8 @@ _ROUNDS, _SETTLED = 60, 1e-4
 _STRIDE, _LEAST_ANSWER = 0.2, 0.3
 #: No interval is taken to hold more than this part of what all tell, when it is left out.
 _MOST_SHARE = 0.7
+#: No covariance is taken to have fewer degrees of freedom: at two the variance of Student's t has no bound.
+_LEAST_FREEDOM = 3.0
 #: Every axis.
 ALL = (True, True, True)
 
@@ -188,7 +190,9 @@ def informed(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]
     total = keep.T @ slopes.sum(axis=0) @ keep
     value, vector = np.linalg.eigh(0.5 * (total + total.T))
     each = np.einsum("ia,kij,ja->ka", keep @ vector, slopes, keep @ vector)
-    spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each)), 0.0))
+    # Slopes of one sign whose size wanders for hours are no doubt: the sum is held against that of the sizes.
+    part = each.sum(axis=0) / np.maximum(np.abs(each).sum(axis=0), 1e-300)
+    spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each - part * np.abs(each))), 0.0))
     size = np.abs(value)
     told = (size > least * spread) & (size > 1e-12 * max(float(size.max()), 1e-300))
     good = vector[:, told]
@@ -296,7 +300,7 @@ def _estimate(
 ) -> Estimate:
     scores, slopes, inverse, told = parts
     influence = np.where(used[:, None], _without(scores, slopes, inverse), 0.0)
-    covariance = long_run_covariance(influence[used])
+    covariance = covariance_of(influence[used])
     untold = (np.eye(3) - told) * (_UNTOLD * question.bound) ** 2
     determined = question.determined(covariance + untold)
     solution = np.where(determined, offset, np.asarray(question.start))
@@ -312,6 +316,36 @@ def _estimate(
         untold,
         (*reasons, *_why(determined, question, told)),
     )
+
+
+def covariance_of(influence: Floats) -> Floats:
+    """Return the covariance of an offset from what each interval adds to its error, nT^2; (3, 3).
+
+    Where a few intervals hold much of it, it is itself known poorly: with f degrees of freedom the error
+    follows Student's t, whose variance is ``f / (f - 2)`` times as large.
+
+    Parameters
+    ----------
+    influence : ndarray, shape (interval, 3)
+        nT, in order of time.
+    """
+    freedom = freedom_of(influence)
+    return np.asarray(long_run_covariance(influence) * freedom / (freedom - 2.0))
+
+
+def freedom_of(influence: Floats) -> float:
+    """Return the degrees of freedom of the covariance of influences (interval, 3).
+
+    The variance of n numbers with the kurtosis k has ``2 n / (k - 1)``: n of Gaussian ones, few where shocks,
+    holes and bursts stand out. The kurtosis is the mean of the principal directions'.
+    """
+    size, vector = np.linalg.eigh(influence.T @ influence)
+    seen = size > 1e-12 * max(float(size.max()), 1e-300)
+    if not seen.any():
+        return _LEAST_FREEDOM
+    parts = influence @ (vector[:, seen] / np.sqrt(size[seen]))
+    kurtosis = len(influence) * float(np.mean(np.sum(parts**4, axis=0)))
+    return max(2.0 * len(influence) / max(kurtosis - 1.0, 1e-300), _LEAST_FREEDOM)
 
 
 def _without(scores: Floats, slopes: Floats, inverse: Floats) -> Floats:

@@ -2,7 +2,7 @@ r"""Mirror modes (Plaschke and Narita 2016; in 3-D Plaschke et al. 2017): compre
 
 In a mirror mode the direction D of most variance is that of the mean field: the cross product of D and
 :math:`\bar B - O` is zero. One interval tells the offset across D; intervals with different D tell all of
-it. The form of 2016, O_z = mean B_z less the mean in the spin plane times the tangent of D's elevation, is
+it: O_z = mean B_z less the mean in the spin plane times the tangent of D's elevation is
 what is left when x and y are known. With b the direction of the corrected mean field the equations are
 :math:`\sum P_b D (b \cdot D) / |\bar B - O| = 0`: errors of D enter once, and do not pull the offset along
 the field as they would when P_D stood there. Errors of b do, by at most ``sum(angle^2 b / |B|)`` over the

@@ -13,8 +13,8 @@ from inflight.zero_level.combined import Method
 from inflight.zero_level.estimate import Question
 from inflight.zero_level.intervals import AXES, Bools, Intervals
 
-#: Published, (hours, nT): 0.3 nT of 20 h, "a few tenths" of the mirror mode (Plaschke and Narita 2016), and
-#: 0.2 nT of 40 h.
+#: Published for the solar wind, (hours, nT): Plaschke, How many solar wind data are sufficient for accurate
+#: fluxgate magnetometer offset determinations?, Geosci. Instrum. Method. Data Syst. 8, 285 (2019).
 PUBLISHED = ((20.0, 0.3), (40.0, 0.2))
 #: Intervals drawn together, seconds: neighbours are alike.
 _BLOCK_S = 3600.0

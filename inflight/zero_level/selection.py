@@ -18,8 +18,8 @@ from inflight.zero_level.davis_smith import compression
 from inflight.zero_level.intervals import Bools, Intervals
 
 #: Of the variance of an interval, compression is a third when all directions are alike. Alfvenic intervals
-#: have less than a tenth (the usual power ratio in the solar wind, Belcher and Davis 1971), compressional
-#: ones more than twice the third.
+#: have less than a tenth, compressional ones more than twice the third: limits chosen here. They decide which
+#: intervals a method sees; its errors come from what these show.
 ALFVENIC, COMPRESSIONAL = 0.10, 2.0 / 3.0
 #: The direction of most variance is told from the next when it has this many times its variance.
 _ELONGATED = 2.0
