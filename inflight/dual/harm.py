@@ -69,7 +69,7 @@ class Evidence:
         """Whether the correction lowers the error beyond doubt."""
         low = self.slope > max(SURE * self.sigma, 0.5 + SURE_OF_GAIN * self.sigma)
         high = self.slope - SURE * self.sigma < _STEEPEST
-        return low and high and self.benefit > 0.0
+        return low and high and self.benefit > self.benefit_sigma
 
     @property
     def told(self) -> str:

@@ -24,6 +24,10 @@ from inflight.dual.scales import Cells
 _LOUD_DIFFERENCE, _LOUD_OUTBOARD = 6.0, 10.0
 #: The leak is seen where the difference is less than this part of the outboard reading, in power.
 _RESTFUL = 0.05
+#: The sensors' shares of the noise are seen where the difference is less than this many times its noise.
+_QUIET = 1.5
+#: The noise taken out, and either sensor's share of it, are known to this part.
+_UNSURE = 0.1
 #: Standard deviation of an element of the matrix before anything is seen; a ratio k of 0.75 makes 3.
 WIDE = 3.0
 #: Standard deviations of what is known before that a fit may go.
@@ -71,19 +75,22 @@ class Moments:
     Attributes
     ----------
     square : ndarray, shape (block, axis, 3, 3)
-        Of the stray part of the difference.
+        Of the stray part of the difference, less its white noise.
     cross : ndarray, shape (block, axis, 3)
         Of it with the outboard reading.
+    noise : ndarray, shape (axis, 3, 3)
+        What was taken off the squares of all blocks together.
     count : float
         Contrasts, for each axis.
     """
 
     square: Floats
     cross: Floats
+    noise: Floats
     count: float
 
     def solve(self, basis: Floats, prior: tuple[Floats, Floats] | None = None) -> tuple[Floats, Floats]:
-        """Return the factors of matrices (parameter, 3, 3) that explain the outboard reading.
+        """Return the factors of matrices (parameter, 3, 3) that explain the outboard field.
 
         And their covariance, widened by what blocks of time disagree beyond it: units of different places,
         which no one matrix describes, show there.
@@ -92,13 +99,15 @@ class Moments:
         right = np.einsum("pki,bki->bp", basis, self.cross)
         precision = np.eye(len(basis)) / WIDE**2 if prior is None else np.linalg.inv(prior[1])
         start = np.zeros(len(basis)) if prior is None else prior[0]
-        total = normal.sum(axis=0) + precision
+        whole = _least(self.square.sum(axis=0), self.noise)
+        total = np.einsum("pki,kij,qkj->pq", basis, whole, basis) + precision
         value = np.linalg.solve(total, right.sum(axis=0) + precision @ start)
         covariance = np.linalg.inv(total)
         score = right - normal @ value
         middle = score.T @ score - np.outer(score.sum(axis=0), score.sum(axis=0)) / len(score)
         excess = float(np.trace(middle @ covariance)) / len(basis)
-        return value, covariance * max(excess, 1.0)
+        unsure = np.einsum("pki,kij,qkl,klj->pq", basis, self.noise, basis, self.noise, optimize=True)
+        return value, covariance * max(excess, 1.0) + _UNSURE**2 * covariance @ unsure @ covariance
 
     def scatter(self, matrix: Floats) -> float:
         """Return the variance of an element of the matrix between blocks of time, beyond chance.
@@ -124,9 +133,10 @@ class Moments:
         out = np.zeros((9, 9))
         by_column = leak.reshape(3, 3, 3, 3)
         precision = np.linalg.inv(prior[1])
+        whole = _least(self.square.sum(axis=0), self.noise)
         for axis in range(3):
             rows = slice(3 * axis, 3 * axis + 3)
-            inverse = np.linalg.inv(self.square[:, axis].sum(axis=0) + precision[rows, rows]) * self.count
+            inverse = np.linalg.inv(whole[axis] + precision[rows, rows]) * self.count
             out[rows, rows] = inverse @ by_column[:, axis, :, axis] @ inverse.T
         return out
 
@@ -167,7 +177,8 @@ def outboard_share(cells: Cells, noise: Floats) -> float:
     Outboard reading and difference share it with opposite sign, which their covariance on the shortest scale
     shows; the median over cells, lest a few that switch decide. A half where the ambient field hides it.
     """
-    first = cells.part(cells.scale == 1)
+    quiet = np.einsum("cii->c", cells.covariance[:, 3:, 3:]) < _QUIET * float(np.trace(noise))
+    first = cells.part((cells.scale == 1) & quiet)
     variance = np.diag(noise)
     if len(first) < 4 or not np.all(variance > 0):
         return 0.5
@@ -212,25 +223,30 @@ def _maximum(
     cells: Cells, floor: Floats, prior: tuple[Floats, Floats], leak: Floats, leak_sigma: float
 ) -> tuple[Floats, Floats]:
     """Return the most likely matrices; the leak stays as it is when it has no spread."""
-    precision = np.linalg.inv(prior[1])
-    unit, free = np.sqrt(np.diag(prior[1])), leak_sigma > 0
+    precision, free = np.linalg.inv(prior[1]), leak_sigma > 0
+    start = np.concatenate([prior[0], np.zeros(9)])[: 18 if free else 9]
+    spread = np.concatenate([np.sqrt(np.diag(prior[1])), np.full(9, leak_sigma)])[: start.size]
+    known = np.diag(_information(cells, prior[0].reshape(3, 3), leak))[: start.size]
+    # Steps of the size that the cells tell apart: the likelihood is then about as wide in every direction.
+    unit = 1.0 / np.sqrt(known + 1.0 / spread**2)
 
     def cost(scaled: Floats) -> tuple[float, Floats]:
-        now = scaled[9:].reshape(3, 3) * leak_sigma if free else leak
-        total, slope = _likelihood(cells, floor, (scaled[:9] * unit).reshape(3, 3), now)
-        away = scaled[:9] * unit - prior[0]
-        total += float(away @ precision @ away + np.sum(scaled[9:] ** 2))
-        of_matrix = (slope[:9] + 2.0 * precision @ away) * unit
-        return total, np.concatenate(
-            [of_matrix, slope[9:] * leak_sigma + 2.0 * scaled[9:]] if free else [of_matrix]
-        )
+        value = start + scaled * unit
+        now = value[9:].reshape(3, 3) if free else leak
+        total, slope = _likelihood(cells, floor, value[:9].reshape(3, 3), now)
+        slope = slope[: start.size]
+        away = value[:9] - prior[0]
+        slope[:9] += 2.0 * precision @ away
+        slope[9:] += 2.0 * value[9:] / max(leak_sigma, 1e-9) ** 2
+        total += float(away @ precision @ away + np.sum((value[9:] / max(leak_sigma, 1e-9)) ** 2))
+        return total, slope * unit
 
-    middle = prior[0] / unit
-    start = np.concatenate([middle, np.zeros(9 if free else 0)])
     # So far and no further: beyond it the leak could stand for the matrix.
-    limits = [(one - _FAR, one + _FAR) for one in start]
-    best = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 300}).x
-    return (best[:9] * unit).reshape(3, 3), best[9:].reshape(3, 3) * leak_sigma if free else leak
+    limits = [(-far, far) for far in (_FAR * spread / unit).tolist()]
+    nothing = np.zeros(start.size)
+    best = minimize(cost, nothing, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 300}).x
+    value = start + best * unit
+    return value[:9].reshape(3, 3), value[9:].reshape(3, 3) if free else leak
 
 
 def _leak_covariance(restful: Cells, prior: tuple[Floats, Floats], leak: Floats, sigma: float) -> Floats:
@@ -250,9 +266,13 @@ def _variance(values: Floats, cells: Cells, floor: Floats) -> Floats:
 
 def moments(cells: Cells, now: Mixing, noise: Floats) -> Moments:
     """Return what cells say of the matrix, in blocks of time."""
+    size = np.einsum("cii->ci", cells.covariance)
+    loud = size[:, 3:].sum(axis=1) > _LOUD_DIFFERENCE * float(np.trace(noise))
+    if loud.any():
+        cells = cells.part(loud)
     stray = now.stray_rows()
     bent = cells.covariance @ stray.T
-    square = stray @ bent
+    square = stray @ bent - noise
     cross = bent[:, :3]
     ambient = now.ambient_rows()
     floor = np.maximum(now.share * np.diag(noise), 1e-12)
@@ -262,7 +282,22 @@ def moments(cells: Cells, now: Mixing, noise: Floats) -> Moments:
     sums, crosses = np.zeros((_BLOCKS, 3, 3, 3)), np.zeros((_BLOCKS, 3, 3))
     np.add.at(sums, block, weight[:, :, None, None] * square[:, None])
     np.add.at(crosses, block, weight[:, :, None] * cross)
-    return Moments(sums, crosses, float(cells.count.sum()))
+    part = weight.sum(axis=0)[:, None, None] * noise
+    return Moments(sums, crosses, part, float(cells.count.sum()))
+
+
+def _least(square: Floats, part: Floats) -> Floats:
+    """Return sums (axis, 3, 3) less the noise's part of them, of which a tenth is left at least.
+
+    Nothing is divided by zero where the difference does not go beyond its noise in some direction.
+    """
+    root = np.linalg.cholesky(
+        part + 1e-9 * np.maximum(np.trace(part, axis1=1, axis2=2), 1e-12)[:, None, None] * np.eye(3)
+    )
+    inverse = np.linalg.inv(root)
+    value, vector = np.linalg.eigh(inverse @ (square + part) @ np.swapaxes(inverse, 1, 2))
+    back = root @ (vector * np.sqrt(np.maximum(np.maximum(value - 1.0, 0.1 * value), 0.0))[:, None, :])
+    return np.asarray(back @ np.swapaxes(back, 1, 2))
 
 
 def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tuple[float, Floats]:
