@@ -67,7 +67,7 @@ def states_window(
         try:
             readings = window_readings(cat, mission, model, days, needs, index)
             training = train(readings)
-            found = judge(readings, candidates)
+            found = judge(readings, lambda use: candidates(readings.part(use)))
             return table_of(readings, training, found)
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
