@@ -68,8 +68,8 @@ def flipped_workspace(folder, offset, events=FLIPS):
             [3.2, -4.1, 1.7],
             marks=pytest.mark.xfail(
                 strict=True,
-                reason="one day of wind with an offset of -3.8 nT along the axis: the zero level lands on a false "
-                "zero, 8.0 +- 1.0 nT, on which mirror mode and minimum correlation agree",
+                reason="one day of wind, -3.8 nT along the axis: the zero level lands on a false zero, "
+                "8.0 +- 1.0 nT, on which mirror mode and minimum correlation agree",
             ),
         ),
         [-1.9, 2.3, -2.4],
