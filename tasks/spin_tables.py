@@ -13,9 +13,11 @@ from inflight.arrays import Floats
 from inflight.errors import InflightError
 from inflight.model import Model, ModelEffect
 from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from inflight.spin.in_use import InUse, OneInUse
 from inflight.spin.twelve import GROUND, Known, TwelveTable, join_twelve
+from inflight.spin.update import Decision
 from inflight.tasks.spin_day import ground_of, require_spinning
-from inflight.time import Int64, day_bounds
+from inflight.time import DAY, Int64, day_bounds
 from inflight.zero_level.combined import combined
 from inflight.zero_level.estimate import Question
 from inflight.zero_level.intervals import Intervals
@@ -30,12 +32,20 @@ _BETTER = 0.5
 _PRIOR, _DATA = 0, 2
 
 
+#: The parameter that the spin tells nothing of and nature does.
+AXIAL = "offset[3]"
+
+
 @dataclass(frozen=True)
 class _Row:
+    """One interval: what is used in it, and what was decided; `own` is the estimate with its sigma, (12,)."""
+
     start: int
     end: int
     twelve: TwelveTable
     covariance: Floats
+    decisions: Mapping[str, Decision]
+    own: tuple[Floats, Floats]
     days: int
     used: float
     excess: float
@@ -51,7 +61,8 @@ def spin_table(
     """Return the table of windows of days; windows without a day are left out.
 
     Days are weighted by what each tells beyond the prior. Where they scatter by more than their errors say,
-    as after a change of the spin axis, the errors grow with the scatter.
+    as after a change of the spin axis, the errors grow with the scatter. From window to window a parameter
+    keeps its value unless the new estimate warrants another (`inflight.spin.in_use`).
 
     Parameters
     ----------
@@ -67,31 +78,68 @@ def spin_table(
     Returns
     -------
     xarray.Dataset
-        Twelve parameters an interval, with the variables of `inflight.calibration.table`.
+        Twelve parameters an interval, with the variables of `inflight.calibration.table`: the values in use.
+        `own`, `own_sigma` are the interval's own estimates, infinite sigma where it has none; `decision`
+        (update, confirm, keep; empty for what stays as on the ground) and `reason` say what became of them.
     """
     entry = require_spinning(model)
     bounds = [day_bounds(edge)[0] for edge in edges]
-    rows = []
+    rows, book = list[_Row](), _Book.of_ground(entry, bounds[0])
     for start, end in itertools.pairwise(bounds):
         inside = [day for day in days if start <= int(day["start"].values[0]) < end]
         if inside:
-            rows.append(_row(inside, entry, start, end, zero))
+            rows.append(book.row(inside, entry, start, end, zero))
     return _table(rows, entry, {"comparison": model.comparison, "kind": kind, "model": model.sha})
 
 
-def _row(
-    days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
-) -> _Row:
-    ground, sigma = ground_of(entry, (start + end) // 2)
-    prior = np.array([sigma[name] for name in SPIN_RELATED])
-    value, covariance, excess = _combined(days, ground.spin_related(), prior)
-    known = np.sqrt(np.diag(covariance))
-    told = np.where(known < _BETTER * prior, known, np.inf)
-    parameters = ground.changed(dict(zip(SPIN_RELATED, value.tolist(), strict=True)))
-    others = _axial(zero, start, end)
-    twelve = join_twelve((value, told, parameters), ground, sigma, others)
-    used = float(sum(np.isfinite(day["estimate"].values[..., 0]).sum() for day in days))
-    return _Row(start, end, twelve, _whole(twelve, covariance, told), len(days), used, excess)
+@dataclass
+class _Book:
+    """The values in use, from one interval to the next."""
+
+    eight: InUse
+    axial: OneInUse
+    source: str = GROUND
+
+    @classmethod
+    def of_ground(cls, entry: ModelEffect, tt2000: int) -> _Book:
+        ground, sigma = ground_of(entry, tt2000)
+        axial = OneInUse(AXIAL, float(ground.offset[2]), sigma[AXIAL])
+        return cls(InUse.of_ground(ground, sigma), axial)
+
+    def row(
+        self, days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
+    ) -> _Row:
+        """Decide on what the days of an interval tell, and return what is used in it."""
+        ground, sigma = ground_of(entry, (start + end) // 2)
+        prior = np.array([sigma[name] for name in SPIN_RELATED])
+        value, covariance, excess = _combined(days, ground.spin_related(), prior)
+        told = np.sqrt(np.diag(covariance)) < _BETTER * prior
+        step = self.eight.after(value, covariance, told, (start + end) // 2 / DAY)
+        self.eight = step.used
+        known = _axial(zero, start, end)
+        about, self.axial, error = self.axial.after(known.value, known.sigma)
+        if about.verdict == "update":
+            self.source = known.source
+        stated = np.where(self.eight.flown, np.sqrt(np.diag(step.covariance)), np.inf)
+        parameters = ground.changed(dict(zip(SPIN_RELATED, self.eight.value.tolist(), strict=True)))
+        others = {AXIAL: Known(self.axial.value, error, self.source)} if self.axial.flown else {}
+        twelve = join_twelve((self.eight.value, stated, parameters), ground, sigma, others)
+        used = float(sum(np.isfinite(day["estimate"].values[..., 0]).sum() for day in days))
+        decisions = dict(zip(SPIN_RELATED, step.decisions, strict=True)) | {AXIAL: about}
+        # As the values in use, the interval's own offsets go with the third one that is used beside them.
+        seen = ground.changed(dict(zip(SPIN_RELATED, step.seen.tolist(), strict=True)))
+        own = _own(join_twelve((step.seen, step.sigma, seen), ground, sigma, others), known)
+        whole = _whole(twelve, step.covariance, stated)
+        return _Row(start, end, twelve, whole, decisions, own, len(days), used, excess)
+
+
+def _own(twelve: TwelveTable, axial: Known) -> tuple[Floats, Floats]:
+    """Return an interval's own estimates and their errors, (12,); NaN and infinite for none."""
+    known = np.array([name in SPIN_RELATED for name in NAMES]) & twelve.determined
+    value, error = np.where(known, twelve.value, np.nan), np.where(known, twelve.sigma, np.inf)
+    if np.isfinite(axial.sigma):
+        value[NAMES.index(AXIAL)], error[NAMES.index(AXIAL)] = axial.value, axial.sigma
+    return value, error
 
 
 def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
@@ -115,17 +163,18 @@ def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple
     return value, np.asarray(covariance * excess), excess
 
 
-def _axial(zero: xr.Dataset | None, start: int, end: int) -> dict[str, Known]:
-    """Return the offset along the spin axis of the interval that holds the middle of a window."""
-    if zero is None:
-        return {}
+def _axial(zero: xr.Dataset | None, start: int, end: int) -> Known:
+    """Return the offset along the spin axis of the interval that holds the middle of a window.
+
+    Its sigma is infinite where nothing tells it.
+    """
     middle = (start + end) // 2
-    inside = np.flatnonzero((zero["start"].values <= middle) & (middle < zero["end"].values))
-    if not inside.size or not np.isfinite(zero["sigma"].values[inside[-1]]):
-        return {}
-    at = inside[-1]
-    source = str(zero["method"].values[at])
-    return {"offset[3]": Known(float(zero["value"].values[at]), float(zero["sigma"].values[at]), source)}
+    if zero is not None:
+        inside = np.flatnonzero((zero["start"].values <= middle) & (middle < zero["end"].values))
+        if inside.size and np.isfinite(zero["sigma"].values[inside[-1]]):
+            value, sigma = (float(zero[name].values[inside[-1]]) for name in ("value", "sigma"))
+            return Known(value, sigma, str(zero["method"].values[inside[-1]]))
+    return Known(float("nan"), float("inf"), GROUND)
 
 
 def _whole(twelve: TwelveTable, covariance: Floats, told: Floats) -> Floats:
@@ -152,6 +201,10 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
             "determined": (each, np.array([row.twelve.determined for row in rows])),
             "source": (each, np.where(from_ground, _PRIOR, _DATA).astype(np.int8)),
             "origin": (each, np.array([row.twelve.source for row in rows], dtype="U24")),
+            "own": (each, np.array([row.own[0] for row in rows])),
+            "own_sigma": (each, np.array([row.own[1] for row in rows])),
+            "decision": (each, np.array([_decided(row)[0] for row in rows], dtype="U8")),
+            "reason": (each, np.array([_decided(row)[1] for row in rows], dtype="U200")),
             "prior": ("parameter", ground.values()),
             "prior_sigma": ("parameter", np.array([sigma[name] for name in NAMES])),
             "units": ("parameter", np.array([UNITS[name] for name in NAMES], dtype="U8")),
@@ -164,6 +217,13 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
         coords={"parameter": names, "other": names},
         attrs=dict(attributes),
     )
+
+
+def _decided(row: _Row) -> tuple[list[str], list[str]]:
+    """Return verdict and reason of each of the twelve; of what stays as on the ground, that."""
+    kept = "nothing in flight tells it: as on the ground"
+    found = [row.decisions.get(name) for name in NAMES]
+    return [one.verdict if one else "" for one in found], [one.reason if one else kept for one in found]
 
 
 def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[np.datetime64]) -> xr.Dataset:

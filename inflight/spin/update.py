@@ -19,6 +19,9 @@ from inflight.spin.equation import SPIN_RELATED, UNITS, TwelveParameters
 Verdict = Literal["update", "confirm", "keep"]
 #: A change counts from this many standard deviations on.
 SIGNIFICANCE = 3.0
+#: A value is known well better with this part of the other's error. Of two that are known alike the
+#: difference scatters by more than the error of one: every thirtieth would be replaced by noise.
+WELL_BETTER = 0.5
 
 
 @dataclass(frozen=True)
@@ -105,12 +108,12 @@ def decide_updates(
     present_sigma : mapping of str to float
         Their uncertainties by name; what is not named is not known at all.
     significance : float
-        A value is replaced where it differs by more than this many of the new sigma, and where the new one is
-        better known, or the two contradict each other beyond both errors.
+        A value is replaced where it differs by more than this many of the new sigma and the new one is known
+        well better, or where the two contradict each other beyond both errors.
     """
     old = present.spin_related()
     made = [
-        _decide(
+        decide_one(
             name,
             (float(old[at]), float(present_sigma.get(name, np.inf))),
             (float(value[at]), float(sigma[at])),
@@ -122,15 +125,17 @@ def decide_updates(
     return Updates(tuple(made), present.changed(changed))
 
 
-def _decide(name: str, old: tuple[float, float], new: tuple[float, float], significance: float) -> Decision:
+def decide_one(
+    name: str, old: tuple[float, float], new: tuple[float, float], significance: float = SIGNIFICANCE
+) -> Decision:
     """Return the decision on one parameter from (value, sigma) in use and found."""
     sigma = new[1]
     if not (np.isfinite(sigma) and np.isfinite(new[0])):
         return Decision(name, *old, *new, "keep", "the record does not tell it")
     change, better = abs(new[0] - old[0]), sigma < old[1]
     told = f"differs by {change / sigma:.1f} sigma" if sigma > 0.0 else f"differs by {change:.3g}"
-    if change > significance * sigma and better:
-        return Decision(name, *old, *new, "update", f"{told}, and is known better than the value in use")
+    if change > significance * sigma and sigma < WELL_BETTER * old[1]:
+        return Decision(name, *old, *new, "update", f"{told}, and is known well better than the value in use")
     if change > significance * float(np.hypot(sigma, old[1])):
         return Decision(name, *old, *new, "update", f"{told}, more than both uncertainties allow")
     if better:
