@@ -291,11 +291,8 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> Rows:
         )
     sensor = layout.sensor("vector").name
     field = _values(corrected, "field")
-    across = np.hypot(field[:, 0], field[:, 1])
-    both = np.column_stack([field[:, 2], across])
-    good = _good(corrected, both) & (across > 0)
+    residual, good = turn_residual(layout.folding, field, corrected)
     stamps = corrected["tt2000"].values
-    residual = layout.folding.keep(both, stamps, good)
     steady = layout.folding.steady(field, _values(corrected, "spin_phase"), stamps, good)
     directions = np.zeros((len(field), 2, 3))
     directions[:, 0, 2] = 1.0
@@ -310,6 +307,31 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> Rows:
         _step(corrected),
         layout.folding,
     )
+
+
+def turn_residual(
+    folding: Folding, field: Floats, folded: xr.Dataset
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Return what turns with the spin in a calibrated field, and which samples are good.
+
+    Parameters
+    ----------
+    folding : Folding
+    field : ndarray, shape (time, 3)
+        nT, folded, axes that turn with the spacecraft, z along the spin axis.
+    folded : xarray.Dataset
+        With `tt2000` and `flag` of the folded samples.
+
+    Returns
+    -------
+    residual : ndarray, shape (time, 2)
+        Field along the spin axis and modulus across it, less their interval's means, nT.
+    good : ndarray of bool, shape (time,)
+    """
+    across = np.hypot(field[:, 0], field[:, 1])
+    both = np.column_stack([field[:, 2], across])
+    good = _good(folded, both) & (across > 0)
+    return folding.keep(both, np.asarray(folded["tt2000"].values), good), good
 
 
 _KINDS = {"scalar": _scalar, "dual": _dual, "platform": _platform, "spin": _spin}

@@ -64,8 +64,24 @@ def daily_wander(daily: xr.Dataset, start: int | None = None, end: int | None = 
     inside = np.ones(begin.size, dtype=bool)
     inside &= begin >= start if start is not None else True
     inside &= begin < end if end is not None else True
-    rows = daily.isel(interval=np.flatnonzero(inside))
+    rows = own_estimates(daily.isel(interval=np.flatnonzero(inside)))
     return [_wander(rows.isel(parameter=index)) for index in range(daily.sizes["parameter"])]
+
+
+def own_estimates(daily: xr.Dataset) -> xr.Dataset:
+    """Return a table with each interval's own estimates where it holds values that are kept from others.
+
+    A table of a turning sensor has them as `own`, `own_sigma`: see `inflight.tasks.spin_tables`.
+    """
+    if "own" not in daily:
+        return daily
+    told = np.isfinite(daily["own_sigma"].values)
+    dims = daily["value"].dims
+    return daily.assign(
+        value=(dims, daily["own"].values),
+        sigma=(dims, daily["own_sigma"].values),
+        determined=(dims, told),
+    )
 
 
 def _wander(one: xr.Dataset) -> Wander:

@@ -13,7 +13,6 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
-from inflight.errors import CatalogError, SettingsError
 from inflight.failures import Coordinate, find_failures, measure
 from inflight.flags import UNUSABLE, Flag
 from inflight.geometry import direction_of
@@ -23,9 +22,17 @@ from inflight.resolving import resolve_lines
 from inflight.spectrum import Power, add_power, finest, slow_power, stretch_power
 from inflight.statistics import NoiseFloor, Size, joined, joined_floor, noise_floor, size_of
 from inflight.tasks.compare_page import CompareReport, Drawn, Spectra, write_page
-from inflight.tasks.compare_rows import Sources, Spans, rows_of_day, scalar_channels
+from inflight.tasks.compare_rows import (
+    Sources,
+    Spans,
+    blocks_of,
+    published_products,
+    rows_of_day,
+    scalar_channels,
+)
+from inflight.tasks.compare_spin import compare_spin
 from inflight.tasks.models import current_model
-from inflight.tasks.planning import equations_of, product_of
+from inflight.tasks.planning import equations_of
 from inflight.tasks.report import Progress
 from inflight.tasks.tables import load_equations, span_solution
 from inflight.time import DAY, SECOND, DayLike, day_bounds, usual_step
@@ -33,8 +40,6 @@ from inflight.wander import daily_wander
 
 #: Means the figures are drawn from: at most so many rows in all, each of at least so many seconds.
 _ROWS, _SHORTEST = 400_000, 60.0
-#: Blocks of the uncertainties: a day when the span has at least so many days, else three hours.
-_DAY_BLOCKS, _BLOCK = 10, 3 * 3600.0
 #: Means tell periods of so many of their lengths and more, and apart by less than whole days can.
 _SEAM = 4.0
 _BINS = 160
@@ -67,6 +72,8 @@ def compare(
 ) -> CompareReport:
     """Measure the residual of published products before and after calibration, and draw it.
 
+    Of a spin comparison it is what still goes with the spin: see `inflight.tasks.compare_spin`.
+
     Parameters
     ----------
     start, end : UTC date, optional
@@ -95,16 +102,14 @@ def measured(
 ) -> tuple[CompareReport, Drawn]:
     """Measure as `compare` does; return with the report the aggregates that its figures are drawn from."""
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
+    tell = progress or (lambda stage, done, total: None)
+    days = published_products(cat, comparison, span)
     if mission.comparisons[comparison].kind == "spin":
-        raise SettingsError(
-            f"'{comparison}' holds a turning sensor against itself: products have no residual a sample",
-            remedy="see the days' tones in 'inflight catalog show', and ask 'inflight diagnose'",
-        )
-    days = _products(cat, comparison, span)
-    digest = _digest_of(cat, mission, comparison, days, progress or (lambda stage, done, total: None))
+        return compare_spin(cat, mission, comparison, days, output, tell)
+    digest = _digest_of(cat, mission, comparison, days, tell)
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
     coordinates = {one.name: one for one in _coordinates(rows, mission)}
-    block, block_name = _blocks(rows["tt2000"], len(days))
+    block, block_name = blocks_of(rows["tt2000"], len(days))
     found = measure(coordinates.values(), rows["after"], block)
     direction = np.stack([rows[f"field direction {axis}"] for axis in "xyz"], axis=1)
     spectra = _spectra(digest, rows, direction, mission)
@@ -128,16 +133,6 @@ def measured(
         acknowledgement=mission.acknowledgement,
     )
     return report, Drawn(digest.counts, rows, spectra, found, tables)
-
-
-def _products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
-    product = product_of(comparison)
-    days = cat.days(product, span, states=("published",))
-    if not days:
-        raise CatalogError(
-            f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
-        )
-    return days
 
 
 def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:
@@ -230,14 +225,6 @@ def _add_spectra(digest: _Digest, product: xr.Dataset, before: Floats, after: Fl
     whole[:count] = grid[:count]
     add_power(digest.power_before, stretch_power(whole[:, 0], whole[:, 2:], cadence))
     add_power(digest.power, stretch_power(whole[:, 1], whole[:, 2:], cadence))
-
-
-def _blocks(tt2000: Floats, days: int) -> tuple[np.ndarray[Any, np.dtype[np.int64]], str]:
-    """Return the block of each row, and what a block is."""
-    if days >= _DAY_BLOCKS:
-        first = day_bounds(np.datetime64("2000-01-01", "D"))[0]
-        return np.floor((tt2000 - first) / DAY).astype(np.int64), "day"
-    return (tt2000 / (_BLOCK * SECOND)).astype(np.int64), "3 h"
 
 
 def _spectra(digest: _Digest, rows: dict[str, Floats], direction: Floats, mission: Mission) -> Spectra:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -38,6 +39,26 @@ _POINTS = 20_000
 _SHOWN = 24
 
 
+class Structure(Protocol):
+    """One structure of a residual, as `inflight.failures` and `inflight.spin.tone_failures` tell them."""
+
+    @property
+    def coordinate(self) -> str:
+        """What the residual follows."""
+
+    @property
+    def amplitude(self) -> float:
+        """Rms of the structure, nT."""
+
+    @property
+    def sigma(self) -> float:
+        """Its standard deviation between blocks, nT."""
+
+    @property
+    def sentence(self) -> str:
+        """What a physicist would say of it."""
+
+
 @dataclass
 class CompareReport:
     """What `compare` found; `path` is the page, when one was written."""
@@ -48,7 +69,7 @@ class CompareReport:
     after: Size
     floor: NoiseFloor
     by_day: list[dict[str, Any]]
-    fails_where: list[Failure]
+    fails_where: Sequence[Structure]
     directions: list[str]
     determined: list[str]
     block: str
@@ -133,15 +154,19 @@ def compare_sections(report: CompareReport, drawn: Drawn) -> list[Section]:
     ]
     series = series_figure(*_thinned(rows))
     order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
-    axes = [axis_figure(one.response) for one in report.fails_where if one.response is not None]
+    axes = [
+        axis_figure(one.response)
+        for one in report.fails_where
+        if isinstance(one, Failure) and one.response is not None
+    ]
     return [
         ("Residual", _told(report), [*overview, series]),
-        ("Where it fails", _fails(report), axes),
+        ("Where it fails", fails_text(report), axes),
         ("What the residual follows", [_legend(report)], [dependence_figure(one) for one in order]),
         ("Spectrum", _lines(report), _spectrum_figures(drawn.spectra)),
         (
             "Parameters",
-            [*_known(report), _wandering(report)],
+            [*_known(report), wandering_text(report)],
             [*parameter_figures(*drawn.tables), wander_figure(report.wander)],
         ),
     ]
@@ -206,7 +231,8 @@ def _known(report: CompareReport) -> list[str]:
     return text
 
 
-def _fails(report: CompareReport) -> list[str]:
+def fails_text(report: CompareReport) -> list[str]:
+    """Return the structures of a residual as HTML."""
     if not report.fails_where:
         return [f"No structure stands out by five sigma between blocks of one {report.block}."]
     listed = "".join(f"<li>{escape(one.sentence)}</li>" for one in report.fails_where)
@@ -271,8 +297,8 @@ def _lines(report: CompareReport) -> list[str]:
     return [html_table(head, rows), escape(note)]
 
 
-def _wandering(report: CompareReport) -> str:
-    """Return the parameters' daily scatter as a table."""
+def wandering_text(report: CompareReport) -> str:
+    """Return the daily scatter of parameters as HTML."""
     rows = [
         (
             one.name.split(".", 1)[-1],

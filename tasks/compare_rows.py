@@ -13,16 +13,45 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.effects.families import NO_CAUSE
+from inflight.errors import CatalogError
 from inflight.geometry import add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
 from inflight.tasks.needs import channel_homes, geometry_channels, position_channel
-from inflight.time import SECOND, Int64, day_bounds, day_of
+from inflight.tasks.planning import product_of
+from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
 
+#: Blocks of the uncertainties: a day when the span has at least so many days, else three hours.
+_DAY_BLOCKS, _BLOCK = 10, 3 * 3600.0
 #: Channels of these kinds are no coordinates: geometry makes coordinates of them, or they are no numbers.
 _NO_COORDINATE = (*NO_CAUSE, "flag")
 #: Angles and hours on a circle are taken at one instant: their mean would be wrong at the seam.
 _GEOMETRY = ("latitude", "longitude", "orbit_phase", "sun_phase", "local_time", "sunlit", "sun_direction")
+
+
+def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
+    """Return the days of a comparison's products in a span.
+
+    Raises
+    ------
+    CatalogError
+        When there are none.
+    """
+    product = product_of(comparison)
+    days = cat.days(product, span, states=("published",))
+    if not days:
+        raise CatalogError(
+            f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
+        )
+    return days
+
+
+def blocks_of(tt2000: Floats, days: int) -> tuple[np.ndarray[Any, np.dtype[np.int64]], str]:
+    """Return the block of each row for uncertainties, and what a block is."""
+    if days >= _DAY_BLOCKS:
+        first = day_bounds(np.datetime64("2000-01-01", "D"))[0]
+        return np.floor((tt2000 - first) / DAY).astype(np.int64), "day"
+    return (tt2000 / (_BLOCK * SECOND)).astype(np.int64), "3 h"
 
 
 @dataclass(frozen=True)
@@ -44,15 +73,16 @@ class Sources:
         )
 
 
-def scalar_channels(mission: Mission) -> dict[str, tuple[str, str, Channel]]:
+def scalar_channels(mission: Mission, flags: bool = False) -> dict[str, tuple[str, str, Channel]]:
     """Return the coordinates that channels make: name -> (instrument, channel, description).
 
-    Components of vector channels are named ``channel[axis]``.
+    Components of vector channels are named ``channel[axis]``; channels of kind ``flag`` are states, taken
+    when asked for.
     """
     found: dict[str, tuple[str, str, Channel]] = {}
     for name, (instrument, channel) in channel_homes(mission).items():
         told = mission.instruments[instrument].channels[channel]
-        if told.kind in _NO_COORDINATE:
+        if told.kind in _NO_COORDINATE and not (flags and told.kind == "flag"):
             continue
         names = [f"{name}[{axis}]" for axis in told.axis_names] or [name]
         found |= dict.fromkeys(names, (instrument, channel, told))
@@ -150,15 +180,15 @@ def rows_of_day(
     out |= {f"field direction {axis}": directions[:, i] for i, axis in enumerate("xyz")}
     out |= {f"field component {axis}": components[:, i] for i, axis in enumerate("xyz")}
     day = day_of(spans.stamps[:1])[0]
-    out |= _channels(cat, mission, sources, day, spans)
-    return out | _geometry(cat, mission, comparison, sources, day, spans)
+    out |= channel_means(cat, mission, sources, day, spans)
+    return out | geometry_means(cat, mission, comparison, sources, day, spans)
 
 
-def _channels(
-    cat: Catalog, mission: Mission, sources: Sources, day: np.datetime64, spans: Spans
+def channel_means(
+    cat: Catalog, mission: Mission, sources: Sources, day: np.datetime64, spans: Spans, flags: bool = False
 ) -> dict[str, Floats]:
     """Return the means of every channel's components; NaN where the day has none."""
-    wanted = scalar_channels(mission)
+    wanted = scalar_channels(mission, flags)
     found = {name: np.full(spans.numbers.size, np.nan) for name in wanted}
     for instrument in dict.fromkeys(instrument for instrument, _, _ in wanted.values()):
         source = sources.days.get((instrument, day))
@@ -195,7 +225,7 @@ def _nearest(stamps: Int64, wanted: Int64) -> Int64:
     return np.where(np.abs(stamps[right] - wanted) < np.abs(wanted - stamps[left]), right, left)
 
 
-def _geometry(
+def geometry_means(
     cat: Catalog, mission: Mission, comparison: str, sources: Sources, day: np.datetime64, spans: Spans
 ) -> dict[str, Floats]:
     """Return orbit, Sun and local time at the middles of the spans, as far as positions are there."""

@@ -15,6 +15,7 @@ from inflight.flags import Flag
 from inflight.tasks import compare as module
 from inflight.tasks import compare_page
 from inflight.tasks.compare import compare
+from inflight.tasks.compare_rows import blocks_of
 from inflight.tasks.ingest import ingest
 from inflight.tasks.report import to_json
 from inflight.tasks.reprocess import reprocess
@@ -147,10 +148,10 @@ def test_the_json_has_the_promised_shape(four_days):
 
 def test_blocks_are_days_as_soon_as_there_are_enough():
     stamps = np.concatenate([sum(day_bounds(day)) // 2 + np.arange(3) for day in DAYS]).astype(float)
-    block, name = module._blocks(stamps, 10)
+    block, name = blocks_of(stamps, 10)
     assert name == "day"
     assert np.array_equal(block - block[0], np.repeat(np.arange(4), 3))
-    block, name = module._blocks(np.arange(0, 7 * 3600, 600) * 1e9, 9)
+    block, name = blocks_of(np.arange(0, 7 * 3600, 600) * 1e9, 9)
     assert name == "3 h"
     assert np.unique(block).size == 3
 
