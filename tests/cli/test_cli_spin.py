@@ -23,8 +23,26 @@ def test_a_spinning_mission_goes_through_the_verbs(inflight, root):
     assert shown.code == 0
 
 
-def test_compare_says_why_it_has_nothing_to_draw(inflight, root):
+def test_compare_tells_what_still_goes_with_the_spin(inflight, root):
     told = inflight("compare", "--json", "-w", root)
-    assert told.code != 0
-    assert "no residual a sample" in told.json["error"]["message"]
-    assert "diagnose" in told.json["error"]["remedy"]
+    assert told.code == 0
+    residual = told.json["residual"]
+    assert residual["after_nT"] < 0.02 < 1.0 < residual["before_nT"]
+    assert 0 < residual["noise_floor_nT"] < 0.02
+    assert [(one["row"], one["harmonic"]) for one in told.json["tones"]][:2] == [("axial", 1), ("axial", 2)]
+    assert "noise floor" in inflight("compare", "-w", root).out
+
+
+def test_the_tables_of_the_spin_are_told_and_drawn(inflight, root, tmp_path):
+    page = tmp_path / "spin.html"
+    told = inflight("chain", "--html", page, "--json", "-w", root)
+    assert told.code == 0
+    sections = told.json["sections"]
+    twelve = {one["name"]: one for one in sections["twelve"]["items"]}
+    assert len(twelve) == 12
+    assert twelve["gain_ratio"]["decision"] == "update"
+    assert twelve["rotation"]["origin"] == "ground"
+    assert "What each day decided" in page.read_text(encoding="utf-8")
+    shown = inflight("chain", "-w", root).out
+    assert "gain_ratio" in shown
+    assert "remain at their ground values" in shown
