@@ -229,7 +229,7 @@ def _zero(found: SpinResults) -> Part:
     }
     part.say(
         "Offsets 1 and 2 come from the spin; the third, along the spin axis, from nature's own statistics in "
-        "each window, by every method on the intervals of 15 minutes that suit it."
+        "each window, by every method on the intervals of 15 minutes that suit it; days of a window share it."
     )
     head = ("window from", "combined", *METHODS, "intervals")
     part.text.append(html_table(head, [_zero_row(one) for one in items]))
