@@ -13,6 +13,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
+from inflight.errors import SettingsError
 from inflight.failures import Coordinate, find_failures, measure
 from inflight.flags import UNUSABLE, Flag
 from inflight.geometry import direction_of
@@ -86,6 +87,10 @@ def compare(
     CatalogError
         When no product of the comparison is published in the span.
     """
+    tell = progress or (lambda stage, done, total: None)
+    if mission.comparisons[comparison].kind == "spin":
+        days = published_products(cat, comparison, _span(start, end))
+        return compare_spin(cat, mission, comparison, days, output, tell)
     report, drawn = measured(cat, mission, start, end, comparison, progress)
     if output is not None:
         write_page(report, output, mission, drawn)
@@ -100,12 +105,21 @@ def measured(
     comparison: str = "main",
     progress: Progress | None = None,
 ) -> tuple[CompareReport, Drawn]:
-    """Measure as `compare` does; return with the report the aggregates that its figures are drawn from."""
-    span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
+    """Measure as `compare` does; return with the report the aggregates that its figures are drawn from.
+
+    Raises
+    ------
+    SettingsError
+        Of a spin comparison, which has other figures.
+    """
+    if mission.comparisons[comparison].kind == "spin":
+        raise SettingsError(
+            f"'{comparison}' holds a turning sensor against itself: products have no residual a sample",
+            remedy="see what still goes with the spin with 'inflight compare', and ask 'inflight diagnose'",
+        )
+    span = _span(start, end)
     tell = progress or (lambda stage, done, total: None)
     days = published_products(cat, comparison, span)
-    if mission.comparisons[comparison].kind == "spin":
-        return compare_spin(cat, mission, comparison, days, output, tell)
     digest = _digest_of(cat, mission, comparison, days, tell)
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
     coordinates = {one.name: one for one in _coordinates(rows, mission)}
@@ -133,6 +147,10 @@ def measured(
         acknowledgement=mission.acknowledgement,
     )
     return report, Drawn(digest.counts, rows, spectra, found, tables)
+
+
+def _span(start: DayLike | None, end: DayLike | None) -> slice:
+    return slice(str(start) if start is not None else None, str(end) if end is not None else None)
 
 
 def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:
