@@ -123,9 +123,7 @@ def fit_forms(
         With fewer than 256 good samples.
     """
     if unknown := set(forms) - set(FORMS):
-        raise SettingsError(
-            f"form '{min(unknown)}' of a gradiometer", remedy=f"choose from {', '.join(FORMS)}"
-        )
+        raise SettingsError(f"form '{min(unknown)}' of a gradiometer", remedy=f"choose from {', '.join(FORMS)}")
     places = None if positions is None else np.asarray(positions, dtype=np.float64)
     if "dipole" in forms and places is None:
         raise SettingsError("a dipole has no place", remedy="give both sensors' positions")
@@ -167,9 +165,7 @@ def as_form(full: Gradiometer, told: Moments, form: str, positions: Floats | Non
         # stray = k / (1 - k) d
         sigma = float(np.sqrt(covariance[0, 0])) / (1.0 + float(value[0])) ** 2
         facts = {"ratio": float(value[0] / (1.0 + value[0])), "sigma": sigma}
-    return _with_matrix(
-        full, told, form, np.einsum("p,pij->ij", value, basis), (basis, value, covariance), facts
-    )
+    return _with_matrix(full, told, form, np.einsum("p,pij->ij", value, basis), (basis, value, covariance), facts)
 
 
 def _with_matrix(

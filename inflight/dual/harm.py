@@ -108,15 +108,15 @@ def judge(readings: Readings, fits: Fit, folds: int = FOLDS) -> Judgement:
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
         told = "; ".join(f"{name}: {one.told}" for name, one in evidence.items())
-        return Judgement(
-            no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence
-        )
+        return Judgement(no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence)
     best = max(helping, key=lambda one: one.gain)
     correction = fits(readings)[best.name](readings)
     return Judgement(correction, best.name, evidence)
 
 
-def _held_out(readings: Readings, fits: Fit, folds: int) -> dict[str, list[tuple[slice, Correction]]]:
+def _held_out(
+    readings: Readings, fits: Fit, folds: int
+) -> dict[str, list[tuple[slice, Correction]]]:
     """Return corrections of each part by candidates that were fitted to the others."""
     edges = np.linspace(0, len(readings), folds + 1).astype(np.int64)
     found: dict[str, list[tuple[slice, Correction]]] = {}

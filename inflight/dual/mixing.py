@@ -221,9 +221,7 @@ def _maximum(
         away = scaled[:9] * unit - prior[0]
         total += float(away @ precision @ away + np.sum(scaled[9:] ** 2))
         of_matrix = (slope[:9] + 2.0 * precision @ away) * unit
-        return total, np.concatenate(
-            [of_matrix, slope[9:] * leak_sigma + 2.0 * scaled[9:]] if free else [of_matrix]
-        )
+        return total, np.concatenate([of_matrix, slope[9:] * leak_sigma + 2.0 * scaled[9:]] if free else [of_matrix])
 
     middle = prior[0] / unit
     start = np.concatenate([middle, np.zeros(9 if free else 0)])

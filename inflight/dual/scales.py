@@ -88,7 +88,9 @@ def contrasts(series: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64]
         What one contrast is worth of one that does not overlap.
     """
     # Sums of many large numbers would lose the noise: the mean says nothing here.
-    sums = np.concatenate([np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)])
+    sums = np.concatenate(
+        [np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)]
+    )
     stride = max(block // 2, 1)
     middle = np.arange(block, len(series) - block + 1, stride)
     values = (sums[middle + block] - 2.0 * sums[middle] + sums[middle - block]) / np.sqrt(2.0 * block)

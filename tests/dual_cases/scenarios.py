@@ -66,9 +66,7 @@ def make_case(seed: int, family: str | None = None) -> Case:
     readings = Readings(stamps, inboard[keep], outboard[keep])
     noise = float(np.sqrt(np.mean(np.var(noise_out, axis=0))))
     facts = {"leak": float(np.abs(leak).max()), "coloured": coloured, "offset_drift": drift}
-    return Case(
-        seed, family, kind, readings, ambient[keep], stray_out[keep], noise, ratio, cadence, positions, facts
-    )
+    return Case(seed, family, kind, readings, ambient[keep], stray_out[keep], noise, ratio, cadence, positions, facts)
 
 
 def _ambient(random: np.random.Generator, count: int, cadence: float, kind: str) -> Floats:
@@ -163,9 +161,7 @@ def _tone(random: np.random.Generator, count: int, cadence: float) -> Floats:
 def _torquer(random: np.random.Generator, count: int, cadence: float) -> Floats:
     """Return a slow sine given in pulses of a duty cycle, with pauses."""
     period = int(random.integers(10, 60))
-    wanted = np.sin(
-        2 * np.pi * np.arange(count) / (count / random.uniform(1.0, 6.0)) + random.uniform(0, 6.3)
-    )
+    wanted = np.sin(2 * np.pi * np.arange(count) / (count / random.uniform(1.0, 6.0)) + random.uniform(0, 6.3))
     on = (np.arange(count) % period) < np.abs(wanted) * period
     return np.asarray(np.where(on, np.sign(wanted), 0.0))
 
