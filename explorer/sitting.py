@@ -21,7 +21,7 @@ from inflight.flows.cluster import client_when_needed
 from inflight.mission import Mission
 from inflight.model.changes import tree_of
 from inflight.tasks.compare import measured
-from inflight.tasks.compare_page import CompareReport, Drawn, compare_sections
+from inflight.tasks.compare_page import Compared
 from inflight.tasks.diagnose import DiagnoseSettings
 from inflight.tasks.diagnosing import diagnose_span, last_diagnosis, open_workbench
 from inflight.tasks.diagnosis_report import diagnosis_sections, examine
@@ -65,7 +65,7 @@ class Sitting:
         self.background = Background()
         #: What the page's changes of each comparison's model did, as `Revision.as_json`, in their order.
         self.changes: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        self._measured: dict[tuple[Any, ...], tuple[CompareReport, Drawn]] = {}
+        self._measured: dict[tuple[Any, ...], Compared[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
 
     def mission(self) -> Mission:
@@ -89,7 +89,7 @@ class Sitting:
             self._measured[key] = measured(self.cat, self.mission(), *span, comparison, progress)
             for old in list(self._measured)[:-_KEPT]:
                 del self._measured[old]
-        return compare_sections(*self._measured[key])
+        return self._measured[key].sections()
 
     def tables(self, comparison: str, progress: Progress) -> list[Section]:
         """Return what the newest published tables of a comparison show; none when there are no tables.

@@ -48,11 +48,13 @@ class Flag(IntFlag):
     AMBIGUOUS_STATE = 1 << 14
     #: The sample lies in a passing disturbance or in the transition between two states.
     TRANSIENT = 1 << 15
+    #: A flipper holds the sensors in the position that the day is not calibrated for.
+    FLIPPED = 1 << 16
 
 
 #: Flags that take a sample out of every fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-UNUSABLE |= Flag.INSTRUMENT_FLAG
+UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED
 
 
 def meanings() -> tuple[list[int], str]:

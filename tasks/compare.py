@@ -13,8 +13,8 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
-from inflight.errors import SettingsError
 from inflight.failures import Coordinate, find_failures, measure
+from inflight.figures.page import html_page
 from inflight.flags import UNUSABLE, Flag
 from inflight.geometry import direction_of
 from inflight.lines import Line, find_lines, known_periods
@@ -22,7 +22,9 @@ from inflight.mission import Mission
 from inflight.resolving import resolve_lines
 from inflight.spectrum import Power, add_power, finest, slow_power, stretch_power
 from inflight.statistics import NoiseFloor, Size, joined, joined_floor, noise_floor, size_of
-from inflight.tasks.compare_page import CompareReport, Drawn, Spectra, write_page
+from inflight.tasks.chain_report import write_page
+from inflight.tasks.compare_dual import DualCompareReport, compare_dual
+from inflight.tasks.compare_page import Compared, CompareReport, Drawn, Spectra, compare_sections, page_title
 from inflight.tasks.compare_rows import (
     Sources,
     Spans,
@@ -32,9 +34,11 @@ from inflight.tasks.compare_rows import (
     scalar_channels,
 )
 from inflight.tasks.compare_spin import compare_spin
+from inflight.tasks.compare_spin_page import SpinCompareReport
 from inflight.tasks.models import current_model
 from inflight.tasks.planning import equations_of
 from inflight.tasks.report import Progress
+from inflight.tasks.states_units import is_told_by_states
 from inflight.tasks.tables import load_equations, span_solution
 from inflight.time import DAY, SECOND, DayLike, day_bounds, usual_step
 from inflight.wander import daily_wander
@@ -70,7 +74,7 @@ def compare(
     comparison: str = "main",
     output: Path | None = None,
     progress: Progress | None = None,
-) -> CompareReport:
+) -> CompareReport | DualCompareReport:
     """Measure the residual of published products before and after calibration, and draw it.
 
     Of a spin comparison it is what still goes with the spin: see `inflight.tasks.compare_spin`.
@@ -86,15 +90,16 @@ def compare(
     ------
     CatalogError
         When no product of the comparison is published in the span.
+
+    Notes
+    -----
+    Two sensors on one boom without a scalar one have another measure: see `compare_dual`.
     """
-    tell = progress or (lambda stage, done, total: None)
-    if mission.comparisons[comparison].kind == "spin":
-        days = published_products(cat, comparison, _span(start, end))
-        return compare_spin(cat, mission, comparison, days, output, tell)
-    report, drawn = measured(cat, mission, start, end, comparison, progress)
+    found = measured(cat, mission, start, end, comparison, progress)
     if output is not None:
-        write_page(report, output, mission, drawn)
-    return report
+        write_page(output, html_page(found.title, found.sections(), mission.acknowledgement))
+        found.report.path = output
+    return found.report
 
 
 def measured(
@@ -104,22 +109,22 @@ def measured(
     end: DayLike | None = None,
     comparison: str = "main",
     progress: Progress | None = None,
-) -> tuple[CompareReport, Drawn]:
-    """Measure as `compare` does; return with the report the aggregates that its figures are drawn from.
-
-    Raises
-    ------
-    SettingsError
-        Of a spin comparison, which has other figures.
-    """
-    if mission.comparisons[comparison].kind == "spin":
-        raise SettingsError(
-            f"'{comparison}' holds a turning sensor against itself: products have no residual a sample",
-            remedy="see what still goes with the spin with 'inflight compare', and ask 'inflight diagnose'",
-        )
-    span = _span(start, end)
+) -> Compared[CompareReport] | Compared[SpinCompareReport] | Compared[DualCompareReport]:
+    """Measure as `compare` does; return with the report what its figures are drawn from."""
+    if is_told_by_states(mission, comparison):
+        return compare_dual(cat, mission, start, end, comparison, progress)
+    span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     tell = progress or (lambda stage, done, total: None)
     days = published_products(cat, comparison, span)
+    if mission.comparisons[comparison].kind == "spin":
+        return compare_spin(cat, mission, comparison, days, tell)
+    return _compare_samples(cat, mission, comparison, span, days, tell)
+
+
+def _compare_samples(
+    cat: Catalog, mission: Mission, comparison: str, span: slice, days: Sequence[Day], tell: Progress
+) -> Compared[CompareReport]:
+    """Measure a residual of each sample."""
     digest = _digest_of(cat, mission, comparison, days, tell)
     rows = {name: np.concatenate([row[name] for row in digest.rows]) for name in digest.rows[0]}
     coordinates = {one.name: one for one in _coordinates(rows, mission)}
@@ -146,11 +151,8 @@ def measured(
         outliers=digest.outliers,
         acknowledgement=mission.acknowledgement,
     )
-    return report, Drawn(digest.counts, rows, spectra, found, tables)
-
-
-def _span(start: DayLike | None, end: DayLike | None) -> slice:
-    return slice(str(start) if start is not None else None, str(end) if end is not None else None)
+    drawn = Drawn(digest.counts, rows, spectra, found, tables)
+    return Compared(report, page_title(report, mission), lambda: compare_sections(report, drawn))
 
 
 def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:

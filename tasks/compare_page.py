@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -19,7 +19,6 @@ from inflight.figures import (
     daily_figure,
     dependence_figure,
     histogram_figure,
-    html_page,
     parameter_figures,
     series_figure,
     spectrum_figure,
@@ -57,6 +56,36 @@ class Structure(Protocol):
     @property
     def sentence(self) -> str:
         """What a physicist would say of it."""
+
+
+class Told(Protocol):
+    """What every kind of comparison tells; `path` is its page, when one was written."""
+
+    path: Path | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+
+
+Report_co = TypeVar("Report_co", bound=Told, covariant=True)
+
+
+@dataclass(frozen=True)
+class Compared(Generic[Report_co]):
+    """A comparison measured: its numbers, and its figures, drawn when asked for.
+
+    Attributes
+    ----------
+    report : CompareReport or DualCompareReport
+    title : str
+        Of the page.
+    sections : callable
+        Returns everything that is shown, as the page and the explorer have it.
+    """
+
+    report: Report_co
+    title: str
+    sections: Callable[[], list[Section]]
 
 
 @dataclass
@@ -172,16 +201,10 @@ def compare_sections(report: CompareReport, drawn: Drawn) -> list[Section]:
     ]
 
 
-def write_page(report: CompareReport, output: Path, mission: Mission, drawn: Drawn) -> None:
-    """Write the static page whole, by one rename."""
+def page_title(report: CompareReport, mission: Mission) -> str:
+    """Return what the page is headed with."""
     first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
-    title = f"{mission.mission}: model against measurement, {first} to {last}"
-    page = html_page(title, compare_sections(report, drawn), mission.acknowledgement)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = output.with_name(f".{output.name}.part")
-    unfinished.write_text(page, encoding="utf-8")
-    unfinished.replace(output)
-    report.path = output
+    return f"{mission.mission}: model against measurement, {first} to {last}"
 
 
 def _thinned(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from inflight.spin.residual_tones import ToneCoordinate, Tones, tone_dependence,
 from inflight.spin.tone_failures import find_tone_failures
 from inflight.statistics import Size
 from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.compare_page import CompareReport
+from inflight.tasks.compare_page import Compared
 from inflight.tasks.compare_rows import (
     Sources,
     Spans,
@@ -36,7 +35,7 @@ from inflight.tasks.compare_rows import (
     geometry_means,
     scalar_channels,
 )
-from inflight.tasks.compare_spin_page import SpinCompareReport, SpinDrawn, write_spin_page
+from inflight.tasks.compare_spin_page import SpinCompareReport, SpinDrawn, spin_sections, spin_title
 from inflight.tasks.models import current_model
 from inflight.tasks.needs import Need, needs_of
 from inflight.tasks.report import Progress
@@ -96,17 +95,14 @@ def compare_spin(
     mission: Mission,
     comparison: str,
     days: Sequence[Day],
-    output: Path | None,
     tell: Progress,
-) -> CompareReport:
-    """Measure the tones of published products before and after calibration, and draw them.
+) -> Compared[SpinCompareReport]:
+    """Measure the tones of published products before and after calibration.
 
     Parameters
     ----------
     days : sequence of Day
         Of the products.
-    output : Path or None
-        Where to write the static page.
 
     Raises
     ------
@@ -150,12 +146,10 @@ def compare_spin(
         acknowledgement=mission.acknowledgement,
         tones=(before.size, after.size),
     )
-    if output is not None:
-        steady = coordinates["spin phase"]
-        turns = [tone_dependence(one, steady, block) for one in (before, after)]
-        drawn = SpinDrawn(found.stamps, before, after, (turns[0], turns[1]), whole)
-        write_spin_page(report, output, mission, drawn)
-    return report
+    steady = coordinates["spin phase"]
+    turns = [tone_dependence(one, steady, block) for one in (before, after)]
+    drawn = SpinDrawn(found.stamps, before, after, (turns[0], turns[1]), whole)
+    return Compared(report, spin_title(report, mission), lambda: spin_sections(report, drawn))
 
 
 @dataclass(frozen=True)

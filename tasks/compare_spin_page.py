@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.figures import daily_figure, html_page, wander_figure
-from inflight.figures.page import html_table
+from inflight.figures import daily_figure, wander_figure
+from inflight.figures.page import Section, html_table
 from inflight.figures.spin_tones import (
     mean_turn_figure,
     tone_dependence_figure,
@@ -21,7 +20,6 @@ from inflight.figures.spin_tones import (
 )
 from inflight.mission import Mission
 from inflight.spin.residual_tones import TONES, ToneDependence, Tones
-from inflight.tasks.chain_report import write_page
 from inflight.tasks.compare_page import CompareReport, fails_text, wandering_text
 from inflight.time import Int64
 
@@ -63,8 +61,8 @@ class SpinDrawn:
     found: Sequence[ToneDependence]
 
 
-def write_spin_page(report: SpinCompareReport, output: Path, mission: Mission, drawn: SpinDrawn) -> None:
-    """Write the static page whole."""
+def spin_sections(report: SpinCompareReport, drawn: SpinDrawn) -> list[Section]:
+    """Return everything that is shown of a spin comparison, as the page and the explorer have it."""
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
     daily = daily_figure(day, before, after, report.floor.level_nT)
@@ -75,23 +73,22 @@ def write_spin_page(report: SpinCompareReport, output: Path, mission: Mission, d
     ]
     varying = [one for one in drawn.found if len(one.centre) > 1]
     varying.sort(key=lambda one: (not one.clear.any(), -one.amplitude[one.strongest]))
+    return [
+        ("Residual", _told(report), [daily, mean_turn_figure(*drawn.turns), *over_time]),
+        ("Where it fails", fails_text(report), []),
+        (
+            "What the tones follow",
+            [_legend(report), _in_step(drawn.found)],
+            [tone_dependence_figure(one, one.strongest) for one in varying],
+        ),
+        ("Parameters", [wandering_text(report)], [wander_figure(report.wander)]),
+    ]
+
+
+def spin_title(report: SpinCompareReport, mission: Mission) -> str:
+    """Return what the page is headed with."""
     first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
-    page = html_page(
-        f"{mission.mission}: what still goes with the spin, {first} to {last}",
-        [
-            ("Residual", _told(report), [daily, mean_turn_figure(*drawn.turns), *over_time]),
-            ("Where it fails", fails_text(report), []),
-            (
-                "What the tones follow",
-                [_legend(report), _in_step(drawn.found)],
-                [tone_dependence_figure(one, one.strongest) for one in varying],
-            ),
-            ("Parameters", [wandering_text(report)], [wander_figure(report.wander)]),
-        ],
-        mission.acknowledgement,
-    )
-    write_page(output, page)
-    report.path = output
+    return f"{mission.mission}: what still goes with the spin, {first} to {last}"
 
 
 def _told(report: SpinCompareReport) -> list[str]:

@@ -16,6 +16,7 @@ from inflight.mission import Mission
 from inflight.tasks.diagnose import DiagnoseSettings
 from inflight.tasks.report import Progress, to_json
 from inflight.tasks.revise import Workbench
+from inflight.tasks.states_units import named_units
 
 #: Kinds of comparisons that have a residual at every sample.
 SAMPLED_KINDS = ("scalar", "dual", "platform")
@@ -64,6 +65,9 @@ def diagnose_span(
         fields = found.as_json() | {"command": "auto", "versions": [one.as_json() for one in steps]}
     else:
         fields = bench.diagnose().as_json()
+    units = named_units(bench.cat, mission, settings.comparison, start, end)
+    if units is not None:
+        fields["units"] = units
     keep(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
     return fields
 

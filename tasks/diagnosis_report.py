@@ -34,6 +34,7 @@ from inflight.tasks.diagnosis_sections import (
     which_effect,
 )
 from inflight.tasks.report import Progress
+from inflight.tasks.states_units import named_units
 from inflight.time import DayLike, to_utc
 
 
@@ -126,6 +127,8 @@ def examine(
     found = conclude(search, material)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
+    units = named_units(cat, mission, settings.comparison, start, end)
+    facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
     return Examined(search, material, found, settings, facts)
 
 

@@ -140,7 +140,7 @@ def plan(
     Raises
     ------
     MissionError
-        When the mission has no such comparison, or one of another kind than scalar.
+        When the mission has no such comparison, or one of kind platform.
     CatalogError
         When the archive has no day in the span.
     """
@@ -201,10 +201,10 @@ def product_of(comparison: str) -> str:
 
 
 def _check_comparison(mission: Mission, name: str) -> None:
-    fit = [known for known, entry in mission.comparisons.items() if entry.kind in ("scalar", "spin")]
+    fit = [known for known, entry in mission.comparisons.items() if entry.kind in ("scalar", "spin", "dual")]
     if name not in fit:
         raise MissionError(
-            f"'{name}' is no scalar and no spin comparison of mission '{mission.mission}'",
+            f"'{name}' is no scalar, spin or dual comparison of mission '{mission.mission}'",
             remedy=f"choose one of {', '.join(fit) or 'none: the mission has none'}",
         )
 

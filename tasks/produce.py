@@ -80,7 +80,7 @@ def produce_day(
     """Return one day's product and a report: coverage, residual before and after, what stands in for what."""
     if model.layout is not None and model.layout.kind == "spin":
         product, told = spin_product(cat, mission, model, table, day, job, raw)
-        return _rounded(product), told
+        return rounded(product), told
     samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
     start, end = day_bounds(day)
     middle = (start + end) // 2
@@ -92,7 +92,7 @@ def produce_day(
         widening, scalar = stand.variance(bound)
         treated = treated_report(stand.treated(model), float(np.sqrt(scalar[stand.lost].mean())))
         samples, bound, raw = stand.samples, stand.model(bound), stand.model(raw)
-    product = _rounded(level2(bound, samples, parameters, raw, widening, distribute))
+    product = rounded(level2(bound, samples, parameters, raw, widening, distribute))
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
     step = usual_step(np.asarray(product["tt2000"].values), end - start)
     # The numbers as stored, of the samples that `inflight.tasks.compare` takes: both tell one residual.
@@ -121,7 +121,7 @@ def spread_of(product: xr.Dataset, good: np.ndarray, span: tuple[int, int]) -> d
     return {str(name): found[name].values[0].tolist() for name in found.data_vars}
 
 
-def _rounded(product: xr.Dataset) -> xr.Dataset:
+def rounded(product: xr.Dataset) -> xr.Dataset:
     """Round each variable to its stored step and say so, so that a store holds what a user reads."""
     rounded = {}
     for name, variable in product.data_vars.items():

@@ -25,7 +25,8 @@ from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import Progress, RunReport
 from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
-from inflight.tasks.reprocess_dual import dual_comparisons, reprocess_dual
+from inflight.tasks.reprocess_dual import dual_comparisons, is_calibrated_apart, reprocess_dual
+from inflight.tasks.reprocess_states import reprocess_states
 from inflight.tasks.spin_batch import solve_spin, spin_batch
 from inflight.tasks.stand_ins import partial_problems
 from inflight.tasks.tables import (
@@ -168,10 +169,10 @@ def solve_chain(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64,
     )
 
 
-def _solver(made: Plan) -> Callable[..., SolvedTables]:
+def _solver(made: Plan, mission: Mission) -> Callable[..., SolvedTables]:
     """Return what makes the tables of a plan."""
     if made.is_spin:
-        return solve_spin
+        return partial(solve_spin, mission=mission)
     return solve_chain if made.settings.is_chain else solve
 
 
@@ -249,7 +250,8 @@ def reprocess(
     -------
     RunReport
         Days by outcome; extra field ``residual`` with `before_nT` and `after_nT` over the span. Of a
-        comparison of two vector sensors tables alone, see `inflight.tasks.reprocess_dual`.
+        comparison of two vector sensors see `inflight.tasks.reprocess_dual` when scalar sensors calibrate
+        both, else `inflight.tasks.reprocess_states`.
 
     Raises
     ------
@@ -259,7 +261,9 @@ def reprocess(
     spread = mapper or _plain_mapper(client, progress or (lambda stage, done, total: None))
     chosen = settings or ReprocessSettings()
     if chosen.comparison in dual_comparisons(mission):
-        return reprocess_dual(cat, mission, start, end, chosen, spread)
+        apart = is_calibrated_apart(mission, chosen.comparison)
+        run_dual = reprocess_dual if apart else reprocess_states
+        return run_dual(cat, mission, start, end, chosen, spread)
     made = plan(cat, mission, start, end, settings)
     book = _Book()
     with cat.run("reprocess", made.settings.model_dump() | _span_of(made), context=made.context) as run:
@@ -267,7 +271,7 @@ def reprocess(
         days = _equations(cat, mission, made, run, spread, book)
         if not days:
             return _report(cat, made, run, book, [], {"residual": {}})
-        tables = _solver(made)(cat, made, run, days)
+        tables = _solver(made, mission)(cat, made, run, days)
         same = produce(cat, mission, made, run, tables, spread, book)
         if made.settings.is_chain:
             _keep_offsets(cat, made, run, days, tables, book.reports)
@@ -278,6 +282,8 @@ def reprocess(
             "model": {"name": tables.model.name, "version": tables.model.version},
             "left_out": tables.notes,
         }
+    elif tables.notes:
+        extra["left_out"] = tables.notes
     return _report(cat, made, run, book, same, extra)
 
 

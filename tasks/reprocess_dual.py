@@ -27,6 +27,7 @@ from inflight.estimators.two_fluxgates import (
 )
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
+from inflight.tasks import spin_bending
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.models import current_model
@@ -51,10 +52,11 @@ TABLES = ("relation", "relation-daily", "corners")
 
 @dataclass(frozen=True)
 class Pair:
-    """The scalar comparisons of both sensors, the inboard one's first."""
+    """The comparisons that calibrate both sensors, the inboard one's first: scalar ones, or of the spin."""
 
     first: str
     second: str
+    kind: str = "scalar"
 
     @classmethod
     def of(cls, mission: Mission, comparison: str) -> Pair:
@@ -63,23 +65,41 @@ class Pair:
         Raises
         ------
         MissionError
-            When one of the sensors is held against no scalar sensor.
+            When one of the sensors is calibrated by no scalar comparison, nor both by their spin.
         """
         own = mission.comparisons[comparison].instruments()
-        names = []
-        for role in ("inboard", "outboard"):
-            found = [
-                name
-                for name, entry in mission.comparisons.items()
-                if entry.kind == "scalar" and entry.instruments()["vector"] == own[role]
-            ]
-            if not found:
-                raise MissionError(
-                    f"no scalar comparison calibrates '{own[role]}', the {role} sensor of '{comparison}'",
-                    remedy="state one in the mission's file, or see 'inflight diagnose' for the difference",
-                )
-            names.append(found[0])
-        return cls(*names)
+        names: dict[tuple[str, str], str] = {}
+        for name, entry in mission.comparisons.items():
+            if entry.kind in ("scalar", "spin"):
+                names.setdefault((entry.kind, entry.instruments()["vector"]), name)
+        roles = ("inboard", "outboard")
+        for kind in ("scalar", "spin"):
+            if all((kind, own[role]) in names for role in roles):
+                return cls(names[kind, own["inboard"]], names[kind, own["outboard"]], kind)
+        role = next(role for role in roles if ("scalar", own[role]) not in names)
+        raise MissionError(
+            f"no scalar comparison calibrates '{own[role]}', the {role} sensor of '{comparison}'",
+            remedy="state one in the mission's file, or see 'inflight diagnose' for the difference",
+        )
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """Names of the tables, without the comparison."""
+        return TABLES if self.kind == "scalar" else spin_bending.TABLES
+
+    @property
+    def note(self) -> str:
+        """What is said where a product would be."""
+        return NO_PRODUCT if self.kind == "scalar" else spin_bending.NO_PRODUCT
+
+
+def is_calibrated_apart(mission: Mission, comparison: str) -> bool:
+    """Return True when scalar comparisons calibrate both sensors of a dual comparison."""
+    try:
+        Pair.of(mission, comparison)
+    except MissionError:
+        return False
+    return True
 
 
 def dual_comparisons(mission: Mission) -> list[str]:
@@ -124,11 +144,12 @@ def reprocess_dual(
     with cat.run("reprocess", settings.model_dump(), context=context) as run:
         fresh: dict[np.datetime64, Day] = {}
         batches = [todo[at : at + settings.batch_days] for at in range(0, len(todo), settings.batch_days)]
-        arguments = [(cat, sources, _job(run, dataset, batch, keys, sources)) for batch in batches]
+        arguments = [(cat, sources, _job(run, dataset, batch, keys, sources), pair.kind) for batch in batches]
         for outcome in mapper("calibrate", dual_batch, arguments):
-            fresh |= _taken(run, dataset, outcome, failed)
+            fresh |= {day.day: day for day in take_outcome(run, dataset, outcome, failed)}
         made = known | fresh
-        left_out = _keep_tables(cat, run, settings.comparison, [made[day] for day in sorted(made)])
+        ordered = [made[day] for day in sorted(made)]
+        left_out = _keep_tables(cat, run, settings.comparison, ordered, pair.kind)
         run.publish(certify=left_out.pop("certify"), supersede=True)
     counts = {
         "planned": len(days),
@@ -136,8 +157,8 @@ def reprocess_dual(
         "unchanged": len(known),
         "failed": len(failed),
     }
-    outputs = [f"tables/{settings.comparison}-{name}" for name in TABLES if name not in left_out]
-    extra = {"note": NO_PRODUCT, "left_out": left_out, "residual": {}}
+    outputs = [f"tables/{settings.comparison}-{name}" for name in pair.tables if name not in left_out]
+    extra = {"note": pair.note, "left_out": left_out, "residual": {}}
     return RunReport(
         "reprocess", run.id, context, counts, [failed[day] for day in sorted(failed)], outputs, extra
     )
@@ -163,15 +184,20 @@ def _job(
     )
 
 
-def dual_batch(cat: Catalog, sources: Sequence[Mapping[np.datetime64, Day]], job: Job) -> Outcome:
+def dual_batch(
+    cat: Catalog, sources: Sequence[Mapping[np.datetime64, Day]], job: Job, kind: str = "scalar"
+) -> Outcome:
     """Make what each day of a batch says, and write it as one segment.
 
     Parameters
     ----------
     sources : sequence of mapping
         Products of the first sensor and of the second, by day.
+    kind : str
+        Of the comparisons that made them.
     """
-    return make_days(cat, job, lambda day: dual_day([cat.read(one[day], _READ) for one in sources], day))
+    make, read = (dual_day, _READ) if kind == "scalar" else (spin_bending.bending_day, spin_bending.READ)
+    return make_days(cat, job, lambda day: make([cat.read(one[day], read) for one in sources], day))
 
 
 def dual_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
@@ -216,9 +242,10 @@ def _filled(values: Floats) -> Floats:
     return np.concatenate([values, np.zeros((MOST_CLUSTERS - len(values), *values.shape[1:]))])
 
 
-def _taken(
+def take_outcome(
     run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
-) -> dict[np.datetime64, Day]:
+) -> list[Day]:
+    """Register an outcome with the run; put failures among those known."""
     for day, failure in outcome.failures.items():
         run.record(dataset, day, "failed", failure.cause, failure.message)
         failed[day] = {
@@ -228,18 +255,13 @@ def _taken(
             "remedy": failure.remedy,
             "message": failure.message,
         }
-    staged = run.attach(outcome.segment) if outcome.segment is not None else []
-    return {day.day: day for day in staged}
+    return run.attach(outcome.segment) if outcome.segment is not None else []
 
 
-def _keep_tables(cat: Catalog, run: Run, comparison: str, days: Sequence[Day]) -> dict[str, Any]:
+def _keep_tables(cat: Catalog, run: Run, comparison: str, days: Sequence[Day], kind: str) -> dict[str, Any]:
     """Stage the tables of all days; return why some are not there, and under ``certify`` what to certify."""
     read = [cat.read(day) for day in days]
-    makers: dict[str, Callable[[], xr.Dataset]] = {
-        "relation": lambda: relation_of(*_grams(read)).table(),
-        "relation-daily": lambda: daily_relations(read),
-        "corners": lambda: _corners(read),
-    }
+    makers = _relation_makers(read) if kind == "scalar" else spin_bending.bending_makers(read)
     out: dict[str, Any] = {"certify": []}
     for name, make in makers.items():
         key = hashlib.sha256("".join([name, *(day.key for day in days)]).encode()).hexdigest()
@@ -255,6 +277,14 @@ def _keep_tables(cat: Catalog, run: Run, comparison: str, days: Sequence[Day]) -
         staged = run.stage_table(called, table, start=span[0], end=span[1], parents=days, key=key)
         out["certify"].append((staged, *span, None))
     return out
+
+
+def _relation_makers(read: Sequence[xr.Dataset]) -> dict[str, Callable[[], xr.Dataset]]:
+    return {
+        "relation": lambda: relation_of(*_grams(read)).table(),
+        "relation-daily": lambda: daily_relations(read),
+        "corners": lambda: _corners(read),
+    }
 
 
 def _grams(read: Sequence[xr.Dataset]) -> tuple[Floats, Floats]:

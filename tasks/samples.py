@@ -18,6 +18,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.channel_series import channel_series
+from inflight.tasks.flips import flip_flags
 from inflight.tasks.needs import (
     SPIN_AXIS,
     SPIN_PHASE,
@@ -89,6 +90,7 @@ def load_samples(
         samples[SPIN_PHASE] = spin_phase(
             mission, model.comparison, clock, told, samples["tt2000"].values, str(day)
         )
+        samples["flag"] = samples["flag"] | flip_flags(mission, day, samples["tt2000"].values)
     for need in needs:
         if need.name not in samples:
             samples[need.name] = _absent(mission, need, samples.sizes["time"])

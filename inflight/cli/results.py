@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from inflight.catalog.workspace import Workspace
+    from inflight.tasks.compare_dual import DualCompareReport
     from inflight.tasks.compare_page import CompareReport
 
 
@@ -39,7 +40,8 @@ def compare(
     workspace = session.open_workspace()
     report = compare_span(session, workspace, start=start, end=end, comparison=comparison, output=output)
     fields = report.as_json()
-    session.emit(fields, lambda console: print_comparison(console, fields))
+    show_fields = print_dual_comparison if fields.get("kind") == "dual" else print_comparison
+    session.emit(fields, lambda console: show_fields(console, fields))
     if show and fields["path"]:
         import webbrowser
 
@@ -54,7 +56,7 @@ def compare_span(
     end: str | None = None,
     comparison: str = "main",
     output: Path | None = None,
-) -> CompareReport:
+) -> CompareReport | DualCompareReport:
     """Compare and write the page, into the workspace's reports unless `output` says otherwise.
 
     A workspace that can only be read gets no page unless `output` names a place for it.
@@ -118,6 +120,23 @@ def print_comparison(console: Console, fields: dict[str, Any]) -> None:
         ", ".join(name.rpartition(".")[2] for name in fields["parameters"]["determined"]) or "nothing"
     )
     console.print(f"  determined by these data: {determined}", soft_wrap=True, markup=False)
+    for failing in fields["fails_where"]:
+        console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
+    page = fields["path"] or "none, because the workspace cannot be written; --output names another place"
+    console.print(f"  page: {page}", soft_wrap=True)
+
+
+def print_dual_comparison(console: Console, fields: dict[str, Any]) -> None:
+    """Print how far the field of two sensors steps at switchings, before and after, and what is left."""
+    residual = fields["residual"]
+    if residual["note"]:
+        console.print(residual["note"], soft_wrap=True)
+    else:
+        console.print(f"{residual['what']} ({residual['switchings']} switchings):", soft_wrap=True)
+        for name, label in (("before", "as measured"), ("after", "corrected"), ("noise_floor", "floor")):
+            console.print(f"  {label:<12} {residual[f'{name}_nT']:8.3f} nT", style="bold")
+    for reason in fields["verdict"]["reasons"]:
+        console.print(f"  {reason}", soft_wrap=True, markup=False)
     for failing in fields["fails_where"]:
         console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
     page = fields["path"] or "none, because the workspace cannot be written; --output names another place"

@@ -43,6 +43,8 @@ def print_diagnosis(console: Console, fields: Fields) -> None:
     console.print(_candidates(fields["candidates"]))
     _print_rivals(console, fields)
     _print_unscorable(console, fields["unscorable"])
+    for unit in fields.get("units", ()):
+        console.print(unit["sentence"], soft_wrap=True, markup=False)
     for step in fields.get("versions", ()):
         _print_step(console, step)
     if fields["stopped"]:

@@ -1,8 +1,9 @@
 """A gradiometer's correction of readings, without the noise of the difference.
 
 A matrix takes the difference's noise to the outboard sensor with the stray field. The difference is
-therefore cut into bands of time scale, and in each of them, stretch by stretch, as much is kept as stands above the
-noise (James and Stein's shrinkage by ``1 - c N / P``): a step keeps its edge, a quiet hour adds no noise.
+therefore cut into bands of time scale, and in each of them, stretch by stretch, as much is kept as stands
+above the noise (James and Stein's shrinkage by ``1 - c N / P``): a step keeps its edge, a quiet hour adds no
+noise.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""States where states explain the difference, the gradiometer for what is left: weights from their covariances.
+"""States where states explain the difference, the gradiometer for what is left.
 
-A state's field at the outboard sensor is told by the outboard steps of its own units, each with what the ambient field did
-at that moment, and by the gradiometer's matrix, which all units have fitted together but which is not quite that of
-any of them. Both are estimates with covariances, and are averaged by them. What the difference does beside its state,
-such as a current that follows the load, goes through the matrix; so does everything while the state is not known.
+A state's field at the outboard sensor is told by the outboard steps of its own units, each with what the
+ambient field did at that moment, and by the gradiometer's matrix, which all units have fitted together but
+which is not quite that of any of them. Both are estimates with covariances, and are averaged by them. What
+the difference does beside its state, such as a current that follows the load, goes through the matrix; so
+does everything while the state is not known.
 """
 
 from __future__ import annotations

@@ -2,13 +2,13 @@
 
 A dipole on the boom's axis makes ``k`` times its inboard field at the outboard sensor, so that the ambient
 field is ``B = (B_out - k B_in) / (1 - k)`` and the stray field at the outboard sensor ``k / (1 - k) d`` with
-``d = B_in - B_out``. Units off the axis have other factors: in general the stray field is a matrix times ``d``.
-Its forms are one ratio, one for each axis, the strongest directions of ``d`` (`principal`), the matrix of a
-dipole whose place is fitted, and the full matrix.
+``d = B_in - B_out``. Units off the axis have other factors: in general the stray field is a matrix times
+``d``. Its forms are one ratio, one for each axis, the strongest directions of ``d`` (`principal`), the
+matrix of a dipole whose place is fitted, and the full matrix.
 
-What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the matrix
-(`mixing`) and taken out before: otherwise the field that is measured would be changed in proportion to
-itself. What of ``d`` is the sensors' noise is not taken over: `bands` weighs it on each time scale.
+What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the
+matrix (`mixing`) and taken out before: otherwise the field that is measured would be changed in proportion
+to itself. What of ``d`` is the sensors' noise is not taken over: `bands` weighs it on each time scale.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from inflight.dual.mixing import WIDE, Mixing, Moments, fit_mixing, moments, out
 from inflight.dual.places import BODY, dipole_matrix, fit_place, matrix_from_geometry
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
-from inflight.dual.scales import cells_of
+from inflight.dual.scales import cells_of, quietest
 from inflight.errors import CalibrationError, SettingsError
 
 #: Forms of the matrix, from the fewest numbers to the most.
@@ -52,7 +52,8 @@ class Gradiometer:
     noise : ndarray, shape (3, 3)
         Covariance of the white noise of the difference, nT^2.
     facts : mapping
-        Of ``ratio``: k and its sigma. Of ``dipole``: the place and its sigma, m. Of ``principal``: directions.
+        Of ``ratio``: k and its sigma. Of ``dipole``: the place and its sigma, m. Of ``principal``:
+        directions.
     """
 
     form: str
@@ -123,7 +124,9 @@ def fit_forms(
         With fewer than 256 good samples.
     """
     if unknown := set(forms) - set(FORMS):
-        raise SettingsError(f"form '{min(unknown)}' of a gradiometer", remedy=f"choose from {', '.join(FORMS)}")
+        raise SettingsError(
+            f"form '{min(unknown)}' of a gradiometer", remedy=f"choose from {', '.join(FORMS)}"
+        )
     places = None if positions is None else np.asarray(positions, dtype=np.float64)
     if "dipole" in forms and places is None:
         raise SettingsError("a dipole has no place", remedy="give both sensors' positions")
@@ -133,8 +136,8 @@ def fit_forms(
             f"{good.sum()} samples with both sensors found, at least {_FEWEST} needed",
             remedy="take a longer span",
         )
-    noise = readings.noise
     every = cells_of(readings.outboard[good], readings.difference[good])
+    noise = quietest(every, readings.noise)
     share = outboard_share(every, noise)
     cells = usable_cells(every, noise, share)
     prior = (np.zeros(9), WIDE**2 * np.eye(9)) if places is None else matrix_from_geometry(places)
@@ -165,7 +168,9 @@ def as_form(full: Gradiometer, told: Moments, form: str, positions: Floats | Non
         # stray = k / (1 - k) d
         sigma = float(np.sqrt(covariance[0, 0])) / (1.0 + float(value[0])) ** 2
         facts = {"ratio": float(value[0] / (1.0 + value[0])), "sigma": sigma}
-    return _with_matrix(full, told, form, np.einsum("p,pij->ij", value, basis), (basis, value, covariance), facts)
+    return _with_matrix(
+        full, told, form, np.einsum("p,pij->ij", value, basis), (basis, value, covariance), facts
+    )
 
 
 def _with_matrix(

@@ -1,19 +1,21 @@
 """Whether a correction helps, judged without the truth on readings it was not fitted to.
 
-The ambient field knows nothing of the spacecraft. What a correction c takes off a held-out stretch therefore shows in
-the outboard reading itself: regressed on c, the reading has the slope 1 when c is the stray field, 0 when c has nothing
-to do with it. Taking c off changes the mean square of the error by ``<c^2> - 2 <c s>`` with the stray
-field s, and ``<c s> = <c B_out>`` but for chance: it helps where the slope is above one half. Regressed in
-cells of time and scale, weighted by the quietness of the ambient field there, the slope has an error that is known;
-a slope far above one is not that of a stray field either, but of ambient field that leaked into c.
+The ambient field knows nothing of the spacecraft. What a correction c takes off a held-out stretch therefore
+shows in the outboard reading itself: regressed on c, the reading has the slope 1 when c is the stray field,
+0 when c has nothing to do with it. Taking c off changes the mean square of the error by ``<c^2> - 2 <c s>``
+with the stray field s, and ``<c s> = <c B_out>`` but for chance: it helps where the slope is above one half.
+Regressed in cells of time and scale, weighted by the quietness of the ambient field there, the slope has an
+error that is known; a slope far above one is not that of a stray field either, but of ambient field that
+leaked into c.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.dual.correction import Correction, no_correction
@@ -22,8 +24,8 @@ from inflight.dual.scales import Cells, cells_of
 
 #: Parts that the record is held out in, one after the other.
 FOLDS = 4
-#: How many standard deviations the slope must be above one half.
-SURE = 3.0
+#: How many standard deviations the slope must be above zero, and above one half.
+SURE, SURE_OF_GAIN = 3.0, 1.64
 #: Slopes on single scales differ by so much from the common one: noise and drift of sensors, and no dipole.
 _SCATTER = 0.3
 #: Contrasts that a cell's variance has beside its own.
@@ -33,8 +35,8 @@ _STEEPEST = 1.6
 
 #: Corrects readings.
 Corrector = Callable[[Readings], Correction]
-#: Fits any number of candidates to readings.
-Fit = Callable[[Readings], Mapping[str, Corrector]]
+#: Fits any number of candidates to the rows in use.
+Fit = Callable[[npt.NDArray[np.bool_]], Mapping[str, Corrector]]
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class Evidence:
     @property
     def helps(self) -> bool:
         """Whether the correction lowers the error beyond doubt."""
-        low = self.slope - SURE * self.sigma > 0.5
+        low = self.slope > max(SURE * self.sigma, 0.5 + SURE_OF_GAIN * self.sigma)
         high = self.slope - SURE * self.sigma < _STEEPEST
         return low and high and self.benefit > 0.0
 
@@ -77,7 +79,7 @@ class Evidence:
             return f"helps: {seen}"
         if self.slope - SURE * self.sigma >= _STEEPEST:
             return f"left alone, it holds ambient field: {seen}"
-        if self.slope + SURE * self.sigma < 0.5:
+        if self.slope + SURE_OF_GAIN * self.sigma < 0.5:
             return f"left alone, it would do harm: {seen}"
         return f"left alone, these readings do not tell whether it helps: {seen}"
 
@@ -91,32 +93,32 @@ class Judgement:
     evidence: Mapping[str, Evidence]
 
 
-def judge(readings: Readings, fits: Fit, folds: int = FOLDS) -> Judgement:
+def judge(readings: Readings, fit: Fit, folds: int = FOLDS) -> Judgement:
     """Choose the correction that helps most on held-out readings, or none.
 
     Parameters
     ----------
     readings : Readings
         To be corrected; candidates are fitted to all but one part of them and judged on that.
-    fits : callable
-        From readings to correctors by name.
+    fit : callable
+        From rows in use (time,) to correctors by name, such as `candidates.Candidates.fit`.
     folds : int
         Parts.
     """
-    held = _held_out(readings, fits, folds)
+    held = _held_out(readings, fit, folds)
     evidence = {name: evidence_of(name, readings, parts) for name, parts in held.items()}
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
         told = "; ".join(f"{name}: {one.told}" for name, one in evidence.items())
-        return Judgement(no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence)
+        return Judgement(
+            no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence
+        )
     best = max(helping, key=lambda one: one.gain)
-    correction = fits(readings)[best.name](readings)
-    return Judgement(correction, best.name, evidence)
+    correction = fit(np.ones(len(readings), dtype=bool))[best.name](readings)
+    return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
 
 
-def _held_out(
-    readings: Readings, fits: Fit, folds: int
-) -> dict[str, list[tuple[slice, Correction]]]:
+def _held_out(readings: Readings, fit: Fit, folds: int) -> dict[str, list[tuple[slice, Correction]]]:
     """Return corrections of each part by candidates that were fitted to the others."""
     edges = np.linspace(0, len(readings), folds + 1).astype(np.int64)
     found: dict[str, list[tuple[slice, Correction]]] = {}
@@ -124,7 +126,7 @@ def _held_out(
         train = np.ones(len(readings), dtype=bool)
         train[first:last] = False
         part = slice(first, last)
-        for name, corrector in fits(readings.part(train)).items():
+        for name, corrector in fit(train).items():
             found.setdefault(name, []).append((part, corrector(readings.part(part))))
     return found
 
@@ -160,8 +162,9 @@ def _cells_with(
     cells, block = [], []
     for number, (rows, correction) in enumerate(parts):
         both = readings.outboard[rows], correction.field
-        known = np.isfinite(both[0]).all(axis=1) & correction.known
-        here = cells_of(both[0][known], both[1][known])
+        # Where nothing is known nothing is taken off.
+        known = readings.good[rows]
+        here = cells_of(both[0][known], np.nan_to_num(both[1][known], nan=0.0))
         cells.append(here)
         block.append(number * blocks + here.row * blocks // max(int(known.sum()), 1))
     return (

@@ -18,7 +18,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.calibration.robust import TO_SIGMA
-from inflight.dual.readings import robust_covariance, white_covariance
+from inflight.dual.readings import trimmed_covariance, white_covariance
 
 Places = npt.NDArray[np.int64]
 
@@ -34,8 +34,10 @@ _LOCAL, _DRIFT, _FEWEST = 64, 4096, 24
 _POSITIONS = 40_000
 #: Samples behind one local level of the noise, and the least level beside the usual one (variance).
 _BLOCK, _LEAST = 256, 0.25
-#: Part of the independent windows that a median makes use of, and the fewest that make a noise.
-_EFFICIENCY, _FEWEST_FREE = 0.37, 8.0
+#: Squares of second differences (whitened) count no more than this for it.
+_CLIPPED = 9.0
+#: Degrees of freedom behind each window free of others, and the fewest that make a noise.
+_EFFICIENCY, _FEWEST_FREE = 0.8, 8.0
 
 
 @dataclass(frozen=True)
@@ -195,10 +197,44 @@ def _noise_of(
     nodes = _local_medians(step, at, block, count)
     middle = (np.arange(len(nodes)) + 0.5) * block
     step -= np.stack([np.interp(at, middle, axis) for axis in nodes.T], axis=1)
-    covariance = robust_covariance(step / np.sqrt(level[at // _BLOCK])[:, None])
+    covariance = trimmed_covariance(step / np.sqrt(level[at // _BLOCK])[:, None])
     # A median of few windows may come out too small; white noise is in all of them.
     least = 2.0 * white / length / max(float(covariance.diagonal().min()), 1e-300)
     return covariance * max(1.0, least), freedom, nodes, block
+
+
+def spikes(values: Floats) -> npt.NDArray[np.bool_]:
+    """Return which samples stand out from both neighbours, which agree; (time,).
+
+    Parameters
+    ----------
+    values : ndarray, shape (time, axis)
+        nT, finite.
+    """
+    found = np.zeros(len(values), dtype=bool)
+    white = white_covariance(values)
+    if len(values) < 3 or not white.max() > 0:
+        return found
+    back = np.linalg.inv(np.linalg.cholesky(white + 1e-12 * np.trace(white) * np.eye(3))).T
+    unit = np.ascontiguousarray(values @ back)
+    limit = float(stats.chi2.isf(FALSE_ALARMS / len(values), 3))
+    return _stand_out(unit, _local_levels(unit), limit, found)
+
+
+@numba.njit(cache=True, nogil=True)
+def _stand_out(
+    unit: Floats, level: Floats, usual: float, found: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """Mark samples whose whitened distance from the mean of their neighbours exceeds a limit."""
+    for one in range(1, unit.shape[0] - 1):
+        limit = usual * level[one // _BLOCK]
+        out, apart = 0.0, 0.0
+        for k in range(3):
+            out += (unit[one, k] - 0.5 * (unit[one - 1, k] + unit[one + 1, k])) ** 2 / 1.5
+            apart += (unit[one + 1, k] - unit[one - 1, k]) ** 2 / 2.0
+        # Neighbours across a step differ by more than the sample differs from their mean.
+        found[one] = out > limit and apart < max(0.25 * out, 0.5 * limit)
+    return found
 
 
 def _white_noise(white: Floats, longest: int) -> StepNoise:
@@ -244,7 +280,9 @@ def _local_levels(unit: Floats) -> Floats:
         # Every third second difference: neighbouring ones tell nearly the same.
         bend = np.abs(parts[:, :-2:3] - 2.0 * parts[:, 1:-1:3] + parts[:, 2::3]).reshape(whole, -1)
         middle = np.partition(bend, bend.shape[1] // 2, axis=1)[:, bend.shape[1] // 2]
-        own[:whole] = (TO_SIGMA * middle) ** 2 / 6.0
+        # Of coarse readings the median jumps from step to step; a mean would follow each jump.
+        clipped = np.minimum(bend**2 / 6.0, _CLIPPED).mean(axis=1)
+        own[:whole] = np.maximum((TO_SIGMA * middle) ** 2 / 6.0, clipped)
         own[whole] = own[whole - 1]
     wide = np.pad(own, 1, mode="edge")
     return np.asarray(np.maximum(np.maximum.reduce([wide[:-2], own, wide[2:]]), _LEAST))

@@ -1,11 +1,11 @@
 """Ambient field and stray field told apart in two sensors that both see both.
 
-``B_out = B + M e`` and ``d = B_in - B_out = L B + e``: the matrix M takes the stray part e of the difference to the
-outboard sensor, the leak L is what badly aligned or scaled sensors let through of the ambient field. The two
-fields do not know of each other. In every cell of time and scale they are uncorrelated, while their
-sizes differ from cell to cell: the spacecraft switches where the ambient field is quiet, the ambient field moves
-where the spacecraft rests. That is enough to find both matrices, by Gaussian maximum likelihood with the variances
-of each cell as they come (Pham and Cardoso 2001, IEEE Trans. Signal Process. 49); where all
+``B_out = B + M e`` and ``d = B_in - B_out = L B + e``: the matrix M takes the stray part e of the difference
+to the outboard sensor, the leak L is what badly aligned or scaled sensors let through of the ambient field.
+The two fields do not know of each other. In every cell of time and scale they are uncorrelated, while their
+sizes differ from cell to cell: the spacecraft switches where the ambient field is quiet, the ambient field
+moves where the spacecraft rests. That is enough to find both matrices, by Gaussian maximum likelihood with
+the variances of each cell as they come (Pham and Cardoso 2001, IEEE Trans. Signal Process. 49); where all
 cells have the same proportion it is not, and the covariance says so.
 """
 
@@ -83,9 +83,9 @@ class Moments:
     count: float
 
     def solve(self, basis: Floats, prior: tuple[Floats, Floats] | None = None) -> tuple[Floats, Floats]:
-        """Return the factors of matrices (parameter, 3, 3) that explain the outboard reading, with covariance.
+        """Return the factors of matrices (parameter, 3, 3) that explain the outboard reading.
 
-        The covariance is widened by what blocks of time disagree beyond it: units of different places, which
+        And their covariance, widened by what blocks of time disagree beyond it: units of different places, which
         no one matrix describes, show there.
         """
         normal = np.einsum("pki,bkij,qkj->bpq", basis, self.square, basis)
@@ -221,7 +221,9 @@ def _maximum(
         away = scaled[:9] * unit - prior[0]
         total += float(away @ precision @ away + np.sum(scaled[9:] ** 2))
         of_matrix = (slope[:9] + 2.0 * precision @ away) * unit
-        return total, np.concatenate([of_matrix, slope[9:] * leak_sigma + 2.0 * scaled[9:]] if free else [of_matrix])
+        return total, np.concatenate(
+            [of_matrix, slope[9:] * leak_sigma + 2.0 * scaled[9:]] if free else [of_matrix]
+        )
 
     middle = prior[0] / unit
     start = np.concatenate([middle, np.zeros(9 if free else 0)])
@@ -241,7 +243,7 @@ def _leak_covariance(restful: Cells, prior: tuple[Floats, Floats], leak: Floats,
 
 
 def _variance(values: Floats, cells: Cells, floor: Floats) -> Floats:
-    """Return variances of cells (cell, row) with a little of the noise's: few contrasts can cancel by chance."""
+    """Return variances of cells (cell, row) with a little of the noise's: a few cancel by chance."""
     own = cells.count[:, None]
     return np.asarray((own * np.maximum(values, 0.0) + _OWN * floor) / (own + _OWN))
 
@@ -266,8 +268,8 @@ def moments(cells: Cells, now: Mixing, noise: Floats) -> Moments:
 def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tuple[float, Floats]:
     """Return minus twice the logarithm of the likelihood, and its slope by the elements of M and L.
 
-    Sum over cells and axes of the logarithms of the variances of ``B_out - M d`` and ``d - L B_out``, less that
-    of the determinant of both rows together.
+    Sum over cells and axes of the logarithms of the variances of ``B_out - M d`` and ``d - L B_out``, less
+    that of the determinant of both rows together.
     """
     unmix = np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
     weight = cells.count + _OWN

@@ -150,7 +150,7 @@ def fit_stray(design: Floats, observed: Floats, covariance: Floats, prior: Float
         weighted = weight[:, None, None] * inverse
         normal = np.einsum("rp,rij,rq->piqj", design, weighted, design).reshape(3 * width, 3 * width)
         right = np.einsum("rp,rij,rj->pi", design, weighted, observed).ravel()
-        total = np.linalg.inv(normal + ridge)
+        total = np.linalg.pinv(normal + ridge, hermitian=True)
         value = (total @ right).reshape(width, 3)
         left = observed - design @ value
         far = np.einsum("ri,rij,rj->r", left, inverse, left)

@@ -1,4 +1,4 @@
-"""Where the spacecraft's dipole stands: its matrix at two sensors, its fitted place, what geometry alone says."""
+"""Where the spacecraft's dipole stands: its matrix, its fitted place, what geometry says alone."""
 
 from __future__ import annotations
 
@@ -93,7 +93,9 @@ def fit_place(positions: Floats, square: Floats, cross: Floats) -> tuple[Floats,
         rows = np.einsum("kij,ki->kj", roots, dipole_matrix(positions, place)) - wanted
         return np.concatenate([rows.ravel(), place / spread])
 
-    starts = spread * np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]])
+    starts = spread * np.array(
+        [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]
+    )
     fits = [least_squares(misfit, start, x_scale=spread) for start in starts]
     best = min(fits, key=lambda one: float(one.cost))
     if not np.all(np.isfinite(best.x)):
@@ -101,7 +103,8 @@ def fit_place(positions: Floats, square: Floats, cross: Floats) -> tuple[Floats,
     step = 1e-4 * float(np.linalg.norm(positions[0]))
     slope = np.array(
         [
-            (dipole_matrix(positions, best.x + step * e) - dipole_matrix(positions, best.x - step * e)) / (2 * step)
+            (dipole_matrix(positions, best.x + step * e) - dipole_matrix(positions, best.x - step * e))
+            / (2 * step)
             for e in np.eye(3)
         ]
     )

@@ -1,10 +1,10 @@
 """Principal directions of the difference of two sensors: one source after the other.
 
-A unit that switches, whatever its current does, moves the difference along one direction. The direction in which the
-difference varies most (beyond its noise) is that of the strongest unit when it stands out; what moves along
-it is regressed out of the outboard sensor, and the next direction is sought in what is left. The idea is
-Constantinescu et al. (2020); here the variances are of weighted contrasts, with the sensors' white noise taken
-out, so that slow ambient field and noise choose no direction.
+A unit that switches, whatever its current does, moves the difference along one direction. The direction in
+which the difference varies most (beyond its noise) is that of the strongest unit when it stands out; what
+moves along it is regressed out of the outboard sensor, and the next direction is sought in what is left. The
+idea is Constantinescu et al. (2020); here the variances are of weighted contrasts, with the sensors' white
+noise taken out, so that slow ambient field and noise choose no direction.
 """
 
 from __future__ import annotations

@@ -88,6 +88,7 @@ def process(
         reason="the spacecraft's states as trained",
         constant_known=training.constant_known,
     )
+    _mark_spikes(correction, readings, segments)
     _lose_long_gaps(correction, readings, shortest)
     if fallback is not None:
         _fall_back(correction, fallback)
@@ -137,6 +138,17 @@ def _bridge(found: _BySegment, segments: Segments, training: Training, assigned:
         found.field[one] = mean
         found.covariance[one] = found.covariance[near].mean(axis=0) + np.diag(beyond**2)
         found.covariance[one] += np.einsum("ni,nj->ij", apart, apart)
+
+
+def _mark_spikes(correction: Correction, readings: Readings, segments: Segments) -> None:
+    """Widen the error of single samples that stand out, by as much as they do: the state is unchanged."""
+    rows = segments.spikes
+    if not rows.size:
+        return
+    owner = np.searchsorted(segments.last, rows, side="right")
+    beyond = readings.difference[rows] - segments.level[owner]
+    correction.covariance[rows] += beyond[:, :, None] * beyond[:, None, :]
+    correction.flag[rows] |= np.uint32(Flag.TRANSIENT)
 
 
 def _lose_long_gaps(correction: Correction, readings: Readings, shortest: int) -> None:

@@ -17,6 +17,7 @@ from inflight.dual.correction import TRANSIENT
 
 #: Samples of a mean on either side; longer ones see more of the ambient field, shorter ones more noise.
 WIDTH = 8
+_WIDTHS = (1, 2, 4, 8, 16, 32)
 #: The fewest switchings whose scatter says anything, and errors that must be passed to be told.
 _FEWEST, _CLEAR = 4, 4.0
 
@@ -78,7 +79,7 @@ def switchings(state: Ints, stamps: Ints, step: int) -> Switchings:
 def steps_across(field: Floats, at: Switchings, width: int = WIDTH) -> Floats:
     """Return the step of a field at each switching, means after less before; (switching, axis), nT.
 
-    NaN where a state is shorter than `width` samples or half of them are missing.
+    NaN where a state is shorter than `width` samples or more than half of them are missing.
     """
     out = np.full((len(at), field.shape[1]), np.nan)
     reach = np.arange(width)
@@ -90,7 +91,7 @@ def steps_across(field: Floats, at: Switchings, width: int = WIDTH) -> Floats:
     counts = [np.isfinite(part).all(axis=2).sum(axis=1) for part in (before, after)]
     with np.errstate(invalid="ignore", divide="ignore"):
         step = np.nansum(after, axis=1) / counts[1][:, None] - np.nansum(before, axis=1) / counts[0][:, None]
-    step[np.minimum(*counts) < width // 2] = np.nan
+    step[np.minimum(*counts) < max(1, width // 2)] = np.nan
     out[enough] = step
     return out
 
@@ -111,6 +112,13 @@ def quiet_steps(field: Floats, at: Switchings, width: int = WIDTH) -> Floats:
     room = np.full((int(kept.sum()), 2), width, dtype=np.int64)
     nothing = np.zeros(int(kept.sum()), dtype=np.int64)
     return steps_across(field, Switchings(last[kept], first[kept], nothing, nothing, room), width)
+
+
+def quietest_width(field: Floats, at: Switchings) -> int:
+    """Return the width whose steps are smallest where nothing switches; `WIDTH` where none tells."""
+    sizes = {width: rms(quiet_steps(field, at, width)) for width in _WIDTHS}
+    known = {width: size for width, size in sizes.items() if np.isfinite(size)}
+    return min(known, key=lambda width: known[width]) if known else WIDTH
 
 
 def rms(steps: Floats) -> float:

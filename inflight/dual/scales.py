@@ -2,8 +2,8 @@
 
 A contrast is the mean over some samples less that over as many before them, times the root of half their
 number: white noise gives the same variance on every scale, a constant gives nothing, and contrasts that do
-not overlap hold all there is to know. A cell is a stretch of contrasts on one scale. Where the ambient field is
-restless, or the spacecraft switches, the cell shows it.
+not overlap hold all there is to know. A cell is a stretch of contrasts on one scale. Where the ambient field
+is restless, or the spacecraft switches, the cell shows it.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from inflight.arrays import Floats
 _LONGEST = 16
 #: Contrasts of one cell.
 _CELL = 31
+#: Cells of a scale that tell the noise.
+_FEWEST_CELLS = 12
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,28 @@ def cells_of(outboard: Floats, difference: Floats) -> Cells:
     )
 
 
+def quietest(cells: Cells, noise: Floats) -> Floats:
+    """Return the covariance of white noise of the difference: no scale has less.
+
+    Parameters
+    ----------
+    cells : Cells
+    noise : ndarray, shape (axis, axis)
+        From the shortest times, nT^2. A tone at a high frequency raises it; on other scales it is not seen.
+    """
+    best = noise
+    for scale in np.unique(cells.scale):
+        own = cells.covariance[cells.scale == scale, 3:, 3:]
+        size = np.einsum("cii->c", own)
+        if size.size >= _FEWEST_CELLS:
+            # The cells around the median, in all elements at once.
+            usual = np.abs(np.argsort(np.argsort(size)) - size.size // 2) <= size.size // 8
+            found = own[usual].mean(axis=0)
+            if np.trace(found) < np.trace(best):
+                best = found
+    return np.asarray(best)
+
+
 def contrasts(series: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], float]:
     """Return contrasts of a series (time, column) over blocks of samples.
 
@@ -88,9 +112,7 @@ def contrasts(series: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64]
         What one contrast is worth of one that does not overlap.
     """
     # Sums of many large numbers would lose the noise: the mean says nothing here.
-    sums = np.concatenate(
-        [np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)]
-    )
+    sums = np.concatenate([np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)])
     stride = max(block // 2, 1)
     middle = np.arange(block, len(series) - block + 1, stride)
     values = (sums[middle + block] - 2.0 * sums[middle] + sums[middle - block]) / np.sqrt(2.0 * block)

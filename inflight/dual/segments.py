@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, StepNoise, find_jumps
+from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, StepNoise, find_jumps, spikes
 from inflight.dual.readings import Readings
 from inflight.errors import SamplesError
 from inflight.time import SECOND, Int64
@@ -44,6 +44,8 @@ class Segments:
         Of d.
     window : int
         Samples.
+    spikes : ndarray of int64, shape (spike,)
+        Rows of single samples that stand out from their neighbours; they count nowhere.
     """
 
     first: Places
@@ -59,6 +61,7 @@ class Segments:
     transient: npt.NDArray[np.bool_]
     noise: StepNoise
     window: int
+    spikes: Places
 
     def __len__(self) -> int:
         return int(self.first.size)
@@ -116,12 +119,16 @@ def segments_of(
         raise SamplesError("no sample has both sensors", remedy="take a span where both measured")
     # Copying a million rows costs more than looking whether one is missing.
     d = readings.difference if rows.size == len(readings) else readings.difference[rows]
+    lone = np.flatnonzero(spikes(d))
+    if lone.size:
+        d = d.copy()
+        d[lone] = 0.5 * (d[lone - 1] + d[lone + 1])
     places, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
     if jumps is not None:
         places = np.unique(np.searchsorted(rows, jumps))
     edges = np.concatenate([[0], places[(places > 0) & (places < rows.size)], [rows.size]]).astype(np.int64)
     edges, transient = _without_short(edges, shortest)
-    return _measured(readings, rows, d, edges, transient, noise)
+    return _measured(readings, rows, d, edges, transient, noise, rows[lone])
 
 
 def _without_short(edges: Places, shortest: int) -> tuple[Places, npt.NDArray[np.bool_]]:
@@ -139,6 +146,7 @@ def _measured(
     edges: Places,
     transient: npt.NDArray[np.bool_],
     noise: StepNoise,
+    lone: Places,
 ) -> Segments:
     count = np.diff(edges)
     window = int(noise.length[-1])
@@ -164,6 +172,7 @@ def _measured(
         transient,
         noise,
         window,
+        lone,
     )
 
 

@@ -29,6 +29,8 @@ Labels = npt.NDArray[np.int64]
 _FALSE_STATES = 1e-3
 #: Scatters of the states' points that are tried, in standard deviations of one sample.
 _SCATTERS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
+#: Drifts over the whole record that are tried beside what segments show, in the same unit.
+_WANDERS = (1.0, 3.0, 10.0, 30.0)
 #: Median of a squared Gaussian of variance one.
 _MEDIAN_SQUARE = 0.4549
 _TURNS = 6
@@ -82,6 +84,10 @@ def find_states(segments: Segments) -> States:
     sample = float(np.sqrt(np.trace(segments.noise.of_mean(1)) / 3.0))
     rate = drift_rate(segments)
     tried = [_with_scatter(segments, rate, part * sample) for part in _SCATTERS]
+    length = max(float(segments.end[-1] - segments.start[0]) / SECOND, 1.0)
+    for part in _WANDERS:
+        slow = rate._replace(value=np.maximum(rate.value, (part * sample) ** 2 / length))
+        tried += [_with_scatter(segments, slow, other * sample) for other in _SCATTERS]
     return min(tried, key=lambda one: one[0])[1]
 
 
@@ -235,6 +241,8 @@ def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
     warms up, and the next time the level is another.
     """
     seconds = float(segments.end[one] - segments.start[one]) / SECOND
+    if not seconds > 0:
+        return np.zeros((3, 3))
     whole = segments.finish.mean[one] - segments.begin.mean[one]
     noise = 2.0 * np.diag(segments.covariance[one])
     if not segments.seconds[one] > 0:

@@ -137,7 +137,7 @@ def train(
     units = find_units(states)
     steps = outboard_steps(readings, segments)
     levels = _levels(readings, segments, ambient) if ambient is not None else None
-    return _trained(segments, states, units, steps, levels)
+    return trained_from(segments, states, units, steps, levels)
 
 
 @dataclass(frozen=True)
@@ -163,9 +163,10 @@ def _levels(readings: Readings, segments: Segments, ambient: Floats) -> _Levels:
     return _Levels(own, level, noise.of_mean(count[own]))
 
 
-def _trained(
+def trained_from(
     segments: Segments, states: States, units: Units, steps: OutboardSteps, levels: _Levels | None
 ) -> Training:
+    """Return the training of states and units from the outboard steps given, which may be some of all."""
     seconds = _state_seconds(segments, states)
     reference = int(np.argmax(seconds))
     of_units = units.consistent and len(units) > 0

@@ -235,8 +235,28 @@ def _occupancy(
                 return None
     if len(found) < states:
         return None
-    table = np.array([found[state] for state in range(states)])
-    return np.asarray(table - table.min(axis=0))
+    return _simplest(np.array([found[state] for state in range(states)]))
+
+
+def _simplest(table: Occupancy) -> Occupancy:
+    """Return occupancies of units combined anew, so that as many as possible are on or off and no more.
+
+    Two that often switch together may have been taken for one unit: with the sum ``a + b`` and ``a`` as units
+    b alone is "minus one" of them.
+    """
+    while True:
+        span = np.ptp(table, axis=0)
+        best: tuple[int, int, int, int] | None = None
+        for one, other, sign in product(range(table.shape[1]), range(table.shape[1]), (1, -1)):
+            if one == other:
+                continue
+            gain = int(span[other] - np.ptp(table[:, other] - sign * table[:, one]))
+            if gain > 0 and (best is None or gain > best[0]):
+                best = gain, one, other, sign
+        if best is None:
+            return np.asarray(table - table.min(axis=0))
+        _, one, other, sign = best
+        table[:, other] -= sign * table[:, one]
 
 
 def _fitted(states: States, occupancy: Occupancy) -> Units:

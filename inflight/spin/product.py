@@ -70,7 +70,8 @@ def spin_level2(
         `field_payload` is NaN and the flag says so. With an attitude `field_gse`, `field_gsm` (time, axis)
         nT; samples without one carry ``NO_ATTITUDE``.
     """
-    field = np.asarray(corrected["field"].values)
+    flipped = np.asarray(corrected["flag"].values & np.uint32(Flag.FLIPPED)) > 0
+    field = np.where(flipped[:, None], np.nan, np.asarray(corrected["field"].values))
     phase = np.asarray(corrected["spin_phase"].values, dtype=np.float64)
     flag = corrected["flag"].values.astype(np.uint32)
     flag[~np.isfinite(phase)] |= np.uint32(Flag.NO_PHASE)

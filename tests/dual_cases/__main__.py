@@ -105,7 +105,9 @@ def constants_table(scores: Sequence[Score]) -> Table:
         if group:
             ratio = np.array([one.ratio_rms for one in group])
             better, worse = 100 * np.mean(ratio < 1.0), 100 * np.mean(ratio > HARM)
-            table.add_row(name, str(len(group)), f"{better:.0f} %", f"{worse:.0f} %", f"{np.median(ratio):.3f}")
+            table.add_row(
+                name, str(len(group)), f"{better:.0f} %", f"{worse:.0f} %", f"{np.median(ratio):.3f}"
+            )
     return table
 
 

@@ -66,7 +66,9 @@ def make_case(seed: int, family: str | None = None) -> Case:
     readings = Readings(stamps, inboard[keep], outboard[keep])
     noise = float(np.sqrt(np.mean(np.var(noise_out, axis=0))))
     facts = {"leak": float(np.abs(leak).max()), "coloured": coloured, "offset_drift": drift}
-    return Case(seed, family, kind, readings, ambient[keep], stray_out[keep], noise, ratio, cadence, positions, facts)
+    return Case(
+        seed, family, kind, readings, ambient[keep], stray_out[keep], noise, ratio, cadence, positions, facts
+    )
 
 
 def _ambient(random: np.random.Generator, count: int, cadence: float, kind: str) -> Floats:
@@ -161,13 +163,15 @@ def _tone(random: np.random.Generator, count: int, cadence: float) -> Floats:
 def _torquer(random: np.random.Generator, count: int, cadence: float) -> Floats:
     """Return a slow sine given in pulses of a duty cycle, with pauses."""
     period = int(random.integers(10, 60))
-    wanted = np.sin(2 * np.pi * np.arange(count) / (count / random.uniform(1.0, 6.0)) + random.uniform(0, 6.3))
+    wanted = np.sin(
+        2 * np.pi * np.arange(count) / (count / random.uniform(1.0, 6.0)) + random.uniform(0, 6.3)
+    )
     on = (np.arange(count) % period) < np.abs(wanted) * period
     return np.asarray(np.where(on, np.sign(wanted), 0.0))
 
 
 def _noises(random: np.random.Generator, count: int) -> tuple[Floats, Floats, float, float]:
-    """Return the noise of the outboard and the inboard sensor, the coloured share, the offsets' drift in nT."""
+    """Return the noise of the outboard and the inboard sensor, its coloured share, the drift of offsets."""
     level = _log(random, 0.005, 0.1)
     levels = level, level * _log(random, 0.5, 4.0)
     share = float(random.choice([0.0, _log(random, 0.2, 1.0)], p=[0.6, 0.4]))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual.candidates import every_candidate
+from inflight.dual.candidates import Candidates
 from inflight.dual.correction import Correction
 from inflight.dual.harm import Judgement, judge
 
@@ -20,9 +19,8 @@ from .scenarios import Case, make_case
 class Score:
     """Errors of one case, nT a component, over the samples that both sensors have.
 
-    `raw`, `corrected`: without their constants; `raw_rms`, `corrected_rms`: with them. `pull`: rms error of the
-    correction over its sigma, without the constant.
-
+    `raw`, `corrected`: without their constants; `raw_rms`, `corrected_rms`: with them. `pull`: rms error of
+    the correction over the rms of its sigma, without the constant.
     """
 
     seed: int
@@ -62,7 +60,7 @@ def score_seed(seed: int, known_positions: bool = True) -> Score:
 def corrected(case: Case, known_positions: bool = True) -> Judgement:
     """Return the judgement on all candidates; the truth is not given."""
     positions = case.positions if known_positions else None
-    return judge(case.readings, partial(every_candidate, positions=positions))
+    return judge(case.readings, Candidates(case.readings, positions).fit)
 
 
 def score(case: Case, judgement: Judgement, seconds: float = 0.0) -> Score:
@@ -96,4 +94,5 @@ def pull(case: Case, found: Correction) -> float:
     if not found.applied or not known.any():
         return float("nan")
     error = (found.field - case.stray)[known]
-    return float(np.sqrt(np.mean(((error - error.mean(axis=0)) / found.sigma[known]) ** 2)))
+    error -= error.mean(axis=0)
+    return float(np.sqrt(np.sum(error**2) / np.sum(found.sigma[known] ** 2)))

@@ -116,7 +116,7 @@ class Calendar:
         is_first = self.first <= day < self.first + self.commissioning
         low = _TURN_BY_TURN if is_first else 0.0
         random = generator(self.seed, f"{unit.name} switching", day)
-        turns = np.empty(0)
+        turns: Float = np.empty(0)
         if is_first:
             length = _TURN_BY_TURN / units
             turns = place * length + 600.0 + _ON_S * np.arange(2 * _CYCLES)
@@ -168,4 +168,4 @@ def part_on(seconds: Float, begins: bool, times: Float, rise: float) -> Float:
     for time in times:
         level += sign * np.clip((seconds - time) / max(rise, 1e-9), 0.0, 1.0)
         sign = -sign
-    return np.clip(level, 0.0, 1.0)
+    return np.asarray(np.clip(level, 0.0, 1.0))

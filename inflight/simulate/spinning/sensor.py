@@ -68,6 +68,10 @@ def zero(
         out[:, 2] += p.zero_drift * (seconds - start) / 86_400.0
     if "eclipse_shift" in effects:
         out += warm[:, None] * p.eclipse_shift
+    if "flipper" in effects:
+        turned = np.searchsorted(p.flips, (seconds - start) / 86_400.0, side="right") % 2 == 1
+        # Flipped, sensor 3 lies along x and sensor 1 against z.
+        out = np.where(turned[:, None], out[:, [2, 1, 0]] * [1.0, 1.0, -1.0], out) + p.spacecraft_field
     return out
 
 

@@ -27,6 +27,7 @@ EXTRA: dict[str, str] = {
     "eclipse_shift": "spin-plane offsets follow the temperature of the sensor",
     "solar_array": "field of the current of the array, which is modulated by the spin",
     "manoeuvre": "the spin axis moves in the body at a known time",
+    "flipper": "a flipper turns sensors 1 and 3 into each other's place, beside a field of the spacecraft",
     "nonlinearity": "quadratic and cubic terms of the spin-plane sensors",
 }
 SpinDefect = Literal["gaps", "missing_pulses", "false_pulses", "spikes", "saturation"]
@@ -48,6 +49,8 @@ class SpinningParameters:
         Direction of the spin axis, gse; fields are simulated in payload axes.
     perigee, apogee : float
         Of the orbit, Earth radii; no orbit where apogee is 0.
+    flips : tuple of float
+        Times of the flipper, days from the first one; sensors lie plain before the first.
     range : float
         Readings beyond saturate, nT.
     """
@@ -79,6 +82,8 @@ class SpinningParameters:
     torquer_current: float = 0.08
     eclipse_shift: tuple[float, float, float] = (0.006, -0.009, 0.0)
     array_field: tuple[float, float, float] = (0.05, 0.04, -0.07)
+    flips: tuple[float, ...] = (2.3,)
+    spacecraft_field: tuple[float, float, float] = (2.8, 0.9, -0.6)
     manoeuvre_day: int = 3
     manoeuvre_turn: tuple[float, float] = (0.0008, -0.0005)
     quadratic: tuple[float, float, float] = (2.0e-9, -1.5e-9, 0.0)

@@ -1,0 +1,337 @@
+"""Compare the corrected field of two sensors with the measured one: by how far it steps at switchings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day
+from inflight.dual.residual_steps import (
+    Remaining,
+    Switchings,
+    by_state,
+    quiet_steps,
+    quietest_width,
+    regressed,
+    rms,
+    steps_across,
+    switchings,
+)
+from inflight.errors import CatalogError
+from inflight.figures.dual_states import (
+    PLANES,
+    before_after_figure,
+    difference_figure,
+    steps_figure,
+    timeline_figure,
+)
+from inflight.figures.page import Section, html_table
+from inflight.mission import Mission
+from inflight.tasks.compare_page import Compared
+from inflight.tasks.compare_rows import scalar_channels
+from inflight.tasks.planning import product_of
+from inflight.tasks.report import Progress
+from inflight.tasks.states_units import channel_changes, unit_signs
+from inflight.time import SECOND, DayLike, Int64, to_utc, usual_step
+
+#: Points of a curve that a browser can draw.
+_POINTS = 20_000
+#: Said where nothing switched.
+_NO_SWITCHING = "nothing switched in the span, so that its steps tell nothing of the correction"
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """Stretches of one state.
+
+    Attributes
+    ----------
+    begin, end : ndarray of int64, shape (stretch,)
+        TT2000.
+    state : ndarray of int64, shape (stretch,)
+    probability : ndarray, shape (stretch,)
+    difference : ndarray, shape (stretch, axis)
+        Mean ``B_in - B_out``, nT.
+    """
+
+    begin: Int64
+    end: Int64
+    state: Int64
+    probability: Floats
+    difference: Floats
+
+
+@dataclass(frozen=True)
+class DualDayRows:
+    """What a comparison keeps of a day: its switchings, its stretches, a thin series."""
+
+    day: Day
+    method: str
+    applied: str
+    reason: str
+    at: Switchings
+    before: Floats
+    after: Floats
+    quiet: Floats
+    difference: Floats
+    signs: Floats
+    changes: Mapping[str, Floats]
+    stretches: Stretches
+    stamps: Int64
+    outboard: Floats
+    field: Floats
+
+
+@dataclass
+class DualCompareReport:
+    """What `compare_dual` found; `path` is the page, when one was written."""
+
+    comparison: str
+    context: str
+    days: list[DualDayRows]
+    fails_where: list[tuple[Remaining, str]]
+    table: xr.Dataset | None
+    path: Path | None = None
+
+    def joined(self, name: str) -> Floats:
+        """Return an array of all days, (switching, axis)."""
+        return np.concatenate([getattr(one, name) for one in self.days])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON; a residual is a step's rms component, nT."""
+        before, after, floor = (rms(self.joined(name)) for name in ("before", "after", "quiet"))
+        known = bool(np.isfinite(before))
+        return {
+            "command": "compare",
+            "run": "",
+            "context": self.context,
+            "comparison": self.comparison,
+            "kind": "dual",
+            "residual": {
+                "what": "step of the outboard field where the spacecraft switches, rms of a component",
+                "before_nT": before,
+                "after_nT": after,
+                "noise_floor_nT": floor,
+                "switchings": int(sum(len(one.at) for one in self.days)),
+                "note": "" if known else _NO_SWITCHING,
+            },
+            "by_day": [_told_of_day(one) for one in self.days],
+            "fails_where": [
+                {
+                    "coordinate": one.coordinate,
+                    "amplitude_nT": float(np.abs(one.value).max()),
+                    "sigma_nT": float(one.sigma[np.argmax(np.abs(one.value))]),
+                    "sentence": one.told(unit),
+                }
+                for one, unit in self.fails_where
+            ],
+            "verdict": {
+                "applied": sorted({one.applied for one in self.days}),
+                "reasons": sorted({one.reason for one in self.days if one.reason}),
+            },
+            "path": str(self.path) if self.path else "",
+        }
+
+
+def compare_dual(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None,
+    end: DayLike | None,
+    comparison: str,
+    progress: Progress | None,
+) -> Compared[DualCompareReport]:
+    """Measure what is left at the switchings of published products; parameters as `compare`.
+
+    Raises
+    ------
+    CatalogError
+        When no product of the comparison is published in the span.
+    """
+    span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
+    days = cat.days(product_of(comparison), span, states=("published",))
+    if not days:
+        raise CatalogError(
+            f"'{product_of(comparison)}' has no published days in the span",
+            remedy="run 'inflight reprocess' first",
+        )
+    rows, tell = [], progress or (lambda stage, done, total: None)
+    for done, day in enumerate(days):
+        tell("compare", done, len(days))
+        table = cat.table(f"{comparison}-states", str(day.day))
+        rows.append(day_rows(cat, mission, day, table, thin=max(1, 86_400 * len(days) // _POINTS)))
+    tell("compare", len(days), len(days))
+    report = DualCompareReport(comparison, days[-1].context or "", rows, [], table)
+    report.fails_where = sorted(
+        fails_where(report, mission), key=lambda one: -float(np.abs(one[0].value / one[0].sigma).max())
+    )
+    title = f"{mission.mission}: two sensors on one boom, {days[0].day} to {days[-1].day}"
+    return Compared(report, title, lambda: dual_sections(report))
+
+
+def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: int) -> DualDayRows:
+    """Return what is kept of a day; every `thin`-th sample is drawn."""
+    product = cat.read(day, dated=False)
+    stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
+    state = np.asarray(product["state"].values, dtype=np.int64)
+    outboard, field = (
+        np.asarray(product[name].values, dtype=np.float64) for name in ("outboard", "field_spacecraft")
+    )
+    difference = np.asarray(product["inboard"].values, dtype=np.float64) - outboard
+    at = switchings(state, stamps, usual_step(stamps, SECOND))
+    width = quietest_width(field, at)
+    thinned = slice(None, None, thin)
+    return DualDayRows(
+        day,
+        str(product.attrs["method"]),
+        str(product.attrs["applied"]),
+        str(product.attrs["reason"]),
+        at,
+        steps_across(outboard, at, width),
+        steps_across(field, at, width),
+        quiet_steps(field, at, width),
+        steps_across(difference, at, width),
+        unit_signs(table, at),
+        channel_changes(cat, mission, day.day, stamps[at.last], stamps[at.first]),
+        stretches_of(state, product["probability"].values, difference, stamps),
+        stamps[thinned],
+        outboard[thinned],
+        field[thinned],
+    )
+
+
+def stretches_of(state: Int64, probability: Floats, difference: Floats, stamps: Int64) -> Stretches:
+    """Return the stretches of one state each; samples without a reading count in none of the means."""
+    edges = np.flatnonzero(np.diff(state)) + 1
+    first = np.concatenate([[0], edges]).astype(np.int64)
+    last = np.concatenate([edges, [state.size]]).astype(np.int64)
+    good: npt.NDArray[np.bool_] = np.asarray(np.isfinite(difference).all(axis=1))
+    counts = np.maximum(np.add.reduceat(good.astype(np.float64), first), 1.0)
+    mean = np.add.reduceat(np.where(good[:, None], difference, 0.0), first, axis=0) / counts[:, None]
+    sure = np.asarray(probability, dtype=np.float64)[first]
+    return Stretches(stamps[first], stamps[last - 1], state[first], sure, mean)
+
+
+def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[Remaining, str]]:
+    """Yield what the steps that are left go with, and its unit: states, units, currents."""
+    steps = report.joined("after")
+    at = Switchings(
+        *(
+            np.concatenate([getattr(one.at, name) for one in report.days])
+            for name in ("last", "first", "before", "after", "room")
+        )
+    )
+    floor = rms(report.joined("quiet"))
+    for one in by_state(at, steps):
+        if one.is_clear:
+            yield one, "nT"
+    signs = report.joined("signs")
+    for unit in range(signs.shape[1]):
+        found = regressed(f"unit {unit}", steps, signs[:, unit])
+        if found is not None and found.is_clear:
+            yield found, "nT"
+    known = scalar_channels(mission)
+    for name in sorted({name for one in report.days for name in one.changes}):
+        change = np.concatenate([one.changes.get(name, np.full(len(one.at), np.nan)) for one in report.days])
+        found = regressed(name, steps, change)
+        # A change of noise alone makes a slope of any size: it must matter at the channel's usual change.
+        usual = float(np.nanmax(np.abs(change), initial=0.0))
+        if found is not None and found.is_clear and np.abs(found.value).max() * usual > floor:
+            yield found, f"nT/{known[name][2].unit if name in known else 'unit'}"
+
+
+def _told_of_day(one: DualDayRows) -> dict[str, Any]:
+    return {
+        "day": str(one.day.day),
+        "version": one.day.version,
+        "before_nT": rms(one.before),
+        "after_nT": rms(one.after),
+        "noise_floor_nT": rms(one.quiet),
+        "switchings": len(one.at),
+        "applied": one.applied,
+        "method": one.method,
+    }
+
+
+def dual_sections(report: DualCompareReport) -> list[Section]:
+    """Return everything that is shown of two sensors, as the page and the explorer have it."""
+    return [
+        ("Steps at switchings", _residual_text(report), _step_figures(report)),
+        ("Where it fails", _fails_text(report), []),
+        ("States", _states_text(report), _state_figures(report)),
+        ("Before and after", [], _series_figures(report)),
+    ]
+
+
+def _residual_text(report: DualCompareReport) -> list[str]:
+    rows = [
+        (
+            one["day"],
+            one["method"],
+            one["applied"],
+            str(one["switchings"]),
+            *(f"{one[name]:.4f}" for name in ("before_nT", "after_nT", "noise_floor_nT")),
+        )
+        for one in map(_told_of_day, report.days)
+    ]
+    head = ("day", "method", "applied", "switchings", "as measured, nT", "corrected, nT", "floor, nT")
+    told = [
+        "The ambient field does not know when the spacecraft switches. Without a stray field it steps "
+        "there no more than elsewhere: that is the floor. A constant error is not in these numbers."
+    ]
+    told += [escape(reason) for reason in sorted({one.reason for one in report.days if one.reason})]
+    return [*told, html_table(head, rows)]
+
+
+def _step_figures(report: DualCompareReport) -> list[Any]:
+    parts = report.joined("difference"), report.joined("before"), report.joined("after")
+    return [steps_figure(*parts, axis) for axis in range(3)] if len(parts[0]) else []
+
+
+def _fails_text(report: DualCompareReport) -> list[str]:
+    if not report.fails_where:
+        return ["No state, unit or current goes with what is left at the switchings, by four sigma."]
+    listed = "".join(f"<li>{escape(one.told(unit))}</li>" for one, unit in report.fails_where)
+    return [f"<ol>{listed}</ol>"]
+
+
+def _states_text(report: DualCompareReport) -> list[str]:
+    seconds: dict[int, float] = {}
+    for one in report.days:
+        for state, begin, end in zip(
+            one.stretches.state.tolist(), one.stretches.begin, one.stretches.end, strict=True
+        ):
+            seconds[state] = seconds.get(state, 0.0) + float(end - begin) / SECOND
+    rows = [
+        ({-1: "unknown", -2: "transient"}.get(state, str(state)), f"{time / 3600.0:.2f}")
+        for state, time in sorted(seconds.items())
+    ]
+    return [html_table(("state", "hours"), rows)]
+
+
+def _state_figures(report: DualCompareReport) -> list[Any]:
+    parts = [one.stretches for one in report.days]
+    begin, end, state, sure, mean = (
+        np.concatenate([getattr(one, name) for one in parts])
+        for name in ("begin", "end", "state", "probability", "difference")
+    )
+    settled = state != -2
+    centre, covariance = np.empty((0, 3)), np.empty((0, 3, 3))
+    if report.table is not None and "centre" in report.table:
+        centre, covariance = report.table["centre"].values, report.table["centre_covariance"].values
+    planes = [difference_figure(mean[settled], state[settled], centre, covariance, plane) for plane in PLANES]
+    return [*planes, timeline_figure(to_utc(begin), to_utc(end), state, sure)]
+
+
+def _series_figures(report: DualCompareReport) -> list[Any]:
+    time = to_utc(np.concatenate([one.stamps for one in report.days]))
+    outboard, field = report.joined("outboard"), report.joined("field")
+    return [before_after_figure(time, outboard, field, axis) for axis in range(3)]
