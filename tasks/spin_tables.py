@@ -18,6 +18,7 @@ from inflight.spin.twelve import GROUND, Known, TwelveTable, join_twelve
 from inflight.spin.update import Decision
 from inflight.tasks.spin_day import ground_of, require_spinning
 from inflight.time import DAY, Int64, day_bounds
+from inflight.zero_level import davis_smith, minimum_correlation, mirror_mode, wang_pan
 from inflight.zero_level.combined import combined
 from inflight.zero_level.estimate import Question
 from inflight.zero_level.intervals import Intervals
@@ -35,6 +36,8 @@ _BETTER = 0.5
 _PRIOR, _DATA = 0, 2
 
 
+#: Methods of the zero level, each beside the combined one.
+METHODS = (davis_smith.NAME, wang_pan.NAME, mirror_mode.NAME, minimum_correlation.NAME)
 #: The parameter that the spin tells nothing of and nature does.
 AXIAL = "offset[3]"
 
@@ -206,7 +209,7 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
             "covariance": ((*each, "other"), np.array([row.covariance for row in rows])),
             "determined": (each, np.array([row.twelve.determined for row in rows])),
             "source": (each, np.where(from_ground, _PRIOR, _DATA).astype(np.int8)),
-            "origin": (each, np.array([row.twelve.source for row in rows], dtype="U24")),
+            "origin": (each, np.array([row.twelve.source for row in rows], dtype="U64")),
             "own": (each, np.array([row.own[0] for row in rows])),
             "own_sigma": (each, np.array([row.own[1] for row in rows])),
             "decision": (each, np.array([_decided(row)[0] for row in rows], dtype="U8")),
@@ -246,7 +249,8 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
     -------
     xarray.Dataset
         dims interval: `value`, `sigma` (infinite where nothing tells it) nT, sensor axis 3, in units of the
-        reading; `method`, `reason`; `start`, `end` TT2000.
+        reading; `method`, `reason`; `method_value`, `method_sigma` (interval, method) nT and `method_used`,
+        intervals of 15 minutes each method took, of each method by itself; `start`, `end` TT2000.
     """
     entry = require_spinning(model)
     bounds = [day_bounds(edge)[0] for edge in edges]
@@ -255,45 +259,66 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
         inside = [day for day in days if start <= int(day["start"].values[0]) < end]
         if inside:
             ground, sigma = ground_of(entry, (start + end) // 2)
-            rows.append((start, end, *_zero(inside, ground, _REACH * sigma["offset[3]"])))
-    one = ("interval",)
+            rows.append((start, end, _zero(inside, ground, _REACH * sigma["offset[3]"])))
+    one, each = ("interval",), ("interval", "method_name")
     return xr.Dataset(
         {
-            "value": (one, np.array([row[2] for row in rows]), {"units": "nT"}),
-            "sigma": (one, np.array([row[3] for row in rows]), {"units": "nT"}),
-            "method": (one, np.array([row[4] for row in rows], dtype="U64")),
-            "reason": (one, np.array([row[5] for row in rows], dtype="U400")),
+            "value": (one, np.array([row[2].value for row in rows]), {"units": "nT"}),
+            "sigma": (one, np.array([row[2].sigma for row in rows]), {"units": "nT"}),
+            "method": (one, np.array([row[2].method for row in rows], dtype="U64")),
+            "reason": (one, np.array([row[2].reason for row in rows], dtype="U400")),
+            "method_value": (each, np.array([row[2].each[0] for row in rows]), {"units": "nT"}),
+            "method_sigma": (each, np.array([row[2].each[1] for row in rows]), {"units": "nT"}),
+            "method_used": (each, np.array([row[2].each[2] for row in rows])),
+            "intervals": (one, np.array([row[2].intervals for row in rows], dtype=np.int64)),
             "start": (one, np.array([row[0] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "end": (one, np.array([row[1] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
         },
+        coords={"method_name": list(METHODS)},
         attrs={"comparison": model.comparison, "kind": "zero-level", "model": model.sha},
     )
 
 
-def _zero(
-    days: Sequence[xr.Dataset], ground: TwelveParameters, bound: float
-) -> tuple[float, float, str, str]:
-    """Return value, sigma, method and reason of a window's offset along the spin axis."""
+@dataclass(frozen=True)
+class _Zero:
+    """A window's offset along the spin axis; `each` has value, sigma and intervals used by `METHODS`."""
+
+    value: float
+    sigma: float
+    method: str
+    reason: str
+    intervals: int
+    each: Floats
+
+
+def _zero(days: Sequence[xr.Dataset], ground: TwelveParameters, bound: float) -> _Zero:
+    """Return a window's offset along the spin axis, of all methods and of each."""
     times = np.concatenate([day["mean_time"].values[0] for day in days])
     means = np.concatenate([day["mean"].values[0] for day in days])
     known = (times > 0) & np.isfinite(means).all(axis=1)
     times, means = _sorted(times[known], means[known])
-    nothing = ground.offset[2], float("inf"), GROUND
+    each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(METHODS))
+    count, start = 0, float(ground.offset[2])
     question = Question(free=(False, False, True), bound=bound)
     try:
         intervals = Intervals.of(times, means, ZERO_INTERVAL_S)
-        if len(intervals) < _FEWEST_INTERVALS:
-            return (*nothing, f"{len(intervals)} quarter hours, at least {_FEWEST_INTERVALS} needed")
+        count = len(intervals.start)
+        if count < _FEWEST_INTERVALS:
+            why = f"{count} quarter hours, at least {_FEWEST_INTERVALS} needed"
+            return _Zero(start, float("inf"), GROUND, why, count, each)
         found = combined(intervals, question)
     except InflightError as error:
-        return (*nothing, error.message)
+        return _Zero(start, float("inf"), GROUND, error.message, count, each)
+    # A field of no size along the axis reads as the matrix's last row makes of the offset.
+    turn = float(ground.matrix()[2, 2])
+    for one in (one for one in found.methods if one.method in METHODS):
+        told = start + one.value[2] / turn, one.sigma[2] / turn, int(one.used.sum())
+        each[:, METHODS.index(one.method)] = told
     estimate = found.estimate
     if not estimate.determined[2]:
-        return (*nothing, "; ".join(estimate.reasons))
-    # A field of no size along the axis reads as the matrix's last row makes of the offset.
-    turn = ground.matrix()[2, 2]
-    value = ground.offset[2] + float(estimate.value[2]) / turn
-    return value, float(estimate.sigma[2]) / turn, estimate.method, found.told()
+        return _Zero(start, float("inf"), GROUND, "; ".join(estimate.reasons), count, each)
+    value, sigma = start + float(estimate.value[2]) / turn, float(estimate.sigma[2]) / turn
+    return _Zero(value, sigma, estimate.method, found.told(), count, each)
 
 
 def _sorted(times: Int64, means: Floats) -> tuple[Int64, Floats]:

@@ -43,16 +43,25 @@ def chain(
         ),
     ] = "",
 ) -> None:
-    """Tell what 'reprocess --table continuous' found: coefficients, trends, currents, what wanders."""
+    """Tell what 'reprocess --table continuous' found: coefficients, trends, currents, what wanders.
+
+    Of a spinning spacecraft: the twelve parameters, where each came from, and what each day decided.
+    """
     from inflight.tasks.chain_report import chain_report
     from inflight.tasks.dual_report import dual_report
     from inflight.tasks.reprocess_dual import dual_comparisons
+    from inflight.tasks.spin_report import spin_report
 
     workspace = session.open_workspace()
     page = page_path(html) if html else None
     if comparison in dual_comparisons(workspace.mission()):
         told = dual_report(session.open_catalog(), workspace.mission(), comparison, page)
         session.emit(told, lambda console: _print_dual(console, told))
+        return
+    entry = workspace.mission().comparisons.get(comparison)
+    if entry is not None and entry.kind == "spin":
+        told = spin_report(session.open_catalog(), workspace.mission(), comparison, page)
+        session.emit(told, lambda console: _print_spin(console, told))
         return
     fields = chain_report(session.open_catalog(), workspace.mission(), comparison, page, cross_talk).as_json()
     session.emit(fields, lambda console: _print(console, fields))
@@ -99,6 +108,28 @@ def _print_dual(console: Console, fields: Mapping[str, Any]) -> None:
         for one in sections["corners"].get("items", [])
     ]
     lines += [fields["note"], f"page: {fields['path'] or 'none; --html FILE writes it with every figure'}"]
+    for line in lines:
+        console.print(f"  {line}", soft_wrap=True, markup=False)
+
+
+def _print_spin(console: Console, fields: Mapping[str, Any]) -> None:
+    """Print the twelve parameters with their origin, what days replaced, zero levels, and the phase."""
+    sections = fields["sections"]
+    first, last = fields["span"]
+    console.print(f"{fields['comparison']}: {fields['days']} days, {first} to {last}", style="bold")
+    lines = [
+        f"{one['name']:<17} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}, from {one['origin']}; "
+        f"{one['decision'] or 'nothing decided'}: {one['reason']}"
+        for one in sections["twelve"]["items"]
+    ]
+    lines.append(f"these remain at their ground values: {', '.join(sections['twelve']['ground']) or 'none'}")
+    replaced = [
+        one for one in sections["days"]["items"] if one["decision"] == "update" and one["day"] != first
+    ]
+    lines += [f"{one['day']} replaced {one['name']}: {one['reason']}" for one in replaced[-_MOST:]]
+    lines += [f"drift of {name}: {one['sentence']}" for name, one in sections["zero_level"]["drift"].items()]
+    lines += [f"{one['day']}: {one['told']}" for one in sections["phase"]["items"][-1:]]
+    lines.append(f"page: {fields['path'] or 'none; --html FILE writes it with every figure'}")
     for line in lines:
         console.print(f"  {line}", soft_wrap=True, markup=False)
 

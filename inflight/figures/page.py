@@ -26,6 +26,7 @@ td, th { padding: .15rem .8rem .15rem 0; text-align: right }
 td:first-child, th:first-child { text-align: left } th { border-bottom: 1px solid #999; font-weight: 600 }
 .quiet { color: #666; font-size: .9rem }
 .wide { font-size: .88rem } .wide th { white-space: normal; max-width: 6rem }
+.told td, .told th { text-align: left } .told td:not(:last-child) { white-space: nowrap }
 .wide td { border-bottom: 1px solid #e4e4e0; vertical-align: top }
 """
 

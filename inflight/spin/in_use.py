@@ -146,11 +146,16 @@ class InUse:
         size = float(apart @ np.linalg.solve(self.covariance[inside] + own[inside], apart))
         if size <= _RARE and all(one.verdict != "update" for one in made):
             return {}
-        why = f"offset and elevation together differ by chi2 {size:.1f} (2 numbers)"
+        other = dict(zip(pair, reversed(pair), strict=True))
+        why = (
+            f"offset and elevation together differ by chi2 {size:.1f} of two numbers" if size > _RARE else ""
+        )
         return {
             one.name: one
             if one.verdict == "update"
-            else replace(one, verdict="update", reason=f"{why}: decided together, {one.reason.split(':')[0]}")
+            else replace(
+                one, verdict="update", reason=why or f"goes with {other[one.name]}, which shares its tone"
+            )
             for one in made
         }
 

@@ -7,7 +7,7 @@ from eight_cases import PRESENT, TRUTH, by_joint, by_selection, two_fields
 from orbit_fields import steady
 
 from inflight.errors import CalibrationError
-from inflight.figures.spin_estimates import estimates_figure, uncertainty_figure
+from inflight.figures.spin_estimates import Cloud, estimates_figure, uncertainty_figure
 from inflight.spin.equation import NAMES, SPIN_RELATED, TwelveParameters
 from inflight.spin.selection import choose
 from inflight.spin.twelve import Known, join_twelve
@@ -162,7 +162,11 @@ def test_figures_show_every_estimate():
     record = two_fields(8, hours=0.7)
     readings = TRUTH.disturb(record.field)
     selection, joint = by_selection(record, readings), by_joint(record, readings)
-    for drawn, panels in ((estimates_figure(selection, joint), 8), (uncertainty_figure(selection), 4)):
+    cloud = Cloud.of(selection)
+    for drawn, panels in (
+        (estimates_figure(cloud, (joint.value, joint.sigma)), 8),
+        (uncertainty_figure(cloud), 4),
+    ):
         plots = [one for one, *_ in drawn.children]
         assert len(plots) == panels
         for plot in plots:
