@@ -24,9 +24,8 @@ def text(*paragraphs: str) -> pn.viewable.Viewable:
     return pn.pane.HTML(inside, stylesheets=_STYLES, sizing_mode="stretch_width", margin=(5, 10))
 
 
-def section(shown: Section) -> pn.viewable.Viewable:
-    """Return one section: its text, then its figures side by side."""
-    _, paragraphs, figures = shown
+def section(paragraphs: Sequence[str], figures: Sequence[Any] = ()) -> pn.viewable.Viewable:
+    """Return the inside of a section: its text, then its figures side by side."""
     parts = [text(*paragraphs)] if paragraphs else []
     if figures:
         panes = [pn.pane.Bokeh(figure, margin=4) for figure in figures]
@@ -36,7 +35,7 @@ def section(shown: Section) -> pn.viewable.Viewable:
 
 def sections(shown: Sequence[Section]) -> pn.viewable.Viewable:
     """Return sections behind tabs: the browser draws the figures of the one that is looked at."""
-    tabs = [(heading, section((heading, paragraphs, figures))) for heading, paragraphs, figures in shown]
+    tabs = [(heading, section(paragraphs, figures)) for heading, paragraphs, figures in shown]
     return pn.Tabs(*tabs, dynamic=True, sizing_mode="stretch_width", css_classes=["sections"])
 
 

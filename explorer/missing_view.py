@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
 import panel as pn
 
 from inflight.explorer import drawing
@@ -16,7 +17,7 @@ from inflight.figures.candidates import candidate_table, drop_figure, unscorable
 from inflight.figures.found import found_effects, rivals_apart
 from inflight.figures.ledger import ledger_table
 from inflight.figures.naming import distinct, short_name
-from inflight.figures.page import Section, html_table
+from inflight.figures.page import Inside, Section, html_table
 from inflight.figures.revisions import change_tables, error_figure
 from inflight.figures.verdict import verdict_strip
 
@@ -29,15 +30,23 @@ _NOTE = (
 
 
 class MissingView:
-    """The missing effect; every button does what the verb of its name does."""
+    """The missing effect; every button does what the verb of its name does.
+
+    Parameters
+    ----------
+    sitting : Sitting
+    changed : callable
+        Called when the model has another version.
+    """
 
     title = "The missing effect"
 
-    def __init__(self, sitting: Sitting) -> None:
-        self._sitting = sitting
+    def __init__(self, sitting: Sitting, changed: Callable[[], None]) -> None:
+        self._sitting, self._tell = sitting, changed
         self._offer: Offer | None = None
         self._days: Days | None = None
         self._found, self._model = Place(sitting.background), Place(sitting.background)
+        self._versions = pn.Column(sizing_mode="stretch_width")
         self._diagnose = pn.widgets.Button(name="Diagnose this span", button_type="primary")
         self._figures = pn.widgets.Button(name="All figures of this diagnosis")
         self._candidate = pn.widgets.Select(name="Candidate", options=[], width=330)
@@ -58,10 +67,10 @@ class MissingView:
             button.on_click(lambda event, work=work: work())
         self.panel = pn.Column(
             pn.Row(self._diagnose, self._figures),
-            self._found.panel,
-            drawing.text('<h2 style="margin-top:1rem">The model, revised</h2>'),
-            pn.FlexBox(self._candidate, self._other, self._add, self._undo, self._own, self._drop),
+            pn.Row(self._candidate, self._other, self._add, self._own, self._drop, self._undo),
             self._model.panel,
+            self._found.panel,
+            self._versions,
             sizing_mode="stretch_width",
         )
 
@@ -134,13 +143,22 @@ class MissingView:
         )
 
     def _changed(self) -> pn.viewable.Viewable:
+        self._tell()
+        assert self._offer is not None
+        self._show_versions()
+        return _change(self._sitting.changes[self._offer.comparison])
+
+    def _show_model(self) -> None:
+        assert self._offer is not None
+        changes = self._sitting.changes[self._offer.comparison]
+        self._model.put(*([_change(changes)] if changes else []))
+        self._show_versions()
+
+    def _show_versions(self) -> None:
         assert self._offer is not None
         versions, effects = self._sitting.versions(self._offer.comparison)
         self._own.options = effects
-        return drawing.section(model_section(versions, self._sitting.changes[self._offer.comparison]))
-
-    def _show_model(self) -> None:
-        self._model.put(self._changed())
+        self._versions.objects = [drawing.section(*version_section(versions))]
 
 
 def diagnosis_sections(fields: Fields) -> list[Section]:
@@ -165,41 +183,56 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
 def _asked(fields: Fields) -> str:
     """Return of which span and model a diagnosis is."""
     asked, model = fields.get("asked") or {}, fields["model"]
-    start, end = asked.get("start"), asked.get("end")
-    span = f"from {start or 'the first day'} until {end or 'the last'}" if start or end else "all days"
+    ends = []
+    if asked.get("start"):
+        ends.append(f"from {asked['start']}")
+    if asked.get("end"):
+        ends.append(f"to {np.datetime64(asked['end'], 'D') - 1}")
     version = f" version {model['version']}" if model.get("version") else ""
-    return f'<p class="quiet">Of {escape(span)}, with {escape(str(model.get("name")))}{version}.</p>'
+    span = f"Days {' '.join(ends)}" if ends else "All days"
+    return f'<p class="quiet">{escape(span)}, model {escape(str(model.get("name")))}{version}.</p>'
 
 
-def model_section(versions: Sequence[Fields], changes: Sequence[Fields]) -> Section:
-    """Return what the page's changes did, and every version of the model.
+def _change(changes: Sequence[Fields]) -> pn.viewable.Viewable:
+    """Return the last change with the figure beside it: both are seen at once."""
+    paragraphs, figures = change_section(changes)
+    return pn.Row(*map(pn.pane.Bokeh, figures), drawing.text(*paragraphs), sizing_mode="stretch_width")
+
+
+def change_section(changes: Sequence[Fields]) -> Inside:
+    """Return what the page's last change did, and how the error fell with all of them.
+
+    Parameters
+    ----------
+    changes : sequence of mapping
+        As `Revision.as_json`, in the order they were made; at least one.
+    """
+    note = (
+        "<p>Products and tables are those of the model before until <code>inflight reprocess</code> makes "
+        "them anew; a new diagnosis says what is still missing.</p>"
+    )
+    return [*change_tables(changes[-1]), note], [error_figure(changes)]
+
+
+def version_section(versions: Sequence[Fields]) -> Inside:
+    """Return every version of the workspace's models, newest first.
 
     Parameters
     ----------
     versions : sequence of mapping
         As `inflight.tasks.versions.Versions.items`.
-    changes : sequence of mapping
-        As `Revision.as_json`, in the order they were made.
     """
-    paragraphs = change_tables(changes[-1]) if changes else []
-    if changes:
-        paragraphs.append(
-            "<p>Products and tables are those of the model before until "
-            "<code>inflight reprocess</code> makes them anew; a new diagnosis says what is still missing.</p>"
-        )
     rows = [
         (
-            "in use" if one["used"] else "",
-            one["name"],
             str(one["version"]),
+            one["name"],
+            "in use" if one["used"] else "",
             str(one["parent"] or ""),
             one["message"],
             str(one["created"])[:16].replace("T", " "),
         )
         for one in reversed(versions)
     ]
-    if rows:
-        paragraphs.append(html_table(("", "model", "version", "from", "what was done", "UTC"), rows))
-    else:
-        paragraphs.append("<p>No version is saved yet: the model in use is the mission's own file.</p>")
-    return "The model, revised", paragraphs, [error_figure(changes)] if changes else []
+    head = ("version", "model", "", "from", "what was done", "UTC")
+    table = html_table(head, rows) if rows else "<p>None is saved yet: in use is the mission's own file.</p>"
+    return ['<h2 style="margin-top:1rem">Versions of the model</h2>', table], []

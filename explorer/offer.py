@@ -10,7 +10,7 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.mission import Mission
 from inflight.tasks.planning import product_of
-from inflight.tasks.reprocess_dual import dual_comparisons
+from inflight.tasks.states_units import is_told_by_states
 from inflight.tasks.versions import Versions
 
 #: Days shown when nobody asked for a span: reading more takes longer than one cares to wait unasked.
@@ -42,6 +42,8 @@ class Offer:
     archived: int
     model: str
     tables: tuple[str, ...]
+    #: Two sensors that comparisons of their own calibrate: this one makes tables and no product.
+    is_apart: bool = False
 
     @property
     def is_empty(self) -> bool:
@@ -86,6 +88,7 @@ def offer_of(cat: Catalog, mission: Mission, comparison: str) -> Offer:
         len(archived),
         Versions(cat, mission, comparison).used.told,
         tuple(sorted(name for name in names if _is_of(name, comparison, mission))),
+        entry.kind == "dual" and not is_told_by_states(mission, comparison),
     )
 
 
@@ -95,7 +98,7 @@ def _is_of(table: str, comparison: str, mission: Mission) -> bool:
     return max(owners, key=len, default="") == comparison
 
 
-def first_step(workspace: Workspace, mission: Mission, offer: Offer) -> str:
+def first_step(workspace: Workspace, offer: Offer) -> str:
     """Return what is to be done before there is more to see; empty when products are there.
 
     Parameters
@@ -110,7 +113,7 @@ def first_step(workspace: Workspace, mission: Mission, offer: Offer) -> str:
             f"This workspace holds no measurements yet. Put the delivered files into {workspace.data} (or "
             f"name their folder), and type: inflight ingest{where}"
         )
-    if offer.products or (offer.tables and offer.comparison in dual_comparisons(mission)):
+    if offer.products or (offer.tables and offer.is_apart):
         return ""
     return (
         f"The archive has {offer.archived} days, and nothing is calibrated yet. Type: "

@@ -37,8 +37,12 @@ class Page:
         self._first = pn.widgets.DatePicker(name="First day", width=_WIDTH)
         self._last = pn.widgets.DatePicker(name="Last day", width=_WIDTH)
         self._look = pn.widgets.Button(name="Look", button_type="primary")
-        self._facts, self._hint = drawing.text(""), pn.Column(sizing_mode="stretch_width")
-        self._views: tuple[View, ...] = (MeasurementView(sitting), MissingView(sitting), TablesView(sitting))
+        self._facts, self._hint = pn.Column(), pn.Column(sizing_mode="stretch_width")
+        self._views: tuple[View, ...] = (
+            MeasurementView(sitting),
+            MissingView(sitting, self._model_changed),
+            TablesView(sitting),
+        )
         self._tabs = pn.Tabs(
             *((view.title, view.panel) for view in self._views), dynamic=True, sizing_mode="stretch_width"
         )
@@ -70,20 +74,27 @@ class Page:
             self._hint.objects = [drawing.error(told_error(error))]
             return
         self._offer = offer
-        step = first_step(self._sitting.workspace, self._mission, offer)
+        step = first_step(self._sitting.workspace, offer)
         self._hint.objects = [drawing.hint(step)] if step else []
         self._bound_span(offer, keep)
-        self._facts.object = drawing.facts(
-            {
-                "mission": self._mission.mission,
-                "kind": offer.kind,
-                "days": offer.products or "",
-                "archive": f"{offer.archived} days" if offer.archived else "empty",
-                "model": offer.model,
-            }
-        )
+        self._show_facts(offer)
         self._seen.clear()
         self._look_at()
+
+    def _show_facts(self, offer: Offer) -> None:
+        listed = {
+            "mission": self._mission.mission,
+            "kind": offer.kind,
+            "archive": f"{offer.archived} days" if offer.archived else "empty",
+            "products": f"{offer.products} days" if offer.products else "none",
+            "model": offer.model,
+        }
+        self._facts.objects = [drawing.text(drawing.facts(listed))]
+
+    def _model_changed(self) -> None:
+        """Tell which model is in use now; what is shown stays."""
+        if self._offer is not None:
+            self._show_facts(offer_of(self._sitting.cat, self._mission, self._offer.comparison))
 
     def _bound_span(self, offer: Offer, keep: bool) -> None:
         span = offer.span()

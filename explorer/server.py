@@ -69,5 +69,5 @@ class Server:
         except KeyboardInterrupt:
             pass
         finally:
-            self.sitting.background.close()
+            self.sitting.close()
             self._server.stop()

@@ -7,7 +7,7 @@ Results are kept for as long as what they were made from stays as it is.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.explorer.background import Background
-from inflight.figures.page import Section
+from inflight.figures.page import Later, Section
 from inflight.flows.cluster import client_when_needed
 from inflight.mission import Mission
 from inflight.model.changes import tree_of
@@ -63,10 +63,17 @@ class Sitting:
         self.workspace, self.workers = workspace, workers
         self.cat = Catalog(workspace.root)
         self.background = Background()
+        #: Makes figures, beside what takes long.
+        self.drawing = Background()
         #: What the page's changes of each comparison's model did, as `Revision.as_json`, in their order.
         self.changes: dict[str, list[dict[str, Any]]] = defaultdict(list)
         self._measured: dict[tuple[Any, ...], Compared[Any]] = {}
         self._bench: tuple[tuple[Any, ...], Workbench] | None = None
+
+    def close(self) -> None:
+        """Drop what has not begun."""
+        self.background.close()
+        self.drawing.close()
 
     def mission(self) -> Mission:
         """Return the mission as its file is now."""
@@ -74,8 +81,8 @@ class Sitting:
 
     # Model against measurement.
 
-    def compare(self, comparison: str, days: Days, progress: Progress) -> list[Section]:
-        """Return what `inflight compare` shows of a span.
+    def compare(self, comparison: str, days: Days, progress: Progress) -> Sequence[Later]:
+        """Return what `inflight compare` shows of a span; figures are made when they are looked at.
 
         Raises
         ------
@@ -89,7 +96,7 @@ class Sitting:
             self._measured[key] = measured(self.cat, self.mission(), *span, comparison, progress)
             for old in list(self._measured)[:-_KEPT]:
                 del self._measured[old]
-        return self._measured[key].sections()
+        return self._measured[key].parts
 
     def tables(self, comparison: str, progress: Progress) -> list[Section]:
         """Return what the newest published tables of a comparison show; none when there are no tables.
@@ -116,10 +123,11 @@ class Sitting:
         SettingsError, InflightError
             As `inflight.tasks.diagnosing.diagnose_span`.
         """
-        settings = _settings(self._asked(comparison), comparison)
+        settings, span = _settings(self._asked(comparison), comparison), days.bounds()
         self._bench = None
         with client_when_needed(self.workers) as client:
-            return diagnose_span(self.workspace, *days.bounds(), settings, client=client, progress=progress)
+            found = diagnose_span(self.workspace, *span, settings, client=client, progress=progress)
+        return found | {"asked": {"start": span[0], "end": span[1], "settings": settings.model_dump()}}
 
     def figures_of_diagnosis(self, comparison: str, progress: Progress) -> list[Section]:
         """Return everything `inflight report` shows of the last diagnosis, for the model in use."""

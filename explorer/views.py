@@ -10,7 +10,7 @@ import panel as pn
 from inflight.explorer import drawing
 from inflight.explorer.offer import Offer
 from inflight.explorer.sitting import Days, Sitting
-from inflight.explorer.watching import Place
+from inflight.explorer.watching import Place, later_tabs
 from inflight.figures.page import Section
 from inflight.tasks.reprocess_dual import NO_PRODUCT
 
@@ -40,7 +40,7 @@ class MeasurementView:
 
     def look_at(self, offer: Offer, days: Days | None) -> None:
         """Measure the residual of a span and show it; say why when there is none."""
-        if offer.kind == "dual":
+        if offer.is_apart:
             self._place.put(drawing.hint(f"{NO_PRODUCT[:1].upper()}{NO_PRODUCT[1:]}: see Tables."))
         elif days is None or not offer.products:
             self._place.put(drawing.hint("There are no products to hold against the measurements yet."))
@@ -48,7 +48,7 @@ class MeasurementView:
             self._place.begin(
                 "Model against measurement",
                 lambda progress: self._sitting.compare(offer.comparison, days, progress),
-                drawing.sections,
+                lambda parts: later_tabs(parts, self._sitting.drawing),
             )
 
 
@@ -71,5 +71,8 @@ class TablesView:
 
     def _show(self, found: Sequence[Section]) -> pn.viewable.Viewable:
         if not found:
-            return drawing.hint("No table is published yet: 'inflight reprocess' makes them.")
+            return drawing.hint(
+                "There is no table of parameters: 'inflight reprocess' makes those of a calibration; states of "
+                "two sensors stand with model against measurement."
+            )
         return drawing.sections(found)

@@ -3,17 +3,46 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import panel as pn
 
 from inflight.explorer import drawing
 from inflight.explorer.background import Background, Job
+from inflight.figures.page import Later
 from inflight.tasks.report import Progress
 
 #: How often the page looks how far a job is, ms.
 _PERIOD = 300
+
+
+def later_tabs(parts: Sequence[Later], background: Background) -> pn.Tabs:
+    """Return sections behind tabs, each made when it is looked at for the first time.
+
+    Parameters
+    ----------
+    parts : sequence of Later
+        Made in a thread of the background.
+    """
+    places = [Place(background) for _ in parts]
+    begun: set[int] = set()
+    tabs = pn.Tabs(
+        *((heading, place.panel) for (heading, _), place in zip(parts, places, strict=True)),
+        dynamic=True,
+        sizing_mode="stretch_width",
+    )
+
+    def look_at(place: int) -> None:
+        if place not in begun:
+            begun.add(place)
+            heading, make = parts[place]
+            places[place].begin(heading, lambda progress: make(), lambda inside: drawing.section(*inside))
+
+    tabs.param.watch(lambda event: look_at(event.new), "active")
+    if parts:
+        look_at(0)
+    return tabs
 
 
 class Place:

@@ -24,7 +24,7 @@ from inflight.spectrum import Power, add_power, finest, slow_power, stretch_powe
 from inflight.statistics import NoiseFloor, Size, joined, joined_floor, noise_floor, size_of
 from inflight.tasks.chain_report import write_page
 from inflight.tasks.compare_dual import DualCompareReport, compare_dual
-from inflight.tasks.compare_page import Compared, CompareReport, Drawn, Spectra, compare_sections, page_title
+from inflight.tasks.compare_page import Compared, CompareReport, Drawn, Spectra, compare_parts, page_title
 from inflight.tasks.compare_rows import (
     Sources,
     Spans,
@@ -152,7 +152,7 @@ def _compare_samples(
         acknowledgement=mission.acknowledgement,
     )
     drawn = Drawn(digest.counts, rows, spectra, found, tables)
-    return Compared(report, page_title(report, mission), lambda: compare_sections(report, drawn))
+    return Compared(report, page_title(report, mission), compare_parts(report, drawn))
 
 
 def _tables(cat: Catalog, comparison: str, days: Sequence[Day]) -> tuple[xr.Dataset, xr.Dataset]:

@@ -33,7 +33,7 @@ from inflight.figures.dual_states import (
     steps_figure,
     timeline_figure,
 )
-from inflight.figures.page import Section, html_table
+from inflight.figures.page import Later, html_table
 from inflight.mission import Mission
 from inflight.tasks.compare_page import Compared
 from inflight.tasks.compare_rows import scalar_channels
@@ -174,7 +174,7 @@ def compare_dual(
         fails_where(report, mission), key=lambda one: -float(np.abs(one[0].value / one[0].sigma).max())
     )
     title = f"{mission.mission}: two sensors on one boom, {days[0].day} to {days[-1].day}"
-    return Compared(report, title, lambda: dual_sections(report))
+    return Compared(report, title, states_parts(report))
 
 
 def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: int) -> DualDayRows:
@@ -261,13 +261,13 @@ def _told_of_day(one: DualDayRows) -> dict[str, Any]:
     }
 
 
-def dual_sections(report: DualCompareReport) -> list[Section]:
+def states_parts(report: DualCompareReport) -> list[Later]:
     """Return everything that is shown of two sensors, as the page and the explorer have it."""
     return [
-        ("Steps at switchings", _residual_text(report), _step_figures(report)),
-        ("Where it fails", _fails_text(report), []),
-        ("States", _states_text(report), _state_figures(report)),
-        ("Before and after", [], _series_figures(report)),
+        ("Steps at switchings", lambda: (_residual_text(report), _step_figures(report))),
+        ("Where it fails", lambda: (_fails_text(report), [])),
+        ("States", lambda: (_states_text(report), _state_figures(report))),
+        ("Before and after", lambda: ([], _series_figures(report))),
     ]
 
 

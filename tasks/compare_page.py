@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -24,7 +24,7 @@ from inflight.figures import (
     spectrum_figure,
     wander_figure,
 )
-from inflight.figures.page import Section, html_table
+from inflight.figures.page import Inside, Later, Section, html_table
 from inflight.lines import Line, drawn_periods, told_period
 from inflight.mission import Mission
 from inflight.spectrum import SERIES, Power
@@ -79,13 +79,17 @@ class Compared(Generic[Report_co]):
     report : CompareReport or DualCompareReport
     title : str
         Of the page.
-    sections : callable
-        Returns everything that is shown, as the page and the explorer have it.
+    parts : sequence of Later
+        Everything that is shown: the explorer makes what is looked at, the page all of it.
     """
 
     report: Report_co
     title: str
-    sections: Callable[[], list[Section]]
+    parts: Sequence[Later]
+
+    def sections(self) -> list[Section]:
+        """Make everything that is shown."""
+        return [(heading, *make()) for heading, make in self.parts]
 
 
 @dataclass
@@ -171,34 +175,47 @@ class Drawn:
     tables: tuple[xr.Dataset, xr.Dataset]
 
 
-def compare_sections(report: CompareReport, drawn: Drawn) -> list[Section]:
+def compare_parts(report: CompareReport, drawn: Drawn) -> list[Later]:
     """Return everything that is shown of a comparison, as the page and the explorer have it."""
+    return [
+        ("Residual", lambda: _residual(report, drawn)),
+        ("Where it fails", lambda: _failing(report)),
+        ("What the residual follows", lambda: _following(report, drawn)),
+        ("Spectrum", lambda: (_lines(report), _spectrum_figures(drawn.spectra))),
+        ("Parameters", lambda: _parameters(report, drawn)),
+    ]
+
+
+def _residual(report: CompareReport, drawn: Drawn) -> Inside:
     rows, counts = drawn.rows, drawn.counts
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before = np.array([entry["before_nT"] for entry in report.by_day])
     after = np.array([entry["after_nT"] for entry in report.by_day])
-    overview = [
+    plots = [
         daily_figure(day, before, after, report.floor.level_nT),
         histogram_figure(counts["edges"], counts["before"], counts["after"]),
+        series_figure(*_thinned(rows)),
     ]
-    series = series_figure(*_thinned(rows))
-    order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
+    return _told(report), plots
+
+
+def _failing(report: CompareReport) -> Inside:
     axes = [
         axis_figure(one.response)
         for one in report.fails_where
         if isinstance(one, Failure) and one.response is not None
     ]
-    return [
-        ("Residual", _told(report), [*overview, series]),
-        ("Where it fails", fails_text(report), axes),
-        ("What the residual follows", [_legend(report)], [dependence_figure(one) for one in order]),
-        ("Spectrum", _lines(report), _spectrum_figures(drawn.spectra)),
-        (
-            "Parameters",
-            [*_known(report), wandering_text(report)],
-            [*parameter_figures(*drawn.tables), wander_figure(report.wander)],
-        ),
-    ]
+    return fails_text(report), axes
+
+
+def _following(report: CompareReport, drawn: Drawn) -> Inside:
+    order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
+    return [_legend(report)], [dependence_figure(one) for one in order]
+
+
+def _parameters(report: CompareReport, drawn: Drawn) -> Inside:
+    plots = [*parameter_figures(*drawn.tables), wander_figure(report.wander)]
+    return [*_known(report), wandering_text(report)], plots
 
 
 def page_title(report: CompareReport, mission: Mission) -> str:

@@ -35,7 +35,7 @@ from inflight.tasks.compare_rows import (
     geometry_means,
     scalar_channels,
 )
-from inflight.tasks.compare_spin_page import SpinCompareReport, SpinDrawn, spin_sections, spin_title
+from inflight.tasks.compare_spin_page import SpinCompareReport, SpinDrawn, spin_parts, spin_title
 from inflight.tasks.models import current_model
 from inflight.tasks.needs import Need, needs_of
 from inflight.tasks.report import Progress
@@ -149,7 +149,7 @@ def compare_spin(
     steady = coordinates["spin phase"]
     turns = [tone_dependence(one, steady, block) for one in (before, after)]
     drawn = SpinDrawn(found.stamps, before, after, (turns[0], turns[1]), whole)
-    return Compared(report, spin_title(report, mission), lambda: spin_sections(report, drawn))
+    return Compared(report, spin_title(report, mission), spin_parts(report, drawn))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.figures import daily_figure, wander_figure
-from inflight.figures.page import Section, html_table
+from inflight.figures.page import Later, html_table
 from inflight.figures.spin_tones import (
     mean_turn_figure,
     tone_dependence_figure,
@@ -61,8 +61,20 @@ class SpinDrawn:
     found: Sequence[ToneDependence]
 
 
-def spin_sections(report: SpinCompareReport, drawn: SpinDrawn) -> list[Section]:
+def spin_parts(report: SpinCompareReport, drawn: SpinDrawn) -> list[Later]:
     """Return everything that is shown of a spin comparison, as the page and the explorer have it."""
+    return [
+        ("Residual", lambda: (_told(report), _residual_figures(report, drawn))),
+        ("Where it fails", lambda: (fails_text(report), [])),
+        (
+            "What the tones follow",
+            lambda: ([_legend(report), _in_step(drawn.found)], _dependence_figures(drawn)),
+        ),
+        ("Parameters", lambda: ([wandering_text(report)], [wander_figure(report.wander)])),
+    ]
+
+
+def _residual_figures(report: SpinCompareReport, drawn: SpinDrawn) -> list[Any]:
     day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
     before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
     daily = daily_figure(day, before, after, report.floor.level_nT)
@@ -71,18 +83,13 @@ def spin_sections(report: SpinCompareReport, drawn: SpinDrawn) -> list[Section]:
     over_time = [
         tones_over_time_figure(drawn.time, drawn.before, drawn.after, int(tone)) for tone in strongest
     ]
+    return [daily, mean_turn_figure(*drawn.turns), *over_time]
+
+
+def _dependence_figures(drawn: SpinDrawn) -> list[Any]:
     varying = [one for one in drawn.found if len(one.centre) > 1]
     varying.sort(key=lambda one: (not one.clear.any(), -one.amplitude[one.strongest]))
-    return [
-        ("Residual", _told(report), [daily, mean_turn_figure(*drawn.turns), *over_time]),
-        ("Where it fails", fails_text(report), []),
-        (
-            "What the tones follow",
-            [_legend(report), _in_step(drawn.found)],
-            [tone_dependence_figure(one, one.strongest) for one in varying],
-        ),
-        ("Parameters", [wandering_text(report)], [wander_figure(report.wander)]),
-    ]
+    return [tone_dependence_figure(one, one.strongest) for one in varying]
 
 
 def spin_title(report: SpinCompareReport, mission: Mission) -> str:

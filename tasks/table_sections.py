@@ -14,6 +14,7 @@ from inflight.mission import Mission
 from inflight.tasks.chain_report import chain_report
 from inflight.tasks.dual_report import dual_parts
 from inflight.tasks.reprocess_dual import dual_comparisons
+from inflight.tasks.states_units import is_told_by_states
 from inflight.time import to_utc
 
 #: Intervals of a table that are listed with their text; the newest.
@@ -30,6 +31,9 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
     CatalogError, SettingsError
         As `dual_report` and `chain_report`, when tables are damaged or not whole.
     """
+    if is_told_by_states(mission, comparison):
+        # What a table of states says is told beside what it does to the measurements.
+        return []
     if comparison in dual_comparisons(mission):
         return [(part.heading, part.text, part.plots) for part in dual_parts(cat, comparison)[1]]
     out = _parameters(cat, comparison)

@@ -31,7 +31,7 @@ def candidate_table(
     candidates : sequence of mapping
         As `Diagnosis.candidates`.
     trials : mapping of str to Trial
-        Values of candidates, each alone.
+        Values of candidates, each alone; without any, the columns of them are left out.
     found : mapping of str to sequence of str
         Names of the effects that were taken, with their rivals.
     """
@@ -47,16 +47,15 @@ def candidate_table(
         "t",
         "p",
         "over placebo, t",
-        "retained",
-        "W/k",
-        "values, alone",
+        *(("retained", "W/k", "values, alone") if trials else ()),
     )
     aligned = ["text-align:left" if cell in ("candidate", "values, alone") else "" for cell in head]
     top = "".join(
         f'<th style="{style}">{escape(cell)}</th>' for style, cell in zip(aligned, head, strict=True)
     )
     lines = [
-        _row(place + 1, one, trials.get(one["name"]), found, ghost, wide) for place, one in enumerate(real)
+        _row(place + 1, one, _alone(trials, one["name"]), found, ghost, wide)
+        for place, one in enumerate(real)
     ]
     return f'<div style="overflow-x:auto"><table class="wide"><tr>{top}</tr>{"".join(lines)}</table></div>'
 
@@ -70,7 +69,7 @@ def _sigma(one: Mapping[str, Any]) -> float:
 def _row(
     rank: int,
     one: Mapping[str, Any],
-    trial: Trial | None,
+    alone: Sequence[str],
     found: Mapping[str, Sequence[str]],
     ghost: float,
     wide: float,
@@ -86,18 +85,28 @@ def _row(
     mark = " " + _chip("taken", AFTER) if taken else ""
     cells = [
         f'<td style="text-align:right">{rank}</td>',
-        f'<td style="text-align:left;max-width:17rem" title="{escape(name)}">'
+        f'<td style="text-align:left;max-width:17rem;overflow-wrap:anywhere" title="{escape(name)}">'
         f'<span style="{weight}">{escape(short_name(name))}</span>{mark}'
         f'<div class="quiet">{escape(str(one["family"]).replace("_", " "))}</div>{chips}</td>',
         f"<td>{_bar(one, ghost, wide)}</td>",
         f"<td>{_number(one['t'], '.1f')}</td>",
         f"<td>{_number(one['p'], '.2g')}</td>",
         f"<td>{_number(one['placebo_t'], '.1f')}</td>",
+        *alone,
+    ]
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def _alone(trials: Mapping[str, Trial], name: str) -> list[str]:
+    """Return the cells of a candidate's own values; none when no candidate has any."""
+    if not trials:
+        return []
+    trial = trials.get(name)
+    return [
         f"<td>{_number(trial.retained, '.2g') if trial else ''}</td>",
         f"<td>{_number(trial.consistency, '.1f') if trial else ''}</td>",
         f'<td style="text-align:left;white-space:nowrap">{_values(trial)}</td>',
     ]
-    return f"<tr>{''.join(cells)}</tr>"
 
 
 def _is_among(name: str, rivals: Sequence[str]) -> bool:

@@ -49,7 +49,7 @@ def _rows(one: Fields, width: int) -> list[tuple[str, ...]]:
     """Return one row a value; effect, family and how it stands in the first of them."""
     shown = telling(one["coefficients"])
     rows: list[tuple[str, ...]] = []
-    numbers = (
+    numbers: tuple[str, ...] = (
         _told(one["gain"], ".1%"),
         _told(one["t"], ".1f"),
         _told(one["flip_p"], ".2g"),

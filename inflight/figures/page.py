@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any, TypeAlias
 
@@ -11,6 +11,9 @@ from bokeh.resources import Resources
 
 #: Heading; paragraphs, which are HTML that is escaped already; figures, which are Bokeh models.
 Section: TypeAlias = tuple[str, Sequence[str], Sequence[Any]]
+#: A section without its heading; a heading, and what makes the rest when somebody looks at it.
+Inside: TypeAlias = tuple[Sequence[str], Sequence[Any]]
+Later: TypeAlias = tuple[str, Callable[[], Inside]]
 
 #: What figures alone need: widgets, tables of Bokeh's own and formulas would triple the page.
 _RESOURCES = Resources(mode="inline", components=["bokeh"])
@@ -52,10 +55,15 @@ def html_page(title: str, sections: Sequence[Section], footer: str = "") -> str:
         body.append('<div class="row">' + "".join(place for _, place in parts) + "</div>")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<style>{_BODY}{TEXT_STYLE}</style>{_RESOURCES.render()}</head><body><h1>{escape(title)}</h1>"
+        f"<style>{_BODY}{TEXT_STYLE}</style>{_scripts_of_figures()}</head><body><h1>{escape(title)}</h1>"
         "<noscript><p>Figures need scripts; text and tables do not.</p></noscript>"
         f'{"".join(body)}<p class="quiet">{escape(footer)}</p>{"".join(scripts)}</body></html>\n'
     )
+
+
+def _scripts_of_figures() -> str:
+    """Return what draws figures. Other libraries' extensions, which `render` would name, stay out."""
+    return "".join(f"<script>{one}</script>" for one in _RESOURCES.js_raw)
 
 
 def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

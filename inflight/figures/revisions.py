@@ -80,7 +80,7 @@ def change_tables(change: Fields) -> list[str]:
         ]
         out.append(html_table(("its numbers", "value ± sigma", "unit"), rows))
     if change["moved"]:
-        rows = [
+        others = [
             (
                 short_parameter(one["parameter"]),
                 f"{one['by']:+.3g}",
@@ -91,7 +91,7 @@ def change_tables(change: Fields) -> list[str]:
             )
             for one in change["moved"][:_MOVED]
         ]
-        out.append(html_table(("what else moved", "by", "sigma before", "sigma", "unit", ""), rows))
+        out.append(html_table(("what else moved", "by", "sigma before", "sigma", "unit", ""), others))
     if len(change["moved"]) > _MOVED:
         out.append(f'<p class="quiet">and {len(change["moved"]) - _MOVED} more</p>')
     return out

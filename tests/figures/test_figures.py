@@ -150,6 +150,7 @@ def table(intervals, known=True):
             "sigma": (("interval", "parameter"), np.full(shape, 0.1 if known else np.inf)),
             "determined": (("interval", "parameter"), np.full(shape, known)),
             "prior": (("parameter",), np.zeros(len(names))),
+            "units": (("parameter",), ["1", "deg", "nT", "nT"]),
             "start": (("interval",), np.array([start for start, _ in bounds], dtype=np.int64)),
             "end": (("interval",), np.array([end for _, end in bounds], dtype=np.int64)),
         },
@@ -163,6 +164,22 @@ def test_parameters_of_one_day_and_of_none_determined(intervals, known):
     for plot in parameter_figures(table(intervals, known), table(1, known)):
         assert written(plot)
         assert any(isinstance(item, Legend) for item in plot.below), "a legend hides data"
+
+
+def test_parameters_are_drawn_in_the_unit_of_their_table_unless_they_never_moved():
+    names = ["turning.azimuth", "turning.gain_ratio", "turning.spin_plane_gain", "turning.offset[1]"]
+    given = table(2).assign_coords(parameter=names)
+    given["units"] = (("parameter",), ["rad", "1", "1", "nT"])
+    given["prior"] = (("parameter",), np.array([0.0, 0.0, 1.0, 0.0]))
+    drawn = parameter_figures(given, given)
+    assert [plot.title.text for plot in drawn] == [
+        "Azimuth less prior",
+        "Gain ratio less prior",
+        "Offsets less prior",
+    ]
+    assert [plot.yaxis[0].axis_label for plot in drawn] == ["arcsec", "ppm", "nT"]
+    circles = [one for one in drawn[0].renderers if "Scatter" in type(one.glyph).__name__ and one.glyph.size]
+    assert circles[0].data_source.data["y"] == pytest.approx(np.degrees(1.0) * 3600)
 
 
 class _Loads(HTMLParser):

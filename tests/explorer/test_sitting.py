@@ -1,0 +1,95 @@
+"""What the page does is what the verbs do: the same numbers, versions and errors."""
+
+import numpy as np
+import pytest
+
+from inflight.catalog import Catalog
+from inflight.errors import CatalogError, ModelError
+from inflight.explorer.missing_view import change_section, diagnosis_sections, version_section
+from inflight.explorer.sitting import Days, Sitting
+from inflight.tasks.compare import compare
+from inflight.tasks.diagnosing import last_diagnosis, open_workbench
+
+DAYS = Days(np.datetime64("2024-03-01"), np.datetime64("2024-03-04"))
+EFFECT = "channel_field(heater_current)"
+
+
+def nobody(stage: str, done: int, total: int) -> None:
+    """Take progress that nobody watches."""
+
+
+@pytest.fixture
+def sitting(workspace):
+    made = Sitting(workspace, workers=1)
+    yield made
+    made.close()
+
+
+def test_the_residual_is_that_of_the_verb_and_is_measured_once(sitting, workspace, monkeypatch):
+    told = compare(Catalog(workspace.root), workspace.mission(), *DAYS.bounds()).as_json()
+    parts = dict(sitting.compare("main", DAYS, nobody))
+    paragraphs, figures = parts["Residual"]()
+    assert f"{told['residual']['after_nT']:.4f}" in "".join(paragraphs)
+    assert len(figures) == 3
+
+    def refuse(*arguments):
+        raise AssertionError("measured again")
+
+    monkeypatch.setattr("inflight.explorer.sitting.measured", refuse)
+    assert [heading for heading, _ in sitting.compare("main", DAYS, nobody)] == list(parts)
+    with pytest.raises(AssertionError, match="measured again"):
+        sitting.compare("main", Days(DAYS.first, DAYS.first), nobody)
+
+
+def test_a_span_without_products_is_told_as_by_the_verb(sitting):
+    with pytest.raises(CatalogError, match="no published days in the span"):
+        sitting.compare("main", Days(np.datetime64("2030-01-01"), np.datetime64("2030-01-02")), nobody)
+
+
+def test_the_effect_is_found_added_and_taken_back(sitting, workspace):
+    found = sitting.diagnose("main", DAYS, nobody)
+    assert found["verdict"] == "FOUND"
+    assert last_diagnosis(workspace)["effects"] == found["effects"]
+    headings = [heading for heading, _, _ in diagnosis_sections(sitting.last_diagnosis("main"))]
+    assert headings == ["Verdict", "Candidates", "Ledger"]
+
+    added = sitting.change("main", "add", EFFECT, nobody)
+    before, after = added["error"]["held_out_nT"]
+    assert after < 0.5 * before
+    versions, effects = sitting.versions("main")
+    assert [one["used"] for one in versions] == [False, True]
+    assert len(effects) == 2
+
+    undone = sitting.change("main", "undo", "", nobody)
+    assert undone["error"]["held_out_nT"] == pytest.approx([after, before])
+    assert sitting.changes["main"] == [added, undone]
+    paragraphs, figures = change_section(sitting.changes["main"])
+    assert "undo version 2" in "".join(paragraphs)
+    assert len(figures) == 1
+    table, _ = version_section(sitting.versions("main")[0])
+    assert "add channel_field(heater_current)" in "".join(table)
+
+
+def test_a_change_from_the_command_line_is_noticed(sitting, workspace):
+    added = sitting.change("main", "add", EFFECT, nobody)
+    # As 'inflight undo' does it, in another process.
+    elsewhere = open_workbench(workspace).undo()
+    assert elsewhere.model.version == added["model"]["version"] + 1
+    again = sitting.change("main", "add", EFFECT, nobody)
+    assert again["model"]["parent"] == elsewhere.model.version
+    assert again["error"]["held_out_nT"] == pytest.approx(added["error"]["held_out_nT"])
+
+
+def test_a_change_that_cannot_be_made_changes_nothing(sitting):
+    before = sitting.versions("main")
+    with pytest.raises(ModelError):
+        sitting.change("main", "add", "no_such_effect", nobody)
+    assert sitting.versions("main") == before
+    assert sitting.changes["main"] == []
+
+
+def test_tables_are_shown_with_values_and_errors(sitting):
+    sections = {heading: (text, figures) for heading, text, figures in sitting.tables("main", nobody)}
+    _, figures = sections["Parameters over days"]
+    assert len(figures) == 3
+    assert "±" in "".join(sections["Values"][0])

@@ -1,0 +1,50 @@
+"""A real browser on a page that a real command serves."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from chromium import Chromium, find_chromium
+
+
+class Served:
+    """A running `inflight explore`."""
+
+    def __init__(self, root: Path) -> None:
+        code = "from inflight.cli import main; main()"
+        command = [sys.executable, "-c", code, "explore", "--json", "--workers", "1", "-w", str(root)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        told = ""
+        while not told.endswith("}\n"):
+            line = self.process.stdout.readline()
+            assert line, self.process.stderr.read()
+            told += line
+        self.told = json.loads(told)
+        self.url = self.told["url"]
+
+
+@pytest.fixture
+def serve():
+    """Serve workspaces; each server ends with the test."""
+    servers = []
+
+    def begin(root: Path) -> Served:
+        servers.append(Served(root))
+        return servers[-1]
+
+    yield begin
+    for one in servers:
+        one.process.kill()
+        one.process.communicate(timeout=30)
+
+
+@pytest.fixture
+def browser(tmp_path):
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no Chromium is on the path; install it, or name one by INFLIGHT_CHROMIUM")
+    made = Chromium(program, tmp_path / "profile")
+    yield made
+    made.close()
