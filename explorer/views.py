@@ -72,7 +72,7 @@ class TablesView:
     def _show(self, found: Sequence[Section]) -> pn.viewable.Viewable:
         if not found:
             return drawing.hint(
-                "There is no table of parameters: 'inflight reprocess' makes those of a calibration; states of "
-                "two sensors stand with model against measurement."
+                "There is no table of parameters: 'inflight reprocess' makes those of a calibration; "
+                "states of two sensors stand with model against measurement."
             )
         return drawing.sections(found)

@@ -68,7 +68,7 @@ def _parameters(cat: Catalog, comparison: str) -> list[Section]:
 
 def _at_prior(table: xr.Dataset) -> list[str]:
     """Return which parameters no interval determines."""
-    known = np.asarray(table["determined"].values).any(axis=0).tolist()
+    known: list[bool] = np.any(table["determined"].values, axis=0).tolist()
     left = [_bare(name) for name, sure in zip(table["parameter"].values, known, strict=True) if not sure]
     if not left:
         return []

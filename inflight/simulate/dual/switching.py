@@ -119,7 +119,7 @@ class Calendar:
         turns: Float = np.empty(0)
         if is_first:
             length = _TURN_BY_TURN / units
-            turns = place * length + 600.0 + _ON_S * np.arange(2 * _CYCLES)
+            turns = place * length + 600.0 + _ON_S * np.arange(2.0 * _CYCLES)
             first: Float = np.full(int(begins), 60.0)
             turns = np.concatenate([first, turns[turns < (place + 1) * length]])
             if (turns.size + begins) % 2:
