@@ -1,6 +1,7 @@
 """A real browser on a page that a real command serves."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -44,7 +45,8 @@ def serve():
 def browser(tmp_path):
     program = find_chromium()
     if program is None:
-        pytest.skip("no Chromium is on the path; install it, or name one by INFLIGHT_CHROMIUM")
+        why = "no Chromium is on the path; install it, or name one by INFLIGHT_CHROMIUM"
+        (pytest.fail if "INFLIGHT_NEEDS_BROWSER" in os.environ else pytest.skip)(why)
     made = Chromium(program, tmp_path / "profile")
     yield made
     made.close()
