@@ -137,8 +137,29 @@ def _estimates(found: SpinResults) -> Part:
     if not len(cloud.start):
         part.lack("Estimates of sub-intervals", "no day has any")
         return part
-    table = found.tables["daily"]
-    rows, items = [], []
+    rows, items = _side_by_side(found, value, sigma)
+    part.fields = {"items": items}
+    part.say(
+        "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies. The "
+        "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
+        "joint estimate of all days. Both assume that nothing changed over the span; offsets go with the "
+        "pre-flight offset along the spin axis."
+    )
+    head = ("parameter", "unit", "pre-flight", "selection", "joint", "apart, sigma", "chosen", "threshold")
+    part.text.append(html_table(head, rows))
+    covariance = np.mean([_correlation(day["covariance"].values[0]) for day in found.days], axis=0)
+    part.plots += [estimates_figure(cloud, (value, sigma)), correlation_figure(covariance)]
+    part.plots.append(uncertainty_figure(cloud))
+    return part
+
+
+def _side_by_side(
+    found: SpinResults, value: Floats, sigma: Floats
+) -> tuple[list[tuple[str, ...]], list[dict[str, Any]]]:
+    """Return the selection's and the joint estimate's values as rows of a table, and as JSON."""
+    cloud, table = found.cloud, found.tables["daily"]
+    rows: list[tuple[str, ...]] = []
+    items: list[dict[str, Any]] = []
     for at, name in enumerate(SPIN_RELATED):
         prior = float(table["prior"].values[NAMES.index(name)])
         spread = float(table["prior_sigma"].values[NAMES.index(name)])
@@ -169,19 +190,7 @@ def _estimates(found: SpinResults) -> Part:
                 f"{cloud.threshold[at]:.2g}" if count else "",
             )
         )
-    part.fields = {"items": items}
-    part.say(
-        "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies. The "
-        "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
-        "joint estimate of all days. Both assume that nothing changed over the span; offsets go with the "
-        "pre-flight offset along the spin axis."
-    )
-    head = ("parameter", "unit", "pre-flight", "selection", "joint", "apart, sigma", "chosen", "threshold")
-    part.text.append(html_table(head, rows))
-    covariance = np.mean([_correlation(day["covariance"].values[0]) for day in found.days], axis=0)
-    part.plots += [estimates_figure(cloud, (value, sigma)), correlation_figure(covariance)]
-    part.plots.append(uncertainty_figure(cloud))
-    return part
+    return rows, items
 
 
 def _joint(days: list[xr.Dataset]) -> tuple[Floats, Floats]:
