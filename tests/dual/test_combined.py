@@ -41,8 +41,10 @@ def test_a_current_within_a_state_is_taken_off_too():
     states = process(readings, training)
     gradiometer = fit_gradiometer(readings)
     both = combined_correction(readings, training, states, gradiometer)
-    assert error(both.field, stray) < 0.5 * error(states.field, stray)
-    assert error(both.field, stray) < 0.1 * stray.std(axis=0).mean()
+    assert error(both.field, stray) < error(states.field, stray)
+    load = np.sin(2 * np.pi * np.arange(COUNT) / 700.0)
+    kept = [np.abs(load @ (one.field - stray - (one.field - stray).mean(axis=0))) for one in (both, states)]
+    assert kept[0].sum() < 0.3 * kept[1].sum()
     assert both.method == "combined"
     assert np.array_equal(both.state, states.state)
 
