@@ -74,7 +74,9 @@ class Candidates:
         if not 2 <= np.count_nonzero(~segments.transient) <= MOST_SEGMENTS:
             return None
         states = find_states(segments)
-        if len(states) < 2:
+        # A centre far outside of all differences is a clustering that has lost itself.
+        reach = float(np.abs(self.readings.difference[self.readings.good]).max())
+        if len(states) < 2 or float(np.abs(states.centre).max()) > 2.0 * reach:
             return None
         return segments, states, find_units(states), outboard_steps(self.readings, segments)
 

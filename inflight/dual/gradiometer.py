@@ -143,9 +143,7 @@ def fit_forms(
     prior = (np.zeros(9), WIDE**2 * np.eye(9)) if places is None else matrix_from_geometry(places)
     mixing = fit_mixing(cells, noise, share, prior, leak_sigma)
     told = moments(cells, mixing, noise)
-    # The noise of the difference makes the most likely matrix too small.
-    value, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
-    mixing = replace(mixing, matrix=value.reshape(3, 3))
+    _, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
     covariance = covariance + told.of_leak(mixing.leak_covariance, prior)
     scatter = told.scatter(mixing.matrix) * np.eye(9)
     full = Gradiometer("matrix", mixing, covariance + scatter, mixing.matrix.ravel(), covariance, noise)

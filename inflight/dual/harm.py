@@ -26,6 +26,8 @@ from inflight.dual.scales import Cells, cells_of
 FOLDS = 4
 #: How many standard deviations the slope must be above zero, and above one half.
 SURE, SURE_OF_GAIN = 3.0, 1.64
+#: The mean square error that a correction may state for itself, of its own mean square.
+OWN_ERROR = 0.25
 #: Slopes on single scales differ by so much from the common one: noise and drift of sensors, and no dipole.
 _SCATTER = 0.3
 #: Contrasts that a cell's variance has beside its own.
@@ -54,6 +56,8 @@ class Evidence:
         Fall of the mean square error, nT^2 summed over axes, as the slopes on each scale tell it.
     size : float
         Mean square of the correction's changes, nT^2 summed over axes.
+    error : float
+        Mean square of the error that the correction states for itself, likewise.
     """
 
     name: str
@@ -63,13 +67,19 @@ class Evidence:
     benefit: float
     benefit_sigma: float
     size: float
+    error: float
 
     @property
     def helps(self) -> bool:
         """Whether the correction lowers the error beyond doubt."""
         low = self.slope > max(SURE * self.sigma, 0.5 + SURE_OF_GAIN * self.sigma)
         high = self.slope - SURE * self.sigma < _STEEPEST
-        return low and high and self.benefit > self.benefit_sigma
+        return low and high and self.sure_of_itself and self.benefit > self.benefit_sigma
+
+    @property
+    def sure_of_itself(self) -> bool:
+        """Whether the correction is well beyond the error that it states for itself."""
+        return self.error < OWN_ERROR * self.size
 
     @property
     def told(self) -> str:
@@ -79,6 +89,8 @@ class Evidence:
             return f"helps: {seen}"
         if self.slope - SURE * self.sigma >= _STEEPEST:
             return f"left alone, it holds ambient field: {seen}"
+        if not self.sure_of_itself:
+            return f"left alone, its own error is as large as what it takes off: {seen}"
         if self.slope + SURE_OF_GAIN * self.sigma < 0.5:
             return f"left alone, it would do harm: {seen}"
         return f"left alone, these readings do not tell whether it helps: {seen}"
@@ -145,14 +157,27 @@ def evidence_of(name: str, readings: Readings, parts: list[tuple[slice, Correcti
     of_square, of_cross = (weight * square).sum(axis=1), (weight * cross).sum(axis=1)
     total = float(of_square.sum())
     if not total > 0:
-        return Evidence(name, 0.0, np.inf, 0.0, 0.0, 0.0, 0.0)
+        return Evidence(name, 0.0, np.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
     slope = float(of_cross.sum()) / total
     score = np.bincount(block, of_cross - slope * of_square)
     score = score[np.bincount(block) > 0]
     scatter = float(np.sum(score**2)) * score.size / max(score.size - 1, 1)
     sigma = float(np.sqrt(max(total, scatter))) / total
-    benefit, benefit_sigma, size = _benefit(cells, square.sum(axis=1), of_square, of_cross, (slope, sigma))
-    return Evidence(name, slope, sigma, float(of_cross.sum()) - 0.5 * total, benefit, benefit_sigma, size)
+    benefit, benefit_sigma = _benefit(cells, square.sum(axis=1), of_square, of_cross, (slope, sigma))
+    gain = float(of_cross.sum()) - 0.5 * total
+    return Evidence(name, slope, sigma, gain, benefit, benefit_sigma, *_sizes(parts))
+
+
+def _sizes(parts: list[tuple[slice, Correction]]) -> tuple[float, float]:
+    """Return the mean squares of corrections' changes and of their stated errors, summed over axes."""
+    changes = error = count = 0.0
+    for _, correction in parts:
+        known = correction.known
+        if known.any():
+            changes += float(np.var(correction.field[known], axis=0).sum() * known.sum())
+            error += float(np.einsum("tii->", correction.covariance[known]))
+            count += float(known.sum())
+    return changes / max(count, 1.0), error / max(count, 1.0)
 
 
 def _cells_with(
@@ -180,14 +205,13 @@ def _cells_with(
 
 def _benefit(
     cells: Cells, square: Floats, of_square: Floats, of_cross: Floats, common: tuple[float, float]
-) -> tuple[float, float, float]:
-    """Return the fall of the mean square error, its standard deviation, and the correction's mean square.
+) -> tuple[float, float]:
+    """Return the fall of the mean square error and its standard deviation.
 
     Each scale has its own slope; where the ambient field hides it, the common one stands for it.
     """
     slope, sigma = common
-    benefit = variance = size = 0.0
-    shift = 0.0
+    benefit = variance = shift = 0.0
     for scale in np.unique(cells.scale):
         here = cells.scale == scale
         power = float(cells.count[here] @ square[here] / cells.count[here].sum()) / (2.0 * float(scale))
@@ -200,5 +224,4 @@ def _benefit(
         benefit += power * (2.0 * (share * seen + (1.0 - share) * slope) - 1.0)
         variance += 4.0 * power**2 * share * own + 4.0 * power**2 * (1.0 - share) ** 2 * _SCATTER**2
         shift += 2.0 * power * (1.0 - share) * sigma
-        size += power
-    return benefit, float(np.sqrt(variance + shift**2)), size
+    return benefit, float(np.sqrt(variance + shift**2))

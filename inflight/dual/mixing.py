@@ -26,7 +26,7 @@ _LOUD_DIFFERENCE, _LOUD_OUTBOARD = 6.0, 10.0
 _RESTFUL = 0.05
 #: The sensors' shares of the noise are seen where the difference is less than this many times its noise.
 _QUIET = 1.5
-#: The noise taken out, and either sensor's share of it, are known to this part.
+#: The noise that both series share is known to this part of the difference's.
 _UNSURE = 0.1
 #: Standard deviation of an element of the matrix before anything is seen; a ratio k of 0.75 makes 3.
 WIDE = 3.0
@@ -75,11 +75,11 @@ class Moments:
     Attributes
     ----------
     square : ndarray, shape (block, axis, 3, 3)
-        Of the stray part of the difference, less its white noise.
+        Of the stray part of the difference.
     cross : ndarray, shape (block, axis, 3)
         Of it with the outboard reading.
     noise : ndarray, shape (axis, 3, 3)
-        What was taken off the squares of all blocks together.
+        The white noise's part of the squares of all blocks together.
     count : float
         Contrasts, for each axis.
     """
@@ -99,15 +99,19 @@ class Moments:
         right = np.einsum("pki,bki->bp", basis, self.cross)
         precision = np.eye(len(basis)) / WIDE**2 if prior is None else np.linalg.inv(prior[1])
         start = np.zeros(len(basis)) if prior is None else prior[0]
-        whole = _least(self.square.sum(axis=0), self.noise)
-        total = np.einsum("pki,kij,qkj->pq", basis, whole, basis) + precision
+        total = normal.sum(axis=0) + precision
         value = np.linalg.solve(total, right.sum(axis=0) + precision @ start)
         covariance = np.linalg.inv(total)
         score = right - normal @ value
         middle = score.T @ score - np.outer(score.sum(axis=0), score.sum(axis=0)) / len(score)
         excess = float(np.trace(middle @ covariance)) / len(basis)
         unsure = np.einsum("pki,kij,qkl,klj->pq", basis, self.noise, basis, self.noise, optimize=True)
-        return value, covariance * max(excess, 1.0) + _UNSURE**2 * covariance @ unsure @ covariance
+        # The noise in the squares makes the factors smaller, and is left there: it errs to the side of
+        # doing less.
+        matrix = np.einsum("p,pki->ki", value, basis)
+        less = covariance @ np.einsum("pki,kij,kj->p", basis, self.noise, matrix)
+        widened = covariance * max(excess, 1.0) + np.outer(less, less)
+        return value, widened + _UNSURE**2 * covariance @ unsure @ covariance
 
     def scatter(self, matrix: Floats) -> float:
         """Return the variance of an element of the matrix between blocks of time, beyond chance.
@@ -133,7 +137,7 @@ class Moments:
         out = np.zeros((9, 9))
         by_column = leak.reshape(3, 3, 3, 3)
         precision = np.linalg.inv(prior[1])
-        whole = _least(self.square.sum(axis=0), self.noise)
+        whole = self.square.sum(axis=0)
         for axis in range(3):
             rows = slice(3 * axis, 3 * axis + 3)
             inverse = np.linalg.inv(whole[axis] + precision[rows, rows]) * self.count
@@ -266,13 +270,9 @@ def _variance(values: Floats, cells: Cells, floor: Floats) -> Floats:
 
 def moments(cells: Cells, now: Mixing, noise: Floats) -> Moments:
     """Return what cells say of the matrix, in blocks of time."""
-    size = np.einsum("cii->ci", cells.covariance)
-    loud = size[:, 3:].sum(axis=1) > _LOUD_DIFFERENCE * float(np.trace(noise))
-    if loud.any():
-        cells = cells.part(loud)
     stray = now.stray_rows()
     bent = cells.covariance @ stray.T
-    square = stray @ bent - noise
+    square = stray @ bent
     cross = bent[:, :3]
     ambient = now.ambient_rows()
     floor = np.maximum(now.share * np.diag(noise), 1e-12)
@@ -284,20 +284,6 @@ def moments(cells: Cells, now: Mixing, noise: Floats) -> Moments:
     np.add.at(crosses, block, weight[:, :, None] * cross)
     part = weight.sum(axis=0)[:, None, None] * noise
     return Moments(sums, crosses, part, float(cells.count.sum()))
-
-
-def _least(square: Floats, part: Floats) -> Floats:
-    """Return sums (axis, 3, 3) less the noise's part of them, of which a tenth is left at least.
-
-    Nothing is divided by zero where the difference does not go beyond its noise in some direction.
-    """
-    root = np.linalg.cholesky(
-        part + 1e-9 * np.maximum(np.trace(part, axis1=1, axis2=2), 1e-12)[:, None, None] * np.eye(3)
-    )
-    inverse = np.linalg.inv(root)
-    value, vector = np.linalg.eigh(inverse @ (square + part) @ np.swapaxes(inverse, 1, 2))
-    back = root @ (vector * np.sqrt(np.maximum(np.maximum(value - 1.0, 0.1 * value), 0.0))[:, None, :])
-    return np.asarray(back @ np.swapaxes(back, 1, 2))
 
 
 def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tuple[float, Floats]:
