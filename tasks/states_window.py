@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
+from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.dual.bands import gradiometer_correction
-from inflight.dual.combined import combined_correction
-from inflight.dual.correction import Correction
-from inflight.dual.gradiometer import Gradiometer, fit_gradiometer
+from inflight.dual.candidates import Candidates, correction_by_both
+from inflight.dual.correction import Correction, no_correction
+from inflight.dual.gradiometer import FORMS
 from inflight.dual.gradiometer_table import (
     correction_by_gradiometer,
     gradiometer_of,
     gradiometer_variables,
     has_gradiometer,
 )
-from inflight.dual.harm import SURE, Corrector, Judgement, judge
+from inflight.dual.harm import SURE, Judgement, judge
 from inflight.dual.processing import process
 from inflight.dual.product import readings_of
 from inflight.dual.readings import Readings
 from inflight.dual.table import from_dataset, to_dataset
-from inflight.dual.training import Training, train
 from inflight.errors import InflightError, SamplesError
 from inflight.mission import Mission
 from inflight.model import Model
@@ -37,9 +34,10 @@ from inflight.tasks.channel_series import kept_readings
 from inflight.tasks.needs import Need
 from inflight.tasks.samples import load_samples
 from inflight.time import Int64
+from inflight.units import parse_unit
 
 #: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 1
+STATES_VERSION = 2
 #: A slope this many of its errors above one is not that of the stray field.
 STEEP = 2.0
 #: Samples that are learnt from at most; of faster records means are taken.
@@ -66,31 +64,19 @@ def states_window(
     with threadpool_limits(1), kept_readings():
         try:
             readings = window_readings(cat, mission, model, days, needs, index)
-            training = train(readings)
-            found = judge(readings, lambda use: candidates(readings.part(use)))
-            return table_of(readings, training, found)
+            candidates = Candidates(readings, positions_of(mission, model.comparison))
+            return table_of(candidates, judge(readings, candidates.fit))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
 
 
-def candidates(readings: Readings) -> Mapping[str, Corrector]:
-    """Return the corrections that readings offer, by name; those that cannot be learnt are left out."""
-    found: dict[str, Corrector] = {}
-    with suppress(InflightError):
-        gradiometer = fit_gradiometer(readings)
-        found["gradiometer"] = partial(gradiometer_correction, gradiometer)
-        training = train(readings)
-        found["states"] = partial(_by_states, training)
-        found["combined"] = partial(_by_both, training, gradiometer)
-    return found
-
-
-def _by_states(training: Training, readings: Readings) -> Correction:
-    return process(readings, training)
-
-
-def _by_both(training: Training, gradiometer: Gradiometer, readings: Readings) -> Correction:
-    return combined_correction(readings, training, process(readings, training), gradiometer)
+def positions_of(mission: Mission, comparison: str) -> Floats | None:
+    """Return where the inboard and the outboard sensor are, m, (2, 3); None where the mission does not say."""
+    roles = mission.comparisons[comparison].instruments()
+    places = [mission.instruments[roles[role]].position for role in ("inboard", "outboard")]
+    if any(place is None for place in places):
+        return None
+    return np.asarray(places, dtype=np.float64) * parse_unit(mission.positions.unit).factor_to("m")
 
 
 def window_readings(
@@ -138,21 +124,26 @@ def thinned(readings: Readings, size: int) -> Readings:
     return Readings(middle[whole], fields[0][whole], fields[1][whole])
 
 
-def table_of(readings: Readings, training: Training, found: Judgement) -> xr.Dataset:
-    """Return the table of a training and of what was said of its correction."""
+def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
+    """Return the table of what was learnt from a window and of what was said of its correction."""
     evidence = list(found.evidence.values())
     one = ("candidate",)
-    table = to_dataset(training)
-    if readings.good.any():
-        gradiometer = gradiometer_variables(fit_gradiometer(readings), readings)
-        table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
+    table = to_dataset(candidates.training)
     chosen, verdict = chosen_of(found)
+    if candidates.gradiometers:
+        form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
+        gradiometer = gradiometer_variables(form, candidates.readings)
+        table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
     return table.assign(
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
         candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
-    ).assign_attrs(method=chosen, applied="no" if chosen == "none" else "yes", verdict=verdict)
+    ).assign_attrs(
+        method="gradiometer" if chosen in FORMS else chosen,
+        applied="no" if chosen == "none" else "yes",
+        verdict=verdict,
+    )
 
 
 def chosen_of(found: Judgement) -> tuple[str, str]:
@@ -183,8 +174,10 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     if method == "gradiometer":
         return replace(correction_by_gradiometer(table, readings), reason=verdict)
     training = from_dataset(table)
+    if not len(training):
+        return no_correction(len(readings), verdict)
     if method == "combined":
-        return replace(_by_both(training, gradiometer_of(table), readings), reason=verdict)
+        return replace(correction_by_both(readings, training, gradiometer_of(table)), reason=verdict)
     fallback = correction_by_gradiometer(table, readings) if gradiometer_helps(table) else None
     correction = process(readings, training, fallback=fallback)
     if str(table.attrs["applied"]) != "yes":
@@ -195,8 +188,9 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
 def gradiometer_helps(table: xr.Dataset) -> bool:
     """Return True when held-out stretches say beyond doubt that a table's gradiometer helps."""
     names = table["candidate"].values.tolist()
-    if "gradiometer" not in names or not has_gradiometer(table):
+    form = table.attrs.get("gradiometer_form")
+    if form not in names or not has_gradiometer(table):
         return False
-    row = table.isel(candidate=names.index("gradiometer"))
+    row = table.isel(candidate=names.index(form))
     low = row["slope"] - SURE * row["slope_sigma"] > 0.5
     return bool(low and row["slope"] - STEEP * row["slope_sigma"] <= 1.0 and row["benefit"] > 0.0)

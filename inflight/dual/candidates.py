@@ -19,13 +19,16 @@ from inflight.dual.processing import process
 from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
 from inflight.dual.states import States, find_states
-from inflight.dual.training import Training, trained_from
+from inflight.dual.training import Levels, Training, levels_of, no_states, trained_from
 from inflight.dual.units import Units, find_units
 from inflight.errors import InflightError
 
-#: A spacecraft that switches more often than this in one record has no states worth the name: a torquer
-#: in pulses is the gradiometer's.
-MOST_SEGMENTS = 150
+#: A spacecraft that switches more often than this in one record, and more often than once in so many
+#: samples, has no states worth the name: a torquer in pulses is the gradiometer's.
+MOST_SEGMENTS, DWELL = 150, 120
+#: So many stretches take minutes: states are then not looked for.
+_BEARABLE = 10_000
+_LOST = "the stretches between jumps do not form states"
 
 
 class Candidates:
@@ -39,12 +42,19 @@ class Candidates:
     readings : Readings
     positions, leak_sigma
         See `gradiometer.fit_forms`.
+    ambient : ndarray, shape (time, axis), optional
+        See `training.train`; NaN everywhere is the same as none.
     """
 
     def __init__(
-        self, readings: Readings, positions: Floats | None = None, leak_sigma: float = LEAK_SIGMA
+        self,
+        readings: Readings,
+        positions: Floats | None = None,
+        leak_sigma: float = LEAK_SIGMA,
+        ambient: Floats | None = None,
     ) -> None:
-        self.readings, self.positions, self.leak_sigma = readings, positions, leak_sigma
+        self.readings, self.ambient = readings, ambient
+        self.positions, self.leak_sigma = positions, leak_sigma
 
     def fit(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Corrector]:
         """Fit to the rows in use; what cannot be fitted is left out.
@@ -54,31 +64,64 @@ class Candidates:
         dict
             By name: the forms of the gradiometer, ``states`` and ``combined``.
         """
-        forms = [form for form in FORMS if form != "dipole" or self.positions is not None]
-        try:
-            gradiometers = fit_forms(self.readings.part(use), forms, self.positions, self.leak_sigma)
-        except InflightError:
+        whole = bool(use.all())
+        gradiometers = self.gradiometers if whole else self._gradiometers(use)
+        if not gradiometers:
             return {}
         found: dict[str, Corrector] = {
             name: partial(gradiometer_correction, one) for name, one in gradiometers.items()
         }
-        training = self._training(use)
-        if training is not None:
+        training = self.training if whole else self._training(use)
+        if training is not None and len(training) > 1:
             found["states"] = partial(process, training=training)
-            found["combined"] = partial(_combined, training=training, gradiometer=gradiometers["matrix"])
+            found["combined"] = partial(
+                correction_by_both, training=training, gradiometer=gradiometers["matrix"]
+            )
         return found
 
     @cached_property
+    def gradiometers(self) -> Mapping[str, Gradiometer]:
+        """By form, fitted to all readings; empty where there are too few."""
+        return self._gradiometers(np.ones(len(self.readings), dtype=bool))
+
+    @cached_property
+    def training(self) -> Training:
+        """States learnt from all readings; one or none where these show no more."""
+        training = self._training(np.ones(len(self.readings), dtype=bool))
+        return no_states(self.readings, self._without or _LOST) if training is None else training
+
+    def _gradiometers(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Gradiometer]:
+        forms = [form for form in FORMS if form != "dipole" or self.positions is not None]
+        try:
+            return fit_forms(self.readings.part(use), forms, self.positions, self.leak_sigma)
+        except InflightError:
+            return {}
+
+    @cached_property
+    def _segments(self) -> Segments | None:
+        return segments_of(self.readings) if self.readings.good.any() else None
+
+    @property
+    def _without(self) -> str:
+        """Why no states are looked for; empty where they are."""
+        steady = 0 if self._segments is None else int(np.count_nonzero(~self._segments.transient))
+        if not steady:
+            return "no stretch is long enough for a state"
+        most = min(max(MOST_SEGMENTS, len(self.readings) // DWELL), _BEARABLE)
+        if steady > most:
+            return f"{steady} stretches without a jump, more than {most}: too many for states"
+        return ""
+
+    @cached_property
     def _states(self) -> tuple[Segments, States, Units, OutboardSteps] | None:
-        segments = segments_of(self.readings)
-        if not 2 <= np.count_nonzero(~segments.transient) <= MOST_SEGMENTS:
+        if self._without or self._segments is None:
             return None
-        states = find_states(segments)
+        states = find_states(self._segments)
         # A centre far outside of all differences is a clustering that has lost itself.
         reach = float(np.abs(self.readings.difference[self.readings.good]).max())
-        if len(states) < 2 or float(np.abs(states.centre).max()) > 2.0 * reach:
+        if float(np.abs(states.centre).max(initial=0.0)) > 2.0 * reach:
             return None
-        return segments, states, find_units(states), outboard_steps(self.readings, segments)
+        return self._segments, states, find_units(states), outboard_steps(self.readings, self._segments)
 
     def _training(self, use: npt.NDArray[np.bool_]) -> Training | None:
         """Return the training by the steps whose both sides are in use."""
@@ -87,13 +130,23 @@ class Candidates:
         segments, states, units, steps = self._states
         unused = np.concatenate([[0], np.cumsum(~use)])
         whole = unused[segments.last[steps.after]] == unused[segments.first[steps.before]]
-        if not whole.any():
+        levels = self._levels(segments, use)
+        if not whole.any() and levels is None and len(states) > 1:
             return None
         kept = OutboardSteps(
             steps.before[whole], steps.after[whole], steps.step[whole], steps.covariance[whole]
         )
-        return trained_from(segments, states, units, kept, None)
+        return trained_from(segments, states, units, kept, levels)
+
+    def _levels(self, segments: Segments, use: npt.NDArray[np.bool_]) -> Levels | None:
+        if self.ambient is None:
+            return None
+        known = np.where(use[:, None], self.ambient, np.nan)
+        if not (self.readings.good & np.isfinite(known).all(axis=1)).any():
+            return None
+        return levels_of(self.readings, segments, known)
 
 
-def _combined(readings: Readings, training: Training, gradiometer: Gradiometer) -> Correction:
+def correction_by_both(readings: Readings, training: Training, gradiometer: Gradiometer) -> Correction:
+    """Return the correction by states and gradiometer together, the states told from the readings."""
     return combined_correction(readings, training, process(readings, training), gradiometer)

@@ -36,7 +36,7 @@ def gradiometer_variables(gradiometer: Gradiometer, readings: Readings) -> xr.Da
         "covariance": (_ELEMENTS, gradiometer.covariance, {"units": "1"}),
         "middle": (("axis",), _middle(gradiometer, readings), {"units": "nT"}),
     }
-    attrs = {f"{_NAME}share": float(mixing.share)}
+    attrs = {f"{_NAME}share": float(mixing.share), f"{_NAME}form": gradiometer.form}
     return xr.Dataset({_NAME + name: one for name, one in arrays.items()}, attrs=attrs)
 
 

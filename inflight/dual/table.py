@@ -11,7 +11,7 @@ from inflight.dual.states import DriftRate
 from inflight.dual.training import Training
 from inflight.errors import CalibrationError
 
-_VERSION = 1
+_VERSION = 2
 #: Dims of the arrays of a training, and their units.
 _ARRAYS = {
     "number": (("state",), ""),
@@ -27,13 +27,16 @@ _ARRAYS = {
     "unit_correction": (("unit", "axis"), "nT"),
     "unit_covariance": (("unit", "axis", "other"), "nT2"),
     "drift": (("axis",), "nT"),
+    "design": (("state", "parameter"), ""),
+    "joint": (("parameter", "axis", "other_parameter", "other"), "nT2"),
+    "unit_number": (("unit",), ""),
 }
 _RATES = {"slope": "nT2 s-2", "bend": "nT2 s-3", "value": "nT2 s-1"}
 _NUMBERS = ("scatter", "excess")
 
 
 def to_dataset(training: Training) -> xr.Dataset:
-    """Return a training as a Dataset: dims state, next, unit, axis, other.
+    """Return a training as a Dataset: dims state, next, unit, parameter, axis, other, other_parameter.
 
     The states' numbers are the variable ``number``; ``start`` and ``end`` are those of the readings, TT2000.
     """
@@ -50,6 +53,9 @@ def to_dataset(training: Training) -> xr.Dataset:
         "dual_training": _VERSION,
         "constant_known": int(training.constant_known),
         "reference": int(training.reference),
+        "next_number": int(training.next_number),
+        "next_unit": int(training.next_unit),
+        "carried": int(training.carried),
         "reason": training.reason,
     }
     axes = {"axis": ["x", "y", "z"], "other": ["x", "y", "z"]}
@@ -81,5 +87,8 @@ def from_dataset(table: xr.Dataset) -> Training:
         end=int(table["end"]),
         constant_known=bool(table.attrs["constant_known"]),
         reference=int(table.attrs["reference"]),
+        next_number=int(table.attrs["next_number"]),
+        next_unit=int(table.attrs["next_unit"]),
+        carried=bool(table.attrs["carried"]),
         reason=str(table.attrs["reason"]),
     )

@@ -8,7 +8,7 @@ known the corrections are absolute (Venus Express paper, section 3).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +67,17 @@ class Training:
         Scatter of the outboard steps beside what they state.
     reason : str
         What is known of units.
+    design : ndarray, shape (state, parameter)
+        How often each fitted stray field is in a state: `occupancy`, or one of its own for each state where
+        units are not known.
+    joint : ndarray, shape (parameter, axis, parameter, axis)
+        Covariance of the fitted stray fields at the outboard sensor, nT^2.
+    unit_number : ndarray of int64, shape (unit,)
+        Of each unit; it stays with the unit through later trainings, as `number` with the state.
+    next_number, next_unit : int
+        The first numbers that no training before had.
+    carried : bool
+        The constant part was known to an earlier training and is taken from there.
     """
 
     number: npt.NDArray[np.int64]
@@ -90,6 +101,12 @@ class Training:
     reference: int
     excess: float
     reason: str
+    design: Floats
+    joint: Floats
+    unit_number: npt.NDArray[np.int64]
+    next_number: int
+    next_unit: int
+    carried: bool = False
 
     def __len__(self) -> int:
         return int(self.number.size)
@@ -137,12 +154,12 @@ def train(
         )
     units = find_units(states)
     steps = outboard_steps(readings, segments)
-    levels = _levels(readings, segments, ambient) if ambient is not None else None
+    levels = levels_of(readings, segments, ambient) if ambient is not None else None
     return trained_from(segments, states, units, steps, levels)
 
 
 @dataclass(frozen=True)
-class _Levels:
+class Levels:
     """Stray field and offset of segments where the ambient field is known."""
 
     segment: Places
@@ -150,7 +167,14 @@ class _Levels:
     covariance: Floats
 
 
-def _levels(readings: Readings, segments: Segments, ambient: Floats) -> _Levels:
+def levels_of(readings: Readings, segments: Segments, ambient: Floats) -> Levels:
+    """Return stray field and offset of the segments in which the ambient field is known.
+
+    Raises
+    ------
+    CalibrationError
+        It is nowhere known.
+    """
     left = readings.outboard - ambient
     rows = np.flatnonzero(readings.good & np.isfinite(left).all(axis=1))
     if not rows.size:
@@ -161,11 +185,11 @@ def _levels(readings: Readings, segments: Segments, ambient: Floats) -> _Levels:
     count = last - first
     own = np.flatnonzero(~segments.transient & (count > 0))
     level = (sums[last[own]] - sums[first[own]]) / count[own, None]
-    return _Levels(own, level, noise.of_mean(count[own]))
+    return Levels(own, level, noise.of_mean(count[own]))
 
 
 def trained_from(
-    segments: Segments, states: States, units: Units, steps: OutboardSteps, levels: _Levels | None
+    segments: Segments, states: States, units: Units, steps: OutboardSteps, levels: Levels | None
 ) -> Training:
     """Return the training of states and units from the outboard steps given, which may be some of all."""
     seconds = _state_seconds(segments, states)
@@ -211,11 +235,67 @@ def trained_from(
         reference=-1 if known else reference,
         excess=fit.excess,
         reason=units.reason,
+        design=every.astype(np.float64) if of_units else design,
+        joint=fit.covariance[: design.shape[1], :, : design.shape[1]],
+        unit_number=np.arange(len(units) if of_units else 0),
+        next_number=count,
+        next_unit=len(units) if of_units else 0,
+    )
+
+
+def relative_to(training: Training, reference: int) -> Training:
+    """Return a training whose corrections are relative to the state of a number.
+
+    The covariances are those of the differences: what is common to both states is in neither.
+    """
+    row = int(np.flatnonzero(training.number == reference)[0])
+    away = training.design - training.design[row]
+    covariance = np.einsum("sp,piqj,sq->sij", away, training.joint, away)
+    return replace(
+        training,
+        correction=training.correction - training.correction[row],
+        covariance=covariance,
+        reference=reference,
+        constant_known=False,
+        carried=False,
+    )
+
+
+def no_states(readings: Readings, reason: str) -> Training:
+    """Return the training of readings that show no states worth the name, and why."""
+    nothing, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    return Training(
+        number=none,
+        centre=nothing,
+        centre_covariance=np.zeros((0, 3, 3)),
+        correction=nothing,
+        covariance=np.zeros((0, 3, 3)),
+        segments=none,
+        seconds=np.zeros(0),
+        transitions=np.zeros((0, 0)),
+        occupancy=np.zeros((0, 0), dtype=np.int64),
+        unit=nothing,
+        unit_correction=nothing,
+        unit_covariance=np.zeros((0, 3, 3)),
+        scatter=0.0,
+        drift=np.zeros(3),
+        drift_rate=DriftRate(np.zeros(3), np.zeros(3), np.zeros(3)),
+        start=int(readings.stamps[0]),
+        end=int(readings.stamps[-1]),
+        constant_known=False,
+        reference=-1,
+        excess=1.0,
+        reason=reason,
+        design=np.zeros((0, 0)),
+        joint=np.zeros((0, 3, 0, 3)),
+        unit_number=none,
+        next_number=0,
+        next_unit=0,
     )
 
 
 def _fit(
-    states: States, design: Floats, steps: OutboardSteps, levels: _Levels | None, size: Floats
+    states: States, design: Floats, steps: OutboardSteps, levels: Levels | None, size: Floats
 ) -> StrayFit:
     """Fit the units' or states' fields at the outboard sensor, and last the constant where it is known."""
     label = states.label
