@@ -94,6 +94,9 @@ class Store:
     def whole(self, name: str) -> Array:
         """Return the decoded values of a variable without rows."""
         variable = self.variables[name]
+        if 0 in variable.shape:
+            # Nothing is stored of it, such as the units of a table that knows none.
+            return variable.encoding.decode(np.empty(variable.shape, dtype=variable.encoding.stored))
         values = variable.encoding.decode(self._chunk(variable, (0,) * len(variable.shape)))
         # A single number is stored as one value.
         return values if variable.dims else values.reshape(())

@@ -1,7 +1,8 @@
 """Two sensors on one boom and nothing else: tables of the spacecraft's states, and the field without them.
 
-Windows of days are learnt from independently, each leaves one certified table; then every day is corrected
-with the table that holds. A day whose readings and table are the same is left alone.
+Windows of days are learnt from independently, then joined in the order of time, and each leaves one certified
+table; then every day is corrected with the table that holds. A day whose readings and table are the same
+is left alone.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from inflight.tasks.calibrate import Failure, Job
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.report import RunReport
 from inflight.tasks.reprocess_dual import take_outcome
+from inflight.tasks.states_chain import OWN, chained_key, joined, table_before
 from inflight.tasks.states_day import STATES_PRODUCT_VERSION, states_batch
 from inflight.tasks.states_window import STATES_VERSION, states_window
 from inflight.tasks.tables import window_edges
@@ -106,28 +108,34 @@ def windows(days: Sequence[np.datetime64], settings: ReprocessSettings) -> list[
 def _tables(
     cat: Catalog, mission: Mission, made: Plan, run: Run, mapper: Callable[..., Any], out: _Made
 ) -> None:
-    """Learn from each window; tables of the same inputs are not made again."""
+    """Learn from each window, then join them in order; what has not changed is neither done again."""
     name = f"{made.settings.comparison}-{STATES}"
-    known = {one.key: one for one in cat.tables(name) if not one.damaged}
+    records = [one for one in cat.tables(name) if not one.damaged]
+    known, learnt = {one.key: one for one in records}, {one.key[:OWN]: one for one in records}
     groups = windows(made.days, made.settings)
     keys = [_window_key(made, group) for group in groups]
-    todo = [(group, key) for group, key in zip(groups, keys, strict=True) if key not in known]
+    todo = [(group, key) for group, key in zip(groups, keys, strict=True) if key[:OWN] not in learnt]
     arguments = [(cat, mission, made.model, group, made.needs, made.index.around(group)) for group, _ in todo]
     fresh = dict(zip([key for _, key in todo], mapper("calibrate", states_window, arguments), strict=True))
-    for group, key in zip(groups, keys, strict=True):
+    before_key, before = table_before(cat, name, groups[0][0]) or ("", None)
+    for group, own in zip(groups, keys, strict=True):
         bounds = day_bounds(group[0])[0], day_bounds(group[-1])[1]
+        key = chained_key(own, before_key)
         if key in known:
             number, table = known[key].id, cat.table_by_id(known[key].id)
-        elif isinstance(fresh[key], Failure):
-            _fail(run, made.product, group, fresh[key], out)
+        elif isinstance(fresh.get(own), Failure):
+            _fail(run, made.product, group, fresh[own], out)
             continue
         else:
-            table = fresh[key]
+            alone = fresh[own] if own in fresh else cat.table_by_id(learnt[own[:OWN]].id)
+            table = joined(before, alone)
             parents = [one for day in group for one in _sources(made, day)]
             number = run.stage_table(name, table, start=bounds[0], end=bounds[1], parents=parents, key=key)
         if key not in known or (None, *bounds) not in known[key].certified:
             out.certify.append((number, *bounds, None))
         out.tables |= dict.fromkeys(group, (number, key, table))
+        if table.sizes["state"]:
+            before_key, before = key, table
 
 
 def _sources(made: Plan, day: np.datetime64) -> list[str]:

@@ -27,13 +27,14 @@ def is_told_by_states(mission: Mission, comparison: str) -> bool:
 
 
 def unit_signs(table: xr.Dataset, at: Switchings) -> Floats:
-    """Return which units are switched on (+1) or off (-1) at each switching; (switching, unit).
+    """Return which units are switched on (+1) or off (-1) at each switching; (switching, number of unit).
 
     Nothing is known of switchings to or from a state that is not in the table: 0.
     """
     member = np.asarray(table["occupancy"].values, dtype=np.float64)
     number = np.asarray(table["number"].values, dtype=np.int64)
-    out = np.zeros((len(at), member.shape[1]))
+    units = np.asarray(table["unit_number"].values, dtype=np.int64)
+    out = np.zeros((len(at), int(units.max(initial=-1)) + 1))
     if not number.size:
         return out
     order = np.argsort(number)
@@ -42,7 +43,8 @@ def unit_signs(table: xr.Dataset, at: Switchings) -> Floats:
         for state in (at.before, at.after)
     ]
     known = (number[rows[0]] == at.before) & (number[rows[1]] == at.after)
-    out[known] = member[rows[1][known]] - member[rows[0][known]]
+    step = member[rows[1][known]] - member[rows[0][known]]
+    out[np.ix_(known, units)] = step
     return out
 
 
@@ -120,12 +122,14 @@ def named_units(
     if not days:
         return None
     signs, changes = [], []
+    tables: dict[int, xr.Dataset] = {}
     for day in days:
         product = cat.read(day, ["state", "tt2000"], dated=False)
         stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
         state = np.asarray(product["state"].values, dtype=np.int64)
         at = switchings(state, stamps, usual_step(stamps, SECOND))
         table = cat.table(f"{comparison}-states", str(day.day))
+        tables |= dict.fromkeys(table["unit_number"].values.tolist(), table)
         signs.append(unit_signs(table, at))
         changes.append(channel_changes(cat, mission, day.day, stamps[at.last], stamps[at.first]))
     width = max(one.shape[1] for one in signs)
@@ -137,10 +141,11 @@ def named_units(
         )
         for name in names
     }
-    return [_told(one, table) for one in name_units(joined, series)]
+    return [_told(one, tables[one.unit]) for one in name_units(joined, series) if one.unit in tables]
 
 
 def _told(one: NamedUnit, table: xr.Dataset) -> dict[str, Any]:
+    """Return a unit's fields; its vectors are those of the last table that knows it."""
     fields = {
         "unit": one.unit,
         "switchings": one.switchings,
@@ -149,10 +154,9 @@ def _told(one: NamedUnit, table: xr.Dataset) -> dict[str, Any]:
         "change_when_on": list(one.per_unit),
         "sentence": sentence(one),
     }
-    if one.unit < table.sizes.get("unit", 0):
-        for name, variable in (("difference_nT", "unit"), ("outboard_nT", "unit_correction")):
-            if variable in table:
-                fields[name] = table[variable].values[one.unit].tolist()
+    (row,) = np.flatnonzero(table["unit_number"].values == one.unit)
+    for name, variable in (("difference_nT", "unit"), ("outboard_nT", "unit_correction")):
+        fields[name] = table[variable].values[row].tolist()
     return fields
 
 

@@ -34,7 +34,7 @@ from inflight.tasks.channel_series import kept_readings
 from inflight.tasks.needs import Need
 from inflight.tasks.samples import load_samples
 from inflight.time import Int64
-from inflight.units import parse_unit
+from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
 STATES_VERSION = 2
@@ -71,12 +71,13 @@ def states_window(
 
 
 def positions_of(mission: Mission, comparison: str) -> Floats | None:
-    """Return where the inboard and the outboard sensor are, m, (2, 3); None where the mission does not say."""
+    """Return where the inboard and the outboard sensor are, m, (2, 3); None where the mission is silent."""
     roles = mission.comparisons[comparison].instruments()
     places = [mission.instruments[roles[role]].position for role in ("inboard", "outboard")]
     if any(place is None for place in places):
         return None
-    return np.asarray(places, dtype=np.float64) * parse_unit(mission.positions.unit).factor_to("m")
+    factor, _ = factor_and_offset(mission.positions.unit, "m")
+    return np.asarray(places, dtype=np.float64) * factor
 
 
 def window_readings(

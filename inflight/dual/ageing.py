@@ -1,4 +1,8 @@
-"""Trainings repeated as the spacecraft ages: a state keeps its number, and what it adds is followed."""
+"""Trainings repeated as the spacecraft ages: states and units keep their numbers, what they add is followed.
+
+Each training holds by its own readings alone. Averaged with earlier ones it would lag behind a unit that
+ages slowly, each time by less than the noise shows, and state too small an error.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,12 @@ import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.dual.training import Training
+from inflight.dual.training import Training, relative_to
 
 #: Chance that the same state is not recognised in a later training, of all its states.
 _MISSED = 1e-3
+#: Matchings of this part of the best one's time are as good.
+_ALIKE = 0.99
 
 
 @dataclass(frozen=True)
@@ -22,8 +28,7 @@ class Ageing:
     Attributes
     ----------
     training : Training
-        The later one with the earlier one's numbers, and what both know together of states that have not
-        changed.
+        The later one with the earlier one's numbers and constant part.
     matched : ndarray of int64, shape (pair, 2)
         Places of a state in the earlier and the later training.
     shift : ndarray, shape (axis,)
@@ -46,60 +51,172 @@ class Ageing:
 def continued(earlier: Training, later: Training) -> Ageing:
     """Return a later training that goes on from an earlier one.
 
+    Parameters
+    ----------
+    later : Training
+        As it was made, or as it went on from any other one before: `alone` is taken of it.
+
     Notes
     -----
     States are matched by their differences after a common shift, the one that matches most states; a state
-    that has none keeps its own place and takes the next free number. Where a correction has not changed
-    beyond its noise both are averaged by their covariances; where it has, the later one holds alone.
+    that has none takes the next number that no training before had. The corrections become relative to the
+    same state as before where both know it. A constant part that only the earlier one knows is taken over:
+    its error grows by the common shift, of which nobody knows whose offset it was.
     """
+    later = alone(later)
     matched, shift = _matched(earlier, later)
-    number = np.full(len(later), -1, dtype=np.int64)
-    number[matched[:, 1]] = earlier.number[matched[:, 0]]
-    new = number < 0
-    number[new] = earlier.number.max(initial=-1) + 1 + np.arange(np.count_nonzero(new))
+    number, next_number = _numbered(matched, earlier.number, len(later), earlier.next_number)
     old, own = earlier.correction[matched[:, 0]], later.correction[matched[:, 1]]
-    spread_old, spread_own = earlier.covariance[matched[:, 0]], later.covariance[matched[:, 1]]
-    gauge = _gauge(earlier, later, old, own, spread_old + spread_own)
+    total = earlier.covariance[matched[:, 0]] + later.covariance[matched[:, 1]] + 1e-12 * np.eye(3)
+    gauge = _gauge(earlier, later, old, own, total)
     change = own - (old + gauge)
-    total = spread_old + spread_own + 1e-12 * np.eye(3)
     far = np.einsum("pi,pij,pj->p", change, np.linalg.inv(total), change)
-    aged = far > stats.chi2.isf(_MISSED / max(len(matched), 1), 3)
-    correction, covariance = later.correction.copy(), later.covariance.copy()
-    for pair in np.flatnonzero(~aged & earlier.seen[matched[:, 0]]):
-        place = matched[pair, 1]
-        gain = spread_own[pair] @ np.linalg.inv(total[pair])
-        correction[place] = own[pair] - gain @ change[pair]
-        covariance[place] = spread_own[pair] - gain @ spread_own[pair]
+    aged = np.asarray(far > stats.chi2.isf(_MISSED / max(len(matched), 1), 3))
     reference = -1 if later.reference < 0 else int(number[later.number == later.reference][0])
-    training = replace(
-        later, number=number, correction=correction, covariance=covariance, reference=reference
+    training = replace(later, number=number, reference=reference, next_number=next_number)
+    training = _with_units(earlier, training, matched)
+    training = _with_constant(earlier, training, matched[~aged], shift)
+    return Ageing(training, matched, shift, change, np.sqrt(np.einsum("pii->pi", total)), aged)
+
+
+def alone(training: Training) -> Training:
+    """Return a training as it was made, without numbers and constant of those before it."""
+    count, units = len(training), len(training.unit)
+    own = replace(
+        training,
+        number=np.arange(count),
+        unit_number=np.arange(units),
+        next_number=count,
+        next_unit=units,
     )
-    sigma = np.sqrt(np.einsum("pii->pi", total))
-    return Ageing(training, matched, shift, change, sigma, np.asarray(aged))
+    if not count or (training.constant_known and not training.carried):
+        return own
+    return relative_to(own, int(np.argmax(training.seconds)))
+
+
+def _numbered(
+    matched: npt.NDArray[np.int64], known: npt.NDArray[np.int64], count: int, free: int
+) -> tuple[npt.NDArray[np.int64], int]:
+    """Return numbers of `count` things, those matched with known ones theirs, and the next free number."""
+    number = np.full(count, -1, dtype=np.int64)
+    number[matched[:, 1]] = known[matched[:, 0]]
+    new = number < 0
+    number[new] = free + np.arange(np.count_nonzero(new))
+    return number, free + int(np.count_nonzero(new))
+
+
+def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int64]) -> Training:
+    """Return the later training with the earlier one's numbers of units, switched on and off alike.
+
+    Two units are the same when they are switched in the same of the states that both know, or in the other
+    ones: which of its two states is "on" only a convention tells.
+    """
+    before, after = earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]]
+    pairs, turned = [], np.zeros(len(later.unit), dtype=bool)
+    for one in range(before.shape[1]):
+        for other in range(after.shape[1]):
+            for sign in (1, -1):
+                away = before[:, one] - sign * after[:, other]
+                if len(matched) and np.ptp(before[:, one]) and not np.ptp(away):
+                    pairs.append((one, other))
+                    turned[other] = sign < 0
+    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    # Two that always switched together cannot be told apart: neither is the same as before for sure.
+    single = (np.bincount(found[:, 0], minlength=before.shape[1])[found[:, 0]] == 1) & (
+        np.bincount(found[:, 1], minlength=after.shape[1])[found[:, 1]] == 1
+    )
+    turned[found[~single, 1]] = False
+    number, free = _numbered(found[single], earlier.unit_number, len(later.unit), earlier.next_unit)
+    sign = np.where(turned, -1, 1)
+    occupancy = np.where(turned, later.occupancy.max(axis=0, initial=0) - later.occupancy, later.occupancy)
+    known = replace(
+        later,
+        unit_number=number,
+        next_unit=free,
+        occupancy=occupancy,
+        unit=later.unit * sign[:, None],
+        unit_correction=later.unit_correction * sign[:, None],
+    )
+    if not len(sign):
+        return known
+    joint = later.joint * sign[:, None, None, None] * sign[None, None, :, None]
+    return replace(known, design=occupancy.astype(np.float64), joint=joint)
+
+
+def _with_constant(
+    earlier: Training, later: Training, same: npt.NDArray[np.int64], shift: Floats
+) -> Training:
+    """Return the later training with the earlier one's constant part, or relative to the same state.
+
+    Parameters
+    ----------
+    same : ndarray of int64, shape (pair, 2)
+        Places of the states that have not changed; without any there is no common constant.
+    """
+    if later.constant_known or not len(same):
+        return later
+    size = np.einsum("pii->p", earlier.covariance[same[:, 0]])
+    known = np.flatnonzero(earlier.number[same[:, 0]] == earlier.reference)
+    # The state whose error is the smallest; the reference has none.
+    link = int(known[0]) if known.size else int(np.argmin(size))
+    one, other = same[link]
+    if earlier.reference >= 0 and not known.size:
+        return later
+    joined = relative_to(later, int(later.number[other]))
+    if not earlier.constant_known:
+        return joined
+    spread = earlier.covariance[one] + np.diag(shift**2)
+    return replace(
+        joined,
+        correction=joined.correction + earlier.correction[one],
+        covariance=joined.covariance + spread,
+        reference=-1,
+        constant_known=True,
+        carried=True,
+    )
 
 
 def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Return pairs of the same state and the common shift that matches most, the nearest if several do."""
+    """Return pairs of the same state and the common shift that matches most of the time seen.
+
+    Of shifts that match as much the smallest is taken, if it is clearly so: one state alone, after the
+    difference has moved by half the distance to the next one, could be either.
+    """
+    nothing = np.empty((0, 2), dtype=np.int64), np.zeros(3)
     apart = later.centre[None] - earlier.centre[:, None]
     scatter = (earlier.scatter**2 + later.scatter**2) * np.eye(3)
     spread = earlier.centre_covariance[:, None] + later.centre_covariance[None] + scatter
     limit = stats.chi2.isf(_MISSED / max(len(later), 1), 3)
-    best: tuple[float, float, npt.NDArray[np.int64], Floats] | None = None
+    rows, columns = np.flatnonzero(earlier.seen), np.flatnonzero(later.seen)
+    seen, width = apart[np.ix_(rows, columns)], spread[np.ix_(rows, columns)]
+    tried: list[tuple[float, float, Floats, Floats]] = []
     # Each pair of states seen offers a shift; its own noise is that of the pair.
-    for one, other in np.argwhere(earlier.seen[:, None] & later.seen[None]):
-        shift = apart[one, other]
-        left = apart - shift
-        far = np.einsum("kli,klij,klj->kl", left, np.linalg.inv(spread + spread[one, other]), left)
+    for one, other in np.ndindex(seen.shape[:2]):
+        shift = seen[one, other]
+        left = seen - shift
+        far = np.einsum("kli,klij,klj->kl", left, np.linalg.inv(width + width[one, other]), left)
         pairs = _nearest_pairs(far, limit)
-        weight = float(np.sum(later.seconds[pairs[:, 1]] * earlier.seen[pairs[:, 0]]))
-        size = float(np.linalg.norm(shift))
-        if best is None or (weight, -size) > (best[0], -best[1]):
-            best = weight, size, pairs, shift
-    if best is None:
-        return np.empty((0, 2), dtype=np.int64), np.zeros(3)
-    precision = np.linalg.inv(spread[best[2][:, 0], best[2][:, 1]])
-    right = np.einsum("pij,pj->i", precision, apart[best[2][:, 0], best[2][:, 1]])
-    return best[2], np.asarray(np.linalg.solve(precision.sum(axis=0), right))
+        weight = float(later.seconds[columns[pairs[:, 1]]].sum())
+        tried.append((weight, float(np.linalg.norm(shift)), shift, width[one, other]))
+    if not tried:
+        return nothing
+    most = max(one[0] for one in tried)
+    alike = sorted((one for one in tried if one[0] >= _ALIKE * most), key=lambda one: one[1])
+    _, size, shift, own = alike[0]
+    # Shifts of one and the same matching differ by their noise only.
+    others = [one[1] for one in alike if _squared(one[2] - shift, own + one[3]) > limit]
+    if others and size > 0.5 * min(others):
+        return nothing
+    left = apart - shift
+    far = np.einsum("kli,klij,klj->kl", left, np.linalg.inv(spread + own), left)
+    pairs = _nearest_pairs(far, limit)
+    precision = np.linalg.inv(spread[pairs[:, 0], pairs[:, 1]])
+    right = np.einsum("pij,pj->i", precision, apart[pairs[:, 0], pairs[:, 1]])
+    return pairs, np.asarray(np.linalg.solve(precision.sum(axis=0), right))
+
+
+def _squared(vector: Floats, covariance: Floats) -> float:
+    return float(vector @ np.linalg.solve(covariance, vector))
 
 
 def _nearest_pairs(far: Floats, limit: float) -> npt.NDArray[np.int64]:

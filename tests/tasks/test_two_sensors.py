@@ -2,6 +2,8 @@
 
 import shutil
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +45,8 @@ def boom(tmp_path_factory):
     return cat, mission, made, reprocess(cat, mission)
 
 
-def errors(cat, made, day):
-    """Return errors of the measured and the corrected outboard field every 10 s, constants removed; nT."""
+def errors(cat, made, day, constants=False):
+    """Return errors of the measured and the corrected outboard field every 10 s, without constants; nT."""
     product = cat.read(day, dated=False)
     with xr.open_dataset(truth_path(made.data, day.day), engine="h5netcdf") as truth:
         stamps, field = truth["Epoch"].values.astype(np.int64), truth["FIELD"].values
@@ -58,7 +60,7 @@ def errors(cat, made, day):
     out = {}
     for name in ("outboard", "field_spacecraft"):
         left = (told[name].values - field[there] - offset[there])[good]
-        out[name] = left - left.mean(axis=0)
+        out[name] = left if constants else left - left.mean(axis=0)
     return out, told.isel(time=good)
 
 
@@ -159,12 +161,117 @@ def test_a_table_that_two_sensors_have_not_is_refused(boom):
         reprocess(cat, mission, settings=ReprocessSettings(table="continuous"))
 
 
-def test_windows_of_a_day_learn_by_themselves(tmp_path):
-    cat, mission, _ = workspace(tmp_path / "w", DualSettings(days=2, seed=33, overrides=COARSE))
-    report = reprocess(cat, mission, settings=ReprocessSettings(table="daily"))
-    assert len(report.extra["windows"]) == 2
-    tables = [cat.table("main-states", day) for day in ("2006-05-14", "2006-05-15")]
-    assert tables[0].attrs["table_id"] != tables[1].attrs["table_id"]
+def daily(folder, workers, start=None):
+    """Three days learnt from one by one, all or from one on."""
+    cat, mission, made = workspace(folder, DualSettings(days=3, seed=33, overrides=COARSE))
+    settings = ReprocessSettings(table="daily", batch_days=1)
+    with threads(workers) as mapper:
+        return cat, mission, made, reprocess(cat, mission, start=start, settings=settings, mapper=mapper)
+
+
+@contextmanager
+def threads(workers):
+    """Yield a mapper that works on several windows at once and finishes the last ones first."""
+    with ThreadPoolExecutor(workers) as pool:
+
+        def mapper(_, work, arguments):
+            futures = [pool.submit(work, *one) for one in reversed(list(arguments))]
+            return [one.result() for one in reversed(futures)]
+
+        yield mapper
+
+
+@pytest.fixture(scope="module")
+def three(tmp_path_factory):
+    return daily(tmp_path_factory.mktemp("three") / "w", 2)
+
+
+def tables_of(cat):
+    return [cat.table("main-states", f"2006-05-{day}") for day in (14, 15, 16)]
+
+
+def test_windows_of_a_day_learn_by_themselves(three):
+    cat, _, _, report = three
+    assert len(report.extra["windows"]) == 3
+    assert len({one.attrs["table_id"] for one in tables_of(cat)}) == 3
+
+
+def test_a_state_has_one_number_in_all_windows(three):
+    cat, _, made, _ = three
+    seen = {}
+    for day in cat.days("l2/field", states=("published",)):
+        product = cat.read(day, dated=False)
+        with xr.open_dataset(truth_path(made.data, day.day), engine="h5netcdf") as truth:
+            stamps, true = truth["Epoch"].values.astype(np.int64), truth["STATE"].values
+        rows = np.clip(np.searchsorted(product["tt2000"].values, stamps), 0, product.sizes["time"] - 1)
+        there = product["tt2000"].values[rows] == stamps
+        state = product["state"].values[rows[there]]
+        pairs, count = np.unique(np.stack([true[there], state])[:, state >= 0], axis=1, return_counts=True)
+        for (code, number), many in zip(pairs.T.tolist(), count.tolist(), strict=True):
+            seen.setdefault(code, {}).setdefault(number, 0)
+            seen[code][number] += many
+    # Samples at the edges of a switching are few.
+    usual = {code: max(numbers, key=numbers.get) for code, numbers in seen.items()}
+    assert len(set(usual.values())) == len(usual) >= 12
+    wrong = sum(sum(numbers.values()) - numbers[usual[code]] for code, numbers in seen.items())
+    assert wrong < 0.005 * sum(sum(numbers.values()) for numbers in seen.values())
+
+
+def test_the_field_goes_on_where_the_next_window_begins(three):
+    cat, _, made, _ = three
+    by_states = {one.attrs["table_id"] for one in tables_of(cat) if one.attrs["method"] == "states"}
+    constant, references = [], set()
+    for day in cat.days("l2/field", states=("published",)):
+        table = cat.table("main-states", str(day.day))
+        # A gradiometer's constant is its own.
+        if table.attrs["table_id"] in by_states:
+            found, _ = errors(cat, made, day, constants=True)
+            constant.append(found["field_spacecraft"].mean(axis=0))
+            references.add(table.attrs["reference"])
+    assert len(constant) >= 2
+    assert len(references) == 1
+    assert np.ptp(constant, axis=0).max() < 0.15
+
+
+def test_units_of_all_windows_are_named_together(three):
+    cat, mission, _, _ = three
+    units = named_units(cat, mission, "main", None, None)
+    named = sorted(one["channels"][0] for one in units if one["channels"])
+    assert named == ["camera_current", "spectrometer_current", "transmitter_current"]
+    # The last of the windows that knew the unit tells its vector.
+    assert all(len(one["difference_nT"]) == 3 for one in units if one["channels"])
+
+
+def test_windows_learnt_from_one_by_one_are_the_same(three, tmp_path):
+    cat, _, _, _ = three
+    other, _, _, _ = daily(tmp_path / "w", 1)
+    for one, two in zip(tables_of(cat), tables_of(other), strict=True):
+        assert set(one) == set(two)
+        for name in one.variables:
+            np.testing.assert_array_equal(one[name].values, two[name].values)
+    for day, same in zip(*(c.days("l2/field", states=("published",)) for c in (cat, other)), strict=True):
+        assert cat.read(day)["field_spacecraft"].equals(other.read(same)["field_spacecraft"])
+
+
+def test_windows_are_not_learnt_from_again_when_the_one_before_them_is(three, tmp_path):
+    cat, mission, _, _ = three
+    other, _, made, _ = daily(tmp_path / "w", 1, start="2006-05-15")
+    settings, learnt = ReprocessSettings(table="daily", batch_days=1), []
+
+    def mapper(stage, work, arguments):
+        arguments = list(arguments)
+        learnt.extend(one[3][0] for one in arguments if stage == "calibrate")
+        return [work(*one) for one in arguments]
+
+    assert reprocess(other, mission, settings=settings, mapper=mapper).exit_code == 0
+    # Only the day that was not there; what comes after it is joined to it.
+    assert learnt == [np.datetime64("2006-05-14")]
+    for one, two in zip(tables_of(cat), tables_of(other), strict=True):
+        np.testing.assert_array_equal(one["number"].values, two["number"].values)
+        np.testing.assert_array_equal(one["correction"].values, two["correction"].values)
+    learnt.clear()
+    again = reprocess(other, mission, start="2006-05-15", settings=settings, mapper=mapper)
+    assert (again.days["unchanged"], again.days["done"], learnt) == (2, 0, [])
 
 
 def test_a_spacecraft_that_switches_nothing_is_left_alone(tmp_path):
