@@ -7,6 +7,7 @@ ages slowly, each time by less than the noise shows, and state too small an erro
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +15,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.training import Training, relative_to
+from inflight.dual.units import Occupancy
 
 #: Chance that the same state is not recognised in a later training, of all its states.
 _MISSED = 1e-3
@@ -111,22 +113,8 @@ def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int6
     Two units are the same when they are switched in the same of the states that both know, or in the other
     ones: which of its two states is "on" only a convention tells.
     """
-    before, after = earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]]
-    pairs, turned = [], np.zeros(len(later.unit), dtype=bool)
-    for one in range(before.shape[1]):
-        for other in range(after.shape[1]):
-            for sign in (1, -1):
-                away = before[:, one] - sign * after[:, other]
-                if len(matched) and np.ptp(before[:, one]) and not np.ptp(away):
-                    pairs.append((one, other))
-                    turned[other] = sign < 0
-    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    # Two that always switched together cannot be told apart: neither is the same as before for sure.
-    single = (np.bincount(found[:, 0], minlength=before.shape[1])[found[:, 0]] == 1) & (
-        np.bincount(found[:, 1], minlength=after.shape[1])[found[:, 1]] == 1
-    )
-    turned[found[~single, 1]] = False
-    number, free = _numbered(found[single], earlier.unit_number, len(later.unit), earlier.next_unit)
+    pairs, turned = _same_units(earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]])
+    number, free = _numbered(pairs, earlier.unit_number, len(later.unit), earlier.next_unit)
     sign = np.where(turned, -1, 1)
     occupancy = np.where(turned, later.occupancy.max(axis=0, initial=0) - later.occupancy, later.occupancy)
     known = replace(
@@ -139,8 +127,25 @@ def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int6
     )
     if not len(sign):
         return known
+    value = later.value * sign[:, None]
     joint = later.joint * sign[:, None, None, None] * sign[None, None, :, None]
-    return replace(known, design=occupancy.astype(np.float64), joint=joint)
+    return replace(known, design=occupancy.astype(np.float64), value=value, joint=joint)
+
+
+def _same_units(before: Occupancy, after: Occupancy) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return pairs of units that are switched in the same states (state, unit), and which are turned round."""
+    pairs, turned = [], np.zeros(after.shape[1], dtype=bool)
+    switching = [one for one in range(before.shape[1]) if len(before) and np.ptp(before[:, one])]
+    for one, other, sign in product(switching, range(after.shape[1]), (1, -1)):
+        if not np.ptp(before[:, one] - sign * after[:, other]):
+            pairs.append((one, other))
+            turned[other] = sign < 0
+    found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    # Two that always switched together cannot be told apart: neither is the same as before for sure.
+    first, second = (np.bincount(column)[column] if column.size else column for column in found.T)
+    single = (first == 1) & (second == 1)
+    turned[found[~single, 1]] = False
+    return found[single], turned
 
 
 def _with_constant(

@@ -28,6 +28,7 @@ _ARRAYS = {
     "unit_covariance": (("unit", "axis", "other"), "nT2"),
     "drift": (("axis",), "nT"),
     "design": (("state", "parameter"), ""),
+    "value": (("parameter", "axis"), "nT"),
     "joint": (("parameter", "axis", "other_parameter", "other"), "nT2"),
     "unit_number": (("unit",), ""),
 }

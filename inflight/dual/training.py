@@ -70,8 +70,8 @@ class Training:
     design : ndarray, shape (state, parameter)
         How often each fitted stray field is in a state: `occupancy`, or one of its own for each state where
         units are not known.
-    joint : ndarray, shape (parameter, axis, parameter, axis)
-        Covariance of the fitted stray fields at the outboard sensor, nT^2.
+    value, joint : ndarray, shape (parameter, axis) and (parameter, axis, parameter, axis)
+        The fitted stray fields at the outboard sensor, nT, and their covariance, nT^2.
     unit_number : ndarray of int64, shape (unit,)
         Of each unit; it stays with the unit through later trainings, as `number` with the state.
     next_number, next_unit : int
@@ -102,6 +102,7 @@ class Training:
     excess: float
     reason: str
     design: Floats
+    value: Floats
     joint: Floats
     unit_number: npt.NDArray[np.int64]
     next_number: int
@@ -236,6 +237,7 @@ def trained_from(
         excess=fit.excess,
         reason=units.reason,
         design=every.astype(np.float64) if of_units else design,
+        value=fit.value[: design.shape[1]],
         joint=fit.covariance[: design.shape[1], :, : design.shape[1]],
         unit_number=np.arange(len(units) if of_units else 0),
         next_number=count,
@@ -253,7 +255,7 @@ def relative_to(training: Training, reference: int) -> Training:
     covariance = np.einsum("sp,piqj,sq->sij", away, training.joint, away)
     return replace(
         training,
-        correction=training.correction - training.correction[row],
+        correction=away @ training.value,
         covariance=covariance,
         reference=reference,
         constant_known=False,
@@ -287,6 +289,7 @@ def no_states(readings: Readings, reason: str) -> Training:
         excess=1.0,
         reason=reason,
         design=np.zeros((0, 0)),
+        value=nothing,
         joint=np.zeros((0, 3, 0, 3)),
         unit_number=none,
         next_number=0,

@@ -255,7 +255,7 @@ def test_windows_learnt_from_one_by_one_are_the_same(three, tmp_path):
 
 def test_windows_are_not_learnt_from_again_when_the_one_before_them_is(three, tmp_path):
     cat, mission, _, _ = three
-    other, _, made, _ = daily(tmp_path / "w", 1, start="2006-05-15")
+    other, _, _, _ = daily(tmp_path / "w", 1, start="2006-05-15")
     settings, learnt = ReprocessSettings(table="daily", batch_days=1), []
 
     def mapper(stage, work, arguments):
