@@ -133,7 +133,7 @@ def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int6
 
 
 def _same_units(before: Occupancy, after: Occupancy) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return pairs of units that are switched in the same states (state, unit), and which are turned round."""
+    """Return pairs of units that switch in the same states (state, unit), and which are turned round."""
     pairs, turned = [], np.zeros(after.shape[1], dtype=bool)
     switching = [one for one in range(before.shape[1]) if len(before) and np.ptp(before[:, one])]
     for one, other, sign in product(switching, range(after.shape[1]), (1, -1)):
