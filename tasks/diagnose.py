@@ -149,7 +149,7 @@ def prepare(
         dataset = f"{dataset}-bursts"
     seen = switched_in(mission, plan, loaded.series)
     if seen is not None:
-        # Rows at switchings go, and where nobody recorded what switches, levels between are free.
+        # Rows at switchings go, and the levels between those that nobody recorded are free.
         plan = replace(plan, stretches=stretches_between(seen, plan))
         run, blocks = make_blocks(
             cat,

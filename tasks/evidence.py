@@ -40,7 +40,7 @@ from inflight.tasks.samples import load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 13
+EVIDENCE_VERSION = 14
 #: Days lose the bins without geometry when these are at most this part of them.
 _GEOMETRY_GAPS = 0.3
 #: Rows of the series are at least so far apart in long records, seconds.

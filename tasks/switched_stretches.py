@@ -12,6 +12,9 @@ from inflight.tasks.evidence import PassPlan
 from inflight.tasks.states_units import housekeeping, is_told_by_states
 from inflight.time import SECOND, day_bounds
 
+#: A stretch between unexplained switchings is cut to this, s.
+_LONGEST_S = 3 * 3600
+
 
 def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | None:
     """Return the switchings in the residual of a pass without stretches.
@@ -48,13 +51,11 @@ def stretches_between(found: Switched, plan: PassPlan) -> Stretches:
 
     A channel is late or early by some of its own cadence: around every switching the residual holds what
     the channel does not tell of, in proportion to the field that the calibration rests on. These rows go.
-    Days are looked at one by one, and end a stretch, too; with housekeeping of everything none has a
-    level of its own.
+    Offsets wander by hours, which no scatter between blocks tells of: no stretch is longer than some of them.
     """
     half = plan.cadence_ns * plan.series_step // 2
     lost = tuple(zip((found.last + half).tolist(), (found.first - half).tolist(), strict=True))
-    if not found.unexplained:
-        return Stretches((), lost)
-    days = [day_bounds(day)[0] for day in plan.days]
+    step = _LONGEST_S * SECOND
+    regular = [at for day in plan.days for at in range(day_bounds(day)[0], day_bounds(day)[1], step)]
     middle = found.last + (found.first - found.last) // 2
-    return Stretches(tuple(sorted({*days, *middle[~found.follows].tolist()})), lost)
+    return Stretches(tuple(sorted({*regular, *middle[~found.follows].tolist()})), lost)

@@ -26,7 +26,7 @@ class Stretches:
     Attributes
     ----------
     edges : tuple of int
-        TT2000 at which a stretch ends and the next begins; none when the level is nowhere free.
+        TT2000 at which a stretch ends and the next begins.
     lost : tuple of (int, int)
         Closed TT2000 spans that are in no stretch: something switches there.
     """
@@ -48,9 +48,6 @@ class Stretches:
         out = np.full(flat.shape, np.nan)
         used = good & ~self.is_lost(stamps)
         kept = flat[used]
-        if not self.edges:
-            out[used] = kept
-            return out.reshape(values.shape)
         place = np.searchsorted(np.asarray(self.edges, dtype=np.int64), stamps[used], side="right")
         begins = np.flatnonzero(np.diff(place, prepend=-1))
         if begins.size:

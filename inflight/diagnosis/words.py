@@ -114,6 +114,9 @@ def _percent(share: float) -> str:
 
 def _may_stand_in(told: Mapping[str, Any]) -> bool:
     """Return True when as much structure is left as a good part of the smallest effect taken."""
+    signature = told["signature"]
+    if signature is not None and signature.switchings:
+        return False
     smallest = min(effect.rms_nT for effect in told["effects"])
     return bool(told["residual"].get("structure_nT", 0.0) > _GOOD_PART * smallest)
 

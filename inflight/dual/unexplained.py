@@ -113,15 +113,16 @@ def switched(
         return None
     first, last = _joined(places)
     step, rows = _steps(difference, first, last)
-    changes = [_changes(channels[name], first, last, reach[name]) for name in sorted(channels)]
-    used = [one for one in changes if np.count_nonzero(one[0]) >= _FEWEST]
+    changes = {name: _changes(channels[name], first, last, reach[name]) for name in sorted(channels)}
+    names = [name for name, one in changes.items() if np.count_nonzero(one[0]) >= _FEWEST]
+    used = [changes[name] for name in names]
     change = np.stack([one[0] for one in used], axis=1) if used else np.zeros((first.size, 0))
     white = np.sqrt(np.trace(white_covariance(difference)) / 3.0)
     # A step's own noise at least: where all steps agree by chance there is no smaller scatter.
     least = float(white * np.sqrt(2.0 / np.median(rows)))
     left, scatter = _regressed(step, change, np.array([one[1] for one in used]), least)
     follows = np.linalg.norm(left, axis=1) <= _DISAGREES * scatter
-    spread = 1 + max(reach.values(), default=0) * follows
+    spread = 1 + max((reach[name] for name in names), default=0) * follows
     before, after = np.maximum(first - spread, 0), np.minimum(last + spread - 1, stamps.size - 1)
     return Switched(stamps[before], stamps[after], follows, left, float(np.median(scatter)))
 
