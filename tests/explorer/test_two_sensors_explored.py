@@ -1,0 +1,39 @@
+"""Two sensors on one boom in the explorer: what the page of `inflight compare` shows, units and verdict too."""
+
+from pathlib import Path
+
+import numpy as np
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.explorer.sitting import Days, Sitting
+from inflight.simulate.dual import DualSettings
+from inflight.tasks.ingest import ingest
+from inflight.tasks.reprocess import reprocess
+from inflight.tasks.simulate_dual import simulate_dual
+
+MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
+
+
+def test_states_units_and_verdict_are_shown(tmp_path):
+    source = tmp_path / "boom.yaml"
+    text = MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", "cadence: 4 s")
+    source.write_text(text, encoding="utf-8")
+    made = Workspace.create(tmp_path / "w", source)
+    simulate_dual(DualSettings(days=1, seed=41, overrides={"cadence": 4.0}), made.data, workers=1)
+    ingest(Catalog(made.root), made.mission(), made.data)
+    reprocess(Catalog(made.root), made.mission())
+    sitting = Sitting(made)
+    try:
+        day = np.datetime64("2006-05-14")
+        shown = dict(sitting.compare("main", Days(day, day), lambda stage, done, total: None))
+        told = {heading: make() for heading, make in shown.items()}
+    finally:
+        sitting.close()
+    assert list(told) == ["Steps at switchings", "Where it fails", "States", "Units", "Before and after"]
+    assert "held out" in " ".join(told["Steps at switchings"][0])
+    units = " ".join(told["Units"][0])
+    assert "spectrometer_current" in units
+    assert "a unit without housekeeping" in units
+    assert len(told["States"][1]) == 4
+    assert len(told["Before and after"][1]) == 4
