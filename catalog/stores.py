@@ -94,6 +94,10 @@ class Store:
     def whole(self, name: str) -> Array:
         """Return the decoded values of a variable without rows."""
         variable = self.variables[name]
+        if not all(variable.shape):
+            # Of nothing no chunk is written: a table of states without units is whole.
+            nothing = np.empty(variable.shape, dtype=np.dtype(variable.encoding.stored))
+            return variable.encoding.decode(nothing)
         values = variable.encoding.decode(self._chunk(variable, (0,) * len(variable.shape)))
         # A single number is stored as one value.
         return values if variable.dims else values.reshape(())

@@ -39,8 +39,8 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
     if mission.comparisons[comparison].kind == "spin":
         if any(newest_table(cat, f"{comparison}-{name}") is None for name in TABLES):
             return []
-        parts = spin_table_parts(SpinResults.of(cat, mission, comparison))
-        return [(part.heading, part.text, part.plots) for part in parts if part.text or part.plots]
+        told = spin_table_parts(SpinResults.of(cat, mission, comparison))
+        return [(part.heading, part.text, part.plots) for part in told if part.text or part.plots]
     if comparison in dual_comparisons(mission):
         return [(part.heading, part.text, part.plots) for part in dual_parts(cat, comparison)[1]]
     out = _parameters(cat, comparison)
