@@ -13,11 +13,13 @@ from inflight.catalog import Catalog
 from inflight.derived import Part, parse, product
 from inflight.diagnosis.coarse import channel_on, grid
 from inflight.diagnosis.library import Told
+from inflight.dual.levels import without_noise
 from inflight.effects.families import NO_CAUSE
 from inflight.geometry import add_geometry
 from inflight.mission import Mission
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.needs import Need, channel_homes
+from inflight.tasks.states_units import is_told_by_states
 from inflight.tasks.turning import Turning
 from inflight.time import SECOND, Int64, day_bounds
 
@@ -50,6 +52,10 @@ class ChannelReader:
     span: tuple[int, int]
     comparison: str = "main"
     _read: dict[np.datetime64, dict[str, Floats]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        #: Where currents stand for fields many times the noise, their own noise must not.
+        self._by_levels = is_told_by_states(self.mission, self.comparison)
 
     @property
     def scalars(self) -> list[str]:
@@ -107,6 +113,8 @@ class ChannelReader:
                 if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
                     cadence = max(cadence, self.cadence_ns + 1)
                 values, stamps = data[need.channel].values, data["tt2000"].values
+                if self._by_levels and values.ndim == 1:
+                    values = without_noise(np.asarray(values, dtype=np.float64))
                 if turning is not None and turning.is_seen_by(cadence):
                     # One instrument's channels have the same stamps.
                     phase = turning.phase(stamps) if phase is None else phase

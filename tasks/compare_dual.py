@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -26,21 +25,14 @@ from inflight.dual.residual_steps import (
     switchings,
 )
 from inflight.errors import CatalogError
-from inflight.figures.dual_states import (
-    PLANES,
-    before_after_figure,
-    difference_figure,
-    steps_figure,
-    timeline_figure,
-)
-from inflight.figures.page import Later, html_table
 from inflight.mission import Mission
+from inflight.tasks.compare_dual_page import states_parts, told_of_day
 from inflight.tasks.compare_page import Compared
 from inflight.tasks.compare_rows import scalar_channels
 from inflight.tasks.planning import product_of
 from inflight.tasks.report import Progress
 from inflight.tasks.states_units import channel_changes, unit_signs
-from inflight.time import SECOND, DayLike, Int64, to_utc, usual_step
+from inflight.time import SECOND, DayLike, Int64, usual_step
 
 #: Points of a curve that a browser can draw.
 _POINTS = 20_000
@@ -123,7 +115,7 @@ class DualCompareReport:
                 "switchings": int(sum(len(one.at) for one in self.days)),
                 "note": "" if known else _NO_SWITCHING,
             },
-            "by_day": [_told_of_day(one) for one in self.days],
+            "by_day": [told_of_day(one) for one in self.days],
             "fails_where": [
                 {
                     "coordinate": one.coordinate,
@@ -246,92 +238,3 @@ def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[R
         usual = float(np.nanmax(np.abs(change), initial=0.0))
         if found is not None and found.is_clear and np.abs(found.value).max() * usual > floor:
             yield found, f"nT/{known[name][2].unit if name in known else 'unit'}"
-
-
-def _told_of_day(one: DualDayRows) -> dict[str, Any]:
-    return {
-        "day": str(one.day.day),
-        "version": one.day.version,
-        "before_nT": rms(one.before),
-        "after_nT": rms(one.after),
-        "noise_floor_nT": rms(one.quiet),
-        "switchings": len(one.at),
-        "applied": one.applied,
-        "method": one.method,
-    }
-
-
-def states_parts(report: DualCompareReport) -> list[Later]:
-    """Return everything that is shown of two sensors, as the page and the explorer have it."""
-    return [
-        ("Steps at switchings", lambda: (_residual_text(report), _step_figures(report))),
-        ("Where it fails", lambda: (_fails_text(report), [])),
-        ("States", lambda: (_states_text(report), _state_figures(report))),
-        ("Before and after", lambda: ([], _series_figures(report))),
-    ]
-
-
-def _residual_text(report: DualCompareReport) -> list[str]:
-    rows = [
-        (
-            one["day"],
-            one["method"],
-            one["applied"],
-            str(one["switchings"]),
-            *(f"{one[name]:.4f}" for name in ("before_nT", "after_nT", "noise_floor_nT")),
-        )
-        for one in map(_told_of_day, report.days)
-    ]
-    head = ("day", "method", "applied", "switchings", "as measured, nT", "corrected, nT", "floor, nT")
-    told = [
-        "The ambient field does not know when the spacecraft switches. Without a stray field it steps "
-        "there no more than elsewhere: that is the floor. A constant error is not in these numbers."
-    ]
-    told += [escape(reason) for reason in sorted({one.reason for one in report.days if one.reason})]
-    return [*told, html_table(head, rows)]
-
-
-def _step_figures(report: DualCompareReport) -> list[Any]:
-    parts = report.joined("difference"), report.joined("before"), report.joined("after")
-    return [steps_figure(*parts, axis) for axis in range(3)] if len(parts[0]) else []
-
-
-def _fails_text(report: DualCompareReport) -> list[str]:
-    if not report.fails_where:
-        return ["No state, unit or current goes with what is left at the switchings, by four sigma."]
-    listed = "".join(f"<li>{escape(one.told(unit))}</li>" for one, unit in report.fails_where)
-    return [f"<ol>{listed}</ol>"]
-
-
-def _states_text(report: DualCompareReport) -> list[str]:
-    seconds: dict[int, float] = {}
-    for one in report.days:
-        for state, begin, end in zip(
-            one.stretches.state.tolist(), one.stretches.begin, one.stretches.end, strict=True
-        ):
-            seconds[state] = seconds.get(state, 0.0) + float(end - begin) / SECOND
-    rows = [
-        ({-1: "unknown", -2: "transient"}.get(state, str(state)), f"{time / 3600.0:.2f}")
-        for state, time in sorted(seconds.items())
-    ]
-    return [html_table(("state", "hours"), rows)]
-
-
-def _state_figures(report: DualCompareReport) -> list[Any]:
-    parts = [one.stretches for one in report.days]
-    begin, end, state, sure, mean = (
-        np.concatenate([getattr(one, name) for one in parts])
-        for name in ("begin", "end", "state", "probability", "difference")
-    )
-    settled = state != -2
-    centre, covariance = np.empty((0, 3)), np.empty((0, 3, 3))
-    if report.table is not None and "centre" in report.table:
-        centre, covariance = report.table["centre"].values, report.table["centre_covariance"].values
-    planes = [difference_figure(mean[settled], state[settled], centre, covariance, plane) for plane in PLANES]
-    return [*planes, timeline_figure(to_utc(begin), to_utc(end), state, sure)]
-
-
-def _series_figures(report: DualCompareReport) -> list[Any]:
-    time = to_utc(np.concatenate([one.stamps for one in report.days]))
-    outboard, field = report.joined("outboard"), report.joined("field")
-    return [before_after_figure(time, outboard, field, axis) for axis in range(3)]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.catalog import Catalog
 from inflight.comparison import folding_of
 from inflight.diagnosis.bursts import MOST
 from inflight.diagnosis.candidates import make_library
@@ -18,19 +18,20 @@ from inflight.diagnosis.diagnosis import Diagnosis
 from inflight.diagnosis.library import Term
 from inflight.diagnosis.search import Rules, Search
 from inflight.diagnosis.verdict import Material, conclude
+from inflight.dual.unexplained import Switched
 from inflight.effects.families import channels_of
-from inflight.errors import CatalogError, WorkerError
+from inflight.errors import CatalogError
 from inflight.geometry import GEOMETRY
 from inflight.mission import Mission
 from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.calibrate import Job
 from inflight.tasks.channels import ChannelReader
-from inflight.tasks.delivery import each_result
-from inflight.tasks.evidence import Loaded, PassPlan, evidence_batch, load_evidence
+from inflight.tasks.evidence import Loaded, PassPlan, load_evidence
+from inflight.tasks.evidence_pass import make_blocks
 from inflight.tasks.models import UsedModel, current_model
 from inflight.tasks.needs import Need, base_role, channel_needs, needs_of, position_channel
 from inflight.tasks.report import Progress
 from inflight.tasks.survey import MEMORY_S, Survey, block_parts, cadence_for, placebo_shifts, survey
+from inflight.tasks.switched_stretches import stretches_between, switched_in
 from inflight.tasks.turning import shows_spin
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
@@ -79,6 +80,7 @@ class Prepared:
     context: str
     run: str
     days_failed: int
+    switched: Switched | None = None
 
 
 def diagnose(
@@ -133,16 +135,37 @@ def prepare(
     plan = narrow(made.plan) if narrow else made.plan
     context = cat.save_context(mission.text, made.used.model.name, made.used.version, {})
     dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
-    run, blocks = _pass(cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell)
+    run, blocks = make_blocks(
+        cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell
+    )
     loaded = load_evidence(cat, plan, blocks)
     if loaded.outliers.share > MOST:
         # So much of a span is no outlier: the evidence with it stands beside the one without.
         plan = replace(plan, keep_bursts=True)
-        run, blocks = _pass(
+        run, blocks = make_blocks(
             cat, mission, plan, made.index, made.base, settings, context, f"{dataset}-bursts", client, tell
         )
         loaded = load_evidence(cat, plan, blocks)
-    return Prepared(plan, made.used, made.survey, loaded, context, run, len(plan.blocks) - len(blocks))
+        dataset = f"{dataset}-bursts"
+    seen = switched_in(mission, plan, loaded.series)
+    if seen is not None:
+        # Rows at switchings go, and the levels between those that nobody recorded are free.
+        plan = replace(plan, stretches=stretches_between(seen, plan))
+        run, blocks = make_blocks(
+            cat,
+            mission,
+            plan,
+            made.index,
+            made.base,
+            settings,
+            context,
+            f"{dataset}-stretches",
+            client,
+            tell,
+        )
+        loaded = load_evidence(cat, plan, blocks)
+    failed = len(plan.blocks) - len(blocks)
+    return Prepared(plan, made.used, made.survey, loaded, context, run, failed, seen)
 
 
 @dataclass(frozen=True)
@@ -260,73 +283,6 @@ def _plan(
     )
 
 
-def _pass(
-    cat: Catalog,
-    mission: Mission,
-    plan: PassPlan,
-    index: ArchiveIndex,
-    base: Need,
-    settings: DiagnoseSettings,
-    context: str,
-    dataset: str,
-    client: Any,
-    tell: Progress,
-) -> tuple[str, list[Day]]:
-    """Make the blocks that are missing or out of date; return the run and all blocks' days."""
-    keys, parents = {}, {}
-    for block in plan.blocks:
-        sources = [
-            source for day in block for source in index.sources([*plan.needs, *plan.channel_needs], day, base)
-        ]
-        unique = sorted({source.key for source in sources})
-        keys[block[0]] = idempotency_key(dataset, block[0], 0, context, [plan.key, *unique])
-        parents[block[0]] = tuple(sorted({source.id for source in sources}))
-    there = {day.day: day for day in cat.days(dataset, states=("published",))}
-    kept = {day: there[day] for day in keys if day in there and there[day].key == keys[day]}
-    todo = [block[0] for block in plan.blocks if block[0] not in kept]
-    if not todo:
-        return "", [kept[day] for day in sorted(kept)]
-    with cat.run("diagnose", settings.model_dump(), context=context) as run:
-        offered = run.adoptable(dataset)
-        for day in list(todo):
-            adopted = run.adopt(dataset, day, keys[day]) if (day, keys[day]) in offered else None
-            if adopted is not None:
-                kept[day] = adopted
-                todo.remove(day)
-        size = settings.batch_blocks
-        batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
-        jobs = [
-            Job(batch, _of(keys, batch), _of(parents, batch), index, plan.needs, run.id, dataset)
-            for batch in batches
-        ]
-        tell("pass", 0, len(todo))
-        done = 0
-        failures: dict[str, str] = {}
-        for job, outcome in zip(
-            jobs,
-            each_result(client, evidence_batch, [(cat, mission, plan, index, job) for job in jobs]),
-            strict=True,
-        ):
-            if outcome.segment is not None:
-                kept |= {day.day: day for day in run.attach(outcome.segment)}
-            for day, failure in outcome.failures.items():
-                run.record(dataset, day, "failed", failure.cause, failure.message)
-                failures[str(day)] = failure.message
-            done += len(job.days)
-            tell("pass", done, len(todo))
-        if not kept:
-            raise WorkerError(
-                f"no block of the span could be made; the first: {next(iter(failures.values()))}",
-                remedy="see the message; 'inflight compare' shows single days",
-            )
-        run.publish(supersede=True)
-        return run.id, [kept[day] for day in sorted(kept)]
-
-
-def _of(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
-    return {day: told[day] for day in days}
-
-
 def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
     """Return a search over the evidence, nothing taken yet."""
     raw = made.loaded.raw
@@ -394,4 +350,5 @@ def material_of(made: Prepared, mission: Mission) -> Material:
         made.run,
         made.plan.memory_s,
         made.loaded.outliers,
+        switched=made.switched,
     )

@@ -25,6 +25,7 @@ from inflight.diagnosis.evidence import Evidence
 from inflight.diagnosis.gram import gram_of, parts_of, prewhiten
 from inflight.diagnosis.library import Library, Told
 from inflight.diagnosis.series import Features, Series, features_of, pack_blocks, thin
+from inflight.diagnosis.stretches import Stretches
 from inflight.folding import FOLDING_VERSION, Folding
 from inflight.geometry import GEOMETRY, add_geometry
 from inflight.mission import Mission
@@ -39,7 +40,7 @@ from inflight.tasks.samples import load_samples
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Bumped by hand when the numbers of the evidence change.
-EVIDENCE_VERSION = 12
+EVIDENCE_VERSION = 14
 #: Days lose the bins without geometry when these are at most this part of them.
 _GEOMETRY_GAPS = 0.3
 #: Rows of the series are at least so far apart in long records, seconds.
@@ -85,6 +86,8 @@ class PassPlan:
     told : mapping of str to Told
     keep_bursts : bool
         Bursts are counted and stay in.
+    stretches : Stretches, optional
+        Each has a level of its own: something nobody recorded switches between them.
     """
 
     model: Model
@@ -99,6 +102,7 @@ class PassPlan:
     memory_s: float
     told: Mapping[str, Told]
     keep_bursts: bool = False
+    stretches: Stretches | None = None
 
     @property
     def scale(self) -> list[float]:
@@ -121,7 +125,11 @@ class PassPlan:
     @property
     def kept(self) -> RowFilter | None:
         """The filter residuals and columns go through."""
-        return self.folding or (self.model.layout.band if self.model.layout is not None else None)
+        return (
+            self.folding
+            or self.stretches
+            or (self.model.layout.band if self.model.layout is not None else None)
+        )
 
     @property
     def within_blocks(self) -> bool:
@@ -143,6 +151,7 @@ class PassPlan:
             "span": self.span,
             "means": {name: one.mean for name, one in self.told.items()},
             "keep_bursts": self.keep_bursts,
+            "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,
         }
         return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -263,6 +272,9 @@ def day_rows(
     """Return a day's rows on the library's cadence, and sums over its native samples."""
     samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
     native = rows_of(made.model, samples)
+    if made.stretches is not None:
+        lost = made.stretches.is_lost(samples["tt2000"].values)
+        native = replace(native, good=native.good & ~lost)
     if made.folding is not None:
         # What a sensor reads that turns in the steady field: effects are linearised there.
         steady = samples.assign(vector=(samples["vector"].dims, native.field, samples["vector"].attrs))
@@ -277,11 +289,21 @@ def day_rows(
     recorded = derived.reader.day(day)
     rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
     rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
+    if made.stretches is not None:
+        rows = _in_stretches(rows, made.stretches)
     if made.folding is None:
         sums |= floor_of_samples(native.residual, native.good, samples["tt2000"].values)
     else:
         sums |= floor_of_turns(samples, native.good, made.folding.sectors)
     return rows, sums
+
+
+def _in_stretches(rows: Rows, stretches: Stretches) -> Rows:
+    """Return rows whose residual is relative to its stretch; those in none weigh nothing."""
+    stamps = rows.samples["tt2000"].values
+    weight = np.where(stretches.is_lost(stamps), 0.0, rows.weight)
+    residual = np.nan_to_num(stretches.keep(rows.residual, stamps, weight > 0))
+    return replace(rows, residual=residual, weight=weight, kept=stretches)
 
 
 def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:

@@ -45,7 +45,7 @@ def spin_report(
         When none is published.
     """
     found = SpinResults.of(cat, mission, comparison)
-    parts = (_twelve(found), _days(found), _estimates(found), _zero(found), _phase(found))
+    parts = spin_table_parts(found)
     if output is not None:
         title = f"{mission.mission}: calibration by the spin, {found.span[0]} to {found.span[1]}"
         footer = f"{len(found.days)} days; inflight {__version__}. {mission.acknowledgement}"
@@ -61,6 +61,11 @@ def spin_report(
         "sections": {part.key: part.fields | {"absent": part.absent} for part in parts},
         "path": str(output) if output else "",
     }
+
+
+def spin_table_parts(found: SpinResults) -> list[Part]:
+    """Return everything that is shown of a turning sensor's tables."""
+    return [_twelve(found), _days(found), _estimates(found), _zero(found), _phase(found)]
 
 
 def _twelve(found: SpinResults) -> Part:

@@ -14,6 +14,8 @@ from inflight.mission import Mission
 from inflight.tasks.chain_report import chain_report
 from inflight.tasks.dual_report import dual_parts
 from inflight.tasks.reprocess_dual import dual_comparisons
+from inflight.tasks.spin_report import spin_table_parts
+from inflight.tasks.spin_results import TABLES, SpinResults
 from inflight.tasks.states_units import is_told_by_states
 from inflight.time import to_utc
 
@@ -34,6 +36,11 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
     if is_told_by_states(mission, comparison):
         # What a table of states says is told beside what it does to the measurements.
         return []
+    if mission.comparisons[comparison].kind == "spin":
+        if any(newest_table(cat, f"{comparison}-{name}") is None for name in TABLES):
+            return []
+        told = spin_table_parts(SpinResults.of(cat, mission, comparison))
+        return [(part.heading, part.text, part.plots) for part in told if part.text or part.plots]
     if comparison in dual_comparisons(mission):
         return [(part.heading, part.text, part.plots) for part in dual_parts(cat, comparison)[1]]
     out = _parameters(cat, comparison)

@@ -156,7 +156,7 @@ def coarsen(
     -------
     Rows, dict
         The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
-        the scatter within bins, nT^2, ``spikes``; and of `inflight.diagnosis.bursts.told_of`.
+        the scatter within bins, of one row, nT^2, ``spikes``; and of `inflight.diagnosis.bursts.told_of`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     usable = rows.good & np.isfinite(rows.residual).all(axis=1)
@@ -193,7 +193,8 @@ def coarsen(
     sums = {
         "count": float(good.sum()),
         "square": square,
-        "inside": max(inside, 0.0),
+        # A row's own, as all other sizes are.
+        "inside": max(inside, 0.0) / rows.residual.shape[1],
         "spikes": float((usable & single).sum()),
     } | told
     return Rows(xr.Dataset(data), residual, directions, turn, weight, rows.kept), sums

@@ -65,7 +65,7 @@ class Signature:
     `amplitude_nT` and `amplitudes` (by axis, with sigma) of a period are half of peak to peak of the folded
     curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
     fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
-    bound it.
+    bound it. Of a unit without housekeeping `switchings` tells how often two sensors saw it switch.
     """
 
     period_s: float | None = None
@@ -81,6 +81,7 @@ class Signature:
     steps: Mapping[str, Sequence[float]] = field(default_factory=dict)
     faster_than_s: float | None = None
     periods_s: tuple[float, float] | None = None
+    switchings: int | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields by name."""

@@ -18,6 +18,7 @@ from inflight.diagnosis.scoring import Present, folds_of, score
 from inflight.diagnosis.search import Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.uncorrected import Uncorrected, known_evidence, uncorrected
+from inflight.dual.unexplained import Switched
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.noise import NoiseFloor
@@ -49,6 +50,9 @@ class Material:
         What the pass left out.
     gaps : Uncorrected, optional
         Rows that count in no size, and weigh nothing in the series (see `of_known_rows`).
+    switched : Switched, optional
+        Switchings that two sensors show; residuals are relative to the stretches between those that no
+        channel follows.
     """
 
     mission: Mission
@@ -64,6 +68,7 @@ class Material:
     memory_s: float = 600.0
     outliers: Outliers = field(default_factory=Outliers)
     gaps: Uncorrected | None = None
+    switched: Switched | None = None
 
     @property
     def turn(self) -> dict[str, Floats]:

@@ -49,6 +49,8 @@ class Unknown:
         Of what is left, with its interval.
     has_band : bool
         Most of what is missing is too fast for the search and stands in one band no known period explains.
+    has_unit : bool
+        Two sensors show that something switches without housekeeping.
     """
 
     structure: Structure
@@ -57,19 +59,20 @@ class Unknown:
     noise: float
     floor: NoiseFloor
     has_band: bool = False
+    has_unit: bool = False
 
     @property
     def is_there(self) -> bool:
         """True when what is left may be more than noise: large, or not white beyond doubt."""
         coloured = self.structure.is_sure and self.structure.rms_nT > _WHITE * self.noise
-        return self.has_line or self.has_band or self.structure.is_large(self.noise) or coloured
+        certain = self.has_line or self.has_band or self.has_unit
+        return certain or self.structure.is_large(self.noise) or coloured
 
     @property
     def is_sure(self) -> bool:
         """True when what is left is more than noise beyond doubt."""
-        return (
-            self.has_line or self.has_band or (self.structure.is_sure and self.structure.is_large(self.noise))
-        )
+        certain = self.has_line or self.has_band or self.has_unit
+        return certain or (self.structure.is_sure and self.structure.is_large(self.noise))
 
 
 def look_at(search: Search, material: Material, last: Table, left: Floats, structure: Structure) -> Unknown:
@@ -80,6 +83,9 @@ def look_at(search: Search, material: Material, last: Table, left: Floats, struc
     if not noise > 0:
         good = material.series["weight"] > 0
         noise = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else float("nan")
+    unit = unit_unseen(material)
+    if unit is not None:
+        return Unknown(structure, False, unit, noise, floor, has_unit=True)
     line = _line(material, left)
     found = Unknown(structure, line is not None, line, noise, floor)
     if line is not None:
@@ -91,6 +97,20 @@ def look_at(search: Search, material: Material, last: Table, left: Floats, struc
         return found
     told = _hinted(search, last, structure)
     return replace(found, signature=told if fast is None else _fast(told, fast))
+
+
+def unit_unseen(material: Material) -> Signature | None:
+    """Return the signature of the unit without housekeeping that switches most often, of two sensors."""
+    if material.switched is None or not material.switched.unexplained:
+        return None
+    step, sigma, count = material.switched.units[0]
+    return Signature(
+        shape="unit without housekeeping",
+        axis="xyz"[int(np.argmax(np.abs(step)))],
+        amplitude_nT=float(np.abs(step).max()),
+        steps={name: (float(a), float(b)) for name, a, b in zip("xyz", step, sigma, strict=True)},
+        switchings=count,
+    )
 
 
 def _is_news(material: Material, fast: Fast) -> bool:

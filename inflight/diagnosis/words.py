@@ -114,6 +114,9 @@ def _percent(share: float) -> str:
 
 def _may_stand_in(told: Mapping[str, Any]) -> bool:
     """Return True when as much structure is left as a good part of the smallest effect taken."""
+    signature = told["signature"]
+    if signature is not None and signature.switchings:
+        return False
     smallest = min(effect.rms_nT for effect in told["effects"])
     return bool(told["residual"].get("structure_nT", 0.0) > _GOOD_PART * smallest)
 
@@ -151,12 +154,25 @@ def _of_effect(effect: FoundEffect) -> str:
 def _of_signature(signature: Signature | None) -> str:
     if signature is None:
         return "structure without a clear shape"
+    if signature.switchings:
+        return _of_unit(signature)
     if signature.period_s:
         text = f"it repeats every {signature.period_s:.5g} s {_where(signature)}"
         return text + _shape(signature)
     if signature.faster_than_s:
         return _of_fast(signature)
     return _of_hint(signature)
+
+
+def _of_unit(signature: Signature) -> str:
+    often = "once" if signature.switchings == 1 else f"{signature.switchings} times"
+    steps = [
+        f"{size:+.3g} +- {sigma:.2g} nT on {name}" for name, (size, sigma) in signature.steps.items() if sigma
+    ]
+    return (
+        f"a unit without housekeeping was seen to switch {often}, which steps the difference of both sensors "
+        f"by {', '.join(steps)}; no channel changes with it, and the sizes are those between its switchings"
+    )
 
 
 def _where(signature: Signature) -> str:

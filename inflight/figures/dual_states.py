@@ -7,12 +7,12 @@ from itertools import cycle, islice
 
 import numpy as np
 import numpy.typing as npt
-from bokeh.models import ColumnDataSource
+from bokeh.models import ColumnDataSource, FixedTicker
 from bokeh.palettes import Category20_20
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import AFTER, BEFORE, REFERENCE, place_legend, plain_figure
+from inflight.figures.style import AFTER, BEFORE, COMPONENTS, REFERENCE, legend_below, plain_figure
 
 Ints = npt.NDArray[np.int64]
 Times = npt.NDArray[np.datetime64]
@@ -21,6 +21,10 @@ PLANES = ((0, 1), (0, 2), (1, 2))
 _AXES = "xyz"
 #: Points drawn at most, and standard deviations of an ellipse.
 _POINTS, _SIGMAS = 6000, 2.0
+#: States with a number at the axis, about.
+_TICKS = 16
+#: Part of a plane's range around its outermost states.
+_ROOM = 0.25
 _ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
 
 
@@ -53,6 +57,8 @@ def difference_figure(
         f"difference along {_AXES[right]} (nT)",
         f"difference along {_AXES[up]} (nT)",
     )
+    # Numbers stand beside their states: those at the edge need room.
+    plot.x_range.range_padding = plot.y_range.range_padding = _ROOM
     colours = state_colours([*state.tolist(), *range(len(centre))])
     thin = slice(None, None, max(1, len(points) // _POINTS))
     source = ColumnDataSource(
@@ -102,6 +108,8 @@ def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) 
         }
     )
     plot.quad("left", "right", "top", "bottom", source=source, color="colour", alpha="alpha", line_width=0)
+    numbers = sorted(set(np.maximum(state, -1).tolist()))
+    plot.yaxis.ticker = FixedTicker(ticks=numbers[:: max(1, len(numbers) // _TICKS)])
     if (state < 0).any():
         plot.yaxis.major_label_overrides = {-1: "none"}
     return plot
@@ -112,7 +120,16 @@ def before_after_figure(time: Times, outboard: Floats, field: Floats, axis: int)
     plot = plain_figure(f"Outboard sensor along {_AXES[axis]}", "", "nT", x_axis_type="datetime", width=1130)
     for values, colour, label in ((outboard, BEFORE, "as measured"), (field, AFTER, "corrected")):
         plot.line(time, values[:, axis], color=colour, alpha=0.8, legend_label=label)
-    place_legend(plot)
+    legend_below(plot)
+    return plot
+
+
+def correction_figure(time: Times, taken_off: Floats) -> figure:
+    """Draw what was taken off the outboard reading, all three components (time, axis), nT."""
+    plot = plain_figure("What was taken off", "", "nT", x_axis_type="datetime", width=1130)
+    for axis, colour in enumerate(COMPONENTS):
+        plot.line(time, taken_off[:, axis], color=colour, legend_label=_AXES[axis])
+    legend_below(plot)
     return plot
 
 
@@ -136,5 +153,5 @@ def steps_figure(difference: Floats, outboard: Floats, corrected: Floats, axis: 
     known = difference[np.isfinite(difference[:, axis]), axis]
     if known.size:
         plot.line([known.min(), known.max()], [0.0, 0.0], color=REFERENCE, line_dash="dashed")
-    place_legend(plot, "top_left")
+    legend_below(plot)
     return plot

@@ -1,0 +1,192 @@
+"""What is shown of two sensors on one boom: steps, states, units, before and after."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.dual.naming import name_units
+from inflight.dual.residual_steps import rms
+from inflight.figures.dual_states import (
+    PLANES,
+    before_after_figure,
+    correction_figure,
+    difference_figure,
+    steps_figure,
+    timeline_figure,
+)
+from inflight.figures.page import Later, html_table
+from inflight.time import SECOND, to_utc
+
+if TYPE_CHECKING:
+    from inflight.tasks.compare_dual import DualCompareReport, DualDayRows
+
+
+def told_of_day(one: DualDayRows) -> dict[str, Any]:
+    """Return a day's steps before and after, and what was applied, as plain fields."""
+    return {
+        "day": str(one.day.day),
+        "version": one.day.version,
+        "before_nT": rms(one.before),
+        "after_nT": rms(one.after),
+        "noise_floor_nT": rms(one.quiet),
+        "switchings": len(one.at),
+        "applied": one.applied,
+        "method": one.method,
+    }
+
+
+def states_parts(report: DualCompareReport) -> list[Later]:
+    """Return everything that is shown of two sensors, as the page and the explorer have it."""
+    return [
+        ("Steps at switchings", lambda: (_residual_text(report), _step_figures(report))),
+        ("Where it fails", lambda: (_fails_text(report), [])),
+        ("States", lambda: (_states_text(report), _state_figures(report))),
+        ("Units", lambda: (_units_text(report), [])),
+        ("Before and after", lambda: ([], _series_figures(report))),
+    ]
+
+
+def _residual_text(report: DualCompareReport) -> list[str]:
+    rows = [
+        (
+            one["day"],
+            one["method"],
+            one["applied"],
+            str(one["switchings"]),
+            *(f"{one[name]:.4f}" for name in ("before_nT", "after_nT", "noise_floor_nT")),
+        )
+        for one in map(told_of_day, report.days)
+    ]
+    head = ("day", "method", "applied", "switchings", "as measured, nT", "corrected, nT", "floor, nT")
+    told = [
+        "The ambient field does not know when the spacecraft switches. Without a stray field it steps "
+        "there no more than elsewhere: that is the floor. A constant error is not in these numbers."
+    ]
+    told += [escape(reason) for reason in sorted({one.reason for one in report.days if one.reason})]
+    return [*told, html_table(head, rows)]
+
+
+def _step_figures(report: DualCompareReport) -> list[Any]:
+    parts = report.joined("difference"), report.joined("before"), report.joined("after")
+    return [steps_figure(*parts, axis) for axis in range(3)] if len(parts[0]) else []
+
+
+def _fails_text(report: DualCompareReport) -> list[str]:
+    if not report.fails_where:
+        return ["No state, unit or current goes with what is left at the switchings, by four sigma."]
+    listed = "".join(f"<li>{escape(one.told(unit))}</li>" for one, unit in report.fails_where)
+    return [f"<ol>{listed}</ol>"]
+
+
+def _states_text(report: DualCompareReport) -> list[str]:
+    """Return the states: how long and how often each held, its units, its difference and its correction."""
+    seconds: dict[int, float] = {}
+    times: dict[int, int] = {}
+    for one in report.days:
+        for state, begin, end in zip(
+            one.stretches.state.tolist(), one.stretches.begin, one.stretches.end, strict=True
+        ):
+            seconds[state] = seconds.get(state, 0.0) + float(end - begin) / SECOND
+            times[state] = times.get(state, 0) + 1
+    known = _of_states(report.table)
+    rows = [
+        (
+            {-1: "unknown", -2: "transient"}.get(state, str(state)),
+            *known.get(state, ("", "", "")),
+            str(times.get(state, 0)),
+            f"{seconds.get(state, 0.0) / 3600.0:.2f}",
+        )
+        for state in sorted({*seconds, *known})
+    ]
+    head = ("state", "units on", "difference x, y, z (nT)", "outboard x, y, z (nT)", "stretches", "hours")
+    return [
+        "A state is a point of the difference; its outboard field is relative to that of one state. Numbers "
+        "are those of the newest table.",
+        f'<div class="wide told">{html_table(head, rows)}</div>',
+    ]
+
+
+def _of_states(table: xr.Dataset | None) -> dict[int, tuple[str, str, str]]:
+    """Return units on, difference and outboard field of each state of a table, as text."""
+    if table is None or "occupancy" not in table:
+        return {}
+    return {
+        int(number): (
+            ", ".join(str(unit) for unit in np.flatnonzero(table["occupancy"].values[at] > 0.5)) or "none",
+            _vector(table["centre"].values[at]),
+            _vector(
+                table["correction"].values[at],
+                np.sqrt(np.clip(np.diag(table["covariance"].values[at]), 0.0, None)),
+            ),
+        )
+        for at, number in enumerate(table["number"].values)
+        if np.isfinite(table["centre"].values[at]).all()
+    }
+
+
+def _vector(value: Floats, sigma: Floats | None = None) -> str:
+    if sigma is None:
+        return ", ".join(f"{one:+.2f}" for one in value)
+    return ", ".join(f"{one:+.2f} ± {error:.2f}" for one, error in zip(value, sigma, strict=True))
+
+
+def _units_text(report: DualCompareReport) -> list[str]:
+    """Return the units whose sums make the states, and the channels behind them."""
+    table, signs = report.table, report.joined("signs")
+    if table is None or not signs.shape[1]:
+        return ["There are no units: nothing was seen to switch by itself."]
+    names = sorted({name for one in report.days for name in one.changes})
+    changes = {
+        name: np.concatenate([one.changes.get(name, np.full(len(one.at), np.nan)) for one in report.days])
+        for name in names
+    }
+    rows = []
+    for one in name_units(signs, changes):
+        if one.unit >= table.sizes.get("unit", 0):
+            continue
+        error = np.sqrt(np.clip(np.diag(table["unit_covariance"].values[one.unit]), 0.0, None))
+        rows.append(
+            (
+                str(one.unit),
+                escape(" or ".join(one.channels)) or "a unit without housekeeping",
+                str(one.switchings),
+                _vector(table["unit"].values[one.unit]),
+                _vector(table["unit_correction"].values[one.unit], error),
+                escape(one.reason),
+            )
+        )
+    head = (
+        "unit",
+        "switches with",
+        "switchings",
+        "difference x, y, z (nT)",
+        "outboard x, y, z (nT)",
+        "why no channel",
+    )
+    return [f'<div class="wide told">{html_table(head, rows)}</div>']
+
+
+def _state_figures(report: DualCompareReport) -> list[Any]:
+    parts = [one.stretches for one in report.days]
+    begin, end, state, sure, mean = (
+        np.concatenate([getattr(one, name) for one in parts])
+        for name in ("begin", "end", "state", "probability", "difference")
+    )
+    settled = state != -2
+    centre, covariance = np.empty((0, 3)), np.empty((0, 3, 3))
+    if report.table is not None and "centre" in report.table:
+        centre, covariance = report.table["centre"].values, report.table["centre_covariance"].values
+    planes = [difference_figure(mean[settled], state[settled], centre, covariance, plane) for plane in PLANES]
+    return [*planes, timeline_figure(to_utc(begin), to_utc(end), state, sure)]
+
+
+def _series_figures(report: DualCompareReport) -> list[Any]:
+    time = to_utc(np.concatenate([one.stamps for one in report.days]))
+    outboard, field = report.joined("outboard"), report.joined("field")
+    both = [before_after_figure(time, outboard, field, axis) for axis in range(3)]
+    return [*both, correction_figure(time, outboard - field)]
