@@ -1,4 +1,4 @@
-"""Zero levels and estimates of a spacecraft that flew before 2000, where TT2000 is negative; whole reasons."""
+"""Tables of a spacecraft that flew before 2000, where TT2000 is negative; reasons that are kept whole."""
 
 from pathlib import Path
 from types import SimpleNamespace
