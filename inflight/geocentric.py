@@ -25,7 +25,8 @@ FRAMES = ("gse", "gsm", "gei", "gcrf", "itrf")
 ASTRONOMICAL_UNIT = 149_597_870.7
 #: With the Sun nearer to the spin axis than this its projection tells no direction; sine of 5 degrees.
 _LEAST_PROJECTION = 0.087
-_J2000_YEARS = 10_957.5  # days from 1970 to J2000
+#: Days from 1970 to J2000.
+_J2000 = 10_957.5
 
 
 def dipole_axis(days: Floats) -> Floats:
@@ -39,7 +40,7 @@ def dipole_axis(days: Floats) -> Floats:
         UTC days since J2000.
     """
     epochs, coefficients = _first_degree()
-    at = [np.interp(days + _J2000_YEARS, epochs, one) for one in coefficients.T]
+    at = [np.interp(days + _J2000, epochs, one) for one in coefficients.T]
     axis = -np.stack(at, axis=1)
     return np.asarray(axis / np.linalg.norm(axis, axis=1, keepdims=True))
 

@@ -102,7 +102,7 @@ def _table(rows: Sequence[tuple[int, int, Flipped]], model: Model) -> xr.Dataset
             "value": (each, np.array([row[2].value for row in rows]), {"units": "nT"}),
             "sigma": (each, np.array([row[2].sigma for row in rows]), {"units": "nT"}),
             "covariance": ((*each, "other"), np.array([row[2].covariance for row in rows])),
-            "told": (one, np.array([row[2].told() for row in rows], dtype="U240")),
+            "told": (one, np.array([row[2].told() for row in rows], dtype=np.str_)),
             "units": ("parameter", np.array(["nT"] * len(PARTS), dtype="U8")),
             "start": (one, np.array([row[0] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "end": (one, np.array(ends, dtype=np.int64), {"scale": "TT2000"}),

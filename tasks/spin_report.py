@@ -285,8 +285,11 @@ def _rates(table: xr.Dataset) -> dict[str, tuple[float, float]]:
 def _phase(found: SpinResults) -> Part:
     part = Part("phase", "Phase of the spin")
     items: list[dict[str, Any]] = []
-    for record, product in zip(found.records, found.products, strict=False):
-        flag = found.cat.read(product, ["flag"])["flag"].values
+    products = {product.day: product for product in found.products}
+    for record in found.records:
+        # A day whose product failed has its estimates all the same.
+        product = products.get(record.day)
+        flag = np.empty(0, np.uint32) if product is None else found.cat.read(product, ["flag"])["flag"].values
         items.append(
             {
                 "day": str(record.day),
@@ -301,7 +304,7 @@ def _phase(found: SpinResults) -> Part:
     rows = [
         (
             one["day"],
-            *(f"{100.0 * one[name]:.2f}" for name in ("bridged", "jump", "lost")),
+            *(_percent(one[name]) for name in ("bridged", "jump", "lost")),
             one["told"],
             one["sub_intervals"],
         )
@@ -312,5 +315,10 @@ def _phase(found: SpinResults) -> Part:
     return part
 
 
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2f}" if np.isfinite(share) else "no product"
+
+
 def _share(flag: np.ndarray, which: Flag) -> float:
-    return float(np.mean((flag & np.uint32(which)) != 0)) if flag.size else 0.0
+    """Return the part of samples that carry a flag; NaN without any."""
+    return float(np.mean((flag & np.uint32(which)) != 0)) if flag.size else float("nan")

@@ -16,6 +16,7 @@ from inflight.estimators.longrun import sigma_of_mean
 from inflight.figures.spin_estimates import Cloud
 from inflight.mission import Mission
 from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.spin.layout import Bools
 from inflight.spin.selection import choose
 from inflight.tasks.planning import equations_of, product_of
 from inflight.time import day_of
@@ -85,7 +86,7 @@ class SpinResults:
     @cached_property
     def cloud(self) -> Cloud:
         """All sub-intervals of all days, and those that a threshold chooses."""
-        kept = [day["sub_start"].values[0] > 0 for day in self.days]
+        kept = [_filled(day) for day in self.days]
 
         def joined(name: str) -> np.ndarray:
             return np.concatenate(
@@ -100,7 +101,7 @@ class SpinResults:
         own = self.tables["daily"]["own"].values[:, [NAMES.index(name) for name in SPIN_RELATED]]
         value, sigma = np.full(own.shape, np.nan), np.full(own.shape, np.inf)
         for row, day in enumerate(self.days):
-            which = day["sub_start"].values[0] > 0
+            which = _filled(day)
             one = cloud_of(
                 *(day[name].values[0][which] for name in ("sub_start", "sub_end", "estimate", "uncertainty"))
             )
@@ -108,6 +109,11 @@ class SpinResults:
             value[row] = one.value + np.nan_to_num(own[row] - day["value"].values[0])
             sigma[row] = one.sigma
         return value, sigma
+
+
+def _filled(day: xr.Dataset) -> Bools:
+    """Return which of a day's sub-intervals are any, (sub,): rows that fill up a store have no length."""
+    return np.asarray(day["sub_end"].values[0] > day["sub_start"].values[0])
 
 
 def cloud_of(start: np.ndarray, end: np.ndarray, estimate: Floats, uncertainty: Floats) -> Cloud:

@@ -209,11 +209,11 @@ def _table(rows: Sequence[_Row], entry: ModelEffect, attributes: Mapping[str, st
             "covariance": ((*each, "other"), np.array([row.covariance for row in rows])),
             "determined": (each, np.array([row.twelve.determined for row in rows])),
             "source": (each, np.where(from_ground, _PRIOR, _DATA).astype(np.int8)),
-            "origin": (each, np.array([row.twelve.source for row in rows], dtype="U64")),
+            "origin": (each, np.array([row.twelve.source for row in rows], dtype=np.str_)),
             "own": (each, np.array([row.own[0] for row in rows])),
             "own_sigma": (each, np.array([row.own[1] for row in rows])),
             "decision": (each, np.array([_decided(row)[0] for row in rows], dtype="U8")),
-            "reason": (each, np.array([_decided(row)[1] for row in rows], dtype="U200")),
+            "reason": (each, np.array([_decided(row)[1] for row in rows], dtype=np.str_)),
             "prior": ("parameter", ground.values()),
             "prior_sigma": ("parameter", np.array([sigma[name] for name in NAMES])),
             "units": ("parameter", np.array([UNITS[name] for name in NAMES], dtype="U8")),
@@ -265,8 +265,8 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
         {
             "value": (one, np.array([row[2].value for row in rows]), {"units": "nT"}),
             "sigma": (one, np.array([row[2].sigma for row in rows]), {"units": "nT"}),
-            "method": (one, np.array([row[2].method for row in rows], dtype="U64")),
-            "reason": (one, np.array([row[2].reason for row in rows], dtype="U400")),
+            "method": (one, np.array([row[2].method for row in rows], dtype=np.str_)),
+            "reason": (one, np.array([row[2].reason for row in rows], dtype=np.str_)),
             "method_value": (each, np.array([row[2].each[0] for row in rows]), {"units": "nT"}),
             "method_sigma": (each, np.array([row[2].each[1] for row in rows]), {"units": "nT"}),
             "method_used": (each, np.array([row[2].each[2] for row in rows])),
@@ -295,7 +295,7 @@ def _zero(days: Sequence[xr.Dataset], ground: TwelveParameters, bound: float) ->
     """Return a window's offset along the spin axis, of all methods and of each."""
     times = np.concatenate([day["mean_time"].values[0] for day in days])
     means = np.concatenate([day["mean"].values[0] for day in days])
-    known = (times > 0) & np.isfinite(means).all(axis=1)
+    known = np.isfinite(means).all(axis=1)
     times, means = _sorted(times[known], means[known])
     each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(METHODS))
     count, start = 0, float(ground.offset[2])

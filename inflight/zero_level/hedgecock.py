@@ -34,7 +34,7 @@ class AxisInTurn:
     history : ndarray, shape (round, 3)
         After each round.
     settled : bool
-        The last round moved less than 1e-3 nT.
+        The last round moved less than 1e-3 nT, and every axis has a zero.
     crossings : ndarray of int, shape (3,)
         Zeros of V within the bound in the last round; more than one is ambiguous.
     pairs : ndarray of int, shape (3,)
@@ -98,6 +98,7 @@ def axis_in_turn(
     bound : float
         Largest correction a round may make, nT.
     rounds : int
+        At least 1.
     axes : tuple of int
 
     Raises
@@ -109,7 +110,8 @@ def axis_in_turn(
     pairs_there = there[1:] & there[:-1]
     joined = np.asarray(pairs_there if joined is None else pairs_there & joined)
     offset, history = np.zeros(3), []
-    crossings, used, settled = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64), False
+    crossings, used = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.int64)
+    settled, lacking = False, np.zeros(3, dtype=np.bool_)
     for _ in range(rounds):
         before = offset.copy()
         for axis in axes:
@@ -121,12 +123,14 @@ def axis_in_turn(
                     remedy="take a longer span, or another axis",
                 )
             step, crossings[axis] = _zero(field - offset, axis, pairs, bound)
-            offset[axis] += step
-        history.append(offset.copy())
-        settled = bool(np.abs(offset - before).max() < _SETTLED)
-        if settled or not np.isfinite(offset).all():
+            # The other axes go on beside the correction that this one has so far.
+            lacking[axis] = not np.isfinite(step)
+            offset[axis] += 0.0 if lacking[axis] else step
+        history.append(np.where(lacking, np.nan, offset))
+        if np.abs(offset - before).max() < _SETTLED:
+            settled = not lacking.any()
             break
-    return AxisInTurn(offset, np.array(history), settled, crossings, used)
+    return AxisInTurn(history[-1], np.array(history), settled, crossings, used)
 
 
 def _zero(field: Floats, axis: int, pairs: Bools, bound: float) -> tuple[float, int]:

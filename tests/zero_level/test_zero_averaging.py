@@ -91,3 +91,12 @@ def test_one_axis_after_the_other_creeps_when_the_direction_varies_little():
     assert np.abs(quick).max() < 0.25
     _, mean = mission(np.random.default_rng(1), 6.0, 1.5, spread=0.15)
     assert not axis_in_turn(mean).settled
+
+
+def test_an_axis_without_a_zero_is_left_open_and_the_others_go_on():
+    _, mean = mission(np.random.default_rng(1), 6.0, 1.5)
+    found = axis_in_turn(mean + np.array([3.0, 0.0, 0.0]), bound=1.5)
+    np.testing.assert_array_equal(np.isnan(found.value), found.crossings == 0)
+    assert np.isnan(found.value[0])
+    assert np.isfinite(found.value[2])
+    assert not found.settled

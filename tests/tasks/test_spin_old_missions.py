@@ -1,0 +1,108 @@
+"""Tables of a spacecraft that flew before 2000, where TT2000 is negative; reasons that are kept whole."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import inflight.tasks.spin_tables as spin_tables
+from inflight.errors import CalibrationError
+from inflight.flags import Flag
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.tasks.spin_day import together
+from inflight.tasks.spin_report import _phase
+from inflight.tasks.spin_results import SpinResults
+from inflight.tasks.spin_tables import zero_level_table
+from inflight.time import SECOND, day_bounds
+
+ROOT = Path(__file__).parents[2] / "missions"
+OLD, NEW = np.datetime64("1974-12-15", "D"), np.datetime64("2012-03-01", "D")
+OFFSET = 1.5
+
+
+@pytest.fixture(scope="module")
+def model():
+    mission = Mission.parse((ROOT / "imp8.yaml").read_text(encoding="utf-8"))
+    return Model.parse((ROOT / "models/imp8-preflight.yaml").read_text(encoding="utf-8"), mission)
+
+
+def day_of(day, subs=3):
+    """A field of constant size whose direction wanders; an offset along the spin axis; and sub-intervals."""
+    generator = np.random.default_rng(3)
+    start, end = day_bounds(day)
+    walk = np.cumsum(generator.normal(size=(2880, 3)), axis=0) * 0.1
+    direction = np.array([2.0, -1.0, 1.0]) + walk - walk.mean(axis=0)
+    mean = 6.0 * direction / np.linalg.norm(direction, axis=1, keepdims=True) + [0.0, 0.0, OFFSET]
+    at = start + (np.arange(2880) * 30 + 15) * SECOND
+    cut = start + np.arange(subs + 1) * 300 * SECOND
+    sizes = np.full((1, subs, len(SPIN_RELATED)), 1e-5)
+    return xr.Dataset(
+        {
+            "start": ("block", np.array([start])),
+            "end": ("block", np.array([end])),
+            "mean": (("block", "mean_of", "axis"), mean[None]),
+            "mean_time": (("block", "mean_of"), at[None]),
+            "estimate": (("block", "sub", "parameter"), sizes * generator.normal(size=sizes.shape)),
+            "uncertainty": (("block", "sub", "parameter"), sizes),
+            "sub_start": (("block", "sub"), cut[None, :-1]),
+            "sub_end": (("block", "sub"), cut[None, 1:]),
+        }
+    )
+
+
+def test_the_offset_along_the_axis_is_the_same_whatever_the_year(model):
+    old, new = (zero_level_table([day_of(day)], model, [day, day + 1]) for day in (OLD, NEW))
+    assert int(old["intervals"].values[0]) == int(new["intervals"].values[0]) >= 90
+    assert np.isfinite(old["sigma"].values).all()
+    for name in ("value", "sigma"):
+        np.testing.assert_allclose(old[name].values, new[name].values, rtol=1e-9)
+
+
+def test_means_that_fill_up_a_store_are_left_out(model):
+    whole, short = day_of(OLD), day_of(OLD + 1).isel(mean_of=slice(0, 2000))
+    filled = together([whole, short])
+    plain, padded = (zero_level_table(days, model, [OLD, OLD + 2]) for days in ([whole, short], filled))
+    xr.testing.assert_identical(plain, padded)
+
+
+@pytest.mark.parametrize("day", [OLD, NEW])
+def test_sub_intervals_are_told_from_what_fills_up_a_store_in_any_year(day):
+    days = together([day_of(day, subs=30), day_of(day + 1, subs=20)])
+    found = SpinResults(None, None, "main", {}, days, [], [])
+    assert found.cloud.start.size == 50
+    assert found.cloud.chosen.any()
+
+
+def test_a_long_reason_is_kept_whole(model, monkeypatch):
+    message = "it is so because " + "one thing follows from another, " * 40 + "and here it ends"
+
+    def refused(*_):
+        raise CalibrationError(message, remedy="none")
+
+    monkeypatch.setattr(spin_tables, "combined", refused)
+    table = zero_level_table([day_of(NEW)], model, [NEW, NEW + 1])
+    assert str(table["reason"].values[0]) == message
+    source = "as told by " + "this and " * 20 + "that"
+    zero = table.assign(value=("interval", [1.0]), sigma=("interval", [0.1]), method=("interval", [source]))
+    told = day_of(NEW).assign(
+        value=(("block", "parameter"), np.zeros((1, 8))),
+        sigma=(("block", "parameter"), np.full((1, 8), np.inf)),
+        covariance=(("block", "parameter", "other"), np.eye(8)[None]),
+    )
+    twelve = spin_tables.spin_table([told], model, [NEW, NEW + 1], "daily", zero)
+    assert str(twelve["origin"].values[0, NAMES.index("offset[3]")]) == source
+
+
+def test_a_day_without_a_product_does_not_lend_its_flags_to_the_next():
+    days = [NEW + number for number in range(3)]
+    records = [SimpleNamespace(day=day, report={"phase": str(day), "told": ""}) for day in days]
+    products = [SimpleNamespace(day=day) for day in (days[0], days[2])]
+    flags = {days[0]: np.zeros(4, np.uint32), days[2]: np.full(4, Flag.PHASE_BRIDGED, np.uint32)}
+    cat = SimpleNamespace(read=lambda product, _: xr.Dataset({"flag": ("time", flags[product.day])}))
+    part = _phase(SpinResults(cat, None, "main", {}, [], records, products))
+    np.testing.assert_equal([one["bridged"] for one in part.fields["items"]], [0.0, np.nan, 1.0])
+    assert "no product" in "".join(str(one) for one in part.text)
