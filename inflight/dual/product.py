@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -24,7 +25,9 @@ def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArra
     Parameters
     ----------
     model : Model
-        Its effects are taken out of the readings first.
+        Its effects are taken out of the readings first, all but fields added at the inboard sensor: a fit of
+        the difference puts what a source adds to it there. Taken out, the difference would no longer show
+        the source, and what it adds at the outboard sensor could not be told.
     samples : Dataset
         Aligned raw samples with `inboard`, `outboard` (time, axis), `flag` and `tt2000`.
 
@@ -40,7 +43,8 @@ def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArra
         When no sample has both readings.
     """
     layout = Layout.of_model(model)
-    corrected = cast("xr.Dataset", model.corrected(samples))
+    kept = tuple(one for one in model.effects if not (one.is_additive and one.sensor.role == "inboard"))
+    corrected = cast("xr.Dataset", replace(model, effects=kept, layout=layout).corrected(samples))
     flag = np.asarray(samples["flag"].values, dtype=np.uint32)
     bad = (flag & np.uint32(UNUSABLE)) != 0
     fields = []

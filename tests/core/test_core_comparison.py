@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.comparison import Band, Layout, filter_rows, rows_of
+from inflight.dual.product import readings_of
 from inflight.errors import MissionError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission
@@ -185,3 +186,17 @@ def test_a_band_above_the_nyquist_frequency_is_open_above():
     values = np.random.default_rng(0).normal(size=2000)
     seen = filter_rows(values, 1.0, Band(0.05, 0.9))
     assert 0.8 < seen.std() / values.std() < 1.0
+
+
+def test_a_source_fitted_to_the_difference_stays_in_the_readings_that_states_are_learnt_from():
+    mission = mission_of("goes16")
+    sensor = {"effect": "vector_sensor", "sensor": "inboard", "offset": [1.0, -2.0, 3.0]}
+    source = {"effect": "remanent", "sensor": "inboard", "vector": [0.5, 0.25, -0.5]}
+    samples = samples_of(model_of(mission).layout)
+    with_source, without = (
+        readings_of(model_of(mission, *entries), samples)[0] for entries in ((sensor, source), (sensor,))
+    )
+    np.testing.assert_array_equal(with_source.inboard, without.inboard)
+    raw = readings_of(model_of(mission), samples)[0]
+    assert np.abs(without.inboard - raw.inboard).max() > 1.0
+    np.testing.assert_array_equal(with_source.outboard, raw.outboard)
