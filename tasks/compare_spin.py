@@ -280,21 +280,21 @@ def _coordinates(found: _Gathered, mission: Mission) -> Iterator[ToneCoordinate]
             phase = 360.0 * ((stamps - stamps[0]) / period % 1.0)
             yield ToneCoordinate(f"phase of the period '{name}'", "deg", "orbit_phase", phase)
     channels = scalar_channels(mission, flags=True)
-    for name, values in _joined(found.named, np.nan).items():
+    sizes = [one.size for one in found.time]
+    for name, values in _joined(found.named, sizes, np.nan).items():
         if name in channels:
             yield ToneCoordinate(name, channels[name][2].unit, channels[name][2].kind, values)
         else:
             yield ToneCoordinate(name, *_OWN.get(name, ("deg", "sun_angle")), values)
-    for name, tone in _joined(found.wheels, np.nan + 0j).items():
+    for name, tone in _joined(found.wheels, sizes, np.nan + 0j).items():
         told = channels[name.rsplit(" at ", 1)[0]][2]
-        # What is rounded to nothing has no tone to be in step with.
-        wheel = np.where(np.abs(tone) > 0.5 * (told.resolution or 0.0), tone, 0.0)
+        # What is rounded to nothing has no tone to be in step with; what is missing may have one.
+        wheel = np.where(np.abs(tone) <= 0.5 * (told.resolution or 0.0), 0.0, tone)
         yield ToneCoordinate(name, told.unit, told.kind, np.abs(wheel), wheel)
 
 
-def _joined(parts: Sequence[Mapping[str, Any]], empty: complex) -> dict[str, Any]:
-    """Return series of all days; what a day has not is `empty` there."""
-    sizes = [max((len(one) for one in part.values()), default=0) for part in parts]
+def _joined(parts: Sequence[Mapping[str, Any]], sizes: Sequence[int], empty: complex) -> dict[str, Any]:
+    """Return series of all days, of so many intervals each; what a day has not is `empty` there."""
     names = dict.fromkeys(name for part in parts for name in part)
     return {
         name: np.concatenate(

@@ -100,8 +100,10 @@ class SpinResults:
         """Means of selected estimates, and errors, day by day; (day, 8), beside the daily table's `own`."""
         own = self.tables["daily"]["own"].values[:, [NAMES.index(name) for name in SPIN_RELATED]]
         value, sigma = np.full(own.shape, np.nan), np.full(own.shape, np.inf)
-        for row, day in enumerate(self.days):
-            which = _filled(day)
+        rows = self.tables["daily"]["start"].values.tolist()
+        for day in self.days:
+            # A day of the table may be gone since.
+            row, which = rows.index(int(day["start"].values[0])), _filled(day)
             one = cloud_of(
                 *(day[name].values[0][which] for name in ("sub_start", "sub_end", "estimate", "uncertainty"))
             )

@@ -1,4 +1,4 @@
-"""Tables of a spacecraft that flew before 2000, where TT2000 is negative; reasons that are kept whole."""
+"""Records of a turning sensor that are older, longer-winded or less complete than usual."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +13,7 @@ from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.tasks.compare_spin import _coordinates, _Gathered
 from inflight.tasks.spin_day import together
 from inflight.tasks.spin_report import _phase
 from inflight.tasks.spin_results import SpinResults
@@ -25,8 +26,12 @@ OFFSET = 1.5
 
 
 @pytest.fixture(scope="module")
-def model():
-    mission = Mission.parse((ROOT / "imp8.yaml").read_text(encoding="utf-8"))
+def mission():
+    return Mission.parse((ROOT / "imp8.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def model(mission):
     return Model.parse((ROOT / "models/imp8-preflight.yaml").read_text(encoding="utf-8"), mission)
 
 
@@ -106,3 +111,33 @@ def test_a_day_without_a_product_does_not_lend_its_flags_to_the_next():
     part = _phase(SpinResults(cat, None, "main", {}, [], records, products))
     np.testing.assert_equal([one["bridged"] for one in part.fields["items"]], [0.0, np.nan, 1.0])
     assert "no product" in "".join(str(one) for one in part.text)
+
+
+def test_a_day_without_housekeeping_keeps_its_place_in_what_tones_may_follow():
+    mission = Mission.parse((ROOT / "themis.yaml").read_text(encoding="utf-8"))
+    found = _Gathered()
+    for number in range(3):
+        start, _ = day_bounds(NEW + number)
+        found.time.append(start + np.arange(4) * 300 * SECOND)
+        lacking = number == 1
+        found.named.append({"time of day": np.arange(4.0)})
+        found.wheels.append({} if lacking else {"coil_current at the spin": np.full(4, 1.0 + number + 0j)})
+    by_name = {one.name: one for one in _coordinates(found, mission)}
+    assert {one.values.size for one in by_name.values()} == {12}
+    np.testing.assert_array_equal(np.isfinite(by_name["coil_current at the spin"].values[4:8]), False)
+    np.testing.assert_allclose(np.abs(by_name["coil_current at the spin"].wheel[8:]), 3.0)
+
+
+def test_selected_means_stand_beside_their_own_day_when_one_is_gone():
+    days = [
+        day_of(NEW + number, subs=30).assign(value=(("block", "parameter"), np.full((1, 8), float(number))))
+        for number in range(3)
+    ]
+    own = np.tile(np.arange(3.0)[:, None], (1, len(NAMES)))
+    starts = np.array([int(day["start"].values[0]) for day in days])
+    daily = xr.Dataset({"own": (("interval", "parameter"), own), "start": ("interval", starts)})
+    whole = SpinResults(None, None, "main", {"daily": daily}, days, [], []).selected
+    value, sigma = SpinResults(None, None, "main", {"daily": daily}, [days[0], days[2]], [], []).selected
+    np.testing.assert_array_equal(np.isnan(value).all(axis=1), [False, True, False])
+    np.testing.assert_array_equal(np.isinf(sigma).all(axis=1), [False, True, False])
+    np.testing.assert_allclose(value[[0, 2]], whole[0][[0, 2]])
