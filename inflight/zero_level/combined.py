@@ -17,7 +17,8 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.zero_level.davis_smith import davis_smith, least_variance
-from inflight.zero_level.estimate import Estimate, Question, covariance_of, freedom_of
+from inflight.zero_level.estimate import SETTLED, Estimate, Question, covariance_of, freedom_of
+from inflight.zero_level.evidence import REFUSED, against, evidence, held_to_all, most_evident
 from inflight.zero_level.intervals import Bools, Intervals
 from inflight.zero_level.minimum_correlation import minimum_correlation
 from inflight.zero_level.mirror_mode import mirror_mode
@@ -121,7 +122,9 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
 
     Davis-Smith and Wang-Pan take Alfvenic intervals, the mirror mode compressional ones, minimum
     correlation all but compressional ones (both together would cancel). Which intervals are which depends
-    on the offset: both are found in turn until the kinds stay.
+    on the offset: both are found in turn until the kinds stay, from several starts. The answer is held
+    to all other offsets within the bound (`inflight.zero_level.evidence`): an axis along which any of them
+    does as well is not determined, however small the error about the zero found.
 
     Raises
     ------
@@ -137,13 +140,22 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
             failed.append(error)
     if not found:
         raise failed[0]
-    # Under a wrong offset turning looks like compression and both get mixed: the right one leaves most
-    # intervals pure, and methods that agree.
-    found.sort(key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
-    best = found[0]
-    rivals = [one for one in found[1:] if not _agrees(best.estimate, one.estimate)]
+    best = _chosen(intervals, found)
+    rivals = [one for one in found if one is not best and not _agrees(best.estimate, one.estimate)]
     told = tuple(f"another start leads elsewhere: {one.estimate.told()}" for one in rivals)
-    return replace(best, estimate=best.estimate.because(*told))
+    return replace(best, estimate=held_to_all(intervals, best.estimate, question).because(*told))
+
+
+def _chosen(intervals: Intervals, found: list[Combined]) -> Combined:
+    """Return the answer to take of those that the readings do not refuse for the one of most evidence.
+
+    Under a wrong offset turning looks like compression and both get mixed: among offsets that do equally
+    well the right one has methods that agree, and leaves most intervals pure.
+    """
+    said = [evidence(intervals, one.estimate.solution) for one in found]
+    most = max(said, key=lambda one: float(one.sum()))
+    possible = [one for one, of in zip(found, said, strict=True) if against(most, of) < REFUSED]
+    return min(possible, key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
 
 
 def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
@@ -172,13 +184,14 @@ def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
 
 
 def _starts(intervals: Intervals, question: Question) -> list[Floats]:
-    """Return offsets to begin with: what is known, and what two simple rules say of all intervals alike."""
+    """Return offsets to begin with: what is known, of most evidence, and by two rules of all intervals."""
     start = np.asarray(question.start, dtype=np.float64)
     least = np.clip(least_variance(intervals, question), start - question.bound, start + question.bound)
+    begins = [start, least, most_evident(intervals, least, question)]
     try:
-        return [start, least, mirror_mode(intervals, None, question).solution]
+        return [*begins, mirror_mode(intervals, None, question).solution]
     except CalibrationError:
-        return [start, least]
+        return begins
 
 
 def _agrees(one: Estimate, other: Estimate) -> bool:
@@ -267,6 +280,8 @@ def agreement(one: Estimate, other: Estimate) -> Agreement | None:
     part = one.used | other.used
     shared = covariance_of((one.influence - other.influence)[part])[np.ix_(both, both)]
     covariance = shared + (one.systematic + other.systematic)[np.ix_(both, both)]
+    # Two roads to one zero differ by what each was settled to, and by no scatter at all.
+    covariance += SETTLED**2 * np.eye(len(apart))
     chi2 = float(apart @ np.linalg.solve(covariance, apart))
     axes = int(both.sum())
     return Agreement(one.method, other.method, chi2, axes, float(stats.chi2.sf(chi2, axes)))

@@ -20,7 +20,9 @@ BOUND = 10.0
 _TOLD = 2.0
 #: Standard deviation given to a direction that is not told, in bounds.
 _UNTOLD = 1e3
-_ROUNDS, _SETTLED = 60, 1e-4
+_ROUNDS = 60
+#: Solutions are settled to so many nT.
+SETTLED = 1e-4
 #: Largest step, in bounds, and the least true slope, in slopes stepped by.
 _STRIDE, _LEAST_ANSWER = 0.2, 0.3
 #: No interval is taken to hold more than this part of what all tell, when it is left out.
@@ -94,6 +96,14 @@ class Estimate:
         more = np.outer(pull, pull)
         wider = replace(self, covariance=self.covariance + more, systematic=self.systematic + more)
         return wider.because(f"{why} may pull it by {told} nT")
+
+    def withdrawn(self, determined: Bools, question: Question) -> Estimate:
+        """Return the same with only some axes (3,) told: the others at the question's start."""
+        lost = np.where(self.determined & ~determined, (_UNTOLD * question.bound) ** 2, 0.0)
+        return replace(
+            self, determined=determined, solution=np.where(determined, self.solution, question.start),
+            covariance=self.covariance + np.diag(lost), systematic=self.systematic + np.diag(lost),
+        )  # fmt: skip
 
     def told(self) -> str:
         """Say it in a sentence."""
@@ -242,7 +252,7 @@ def solve(
     for _ in range(_ROUNDS):
         scores, slopes = equations(offset)
         step = informed(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
-        settled = bool(np.abs(step).max() < _SETTLED)
+        settled = bool(np.abs(step).max() < SETTLED)
         # Far from the zero the slopes are those of another field: no step leaves their reach.
         step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
         offset = np.clip(offset + step, *within)
