@@ -14,7 +14,7 @@ from inflight.errors import InflightError
 from inflight.model import Model, ModelEffect
 from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.in_use import InUse, OneInUse
-from inflight.spin.twelve import GROUND, Known, TwelveTable, join_twelve
+from inflight.spin.twelve import GROUND, SPIN, Known, TwelveTable, along_axial, join_twelve
 from inflight.spin.update import Decision
 from inflight.tasks.spin_day import ground_of, require_spinning
 from inflight.time import DAY, Int64, day_bounds
@@ -153,47 +153,73 @@ def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple
     """Return values of the eight, their covariance, and the days' scatter over its expectation."""
     before = np.diag(prior**-2.0)
     information, right = before.copy(), before @ start
-    parts = []
+    parts, free = [], 0
     for day in days:
         own = np.linalg.inv(day["covariance"].values[0])
         if not np.isfinite(day["sigma"].values[0]).any():
             continue  # it tells nothing
-        weight, vectors = np.linalg.eigh(own - before)
-        told = (vectors * np.maximum(weight, 0.0)) @ vectors.T
+        # In units of the prior's errors: what a combination is told by beside what the ground knew.
+        weight, vectors = np.linalg.eigh((own - before) * np.outer(prior, prior))
+        known = vectors[:, weight > 0.0]
+        told = (known * weight[weight > 0.0]) @ known.T / np.outer(prior, prior)
+        free += int(np.count_nonzero(weight > 1.0))
         # The day's own value holds the prior, too: what it adds is what is beyond.
         alone = own @ day["value"].values[0] - before @ start
+        alone = known @ (known.T @ (alone * prior)) / prior
         information, right = information + told, right + alone
         parts.append((told, day["value"].values[0]))
     covariance = np.linalg.inv(information)
     value = covariance @ right
     square = sum(float((one - value) @ told @ (one - value)) for told, one in parts)
-    free = start.size * (len(parts) - 1)
+    free -= int(np.count_nonzero(np.linalg.eigvalsh((information - before) * np.outer(prior, prior)) > 1.0))
     excess = max(1.0, square / free) if free > 0 else 1.0
     return value, np.asarray(covariance * excess), excess
 
 
 def _axial(zero: xr.Dataset | None, start: int, end: int) -> Known:
-    """Return the offset along the spin axis of the interval that holds the middle of a window.
+    """Return the offset along the spin axis: of the interval around a window, or of all those in it.
 
-    Its sigma is infinite where nothing tells it.
+    The mean of several is weighted, its error widened where they scatter beyond theirs. The sigma is
+    infinite where nothing tells it.
     """
+    nothing = Known(float("nan"), float("inf"), GROUND)
+    if zero is None:
+        return nothing
+    begins, ends = zero["start"].values, zero["end"].values
     middle = (start + end) // 2
-    if zero is not None:
-        inside = np.flatnonzero((zero["start"].values <= middle) & (middle < zero["end"].values))
-        if inside.size and np.isfinite(zero["sigma"].values[inside[-1]]):
-            value, sigma = (float(zero[name].values[inside[-1]]) for name in ("value", "sigma"))
-            return Known(value, sigma, str(zero["method"].values[inside[-1]]))
-    return Known(float("nan"), float("inf"), GROUND)
+    around = (begins <= middle) & (middle < ends)
+    inside = (begins >= start) & (ends <= end)
+    taken = np.flatnonzero((inside if inside.sum() > 1 else around) & np.isfinite(zero["sigma"].values))
+    if not taken.size:
+        return nothing
+    value, sigma = (np.asarray(zero[name].values[taken], dtype=np.float64) for name in ("value", "sigma"))
+    weight = sigma**-2.0
+    mean = float(weight @ value / weight.sum())
+    scatter = float(weight @ (value - mean) ** 2) / max(taken.size - 1, 1)
+    method = str(zero["method"].values[taken[-1]])
+    told = method if taken.size == 1 else f"{method}, mean of {taken.size} windows"
+    return Known(mean, float(np.sqrt(max(1.0, scatter) / weight.sum())), told)
 
 
 def _whole(twelve: TwelveTable, covariance: Floats, told: Floats) -> Floats:
-    """Return the covariance of the twelve: that of the eight, the variances of the rest beside it."""
+    """Return the covariance of the twelve: that of the eight, the variances of the rest beside it.
+
+    Offsets 1 and 2 move with the error of the third, so that in the spin plane nearly all of it cancels.
+    """
     out = np.diag(np.where(np.isfinite(twelve.sigma), twelve.sigma, 0.0) ** 2)
     places = [NAMES.index(name) for name in SPIN_RELATED]
     known = np.isfinite(told)
     for row, column in itertools.product(np.flatnonzero(known), repeat=2):
         if row != column:
             out[places[row], places[column]] = covariance[row, column]
+    offsets = [NAMES.index(f"offset[{axis}]") for axis in (1, 2, 3)]
+    variance = out[offsets[2], offsets[2]]
+    slope = along_axial(twelve.parameters) * [twelve.source[at] == SPIN for at in offsets[:2]]
+    for at, moved in zip(offsets[:2], slope, strict=True):
+        out[at, offsets[2]] = out[offsets[2], at] = moved * variance
+    both = slope[0] * slope[1] * variance
+    out[offsets[0], offsets[1]] += both
+    out[offsets[1], offsets[0]] += both
     return out
 
 

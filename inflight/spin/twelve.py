@@ -128,11 +128,16 @@ def join_twelve(
     return TwelveTable(value, sigma, tuple(source), determined)
 
 
+def along_axial(parameters: TwelveParameters) -> Floats:
+    """Return by how much offsets 1 and 2 move with the third, so that what the spin sees stays; (2,)."""
+    matrix = parameters.matrix()
+    return np.asarray(-np.linalg.solve(matrix[:2, :2], matrix[:2, 2]))
+
+
 def _move_along(value: Floats, sigma: Floats, source: list[str], parameters: TwelveParameters) -> None:
     """Move offsets 1 and 2 to the third offset now in the table, in place."""
     third = NAMES.index("offset[3]")
-    matrix = parameters.matrix()
-    slope = -np.linalg.solve(matrix[:2, :2], matrix[:2, 2])
+    slope = along_axial(parameters)
     error = sigma[third] if np.isfinite(sigma[third]) else 0.0
     for at in range(2):
         row = NAMES.index(f"offset[{at + 1}]")
