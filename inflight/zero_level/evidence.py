@@ -56,7 +56,8 @@ def evidence(intervals: Intervals, offset: Floats) -> Floats:
     turning = across @ (second - mean[:, :, None] * mean[:, None, :]) @ across
     middle = np.einsum("ks,ks->k", part, size)
     squeezed = np.einsum("ks,ks->k", part, (size - middle[:, None]) ** 2)
-    least = _LEAST * np.maximum(np.trace(intervals.covariance, axis1=1, axis2=2), 1e-300)
+    whole = squeezed + middle**2 * np.trace(turning, axis1=1, axis2=2)
+    least = _LEAST * np.maximum(whole, 1e-300)
     plane = np.maximum(np.linalg.eigvalsh(turning)[:, 1:], (least / middle**2)[:, None])
     volume = 2.0 * np.einsum("ks,ks->k", part, np.log(size))
     return np.asarray(-0.5 * (np.log(np.maximum(squeezed, least)) + np.log(plane).sum(axis=1)) - volume)
