@@ -25,8 +25,8 @@ from inflight.zero_level.intervals import Intervals
 
 #: Intervals a zero level is told from, s: long against the correlation of the wind's fluctuations.
 ZERO_INTERVAL_S = 900.0
-#: Fewer quarter hours tell no offset: false zeros are found out, but of twenty in rough wind one mean of forty
-#: still lies beyond four of the stated errors (docs/science/zero-level.md).
+#: Fewer quarter hours tell no offset: false zeros are found out, but of twenty in rough wind one mean in
+#: forty still lies beyond four of the stated errors (docs/science/zero-level.md).
 _FEWEST_INTERVALS = 24
 #: The offset along the axis is looked for within so many of the ground's sigmas.
 _REACH = 3.0

@@ -50,7 +50,7 @@ def test_the_most_evident_offset_lies_near_the_truth_in_rotations_and_in_compres
 
 
 def test_two_methods_that_agree_on_a_false_zero_are_not_believed():
-    """Far from the truth mirror mode and minimum correlation share a zero: rotation looks compressional there."""
+    """Far from the truth mirror mode and minimum correlation share a zero: turning looks compressional."""
     seen = 0
     for seed in range(8):
         intervals = along_axis(*half_minutes(24.0, 50 + seed, 6.0), -3.8)
