@@ -22,7 +22,7 @@ from inflight.dual.gradiometer_table import (
     gradiometer_variables,
     has_gradiometer,
 )
-from inflight.dual.harm import SURE, Judgement, judge
+from inflight.dual.harm import Judgement, judge
 from inflight.dual.processing import process
 from inflight.dual.product import readings_of
 from inflight.dual.readings import Readings
@@ -40,8 +40,6 @@ from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
 STATES_VERSION = 2
-#: A slope this many of its errors above one is not that of the stray field.
-STEEP = 2.0
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -153,7 +151,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
     evidence = list(found.evidence.values())
     one = ("candidate",)
     table = to_dataset(candidates.training)
-    chosen, verdict = chosen_of(found)
+    chosen = found.chosen
     if candidates.gradiometers:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
         gradiometer = gradiometer_variables(form, candidates.readings)
@@ -162,30 +160,13 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
+        helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
         candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
     ).assign_attrs(
         method="gradiometer" if chosen in FORMS else chosen,
         applied="no" if chosen == "none" else "yes",
-        verdict=verdict,
+        verdict=found.correction.reason,
     )
-
-
-def chosen_of(found: Judgement) -> tuple[str, str]:
-    """Return the correction to apply, ``none`` without any, and why.
-
-    The stray field itself has the slope one. A correction whose slope is clearly above it holds ambient
-    field that two sensors which are not quite aligned let into their difference: taken off, it would
-    change what is measured.
-    """
-    helping = [one for one in found.evidence.values() if one.helps]
-    sound = [one for one in helping if one.slope - STEEP * one.sigma <= 1.0]
-    if sound:
-        best = max(sound, key=lambda one: one.gain)
-        return best.name, best.told
-    if not helping:
-        return "none", found.correction.reason
-    told = "; ".join(f"{one.name} {one.slope:.2f} +- {one.sigma:.2f}" for one in helping)
-    return "none", f"left alone, ambient field may be in it: slopes above one, held out ({told})"
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
@@ -210,11 +191,9 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
 
 
 def gradiometer_helps(table: xr.Dataset) -> bool:
-    """Return True when held-out stretches say beyond doubt that a table's gradiometer helps."""
+    """Return True when held-out stretches say that a table's gradiometer helps by itself."""
     names = table["candidate"].values.tolist()
     form = table.attrs.get("gradiometer_form")
     if form not in names or not has_gradiometer(table):
         return False
-    row = table.isel(candidate=names.index(form))
-    low = row["slope"] - SURE * row["slope_sigma"] > 0.5
-    return bool(low and row["slope"] - STEEP * row["slope_sigma"] <= 1.0 and row["benefit"] > 0.0)
+    return bool(table["helps"].values[names.index(form)])
