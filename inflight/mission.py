@@ -95,6 +95,9 @@ class DualComparison(Strict):
     kind: Literal["dual"]
     inboard: str
     outboard: str
+    #: Instrument that tells the ambient field in spacecraft axes for some of the time, such as a model or a
+    #: spacecraft nearby: then the part of the stray field that never changes is known, too.
+    ambient: str | None = None
     base: str | None = None
     preflight: str | None = None
 
@@ -206,6 +209,8 @@ class Mission(Strict):
                 )
         for name, comparison in self.comparisons.items():
             named = comparison.instruments() | ({"base": comparison.base} if comparison.base else {})
+            if comparison.kind == "dual" and comparison.ambient:
+                self._check_ambient(name, comparison.ambient)
             for role, instrument_name in named.items():
                 if instrument_name not in self.instruments:
                     raise ValueError(f"comparisons.{name}.{role}: there is no instrument {instrument_name!r}")
@@ -216,6 +221,19 @@ class Mission(Strict):
                         f"comparisons.{name}.{role}: {wanted!r} has role {self.instruments[wanted].role!r}"
                     )
         return self
+
+    def _check_ambient(self, comparison: str, instrument: str) -> None:
+        """Raise ValueError unless an instrument can tell the ambient field of a comparison."""
+        told = self.instruments.get(instrument)
+        if told is None or told.role != "vector":
+            raise ValueError(
+                f"comparisons.{comparison}.ambient: there is no instrument {instrument!r} of role 'vector'"
+            )
+        if told.channels["field"].frame not in (None, "sensor", "spacecraft"):
+            raise ValueError(
+                f"comparisons.{comparison}.ambient: the field of {instrument!r} is in"
+                f" {told.channels['field'].frame!r}, and is needed in the spacecraft's axes"
+            )
 
     @classmethod
     def parse(cls, text: str, source: str = "mission.yaml") -> Mission:

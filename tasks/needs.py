@@ -17,6 +17,8 @@ from inflight.time import DAY, SECOND
 SPIN_PHASE = "spin_phase"
 #: Name of the need of the channel that tells the direction of the spin axis; samples do not hold it.
 SPIN_AXIS = "spin_axis"
+#: Name of the known ambient field in samples.
+AMBIENT = "ambient"
 #: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
 MARGIN_CADENCES = 40
 
@@ -98,6 +100,7 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
     needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
     known = _Known(mission)
     needs += [*known.clock(model.comparison), *known.axis(model.comparison)]
+    needs += ambient_of(mission, model.comparison)
     used = {channel for entry in model.effects for channel in entry.effect.channels}
     if unknown := {base for name in used for base in known.bases(name)} - known.names:
         raise SamplesError(
@@ -162,6 +165,14 @@ def axis_of(mission: Mission, comparison: str) -> list[Need]:
         When the comparison names a channel the mission has not, or one of another kind.
     """
     return _Known(mission).axis(comparison)
+
+
+def ambient_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the known ambient field of a dual comparison; none where there is none."""
+    entry = mission.comparisons[comparison]
+    if entry.kind != "dual" or entry.ambient is None:
+        return []
+    return [Need(AMBIENT, entry.ambient, "field", mission.instruments[entry.ambient].cadence)]
 
 
 class _Known:

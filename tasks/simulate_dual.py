@@ -15,6 +15,7 @@ from inflight.tasks.simulate import TRUTH, Progress, claim, write_truth, written
 _XYZ = ("x", "y", "z")
 _VARIABLES = {
     "B_RAW": Variable("Raw vector field, sensor axes", "nT", -8000, 8000, labels=_XYZ),
+    "B": Variable("Ambient field, spacecraft axes", "nT", -8000, 8000, labels=_XYZ),
     "FLAG": Variable("Quality flag, 0 is good", " ", 0, 254, CDF.CDF_UINT1, format="I3"),
     "I_TX": Variable("Current of the transmitter", "mA", 0, 5000, CDF.CDF_REAL4),
     "I_SPEC": Variable("Current of the spectrometer", "mA", 0, 5000, CDF.CDF_REAL4),
@@ -27,6 +28,7 @@ _TITLES = {
     "ob": "Outboard fluxgate",
     "hk": "Housekeeping currents",
     "slow": "Slow housekeeping",
+    "mon": "Ambient field known from elsewhere",
 }
 _SOURCE = Source("vex", "Venus-Express-like simulated spacecraft", _TITLES, _VARIABLES)
 
@@ -44,7 +46,7 @@ def simulate_dual(
     Parameters
     ----------
     destination : Path
-        Folder for ``ib/``, ``ob/``, ``hk/``, ``slow/`` and, apart, ``truth/``.
+        Folder for ``ib/``, ``ob/``, ``hk/``, ``slow/``, ``mon/`` and, apart, ``truth/``.
     progress : callable, optional
         Called with (days done, days).
     workers : int

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
@@ -20,7 +22,7 @@ from inflight.dual.gradiometer_table import (
     gradiometer_variables,
     has_gradiometer,
 )
-from inflight.dual.harm import SURE, Judgement, judge
+from inflight.dual.harm import Judgement, judge
 from inflight.dual.processing import process
 from inflight.dual.product import readings_of
 from inflight.dual.readings import Readings
@@ -31,15 +33,13 @@ from inflight.model import Model
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Failure, failure_of
 from inflight.tasks.channel_series import kept_readings
-from inflight.tasks.needs import Need
+from inflight.tasks.needs import AMBIENT, Need, ambient_of
 from inflight.tasks.samples import load_samples
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
 STATES_VERSION = 2
-#: A slope this many of its errors above one is not that of the stray field.
-STEEP = 2.0
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -63,8 +63,8 @@ def states_window(
     """
     with threadpool_limits(1), kept_readings():
         try:
-            readings = window_readings(cat, mission, model, days, needs, index)
-            candidates = Candidates(readings, positions_of(mission, model.comparison))
+            readings, ambient = window_readings(cat, mission, model, days, needs, index)
+            candidates = Candidates(readings, positions_of(mission, model.comparison), ambient=ambient)
             return table_of(candidates, judge(readings, candidates.fit))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
@@ -80,6 +80,13 @@ def positions_of(mission: Mission, comparison: str) -> Floats | None:
     return np.asarray(places, dtype=np.float64) * factor
 
 
+class WindowReadings(NamedTuple):
+    """What both sensors read in a window, and the ambient field (time, axis) nT where it is known."""
+
+    readings: Readings
+    ambient: Floats | None
+
+
 def window_readings(
     cat: Catalog,
     mission: Mission,
@@ -87,7 +94,7 @@ def window_readings(
     days: Sequence[np.datetime64],
     needs: Sequence[Need],
     index: ArchiveIndex,
-) -> Readings:
+) -> WindowReadings:
     """Return the readings of a window in spacecraft axes; days that cannot be read are left out.
 
     Raises
@@ -95,11 +102,12 @@ def window_readings(
     SamplesError
         When no day can be read.
     """
-    parts, last = [], None
+    parts, ambient, last = [], [], None
     for day in days:
         try:
             samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
             parts.append(readings_of(model, samples)[0])
+            ambient.append(_ambient(mission, model.comparison, samples))
         except InflightError as error:
             last = error
     if not parts:
@@ -109,20 +117,33 @@ def window_readings(
         np.concatenate([one.inboard for one in parts]),
         np.concatenate([one.outboard for one in parts]),
     )
-    return thinned(joined, -(-len(joined) // _MOST))
+    return thinned(joined, np.concatenate(ambient), -(-len(joined) // _MOST))
 
 
-def thinned(readings: Readings, size: int) -> Readings:
+def _ambient(mission: Mission, comparison: str, samples: xr.Dataset) -> Floats:
+    """Return the known ambient field of samples, (time, axis) nT, spacecraft axes; NaN where it is not."""
+    (need,) = ambient_of(mission, comparison) or (None,)
+    if need is None:
+        return np.full((samples.sizes["time"], 3), np.nan)
+    turn = Rotation.from_quat(mission.instruments[need.instrument].orientation)
+    return np.asarray(turn.apply(np.asarray(samples[AMBIENT].values, dtype=np.float64)))
+
+
+def thinned(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
     """Return means of `size` neighbouring samples; means over a gap or a missing reading are left out."""
+    told = ambient if np.isfinite(ambient).all(axis=1).any() else None
     if size <= 1:
-        return readings
+        return WindowReadings(readings, told)
     count = len(readings) // size
     cut = slice(0, count * size)
     stamps = readings.stamps[cut].reshape(count, size)
     whole = stamps[:, -1] - stamps[:, 0] < (size + 1) * readings.step
-    fields = [one[cut].reshape(count, size, 3).mean(axis=1) for one in (readings.inboard, readings.outboard)]
+    inboard, outboard, known = (
+        one[cut].reshape(count, size, 3).mean(axis=1)[whole]
+        for one in (readings.inboard, readings.outboard, ambient)
+    )
     middle: Int64 = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
-    return Readings(middle[whole], fields[0][whole], fields[1][whole])
+    return WindowReadings(Readings(middle[whole], inboard, outboard), None if told is None else known)
 
 
 def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
@@ -130,7 +151,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
     evidence = list(found.evidence.values())
     one = ("candidate",)
     table = to_dataset(candidates.training)
-    chosen, verdict = chosen_of(found)
+    chosen = found.chosen
     if candidates.gradiometers:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
         gradiometer = gradiometer_variables(form, candidates.readings)
@@ -139,30 +160,13 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
+        helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
         candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
     ).assign_attrs(
         method="gradiometer" if chosen in FORMS else chosen,
         applied="no" if chosen == "none" else "yes",
-        verdict=verdict,
+        verdict=found.correction.reason,
     )
-
-
-def chosen_of(found: Judgement) -> tuple[str, str]:
-    """Return the correction to apply, ``none`` without any, and why.
-
-    The stray field itself has the slope one. A correction whose slope is clearly above it holds ambient
-    field that two sensors which are not quite aligned let into their difference: taken off, it would
-    change what is measured.
-    """
-    helping = [one for one in found.evidence.values() if one.helps]
-    sound = [one for one in helping if one.slope - STEEP * one.sigma <= 1.0]
-    if sound:
-        best = max(sound, key=lambda one: one.gain)
-        return best.name, best.told
-    if not helping:
-        return "none", found.correction.reason
-    told = "; ".join(f"{one.name} {one.slope:.2f} +- {one.sigma:.2f}" for one in helping)
-    return "none", f"left alone, ambient field may be in it: slopes above one, held out ({told})"
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
@@ -187,11 +191,9 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
 
 
 def gradiometer_helps(table: xr.Dataset) -> bool:
-    """Return True when held-out stretches say beyond doubt that a table's gradiometer helps."""
+    """Return True when held-out stretches say that a table's gradiometer helps by itself."""
     names = table["candidate"].values.tolist()
     form = table.attrs.get("gradiometer_form")
     if form not in names or not has_gradiometer(table):
         return False
-    row = table.isel(candidate=names.index(form))
-    low = row["slope"] - SURE * row["slope_sigma"] > 0.5
-    return bool(low and row["slope"] - STEEP * row["slope_sigma"] <= 1.0 and row["benefit"] > 0.0)
+    return bool(table["helps"].values[names.index(form)])

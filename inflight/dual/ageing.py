@@ -19,8 +19,8 @@ from inflight.dual.units import Occupancy
 
 #: Chance that the same state is not recognised in a later training, of all its states.
 _MISSED = 1e-3
-#: Matchings of this part of the best one's time are as good.
-_ALIKE = 0.99
+#: The part of the time seen that a matching explains at least, and that of the best one's for others.
+_ALIKE = 0.5
 
 
 @dataclass(frozen=True)
@@ -182,10 +182,11 @@ def _with_constant(
 
 
 def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Return pairs of the same state and the common shift that matches most of the time seen.
+    """Return pairs of the same state and the common shift; none when it is not clear.
 
-    Of shifts that match as much the smallest is taken, if it is clearly so: one state alone, after the
-    difference has moved by half the distance to the next one, could be either.
+    Of shifts that match half as much as the best one the smallest is taken, if it matches half of the time
+    and is clearly the smallest: one state alone, after the difference has moved by half the distance to the
+    next one, could be either.
     """
     nothing = np.empty((0, 2), dtype=np.int64), np.zeros(3)
     apart = later.centre[None] - earlier.centre[:, None]
@@ -206,11 +207,12 @@ def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64],
     if not tried:
         return nothing
     most = max(one[0] for one in tried)
+    # By the vector of one unit states are shifted onto each other as well, but half of them at most.
     alike = sorted((one for one in tried if one[0] >= _ALIKE * most), key=lambda one: one[1])
-    _, size, shift, own = alike[0]
+    weight, size, shift, own = alike[0]
     # Shifts of one and the same matching differ by their noise only.
     others = [one[1] for one in alike if _squared(one[2] - shift, own + one[3]) > limit]
-    if others and size > 0.5 * min(others):
+    if weight < _ALIKE * later.seconds.sum() or (others and size > 0.5 * min(others)):
         return nothing
     left = apart - shift
     far = np.einsum("kli,klij,klj->kl", left, np.linalg.inv(spread + own), left)

@@ -35,6 +35,10 @@ _OWN = 1.0
 #: The largest slope of a stray field, in a fit as short as it may be.
 _STEEPEST = 1.6
 
+#: A slope so many standard deviations above one, of a fit that is known to less than this many: where the
+#: stray field hardly shows, what is too much is ambient field.
+_STEEP, _CLEAR = 2.0, 20.0
+
 #: Corrects readings.
 Corrector = Callable[[Readings], Correction]
 #: Fits any number of candidates to the rows in use.
@@ -73,8 +77,13 @@ class Evidence:
     def helps(self) -> bool:
         """Whether the correction lowers the error beyond doubt."""
         low = self.slope > max(SURE * self.sigma, 0.5 + SURE_OF_GAIN * self.sigma)
-        high = self.slope - SURE * self.sigma < _STEEPEST
-        return low and high and self.sure_of_itself and self.benefit > self.benefit_sigma
+        return low and not self.holds_ambient and self.sure_of_itself and self.benefit > self.benefit_sigma
+
+    @property
+    def holds_ambient(self) -> bool:
+        """Whether the slope is above that of any stray field: ambient field that leaked into the difference."""
+        too_steep = self.slope - SURE * self.sigma >= _STEEPEST
+        return too_steep or 1.0 + _STEEP * self.sigma < self.slope < _CLEAR * self.sigma
 
     @property
     def sure_of_itself(self) -> bool:
@@ -87,7 +96,7 @@ class Evidence:
         seen = f"slope of the outboard reading on it {self.slope:.2f} +- {self.sigma:.2f}, held out"
         if self.helps:
             return f"helps: {seen}"
-        if self.slope - SURE * self.sigma >= _STEEPEST:
+        if self.holds_ambient:
             return f"left alone, it holds ambient field: {seen}"
         if not self.sure_of_itself:
             return f"left alone, its own error is as large as what it takes off: {seen}"

@@ -116,7 +116,7 @@ def dual_level2(
             "method": correction.method,
             "applied": _yes(correction.applied),
             "reason": correction.reason,
-            "constant_known": _yes(correction.constant_known),
+            "constant_known": _yes(correction.constant_known and correction.applied),
         },
     )
 

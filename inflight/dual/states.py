@@ -3,8 +3,8 @@
 Every segment is a point in the space of the difference (Venus Express paper, section 2). All points share a
 slow drift c(t), of the sensors' offsets or of units that warm up: within a segment it is seen, between two
 segments it is a random walk, so that it is carried along by a Kalman filter and a state is recognised after
-days although its point has moved. How many states there are is chosen by the data: a state of its own must
-lower the Bayesian information criterion, and so must a scatter of the states' points beyond noise.
+days although its point has moved. How many states there are is chosen by the probability of all points, in
+which a state of its own could lie anywhere, and so is a scatter of the states' points beyond noise.
 
 A step common to all later segments, of an offset for instance, cannot be told from new states.
 """
@@ -79,7 +79,9 @@ def find_states(segments: Segments) -> States:
     -----
     For each of a few scatters segments are assigned in turn, the drift carried along, until labels stay;
     states closer than their noise allows are merged. The scatter of the lowest criterion
-    ``sum(r^T S^-1 r + ln det S) + 3 K ln n`` (K states, n segments) is taken.
+    ``sum(r^T S^-1 r + ln det S) + sum(ln det W - ln det C)`` is taken: residuals r and covariances S of
+    segments, covariances C of the states' centres and W of their places before any is seen (Laplace's
+    approximation of the probability of the points).
     """
     sample = float(np.sqrt(np.trace(segments.noise.of_mean(1)) / 3.0))
     rate = drift_rate(segments)
@@ -267,6 +269,11 @@ class _Clustering:
         self.drift_covariance = np.zeros((count, 3, 3))
         self.own = np.array([self.spread + own_drift(segments, one, rate) for one in range(count)])
         self.cost = 0.0
+        self.anywhere = _anywhere(segments, self.steady, scatter)
+
+    def prior(self) -> float:
+        """Return twice the logarithm of how many places each state could have had instead of its own."""
+        return float(np.sum(self.anywhere - np.linalg.slogdet(self.covariance)[1]))
 
     def run(self, *, may_add: bool) -> None:
         """Assign all segments once; without `may_add` to the nearest state, however far."""
@@ -330,12 +337,24 @@ class _Clustering:
         total = self.covariance[:, None] + self.covariance[None]
         far = np.einsum("kli,klij,klj->kl", apart, np.linalg.inv(total), apart)
         np.fill_diagonal(far, np.inf)
-        if not far.size or far.min() > max(self.limit, 3.0 * np.log(self.steady.size)):
+        if not far.size:
+            return False
+        # How much better one state for both is than two anywhere: the ratio of the densities.
+        far -= self.anywhere - np.linalg.slogdet(total)[1]
+        if far.min() > 0.0:
             return False
         first, second = sorted(int(one) for one in np.unravel_index(np.argmin(far), far.shape))
         self.label[self.label == second] = first
         self.centres()
         return True
+
+
+def _anywhere(segments: Segments, steady: Labels, scatter: float) -> float:
+    """Return the logarithm of the determinant of the covariance of states' places before any is seen."""
+    noise = segments.noise.of_mean(1) + scatter**2 * np.eye(3)
+    points = segments.level[steady]
+    wide = 9.0 * noise if len(points) < 2 else 4.0 * np.cov(points.T) + 9.0 * noise
+    return float(np.linalg.slogdet(wide)[1])
 
 
 def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[float, States]:
@@ -356,7 +375,7 @@ def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[
         if np.array_equal(before, found.label):
             break
     found.centres()
-    cost = found.cost + 3.0 * len(found.centre) * np.log(found.steady.size)
+    cost = found.cost + found.prior()
     count = np.bincount(found.label[found.steady], minlength=len(found.centre))
     return cost, States(
         found.centre, found.covariance, count, found.label, found.drift, found.drift_end, rate, scatter

@@ -27,9 +27,22 @@ COARSE = {"cadence": 4.0}
 SETTINGS = DualSettings(days=2, seed=31, defects=("gaps",), overrides=COARSE)
 
 
+MONITOR = """  monitor:
+    role: vector
+    cadence: 4 s
+    files: {pattern: "mon/vex_mon_{day:%Y%m%d}_v*.cdf", reader: cdf, time: Epoch}
+    channels:
+      field: {variable: B, unit: nT, axes: [x, y, z], frame: spacecraft}
+comparisons:
+  main: {kind: dual, inboard: inboard, outboard: outboard, ambient: monitor}
+"""
+
+
 def workspace(folder, settings):
     source = folder.parent / f"{folder.name}.yaml"
     text = MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", "cadence: 4 s")
+    if "monitor" in settings.include:
+        text = text[: text.index("comparisons:")] + MONITOR
     source.write_text(text, encoding="utf-8")
     made = Workspace.create(folder, source)
     simulate_dual(settings, made.data, workers=1)
@@ -50,7 +63,7 @@ def errors(cat, made, day, constants=False):
     product = cat.read(day, dated=False)
     with xr.open_dataset(truth_path(made.data, day.day), engine="h5netcdf") as truth:
         stamps, field = truth["Epoch"].values.astype(np.int64), truth["FIELD"].values
-        offset = truth["OFFSET_OUT"].values
+        known = field + truth["OFFSET_OUT"].values
     rows = np.searchsorted(product["tt2000"].values, stamps)
     rows = np.clip(rows, 0, product.sizes["time"] - 1)
     there = product["tt2000"].values[rows] == stamps
@@ -59,7 +72,7 @@ def errors(cat, made, day, constants=False):
     good &= np.isfinite(told["field_spacecraft"].values).all(axis=1)
     out = {}
     for name in ("outboard", "field_spacecraft"):
-        left = (told[name].values - field[there] - offset[there])[good]
+        left = (told[name].values - known[there])[good]
         out[name] = left if constants else left - left.mean(axis=0)
     return out, told.isel(time=good)
 
@@ -272,6 +285,43 @@ def test_windows_are_not_learnt_from_again_when_the_one_before_them_is(three, tm
     learnt.clear()
     again = reprocess(other, mission, start="2006-05-15", settings=settings, mapper=mapper)
     assert (again.days["unchanged"], again.days["done"], learnt) == (2, 0, [])
+
+
+@pytest.fixture(scope="module")
+def commissioned(tmp_path_factory):
+    """Two days learnt from one by one; the ambient field is known in the first."""
+    settings = DualSettings(days=2, seed=37, include=("monitor",), overrides=COARSE)
+    cat, mission, made = workspace(tmp_path_factory.mktemp("known") / "w", settings)
+    return cat, made, reprocess(cat, mission, settings=ReprocessSettings(table="daily"))
+
+
+def test_a_known_ambient_field_tells_the_constant_part_and_later_windows_take_it_over(commissioned):
+    cat, made, report = commissioned
+    assert report.exit_code == 0
+    first, second = (cat.table("main-states", f"2006-05-{day}") for day in (14, 15))
+    assert (first.attrs["constant_known"], first.attrs["carried"]) == (1, 0)
+    assert (second.attrs["constant_known"], second.attrs["carried"]) == (1, 1)
+    for day, table in zip(cat.days("l2/field", states=("published",)), (first, second), strict=True):
+        product = cat.read(day, dated=False)
+        with xr.open_dataset(truth_path(made.data, day.day), engine="h5netcdf") as truth:
+            stamps, stray = truth["Epoch"].values.astype(np.int64), truth["STRAY_OUT"] + truth["OFFSET_OUT"]
+            true = stray.values
+        rows = np.clip(np.searchsorted(product["tt2000"].values, stamps), 0, product.sizes["time"] - 1)
+        state = product["state"].values[rows]
+        good = (product["tt2000"].values[rows] == stamps) & np.isin(state, table["number"].values)
+        error = (product["correction"].values[rows] - true)[good].mean(axis=0)
+        place = [int(np.flatnonzero(table["number"].values == one)[0]) for one in np.unique(state[good])]
+        sigma = np.sqrt(np.einsum("sii->si", table["covariance"].values[place]))
+        assert np.all(np.abs(error) < 3.0 * sigma.max(axis=0))
+        # The offset and the state that is on for longest are in it: much more than its error.
+        assert sigma.max() < 0.5 < np.abs(true[good].mean(axis=0)).max()
+        applied = product.attrs["applied"] == "yes"
+        assert product.attrs["constant_known"] == ("yes" if applied else "no")
+
+
+def test_a_day_without_the_monitor_has_a_product_all_the_same(commissioned):
+    _, _, report = commissioned
+    assert (report.days["done"], report.days["failed"]) == (2, 0)
 
 
 def test_a_spacecraft_that_switches_nothing_is_left_alone(tmp_path):

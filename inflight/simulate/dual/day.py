@@ -35,7 +35,8 @@ class DualDay:
     ----------
     instruments : dict of Dataset
         ``ib``, ``ob``: B_RAW (record, axis) nT, sensor axes, and FLAG; ``hk``: I_TX, I_SPEC, I_CAM,
-        I_ARRAY mA; ``slow``: T_BODY degC. ``Epoch`` is TT2000.
+        I_ARRAY mA; ``slow``: T_BODY degC; while the ambient field is known ``mon``: B (record, axis) nT,
+        spacecraft axes. ``Epoch`` is TT2000.
     truth : Dataset
         FIELD, STRAY_IN, STRAY_OUT, OFFSET_IN, OFFSET_OUT (record, axis) nT, spacecraft axes; STATE
         (record): a bit for each unit in order that is on, or the number of the published state; attributes
@@ -56,6 +57,8 @@ def simulate_dual_day(settings: DualSettings, day: DayLike) -> DualDay:
         "hk": scene.currents(),
         "slow": scene.slow(),
     }
+    if "monitor" in settings.effects and scene.number - scene.first < settings.parameters.monitor_days:
+        instruments["mon"] = scene.monitor()
     return DualDay(scene.day, instruments, scene.truth())
 
 
@@ -187,6 +190,11 @@ class _Scene:
         lost = self._random(f"{sensor} gaps").uniform(0.0, DAY / SECOND - _GAP_S, 3)
         kept = ~np.any([(self.since >= one) & (self.since < one + _GAP_S) for one in lost], axis=0)
         return data.isel(record=kept)
+
+    def monitor(self) -> xr.Dataset:
+        """What a spacecraft nearby measures of the ambient field, spacecraft axes."""
+        noise = self._random("monitor").standard_normal(self.field.shape)
+        return _delivery(self.times.tt2000, B=self.field + self.parameters.noise_monitor * noise)
 
     def currents(self) -> xr.Dataset:
         """Currents of the units whose housekeeping is delivered, mA, and of the array."""

@@ -26,6 +26,7 @@ EXTRA: dict[str, str] = {
     "ageing": "moments of all units grow by `ageing` a day",
     "valve": "a valve is driven for two seconds now and then",
     "array_current": "field of the continuous current of the solar array",
+    "monitor": "the ambient field is known for the first `monitor_days`, as from a spacecraft nearby",
     "misalignment": "the inboard sensor is turned by an angle that nobody states",
 }
 DualDefect = Literal["gaps", "spikes"]
@@ -64,6 +65,8 @@ class DualParameters:
     offset_drift: float = 0.05
     thermal_drift: tuple[float, float, float] = (0.02, -0.015, 0.025)
     new_unit_day: int = 2
+    monitor_days: int = 1
+    noise_monitor: float = 0.05
     ageing: float = 0.02
     valve_moment: tuple[float, float, float] = (0.02, 0.01, 0.03)
     valve_switches: float = 30.0
