@@ -35,9 +35,9 @@ _OWN = 1.0
 #: The largest slope of a stray field, in a fit as short as it may be.
 _STEEPEST = 1.6
 
-#: A slope so many standard deviations above one, of a fit that is known to less than this many: where the
-#: stray field hardly shows, what is too much is ambient field.
-_STEEP, _CLEAR = 2.0, 20.0
+#: A slope above this that is less than so many standard deviations: where the stray field hardly shows beside
+#: the ambient one, what is too much is ambient field. Clear slopes above one are those of a matrix too small.
+_STEEP, _CLEAR = 1.1, 20.0
 
 #: Corrects readings.
 Corrector = Callable[[Readings], Correction]
@@ -81,9 +81,9 @@ class Evidence:
 
     @property
     def holds_ambient(self) -> bool:
-        """Whether the slope is above that of any stray field: ambient field that leaked into the difference."""
+        """Whether the slope is above that of a stray field: ambient field leaked into the difference."""
         too_steep = self.slope - SURE * self.sigma >= _STEEPEST
-        return too_steep or 1.0 + _STEEP * self.sigma < self.slope < _CLEAR * self.sigma
+        return too_steep or _STEEP < self.slope < _CLEAR * self.sigma
 
     @property
     def sure_of_itself(self) -> bool:

@@ -39,7 +39,9 @@ def test_the_reference_names_no_verb_that_is_not_there():
     assert set(named) <= set(verbs())
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/how-to/backfill.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/tutorial.md", "docs/how-to/backfill.md", "docs/how-to/two-sensors.md"]
+)
 def test_commands_shown_in_the_pages_exist(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     shown = re.findall(r"^inflight (?:-\S+ \S+ )*([a-z]+)((?: [a-z]+)?)(.*)$", text, flags=re.MULTILINE)
