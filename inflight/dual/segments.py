@@ -11,6 +11,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, StepNoise, find_jumps, spikes
 from inflight.dual.readings import Readings
+from inflight.dual.tails import without_tails
 from inflight.errors import SamplesError
 from inflight.time import SECOND, Int64
 
@@ -123,6 +124,7 @@ def segments_of(
     if lone.size:
         d = d.copy()
         d[lone] = 0.5 * (d[lone - 1] + d[lone + 1])
+    d = without_tails(d)
     places, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
     if jumps is not None:
         places = np.unique(np.searchsorted(rows, jumps))
