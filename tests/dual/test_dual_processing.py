@@ -294,3 +294,22 @@ def test_a_unit_that_aged_is_told():
     read = [one + 1.5 * on[:, :1] + more for one, more in zip(read, noise, strict=True)]
     going = continued(train(early.readings), train(Readings(late.readings.stamps, *read)))
     assert going.aged.any()
+
+
+def test_one_state_alone_that_moved_far_is_not_taken_for_any():
+    first = train(case(594, count=30_000, switches=60, ambient=1.0).readings)
+    quiet = case(595, count=5_000, units=1, switches=0)
+    places = first.centre[first.seen]
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    one, other = np.unravel_index(np.argmin(np.where(apart > 0, apart, np.inf)), apart.shape)
+    ambient = quiet.readings.outboard
+
+    def later(share):
+        level = places[one] + share * (places[other] - places[one])
+        return train(Readings(quiet.readings.stamps, ambient + level, quiet.ambient))
+
+    near = continued(first, later(0.1))
+    assert near.training.number.tolist() == [int(first.number[first.seen][one])]
+    half = continued(first, later(0.45))
+    assert not len(half.matched)
+    assert half.training.number.min() >= first.next_number

@@ -5,9 +5,11 @@ import pytest
 from numpy.testing import assert_allclose
 from switching_cases import case, switched
 
+from inflight.dual.readings import Readings
 from inflight.dual.segments import segments_of
 from inflight.dual.states import find_states
 from inflight.dual.units import find_units
+from inflight.simulate.dual import DualSettings, simulate_dual_day
 
 
 def told(made):
@@ -88,3 +90,16 @@ def test_without_proof_of_separate_units_none_are_claimed():
     units = find_units(told(case(323, on=on, units=2, count=6_000))[1])
     assert not units.consistent
     assert "no sum" in units.reason
+
+
+@pytest.mark.parametrize("seed", range(821, 825))
+def test_states_are_not_split_where_offsets_wander_by_many_errors(seed):
+    # Each level is known to a few picotesla, and the offset wanders by a hundred.
+    settings = DualSettings(days=1, seed=seed, overrides={"cadence": 4.0})
+    day = simulate_dual_day(settings, "2006-05-14")
+    stamps = day.instruments["ob"]["Epoch"].values.astype(np.int64)
+    turned = day.instruments["ib"]["B_RAW"].values @ np.array(
+        [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    )
+    found = find_states(segments_of(Readings(stamps, turned, day.instruments["ob"]["B_RAW"].values)))
+    assert abs(len(found) - np.unique(day.truth["STATE"].values).size) <= 1
