@@ -94,12 +94,13 @@ class Pair:
 
 
 def is_calibrated_apart(mission: Mission, comparison: str) -> bool:
-    """Return True when scalar comparisons calibrate both sensors of a dual comparison."""
-    try:
-        Pair.of(mission, comparison)
-    except MissionError:
-        return False
-    return True
+    """Return True when scalar or spin comparisons calibrate sensors of a dual one.
+
+    Where one sensor is left without, `Pair.of` says which.
+    """
+    own = set(mission.comparisons[comparison].instruments().values())
+    others = [entry for entry in mission.comparisons.values() if entry.kind in ("scalar", "spin")]
+    return any(entry.instruments()["vector"] in own for entry in others)
 
 
 def dual_comparisons(mission: Mission) -> list[str]:

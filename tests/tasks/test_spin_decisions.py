@@ -32,6 +32,7 @@ def day_of(number, value):
         {
             "value": (("block", "parameter"), value[None]),
             "covariance": (("block", "parameter", "other"), np.diag(SIGMA**2)[None]),
+            "sigma": (("block", "parameter"), SIGMA[None]),
             "estimate": (("block", "sub", "parameter"), np.zeros((1, 20, 8))),
             "start": ("block", np.array([start])),
             "end": ("block", np.array([end])),
