@@ -22,6 +22,7 @@ from inflight.tasks.chain_parts import part_of
 from inflight.tasks.models import preflight_model
 from inflight.tasks.planning import equations_of, product_of
 from inflight.tasks.reprocess_chain import LEFT_OUT, MADE_FROM, spread_offsets
+from inflight.tasks.tables import newest_record
 from inflight.time import day_bounds
 
 #: Tables of the chain; ``window`` is that of another reprocessing, for comparison.
@@ -180,9 +181,9 @@ def _beside(
     left_out: dict[str, str],
 ) -> None:
     """Add a table that another step made, the newest certified one."""
-    known = [one for one in cat.tables(f"{comparison}-{name}") if one.certified and not one.damaged]
-    if known:
-        tables[name], ids[name] = cat.table_by_id(known[-1].id), known[-1].id
+    known = newest_record(cat, f"{comparison}-{name}")
+    if known is not None:
+        tables[name], ids[name] = cat.table_by_id(known.id), known.id
     elif name == "window":
         left_out[name] = (
             f"no table {comparison}-window to compare with; 'inflight reprocess --table window' makes one"

@@ -23,6 +23,7 @@ from inflight.figures.ledger import facts_list, ledger_table
 from inflight.figures.page import Section, html_page
 from inflight.figures.verdict import verdict_strip
 from inflight.mission import Mission
+from inflight.tasks.chain_report import write_page
 from inflight.tasks.diagnose import DiagnoseSettings, material_of, prepare, search_of
 from inflight.tasks.diagnosis_sections import (
     error_falls,
@@ -89,11 +90,7 @@ def report(
     examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
     tell = progress or (lambda stage, done, total: None)
     tell("report", 0, 1)
-    page = diagnosis_page(*examined)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = output.with_name(f".{output.name}.part")
-    unfinished.write_text(page, encoding="utf-8")
-    unfinished.replace(output)
+    write_page(output, diagnosis_page(*examined))
     tell("report", 1, 1)
     return DiagnosisReport(examined.found, output)
 

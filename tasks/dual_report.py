@@ -18,6 +18,7 @@ from inflight.mission import Mission
 from inflight.tasks.chain_report import write_page
 from inflight.tasks.chain_sections import Part, with_error
 from inflight.tasks.reprocess_dual import NO_PRODUCT, TABLES
+from inflight.tasks.tables import newest_tables
 from inflight.time import day_of
 
 
@@ -59,11 +60,7 @@ def dual_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tu
     CatalogError
         When none is certified.
     """
-    tables = {}
-    for name in TABLES:
-        records = [one for one in cat.tables(f"{comparison}-{name}") if one.certified and not one.damaged]
-        if records:
-            tables[name] = cat.table_by_id(records[-1].id)
+    tables = newest_tables(cat, comparison, TABLES)
     if "relation-daily" not in tables:
         raise CatalogError(
             f"no tables are published for comparison '{comparison}'",

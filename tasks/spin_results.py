@@ -19,6 +19,7 @@ from inflight.spin.equation import NAMES, SPIN_RELATED
 from inflight.spin.layout import Bools
 from inflight.spin.selection import choose
 from inflight.tasks.planning import equations_of, product_of
+from inflight.tasks.tables import newest_tables
 from inflight.time import day_of
 
 TABLES = ("daily", "window", "zero-level")
@@ -57,11 +58,7 @@ class SpinResults:
         CatalogError
             When there are none.
         """
-        tables = {}
-        for name in TABLES:
-            found = [one for one in cat.tables(f"{comparison}-{name}") if one.certified and not one.damaged]
-            if found:
-                tables[name] = cat.table_by_id(found[-1].id)
+        tables = newest_tables(cat, comparison, TABLES)
         if set(tables) != set(TABLES) or "own" not in tables["daily"]:
             raise CatalogError(
                 f"no tables are published for comparison '{comparison}'",

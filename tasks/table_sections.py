@@ -17,6 +17,7 @@ from inflight.tasks.reprocess_dual import dual_comparisons
 from inflight.tasks.spin_report import spin_table_parts
 from inflight.tasks.spin_results import TABLES, SpinResults
 from inflight.tasks.states_units import is_told_by_states
+from inflight.tasks.tables import newest_record, newest_table
 from inflight.time import to_utc
 
 #: Intervals of a table that are listed with their text; the newest.
@@ -47,16 +48,10 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
     zero = newest_table(cat, f"{comparison}-zero-level")
     if zero is not None:
         out.append(("Zero level", _zero_level(zero), []))
-    if newest_table(cat, f"{comparison}-continuous") is not None:
+    if newest_record(cat, f"{comparison}-continuous") is not None:
         parts = chain_report(cat, mission, comparison).parts
         out += [(part.heading, part.text, part.plots) for part in parts if part.text or part.plots]
     return out
-
-
-def newest_table(cat: Catalog, name: str) -> xr.Dataset | None:
-    """Return the table of a name that was certified last and is whole; None without one."""
-    records = [one for one in cat.tables(name) if one.certified and not one.damaged]
-    return cat.table_by_id(records[-1].id) if records else None
 
 
 def _parameters(cat: Catalog, comparison: str) -> list[Section]:

@@ -13,7 +13,7 @@ from inflight.calibration import Interval, NormalEquations, calibration_table, e
 from inflight.calibration.robust import WEIGHTED_RMS
 from inflight.calibration.sensor import bend
 from inflight.calibration.solution import Solution, residual_sum
-from inflight.catalog import Catalog, Day
+from inflight.catalog import Catalog, Day, TableRecord
 from inflight.model import Model
 from inflight.time import as_day, day_bounds
 
@@ -23,6 +23,24 @@ TABLES_VERSION = 4
 GRID_ORIGIN = np.datetime64("2000-01-01", "D")
 #: Equations are linearised again when the fit bends the residual by more than this; nT.
 MOST_BEND = 1e-3
+
+
+def newest_record(cat: Catalog, name: str) -> TableRecord | None:
+    """Return the record of the table of a name that was certified last and is whole; None without one."""
+    records = [one for one in cat.tables(name) if one.certified and not one.damaged]
+    return records[-1] if records else None
+
+
+def newest_table(cat: Catalog, name: str) -> xr.Dataset | None:
+    """Return the table of a name that was certified last and is whole; None without one."""
+    record = newest_record(cat, name)
+    return None if record is None else cat.table_by_id(record.id)
+
+
+def newest_tables(cat: Catalog, comparison: str, names: Sequence[str]) -> dict[str, xr.Dataset]:
+    """Return the newest tables of a comparison by name, those that there are."""
+    found = {name: newest_table(cat, f"{comparison}-{name}") for name in names}
+    return {name: table for name, table in found.items() if table is not None}
 
 
 def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
