@@ -89,6 +89,20 @@ class ScalarComparison(Strict):
         return {"vector": self.vector, "scalar": self.scalar}
 
 
+class Body(Strict):
+    """The box in which all of a spacecraft's units stand; origin and unit of `positions`."""
+
+    middle: Vector3 = (0.0, 0.0, 0.0)
+    #: Its whole lengths along the spacecraft's axes.
+    size: Vector3
+
+    @model_validator(mode="after")
+    def _has_a_size(self) -> Self:
+        if min(self.size) <= 0:
+            raise ValueError("'size' must be three positive lengths")
+        return self
+
+
 class DualComparison(Strict):
     """Difference of two vector sensors in spacecraft axes (three rows a sample, nT)."""
 
@@ -98,6 +112,8 @@ class DualComparison(Strict):
     #: Instrument that tells the ambient field in spacecraft axes for some of the time, such as a model or a
     #: spacecraft nearby: then the part of the stray field that never changes is known, too.
     ambient: str | None = None
+    #: Where the units stand: geometry then tells what of the difference the outboard sensor sees.
+    body: Body | None = None
     base: str | None = None
     preflight: str | None = None
 

@@ -23,12 +23,13 @@ from inflight.dual.gradiometer_table import (
     has_gradiometer,
 )
 from inflight.dual.harm import Judgement, judge
+from inflight.dual.places import Body
 from inflight.dual.processing import process
 from inflight.dual.product import readings_of
 from inflight.dual.readings import Readings
 from inflight.dual.table import from_dataset, to_dataset
 from inflight.errors import InflightError, SamplesError
-from inflight.mission import Mission
+from inflight.mission import DualComparison, Mission
 from inflight.model import Model
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Failure, failure_of
@@ -39,7 +40,7 @@ from inflight.time import Int64
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 2
+STATES_VERSION = 3
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -57,27 +58,33 @@ def states_window(
     Returns
     -------
     Dataset
-        Of `inflight.dual.table.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`, `benefit`
-        over `candidate` say what held-out stretches tell of each correction. Attributes `method`,
-        `applied` (yes or no), `verdict`.
+        Of `inflight.dual.table.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`, `benefit`,
+        `chance_of_harm` over `candidate` say what held-out stretches tell of each correction. Attributes
+        `method`, `applied` (yes or no), `verdict`.
     """
     with threadpool_limits(1), kept_readings():
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
-            candidates = Candidates(readings, positions_of(mission, model.comparison), ambient=ambient)
-            return table_of(candidates, judge(readings, candidates.fit))
+            candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
+            return table_of(candidates, judge(readings, candidates.fit, expectation=candidates.expectation))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
 
 
-def positions_of(mission: Mission, comparison: str) -> Floats | None:
-    """Return where the inboard and the outboard sensor are, m, (2, 3); None where the mission is silent."""
-    roles = mission.comparisons[comparison].instruments()
+def body_of(mission: Mission, comparison: str) -> Body | None:
+    """Return where both sensors and the spacecraft's units are, m; None where the mission is silent."""
+    told = mission.comparisons[comparison]
+    if not isinstance(told, DualComparison) or told.body is None:
+        return None
+    roles = told.instruments()
     places = [mission.instruments[roles[role]].position for role in ("inboard", "outboard")]
     if any(place is None for place in places):
         return None
     factor, _ = factor_and_offset(mission.positions.unit, "m")
-    return np.asarray(places, dtype=np.float64) * factor
+    sensors, middle, size = (
+        np.asarray(one, dtype=np.float64) * factor for one in (places, told.body.middle, told.body.size)
+    )
+    return Body(sensors, middle, 0.5 * size)
 
 
 class WindowReadings(NamedTuple):
@@ -160,6 +167,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
+        chance_of_harm=(one, np.array([each.chance_of_harm for each in evidence]), {"units": "1"}),
         helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
         candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
     ).assign_attrs(

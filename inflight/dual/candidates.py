@@ -9,12 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.bands import gradiometer_correction
+from inflight.dual.bands import gradiometer_correction, without_noise
 from inflight.dual.combined import combined_correction
 from inflight.dual.correction import Correction
+from inflight.dual.expectation import Expectation
 from inflight.dual.gradiometer import FORMS, LEAK_SIGMA, Gradiometer, fit_forms
 from inflight.dual.harm import Corrector
+from inflight.dual.moments import Noise
 from inflight.dual.outboard import OutboardSteps, outboard_steps
+from inflight.dual.places import Body, matrices_from_geometry
 from inflight.dual.processing import process
 from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
@@ -40,7 +43,7 @@ class Candidates:
     Parameters
     ----------
     readings : Readings
-    positions, leak_sigma
+    body, leak_sigma
         See `gradiometer.fit_forms`.
     ambient : ndarray, shape (time, axis), optional
         See `training.train`; NaN everywhere is the same as none.
@@ -49,12 +52,12 @@ class Candidates:
     def __init__(
         self,
         readings: Readings,
-        positions: Floats | None = None,
+        body: Body | None = None,
         leak_sigma: float = LEAK_SIGMA,
         ambient: Floats | None = None,
     ) -> None:
         self.readings, self.ambient = readings, ambient
-        self.positions, self.leak_sigma = positions, leak_sigma
+        self.body, self.leak_sigma = body, leak_sigma
 
     def fit(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Corrector]:
         """Fit to the rows in use; what cannot be fitted is left out.
@@ -85,15 +88,28 @@ class Candidates:
         return self._gradiometers(np.ones(len(self.readings), dtype=bool))
 
     @cached_property
+    def expectation(self) -> Expectation | None:
+        """What geometry lets expect; None where the body is not told, or nothing can be fitted."""
+        full = self.gradiometers.get("matrix")
+        if self.body is None or full is None:
+            return None
+        good = self.readings.good
+        stray = np.full((len(self.readings), 3), np.nan)
+        stray[good] = without_noise(full.stray(self.readings)[good], full.noise)[0]
+        places = matrices_from_geometry(self.body)
+        noise = Noise(full.noise, full.mixing.share, 0.0)
+        return Expectation(places, stray, noise, full.mixing.leak_covariance)
+
+    @cached_property
     def training(self) -> Training:
         """States learnt from all readings; one or none where these show no more."""
         training = self._training(np.ones(len(self.readings), dtype=bool))
         return no_states(self.readings, self._without or _LOST) if training is None else training
 
     def _gradiometers(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Gradiometer]:
-        forms = [form for form in FORMS if form != "dipole" or self.positions is not None]
+        forms = [form for form in FORMS if form != "dipole" or self.body is not None]
         try:
-            return fit_forms(self.readings.part(use), forms, self.positions, self.leak_sigma)
+            return fit_forms(self.readings.part(use), forms, self.body, self.leak_sigma)
         except InflightError:
             return {}
 

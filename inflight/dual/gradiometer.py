@@ -4,7 +4,8 @@ A dipole on the boom's axis makes ``k`` times its inboard field at the outboard 
 field is ``B = (B_out - k B_in) / (1 - k)`` and the stray field at the outboard sensor ``k / (1 - k) d`` with
 ``d = B_in - B_out``. Units off the axis have other factors: in general the stray field is a matrix times
 ``d``. Its forms are one ratio, one for each axis, the strongest directions of ``d`` (`principal`), the
-matrix of a dipole whose place is fitted, and the full matrix.
+matrix of a dipole whose place is fitted, and the full matrix; the careful form leaves alone, in each time
+scale, what may be flicker noise and drift of the sensors.
 
 What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the
 matrix (`mixing`) and taken out before: otherwise the field that is measured would be changed in proportion
@@ -19,18 +20,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual.mixing import WIDE, Mixing, Moments, fit_mixing, moments, outboard_share, usable_cells
-from inflight.dual.places import BODY, dipole_matrix, fit_place, matrix_from_geometry
+from inflight.dual.mixing import Mixing, fit_mixing, moments_of, noise_of, usable_cells
+from inflight.dual.moments import WIDE, Moments
+from inflight.dual.places import Body, dipole_matrix, fit_place, matrix_from_geometry
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
 from inflight.dual.scales import cells_of, quietest
 from inflight.errors import CalibrationError, SettingsError
 
 #: Forms of the matrix, from the fewest numbers to the most.
-FORMS = ("ratio", "axes", "dipole", "principal", "matrix")
+FORMS = ("ratio", "axes", "dipole", "principal", "matrix", "careful")
 #: Standard deviation of an element of the leak before anything is seen: a percent is a poor calibration.
 LEAK_SIGMA = 0.01
 _FEWEST = 256
+#: Those with the full matrix.
+_FULL = ("matrix", "careful")
 #: Part of the weighted variance of the difference that the principal directions must hold.
 _HELD = 0.99
 
@@ -65,6 +69,11 @@ class Gradiometer:
     facts: Mapping[str, float | list[float]] = field(default_factory=dict)
 
     @property
+    def careful(self) -> bool:
+        """Whether what the sensors may do by themselves is left alone, see `wander`."""
+        return self.form == "careful"
+
+    @property
     def matrix(self) -> Floats:
         """What takes the stray part of the difference to the outboard sensor; (3, 3)."""
         return self.mixing.matrix
@@ -89,17 +98,17 @@ class Gradiometer:
 def fit_gradiometer(
     readings: Readings,
     form: str = "matrix",
-    positions: Floats | None = None,
+    body: Body | None = None,
     leak_sigma: float = LEAK_SIGMA,
 ) -> Gradiometer:
     """Fit a gradiometer of one form; as `fit_forms`."""
-    return fit_forms(readings, (form,), positions, leak_sigma)[form]
+    return fit_forms(readings, (form,), body, leak_sigma)[form]
 
 
 def fit_forms(
     readings: Readings,
     forms: Sequence[str] = FORMS,
-    positions: Floats | None = None,
+    body: Body | None = None,
     leak_sigma: float = LEAK_SIGMA,
 ) -> dict[str, Gradiometer]:
     """Fit gradiometers to readings in which the spacecraft's field changes.
@@ -109,9 +118,9 @@ def fit_forms(
     readings : Readings
     forms : sequence of str
         Of `FORMS`.
-    positions : ndarray, shape (2, 3), optional
-        Of the inboard and the outboard sensor from the middle of the body, m, spacecraft axes. Where given,
-        the full matrix starts from what geometry says; ``dipole`` needs them.
+    body : Body, optional
+        Where sensors and units are, spacecraft axes. Where given, every form starts from what geometry says;
+        ``dipole`` needs it.
     leak_sigma : float
         Standard deviation of the elements of the leak before the fit: how well the two sensors are aligned
         and scaled to each other. 0 when they are perfect.
@@ -119,7 +128,7 @@ def fit_forms(
     Raises
     ------
     SettingsError
-        For an unknown form, or a dipole without positions.
+        For an unknown form, or a dipole without a body.
     CalibrationError
         With fewer than 256 good samples.
     """
@@ -127,9 +136,10 @@ def fit_forms(
         raise SettingsError(
             f"form '{min(unknown)}' of a gradiometer", remedy=f"choose from {', '.join(FORMS)}"
         )
-    places = None if positions is None else np.asarray(positions, dtype=np.float64)
-    if "dipole" in forms and places is None:
-        raise SettingsError("a dipole has no place", remedy="give both sensors' positions")
+    if "dipole" in forms and body is None:
+        raise SettingsError(
+            "a dipole has no place", remedy="say where the sensors' positions and the spacecraft's body are"
+        )
     good = readings.good
     if good.sum() < _FEWEST:
         raise CalibrationError(
@@ -137,23 +147,27 @@ def fit_forms(
             remedy="take a longer span",
         )
     every = cells_of(readings.outboard[good], readings.difference[good])
-    noise = quietest(every, readings.noise)
-    share = outboard_share(every, noise)
-    cells = usable_cells(every, noise, share)
-    prior = (np.zeros(9), WIDE**2 * np.eye(9)) if places is None else matrix_from_geometry(places)
-    mixing = fit_mixing(cells, noise, share, prior, leak_sigma)
-    told = moments(cells, mixing, noise)
-    _, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
-    covariance = covariance + told.of_leak(mixing.leak_covariance, prior)
+    noise = noise_of(every, quietest(every, readings.noise))
+    cells = usable_cells(every, noise)
+    prior = (np.zeros(9), WIDE**2 * np.eye(9)) if body is None else matrix_from_geometry(body)
+    mixing = fit_mixing(cells, noise, prior, leak_sigma)
+    told = moments_of(cells, mixing, noise)
+    value, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
+    mixing = replace(mixing, matrix=value.reshape(3, 3))
     scatter = told.scatter(mixing.matrix) * np.eye(9)
-    full = Gradiometer("matrix", mixing, covariance + scatter, mixing.matrix.ravel(), covariance, noise)
-    return {form: full if form == "matrix" else as_form(full, told, form, places) for form in forms}
+    full = Gradiometer("matrix", mixing, covariance + scatter, value, covariance, noise.covariance)
+    return {
+        form: replace(full, form=form) if form in _FULL else as_form(full, told, form, prior, body)
+        for form in forms
+    }
 
 
-def as_form(full: Gradiometer, told: Moments, form: str, positions: Floats | None = None) -> Gradiometer:
+def as_form(
+    full: Gradiometer, told: Moments, form: str, prior: tuple[Floats, Floats], body: Body | None = None
+) -> Gradiometer:
     """Return another form of a fitted full matrix, from the moments it was fitted to."""
-    if form == "dipole" and positions is not None:
-        return _as_dipole(full, told, positions)
+    if form == "dipole" and body is not None:
+        return _as_dipole(full, told, body)
     facts: dict[str, float | list[float]] = {}
     if form == "principal":
         directions = _held_directions(told, full.noise)
@@ -163,7 +177,7 @@ def as_form(full: Gradiometer, told: Moments, form: str, positions: Floats | Non
         basis = np.eye(3)[None]
     else:
         basis = np.einsum("ki,kj->kij", np.eye(3), np.eye(3))
-    value, covariance = told.solve(basis)
+    value, covariance = told.solve(basis, prior)
     if form == "ratio":
         # stray = k / (1 - k) d
         sigma = float(np.sqrt(covariance[0, 0])) / (1.0 + float(value[0])) ** 2
@@ -203,14 +217,12 @@ def _held_directions(told: Moments, noise: Floats) -> Floats:
     return directions[: int(np.searchsorted(held, _HELD)) + 1]
 
 
-def _as_dipole(full: Gradiometer, told: Moments, positions: Floats) -> Gradiometer:
-    square, cross = told.square.sum(axis=0), told.cross.sum(axis=0)
-    place, slope = fit_place(positions, square, cross)
-    matrix = dipole_matrix(positions, place)
-    left = told.cross - np.einsum("bkij,kj->bki", told.square, matrix)
-    bent = Moments(told.square, left, told.noise, told.count)
-    spread = BODY * float(np.linalg.norm(positions[0]))
-    _, covariance = bent.solve(slope, (-place, np.eye(3) * spread**2))
+def _as_dipole(full: Gradiometer, told: Moments, body: Body) -> Gradiometer:
+    place, slope = fit_place(body, told.whitened(full.matrix, told.excess(full.matrix)))
+    matrix = dipole_matrix(body.positions, place)
+    at_place = told.whitened(matrix, told.excess(matrix))
+    design = np.einsum("kij,pkj->pki", at_place.design, slope).reshape(3, 9)
+    covariance = np.linalg.inv(design @ design.T + np.diag(body.spread**-2))
     sigma = np.sqrt(np.diag(covariance))
     facts: dict[str, float | list[float]] = {"place_m": place.tolist(), "sigma_m": sigma.tolist()}
     return _with_matrix(full, told, "dipole", matrix, (slope, place, covariance), facts)

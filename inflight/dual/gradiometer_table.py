@@ -46,15 +46,16 @@ def has_gradiometer(table: xr.Dataset) -> bool:
 
 
 def gradiometer_of(table: xr.Dataset) -> Gradiometer:
-    """Return the gradiometer of a table; of form ``matrix``, whatever it was fitted as."""
+    """Return the gradiometer of a table; of form ``matrix``, or ``careful`` if it was fitted as that."""
     told = {
         name: np.asarray(table[_NAME + name].values)
         for name in ("matrix", "leak", "noise", "leak_covariance", "covariance")
     }
     share = float(table.attrs[f"{_NAME}share"])
     mixing = Mixing(told["matrix"], told["leak"], told["leak_covariance"], share)
+    form = "careful" if table.attrs.get(f"{_NAME}form") == "careful" else "matrix"
     return Gradiometer(
-        "matrix", mixing, told["covariance"], told["matrix"].ravel(), told["covariance"], told["noise"]
+        form, mixing, told["covariance"], told["matrix"].ravel(), told["covariance"], told["noise"]
     )
 
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.dual.correction import Correction, no_correction
+from inflight.dual.expectation import Expectation, Expected, Seen
 from inflight.dual.readings import Readings
 from inflight.dual.scales import Cells, cells_of
 
@@ -38,6 +39,10 @@ _STEEPEST = 1.6
 #: A slope above this that is less than so many standard deviations: where the stray field hardly shows beside
 #: the ambient one, what is too much is ambient field. Clear slopes above one are those of a matrix too small.
 _STEEP, _CLEAR = 1.1, 20.0
+#: A correction may do harm with this probability.
+_CHANCE = 0.01
+#: What lowers the mean square error by less than this part of the noise's is not worth it.
+_TRIVIAL = 1e-3
 
 #: Corrects readings.
 Corrector = Callable[[Readings], Correction]
@@ -62,6 +67,16 @@ class Evidence:
         Mean square of the correction's changes, nT^2 summed over axes.
     error : float
         Mean square of the error that the correction states for itself, likewise.
+    seen : Seen
+        The slope on each scale.
+    chance_of_harm : float
+        Probability that the correction makes the error larger, all units being in the body; NaN where the
+        body is not known, or the readings say otherwise.
+    worth : float
+        By which the best of those that help is chosen: expected fall of the mean square error, nT^2, or
+        `gain`.
+    trivial : bool
+        That fall is nothing beside the noise.
     """
 
     name: str
@@ -72,10 +87,27 @@ class Evidence:
     benefit_sigma: float
     size: float
     error: float
+    seen: Seen
+    chance_of_harm: float = float("nan")
+    worth: float = 0.0
+    trivial: bool = False
+
+    def expecting(self, expected: Expected, noise: float) -> Evidence:
+        """Return the evidence together with what geometry lets expect, unless the readings refute that.
+
+        `noise` is the mean square of the outboard reading's white noise, nT^2 summed over axes.
+        """
+        if expected.refuted_by(self.seen):
+            return self
+        chance = expected.chance_of_harm(self.seen)
+        worth = expected.mean_benefit(self.seen)
+        return replace(self, chance_of_harm=chance, worth=worth, trivial=worth < _TRIVIAL * noise)
 
     @property
     def helps(self) -> bool:
         """Whether the correction lowers the error beyond doubt."""
+        if np.isfinite(self.chance_of_harm):
+            return self.chance_of_harm < _CHANCE and not self.trivial
         low = self.slope > max(SURE * self.sigma, 0.5 + SURE_OF_GAIN * self.sigma)
         return low and not self.holds_ambient and self.sure_of_itself and self.benefit > self.benefit_sigma
 
@@ -94,15 +126,23 @@ class Evidence:
     def told(self) -> str:
         """Return the sentence that is stored with the correction."""
         seen = f"slope of the outboard reading on it {self.slope:.2f} +- {self.sigma:.2f}, held out"
-        if self.helps:
-            return f"helps: {seen}"
+        if np.isfinite(self.chance_of_harm):
+            seen = f"chance of harm {self.chance_of_harm:.2g} with all units in the body, {seen}"
+        return f"helps: {seen}" if self.helps else f"left alone, {self._against}: {seen}"
+
+    @property
+    def _against(self) -> str:
+        if self.trivial:
+            return "it takes off hardly anything"
+        if np.isfinite(self.chance_of_harm):
+            return "it is not sure to help"
         if self.holds_ambient:
-            return f"left alone, it holds ambient field: {seen}"
+            return "it holds ambient field"
         if not self.sure_of_itself:
-            return f"left alone, its own error is as large as what it takes off: {seen}"
+            return "its own error is as large as what it takes off"
         if self.slope + SURE_OF_GAIN * self.sigma < 0.5:
-            return f"left alone, it would do harm: {seen}"
-        return f"left alone, these readings do not tell whether it helps: {seen}"
+            return "it would do harm"
+        return "these readings do not tell whether it helps"
 
 
 @dataclass(frozen=True)
@@ -114,7 +154,9 @@ class Judgement:
     evidence: Mapping[str, Evidence]
 
 
-def judge(readings: Readings, fit: Fit, folds: int = FOLDS) -> Judgement:
+def judge(
+    readings: Readings, fit: Fit, folds: int = FOLDS, expectation: Expectation | None = None
+) -> Judgement:
     """Choose the correction that helps most on held-out readings, or none.
 
     Parameters
@@ -125,17 +167,26 @@ def judge(readings: Readings, fit: Fit, folds: int = FOLDS) -> Judgement:
         From rows in use (time,) to correctors by name, such as `candidates.Candidates.fit`.
     folds : int
         Parts.
+    expectation : Expectation, optional
+        What geometry lets expect, where sensors and body are known.
     """
     held = _held_out(readings, fit, folds)
-    evidence = {name: evidence_of(name, readings, parts) for name, parts in held.items()}
+    whole = fit(np.ones(len(readings), dtype=bool))
+    evidence = {name: evidence_of(name, readings, parts) for name, parts in held.items() if name in whole}
+    if expectation is not None:
+        noise = expectation.noise.share * float(np.trace(expectation.noise.covariance))
+        for name, one in evidence.items():
+            expected = expectation.of(readings, whole[name](readings))
+            evidence[name] = one.expecting(expected, noise)
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
         told = "; ".join(f"{name}: {one.told}" for name, one in evidence.items())
         return Judgement(
             no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence
         )
-    best = max(helping, key=lambda one: one.gain)
-    correction = fit(np.ones(len(readings), dtype=bool))[best.name](readings)
+    # The careful form where no other is sure to help.
+    best = max(helping, key=lambda one: (one.name != "careful", np.isfinite(one.chance_of_harm), one.worth))
+    correction = whole[best.name](readings)
     return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
 
 
@@ -166,7 +217,7 @@ def evidence_of(name: str, readings: Readings, parts: list[tuple[slice, Correcti
     of_square, of_cross = (weight * square).sum(axis=1), (weight * cross).sum(axis=1)
     total = float(of_square.sum())
     if not total > 0:
-        return Evidence(name, 0.0, np.inf, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return Evidence(name, 0.0, np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, nothing_seen())
     slope = float(of_cross.sum()) / total
     score = np.bincount(block, of_cross - slope * of_square)
     score = score[np.bincount(block) > 0]
@@ -174,7 +225,9 @@ def evidence_of(name: str, readings: Readings, parts: list[tuple[slice, Correcti
     sigma = float(np.sqrt(max(total, scatter))) / total
     benefit, benefit_sigma = _benefit(cells, square.sum(axis=1), of_square, of_cross, (slope, sigma))
     gain = float(of_cross.sum()) - 0.5 * total
-    return Evidence(name, slope, sigma, gain, benefit, benefit_sigma, *_sizes(parts))
+    wider = max(1.0, sigma**2 * total)
+    seen = _seen(cells, of_square, of_cross, wider)
+    return Evidence(name, slope, sigma, gain, benefit, benefit_sigma, *_sizes(parts), seen, worth=gain)
 
 
 def _sizes(parts: list[tuple[slice, Correction]]) -> tuple[float, float]:
@@ -234,3 +287,19 @@ def _benefit(
         variance += 4.0 * power**2 * share * own + 4.0 * power**2 * (1.0 - share) ** 2 * _SCATTER**2
         shift += 2.0 * power * (1.0 - share) * sigma
     return benefit, float(np.sqrt(variance + shift**2))
+
+
+def _seen(cells: Cells, of_square: Floats, of_cross: Floats, wider: float) -> Seen:
+    """Return the slope on each scale; variances are widened by what blocks of time disagree."""
+    scales = np.unique(cells.scale)
+    slope, variance = np.zeros(scales.size), np.zeros(scales.size)
+    for place, scale in enumerate(scales):
+        here = cells.scale == scale
+        total = max(float(of_square[here].sum()), 1e-300)
+        slope[place], variance[place] = float(of_cross[here].sum()) / total, wider / total
+    return Seen(scales, slope, variance)
+
+
+def nothing_seen() -> Seen:
+    """Return the slopes of readings that tell none."""
+    return Seen(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))

@@ -11,12 +11,13 @@ cells have the same proportion it is not, and the covariance says so.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
 
 from inflight.arrays import Floats
+from inflight.dual.moments import Moments, Noise, moments
 from inflight.dual.scales import Cells
 
 #: A cell whose difference is not this many times its noise (nor its outboard reading that many times)
@@ -26,16 +27,15 @@ _LOUD_DIFFERENCE, _LOUD_OUTBOARD = 6.0, 10.0
 _RESTFUL = 0.05
 #: The sensors' shares of the noise are seen where the difference is less than this many times its noise.
 _QUIET = 1.5
-#: The noise that both series share is known to this part of the difference's.
-_UNSURE = 0.1
-#: Standard deviation of an element of the matrix before anything is seen; a ratio k of 0.75 makes 3.
-WIDE = 3.0
+#: Standard deviation of the outboard sensor's part of the noise about a half, before anything is seen.
+_SHARE = 0.3
+_ELEMENTS = np.eye(9).reshape(9, 3, 3)
 #: Standard deviations of what is known before that a fit may go.
 _FAR = 3.0
 #: Contrasts that a cell's variances are taken to have beside its own, of the size of the noise.
 _OWN = 1.0
-#: Blocks of time whose scatter tells how far the variances can be believed.
-_BLOCKS = 24
+#: How often the cells are weighed anew.
+_TURNS = 6
 
 
 @dataclass(frozen=True)
@@ -68,101 +68,16 @@ class Mixing:
         return np.asarray(inverse @ np.concatenate([-self.leak, np.eye(3)], axis=1))
 
 
-@dataclass(frozen=True)
-class Moments:
-    """Weighted sums over cells for each axis of the outboard sensor, in blocks of time.
-
-    Attributes
-    ----------
-    square : ndarray, shape (block, axis, 3, 3)
-        Of the stray part of the difference.
-    cross : ndarray, shape (block, axis, 3)
-        Of it with the outboard reading.
-    noise : ndarray, shape (axis, 3, 3)
-        The white noise's part of the squares of all blocks together.
-    count : float
-        Contrasts, for each axis.
-    """
-
-    square: Floats
-    cross: Floats
-    noise: Floats
-    count: float
-
-    def solve(self, basis: Floats, prior: tuple[Floats, Floats] | None = None) -> tuple[Floats, Floats]:
-        """Return the factors of matrices (parameter, 3, 3) that explain the outboard field.
-
-        And their covariance, widened by what blocks of time disagree beyond it: units of different places,
-        which no one matrix describes, show there.
-        """
-        normal = np.einsum("pki,bkij,qkj->bpq", basis, self.square, basis)
-        right = np.einsum("pki,bki->bp", basis, self.cross)
-        precision = np.eye(len(basis)) / WIDE**2 if prior is None else np.linalg.inv(prior[1])
-        start = np.zeros(len(basis)) if prior is None else prior[0]
-        total = normal.sum(axis=0) + precision
-        value = np.linalg.solve(total, right.sum(axis=0) + precision @ start)
-        covariance = np.linalg.inv(total)
-        score = right - normal @ value
-        middle = score.T @ score - np.outer(score.sum(axis=0), score.sum(axis=0)) / len(score)
-        excess = float(np.trace(middle @ covariance)) / len(basis)
-        unsure = np.einsum("pki,kij,qkl,klj->pq", basis, self.noise, basis, self.noise, optimize=True)
-        # The noise in the squares makes the factors smaller, and is left there: it errs to the side of
-        # doing less.
-        matrix = np.einsum("p,pki->ki", value, basis)
-        less = covariance @ np.einsum("pki,kij,kj->p", basis, self.noise, matrix)
-        widened = covariance * max(excess, 1.0) + np.outer(less, less)
-        return value, widened + _UNSURE**2 * covariance @ unsure @ covariance
-
-    def scatter(self, matrix: Floats) -> float:
-        """Return the variance of an element of the matrix between blocks of time, beyond chance.
-
-        Units of different places have different matrices; the one that switches now is not the mean of all.
-        """
-        extra = power = 0.0
-        for axis in range(3):
-            score = self.cross[:, axis] - self.square[:, axis] @ matrix[axis]
-            for one, square in zip(score, self.square[:, axis], strict=True):
-                value, vector = np.linalg.eigh(square)
-                seen = value > 1.0 / WIDE**2
-                extra += float(np.sum((vector.T @ one)[seen] ** 2 / value[seen])) - float(seen.sum())
-                power += float(value[seen].sum())
-        return max(extra, 0.0) / power if power > 0 else 0.0
-
-    def of_leak(self, leak: Floats, prior: tuple[Floats, Floats]) -> Floats:
-        """Return what the leak's covariance (9, 9) adds to that of the matrix's elements; (9, 9).
-
-        Ambient field left in the difference is regressed on itself: row k of the matrix moves by the inverse
-        of its squares times the number of contrasts times column k of the leak.
-        """
-        out = np.zeros((9, 9))
-        by_column = leak.reshape(3, 3, 3, 3)
-        precision = np.linalg.inv(prior[1])
-        whole = self.square.sum(axis=0)
-        for axis in range(3):
-            rows = slice(3 * axis, 3 * axis + 3)
-            inverse = np.linalg.inv(whole[axis] + precision[rows, rows]) * self.count
-            out[rows, rows] = inverse @ by_column[:, axis, :, axis] @ inverse.T
-        return out
-
-
-def usable_cells(cells: Cells, noise: Floats, share: float) -> Cells:
-    """Return the cells with more than noise in them, their shared noise taken out.
-
-    Parameters
-    ----------
-    noise : ndarray, shape (3, 3)
-        Covariance of the white noise of d, nT^2.
-    share : float
-        Of it, the outboard sensor's part: it stands in both series, with opposite sign.
-    """
+def usable_cells(cells: Cells, noise: Noise) -> Cells:
+    """Return the cells with more than noise in them, their shared noise taken out."""
     size = np.einsum("cii->ci", cells.covariance)
-    level = max(float(np.trace(noise)), 1e-300)
+    level = max(float(np.trace(noise.covariance)), 1e-300)
     use = size[:, 3:].sum(axis=1) > _LOUD_DIFFERENCE * level
     use |= size[:, :3].sum(axis=1) > _LOUD_OUTBOARD * level
     kept = cells.part(use)
     covariance = kept.covariance.copy()
-    covariance[:, :3, 3:] += share * noise
-    covariance[:, 3:, :3] += share * noise
+    covariance[:, :3, 3:] += noise.share * noise.covariance
+    covariance[:, 3:, :3] += noise.share * noise.covariance
     # The products of a cell need not allow for the whole of it.
     return Cells(_bounded(covariance), kept.count, kept.scale, kept.row)
 
@@ -175,38 +90,39 @@ def _bounded(covariance: Floats) -> Floats:
     return np.where(off, np.clip(covariance, -most, most), covariance)
 
 
-def outboard_share(cells: Cells, noise: Floats) -> float:
-    """Return the part of the difference's white noise that is the outboard sensor's, 0.02 to 0.98.
+def noise_of(cells: Cells, covariance: Floats) -> Noise:
+    """Return the noise of the difference with the part of it that is the outboard sensor's, 0.02 to 0.98.
 
     Outboard reading and difference share it with opposite sign, which their covariance on the shortest scale
     shows; the median over cells, lest a few that switch decide. A half where the ambient field hides it.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (3, 3)
+        Of the white noise of d, nT^2.
     """
-    quiet = np.einsum("cii->c", cells.covariance[:, 3:, 3:]) < _QUIET * float(np.trace(noise))
+    quiet = np.einsum("cii->c", cells.covariance[:, 3:, 3:]) < _QUIET * float(np.trace(covariance))
     first = cells.part((cells.scale == 1) & quiet)
-    variance = np.diag(noise)
+    variance = np.diag(covariance)
     if len(first) < 4 or not np.all(variance > 0):
-        return 0.5
+        return Noise(covariance, 0.5, _SHARE)
     found = -np.einsum("cii->ci", first.covariance[:, :3, 3:]) / variance
     middle = np.median(found, axis=0)
     spread = 1.4826 * np.median(np.abs(found - middle), axis=0) * 1.25 / np.sqrt(len(first)) + 1e-6
-    weight = 1.0 / spread**2
-    prior = 1.0 / 0.3**2
-    return float(np.clip((weight @ middle + 0.5 * prior) / (weight.sum() + prior), 0.02, 0.98))
+    weight, prior = 1.0 / spread**2, 1.0 / _SHARE**2
+    total = float(weight.sum()) + prior
+    share = np.clip((float(weight @ middle) + 0.5 * prior) / total, 0.02, 0.98)
+    return Noise(covariance, float(share), 1.0 / np.sqrt(total))
 
 
-def fit_mixing(
-    cells: Cells, noise: Floats, share: float, prior: tuple[Floats, Floats], leak_sigma: float
-) -> Mixing:
+def fit_mixing(cells: Cells, noise: Noise, prior: tuple[Floats, Floats], leak_sigma: float) -> Mixing:
     """Fit both matrices: the leak where the spacecraft rests, then the matrix in all cells.
 
     Parameters
     ----------
     cells : Cells
         Of [B_out, d], as `usable_cells` makes them.
-    noise : ndarray, shape (3, 3)
-        Covariance of the white noise of d, nT^2.
-    share : float
-        Of it, the outboard sensor's part.
+    noise : Noise
     prior : tuple of ndarray, shapes (9,), (9, 9)
         Mean and covariance of the elements of M before anything is seen.
     leak_sigma : float
@@ -214,43 +130,46 @@ def fit_mixing(
     """
     size = np.einsum("cii->ci", cells.covariance)
     restful = cells.part(size[:, 3:].sum(axis=1) < _RESTFUL * size[:, :3].sum(axis=1))
-    floor = np.maximum(np.concatenate([share * np.diag(noise), np.diag(noise)]), 1e-12)
+    floor = np.maximum(np.concatenate([noise.floor, np.diag(noise.covariance)]), 1e-12)
     leak, of_leak = np.zeros((3, 3)), np.zeros((9, 9))
     if leak_sigma > 0:
-        _, leak = _maximum(restful, floor, prior, leak, leak_sigma)
+        leak = _most_likely(restful, floor, prior, leak_sigma)
         of_leak = _leak_covariance(restful, prior, leak, leak_sigma)
-    matrix, _ = _maximum(cells, floor, prior, leak, 0.0)
-    return Mixing(matrix, leak, of_leak, share)
+    now = Mixing(prior[0].reshape(3, 3), leak, of_leak, noise.share)
+    for _ in range(_TURNS):
+        value, _ = moments_of(cells, now, noise).solve(_ELEMENTS, prior)
+        now = replace(now, matrix=value.reshape(3, 3))
+    return now
 
 
-def _maximum(
-    cells: Cells, floor: Floats, prior: tuple[Floats, Floats], leak: Floats, leak_sigma: float
-) -> tuple[Floats, Floats]:
-    """Return the most likely matrices; the leak stays as it is when it has no spread."""
-    precision, free = np.linalg.inv(prior[1]), leak_sigma > 0
-    start = np.concatenate([prior[0], np.zeros(9)])[: 18 if free else 9]
-    spread = np.concatenate([np.sqrt(np.diag(prior[1])), np.full(9, leak_sigma)])[: start.size]
-    known = np.diag(_information(cells, prior[0].reshape(3, 3), leak))[: start.size]
+def moments_of(cells: Cells, now: Mixing, noise: Noise) -> Moments:
+    """Return what cells say of the matrix, weighted by the ambient field that a mixing tells."""
+    return moments(cells, (now.ambient_rows(), now.stray_rows()), noise, now.leak_covariance)
+
+
+def _most_likely(cells: Cells, floor: Floats, prior: tuple[Floats, Floats], leak_sigma: float) -> Floats:
+    """Return the leak of the most likely pair of matrices; (3, 3)."""
+    precision = np.linalg.inv(prior[1])
+    start = np.concatenate([prior[0], np.zeros(9)])
+    spread = np.concatenate([np.sqrt(np.diag(prior[1])), np.full(9, leak_sigma)])
+    known = np.diag(_information(cells, prior[0].reshape(3, 3), np.zeros((3, 3))))
     # Steps of the size that the cells tell apart: the likelihood is then about as wide in every direction.
     unit = 1.0 / np.sqrt(known + 1.0 / spread**2)
 
     def cost(scaled: Floats) -> tuple[float, Floats]:
         value = start + scaled * unit
-        now = value[9:].reshape(3, 3) if free else leak
-        total, slope = _likelihood(cells, floor, value[:9].reshape(3, 3), now)
-        slope = slope[: start.size]
+        total, slope = _likelihood(cells, floor, value[:9].reshape(3, 3), value[9:].reshape(3, 3))
         away = value[:9] - prior[0]
         slope[:9] += 2.0 * precision @ away
-        slope[9:] += 2.0 * value[9:] / max(leak_sigma, 1e-9) ** 2
-        total += float(away @ precision @ away + np.sum((value[9:] / max(leak_sigma, 1e-9)) ** 2))
+        slope[9:] += 2.0 * value[9:] / leak_sigma**2
+        total += float(away @ precision @ away + np.sum((value[9:] / leak_sigma) ** 2))
         return total, slope * unit
 
     # So far and no further: beyond it the leak could stand for the matrix.
     limits = [(-far, far) for far in (_FAR * spread / unit).tolist()]
     nothing = np.zeros(start.size)
     best = minimize(cost, nothing, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 300}).x
-    value = start + best * unit
-    return value[:9].reshape(3, 3), value[9:].reshape(3, 3) if free else leak
+    return np.asarray((start + best * unit)[9:].reshape(3, 3))
 
 
 def _leak_covariance(restful: Cells, prior: tuple[Floats, Floats], leak: Floats, sigma: float) -> Floats:
@@ -266,24 +185,6 @@ def _variance(values: Floats, cells: Cells, floor: Floats) -> Floats:
     """Return variances of cells (cell, row) with a little of the noise's: a few cancel by chance."""
     own = cells.count[:, None]
     return np.asarray((own * np.maximum(values, 0.0) + _OWN * floor) / (own + _OWN))
-
-
-def moments(cells: Cells, now: Mixing, noise: Floats) -> Moments:
-    """Return what cells say of the matrix, in blocks of time."""
-    stray = now.stray_rows()
-    bent = cells.covariance @ stray.T
-    square = stray @ bent
-    cross = bent[:, :3]
-    ambient = now.ambient_rows()
-    floor = np.maximum(now.share * np.diag(noise), 1e-12)
-    variance = _variance(np.einsum("ki,cij,kj->ck", ambient, cells.covariance, ambient), cells, floor)
-    weight = cells.count[:, None] / variance
-    block = np.minimum(cells.row * _BLOCKS // (int(cells.row.max(initial=0)) + 1), _BLOCKS - 1)
-    sums, crosses = np.zeros((_BLOCKS, 3, 3, 3)), np.zeros((_BLOCKS, 3, 3))
-    np.add.at(sums, block, weight[:, :, None, None] * square[:, None])
-    np.add.at(crosses, block, weight[:, :, None] * cross)
-    part = weight.sum(axis=0)[:, None, None] * noise
-    return Moments(sums, crosses, part, float(cells.count.sum()))
 
 
 def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tuple[float, Floats]:

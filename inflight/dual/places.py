@@ -2,17 +2,49 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.optimize import least_squares
 
 from inflight.arrays import Floats
+from inflight.dual.moments import Whitened
 from inflight.errors import CalibrationError
 from inflight.estimators.dipole import unit_dipole
 
-#: Units are taken to stand around the middle of the body, one standard deviation this part of the inboard
-#: sensor's distance away.
-BODY = 0.2
 _DRAWS = 400
+
+
+@dataclass(frozen=True)
+class Body:
+    """Where both sensors are and where the spacecraft's units may be: one frame and origin, m.
+
+    Attributes
+    ----------
+    positions : ndarray, shape (2, 3)
+        Of the inboard and the outboard sensor.
+    middle, reach : ndarray, shape (3,)
+        Middle and half the size of the box in which all units stand.
+    """
+
+    positions: Floats
+    middle: Floats
+    reach: Floats
+
+    def places(self, count: int = _DRAWS) -> Floats:
+        """Return places in the box, the same each time; (count, axis), m."""
+        drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 3))
+        return np.asarray(self.middle + drawn * self.reach)
+
+    @property
+    def spread(self) -> Floats:
+        """Standard deviation of the units' places on each axis, m."""
+        return np.asarray(np.maximum(self.reach, 1e-6 * self.baseline) / np.sqrt(3.0))
+
+    @property
+    def baseline(self) -> float:
+        """Distance of the two sensors, m."""
+        return float(np.linalg.norm(self.positions[1] - self.positions[0]))
 
 
 def dipole_matrix(positions: Floats, place: Floats) -> Floats:
@@ -32,25 +64,21 @@ def dipole_matrix(positions: Floats, place: Floats) -> Floats:
     return np.asarray(np.linalg.solve((near - far).T, far.T).T)
 
 
-def matrix_from_geometry(positions: Floats, body: float | None = None) -> tuple[Floats, Floats]:
-    """Return what positions alone say of the matrix: mean (9,) and covariance (9, 9).
-
-    Parameters
-    ----------
-    positions : ndarray, shape (2, 3)
-        Of the inboard and the outboard sensor from the middle of the spacecraft's body, m.
-    body : float, optional
-        Standard deviation of the units' places on each axis, m.
-    """
-    spread = BODY * float(np.linalg.norm(positions[0])) if body is None else body
-    places = np.random.default_rng(1).normal(0.0, 1.0, (_DRAWS, 3)).clip(-2.0, 2.0) * spread
-    drawn = np.array([dipole_matrix(positions, place).ravel() for place in places])
-    middle = np.median(drawn, axis=0)
-    # Places next to a sensor make matrices without bound: the spread is that of the inner part.
-    inner = drawn[np.all(np.abs(drawn - middle) <= 6.0 * _spread(drawn), axis=1)]
-    spread_of_one = np.cov(inner.T)
+def matrix_from_geometry(body: Body) -> tuple[Floats, Floats]:
+    """Return what geometry alone says of the matrix: mean (9,) and covariance (9, 9)."""
+    drawn = matrices_from_geometry(body).reshape(-1, 9)
+    spread_of_one = np.cov(drawn.T)
     # Several units at once make matrices that no single place makes: as far away, in any direction.
-    return middle, spread_of_one + np.trace(spread_of_one) / 9.0 * np.eye(9)
+    return drawn.mean(axis=0), spread_of_one + np.trace(spread_of_one) / 9.0 * np.eye(9)
+
+
+def matrices_from_geometry(body: Body) -> Floats:
+    """Return matrices of dipoles in the body, (place, 3, 3); those next to a sensor are left out."""
+    drawn = np.array([dipole_matrix(body.positions, place) for place in body.places()])
+    flat = drawn.reshape(-1, 9)
+    # Places next to a sensor make matrices without bound: the spread is that of the inner part.
+    inner = np.all(np.abs(flat - np.median(flat, axis=0)) <= 6.0 * _spread(flat), axis=1)
+    return np.asarray(drawn[inner])
 
 
 def _spread(drawn: Floats) -> Floats:
@@ -58,17 +86,8 @@ def _spread(drawn: Floats) -> Floats:
     return np.asarray(0.5 * (high - low) + 1e-12)
 
 
-def fit_place(positions: Floats, square: Floats, cross: Floats) -> tuple[Floats, Floats]:
-    """Fit the place of one dipole to weighted sums of contrasts.
-
-    Parameters
-    ----------
-    positions : ndarray, shape (2, 3)
-        m.
-    square : ndarray, shape (axis, 3, 3)
-        Weighted squares of the difference, for each outboard axis.
-    cross : ndarray, shape (axis, 3)
-        Weighted products of it with the outboard reading.
+def fit_place(body: Body, told: Whitened) -> tuple[Floats, Floats]:
+    """Fit the place of one dipole in the body.
 
     Returns
     -------
@@ -82,30 +101,20 @@ def fit_place(positions: Floats, square: Floats, cross: Floats) -> tuple[Floats,
     CalibrationError
         When no place fits.
     """
-    value, vector = np.linalg.eigh(square)
-    roots = vector * np.sqrt(np.clip(value, 0.0, None))[:, None, :]
-    # |L^T m - L^+ x|^2 is the weighted sum of squares of a row m of the matrix, but for a constant.
-    keep = np.sqrt(np.clip(value, max(1e-9 * float(value.max()), 1e-12), None))
-    wanted = np.einsum("kij,ki->kj", vector, cross) / keep
-    spread = BODY * float(np.linalg.norm(positions[0]))
+    spread = body.spread
+
+    def matrix(place: Floats) -> Floats:
+        return dipole_matrix(body.positions, place)
 
     def misfit(place: Floats) -> Floats:
-        rows = np.einsum("kij,ki->kj", roots, dipole_matrix(positions, place)) - wanted
-        return np.concatenate([rows.ravel(), place / spread])
+        rows = np.einsum("kij,kj->ki", told.design, matrix(place)) - told.wanted
+        return np.concatenate([rows.ravel(), (place - body.middle) / spread])
 
-    starts = spread * np.array(
-        [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]
-    )
+    starts = body.middle + spread * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     fits = [least_squares(misfit, start, x_scale=spread) for start in starts]
     best = min(fits, key=lambda one: float(one.cost))
     if not np.all(np.isfinite(best.x)):
         raise CalibrationError("no place of a dipole fits", remedy="use another form")
-    step = 1e-4 * float(np.linalg.norm(positions[0]))
-    slope = np.array(
-        [
-            (dipole_matrix(positions, best.x + step * e) - dipole_matrix(positions, best.x - step * e))
-            / (2 * step)
-            for e in np.eye(3)
-        ]
-    )
-    return np.asarray(best.x), slope
+    step = 1e-4 * body.baseline
+    slope = [(matrix(best.x + step * e) - matrix(best.x - step * e)) / (2 * step) for e in np.eye(3)]
+    return np.asarray(best.x), np.array(slope)

@@ -8,6 +8,7 @@ is restless, or the spacecraft switches, the cell shows it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,12 +26,12 @@ _FEWEST_CELLS = 12
 
 @dataclass(frozen=True)
 class Cells:
-    """Covariances of [outboard, difference] in cells of time and scale.
+    """Covariances of series, such as [outboard, difference], in cells of time and scale.
 
     Attributes
     ----------
-    covariance : ndarray, shape (cell, 6, 6)
-        Mean products of contrasts, nT^2.
+    covariance : ndarray, shape (cell, column, column)
+        Mean products of contrasts, nT^2; three columns a series.
     count : ndarray, shape (cell,)
         Contrasts that do not overlap, or as many as the overlapping ones are worth.
     scale : ndarray of int64, shape (cell,)
@@ -52,24 +53,31 @@ class Cells:
         return Cells(self.covariance[use], self.count[use], self.scale[use], self.row[use])
 
 
-def cells_of(outboard: Floats, difference: Floats) -> Cells:
-    """Return the cells of two series of samples that are all there.
+def cells_of(*series: Floats, longest: int = _LONGEST) -> Cells:
+    """Return the cells of series of samples that are all there.
 
     Parameters
     ----------
-    outboard, difference : ndarray, shape (time, axis)
+    *series : ndarray, shape (time, axis)
         nT, finite. Samples on both sides of a gap count as neighbours: the cell then shows a larger change of
         the ambient field.
+    longest : int
+        The longest blocks are this part of the record.
     """
-    both = np.concatenate([outboard, difference], axis=1)
+    joined = np.concatenate(series, axis=1)
     parts, block = [], 1
-    while block <= max(len(both) // _LONGEST, 1) and len(both) >= 4 * block:
-        values, middle, share = contrasts(both, block)
+    while block <= max(len(joined) // longest, 1) and len(joined) >= 4 * block:
+        values, middle, share = contrasts(joined, block)
         parts.append(_cells(values, middle, block, share))
         block *= 2
     if not parts:
         none = np.zeros(0, dtype=np.int64)
-        return Cells(np.zeros((0, 6, 6)), np.zeros(0), none, none)
+        return Cells(np.zeros((0, joined.shape[1], joined.shape[1])), np.zeros(0), none, none)
+    return joined_cells(parts)
+
+
+def joined_cells(parts: Sequence[Cells]) -> Cells:
+    """Return the cells of several stretches together; their rows are those in the stretch."""
     return Cells(
         np.concatenate([one.covariance for one in parts]),
         np.concatenate([one.count for one in parts]),

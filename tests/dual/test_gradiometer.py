@@ -5,7 +5,7 @@ import pytest
 
 from inflight.dual.bands import gradiometer_correction, without_noise
 from inflight.dual.gradiometer import FORMS, fit_forms, fit_gradiometer
-from inflight.dual.places import dipole_matrix
+from inflight.dual.places import Body, dipole_matrix
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
 from inflight.errors import CalibrationError, SettingsError
@@ -13,6 +13,7 @@ from inflight.time import SECOND
 
 COUNT = 6000
 POSITIONS = np.array([[1.0, 0.0, 0.0], [1.5, 0.0, 0.0]])
+BODY = Body(POSITIONS, np.zeros(3), np.full(3, 0.3))
 PLACE = np.array([0.1, -0.15, 0.05])
 
 
@@ -56,7 +57,7 @@ def test_full_matrix_is_found_within_its_sigmas():
 
 def test_place_of_one_dipole_is_found():
     readings, _, _ = readings_of(3, dipole_matrix(POSITIONS, PLACE))
-    found = fit_gradiometer(readings, "dipole", POSITIONS)
+    found = fit_gradiometer(readings, "dipole", BODY)
     assert np.abs(found.value - PLACE).max() < 5.0 * np.sqrt(np.diag(found.value_covariance)).max()
     assert np.abs(found.matrix - dipole_matrix(POSITIONS, PLACE)).max() < 0.05
 
@@ -84,7 +85,7 @@ def test_ambient_field_that_leaks_into_the_difference_is_not_taken_for_stray_fie
 def test_every_form_lowers_the_error():
     readings, ambient, _ = readings_of(5, dipole_matrix(POSITIONS, PLACE))
     raw = (readings.outboard - ambient).std(axis=0).mean()
-    for one in fit_forms(readings, FORMS, POSITIONS).values():
+    for one in fit_forms(readings, FORMS, BODY).values():
         left = gradiometer_correction(one, readings).corrected(readings.outboard) - ambient
         assert left.std(axis=0).mean() < 0.5 * raw, one.form
 

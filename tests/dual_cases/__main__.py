@@ -34,7 +34,7 @@ def main() -> int:
     seeds = range(given.first_seed, given.first_seed + given.cases)
     console = Console(width=given.width)
     scores = []
-    for one in _scored(seeds, given.jobs, not given.no_positions):
+    for one in _scored(seeds, given.jobs, given.body):
         scores.append(one)
         if given.each:
             console.print(_line(one), highlight=False)
@@ -54,14 +54,15 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--each", action="store_true", help="print a line for each case")
-    parser.add_argument("--no-positions", action="store_true", help="the sensors' positions are not known")
+    told = "size of the body that is told beside the true one; 0: nothing is told of positions"
+    parser.add_argument("--body", type=float, default=1.0, help=told)
     parser.add_argument("--json", type=Path, help="write all scores here")
     parser.add_argument("--width", type=int, default=None, help="of the tables, characters")
     return parser.parse_args()
 
 
-def _scored(seeds: Sequence[int], jobs: int, positions: bool) -> Iterable[Score]:
-    work = partial(score_seed, known_positions=positions)
+def _scored(seeds: Sequence[int], jobs: int, told: float) -> Iterable[Score]:
+    work = partial(score_seed, told=told)
     if jobs == 1:
         yield from map(work, seeds)
         return

@@ -11,12 +11,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.dual.places import Body
 from inflight.dual.readings import Readings
 from inflight.time import SECOND
 
 #: What makes the stray field; `null` has none.
 FAMILIES = ("steps", "drift", "tones", "torquers", "mixed", "null")
 SHARES = (0.34, 0.11, 0.11, 0.11, 0.19, 0.14)
+#: Units stand within this part of the inboard sensor's distance, on each axis.
+_BODY = 0.3
 AMBIENTS = ("quiet", "turbulent", "discontinuities")
 
 
@@ -33,7 +36,7 @@ class Case:
     noise_rms: float  # of the outboard sensor, white and coloured
     ratio: float  # size of the units' field at the outboard over that at the inboard sensor
     cadence: float  # s
-    positions: Floats  # (sensor, axis), inboard and outboard from the middle of the body, m
+    body: Body  # where the sensors are, and the box in which all units stand
     facts: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -56,7 +59,7 @@ def make_case(seed: int, family: str | None = None) -> Case:
     count = int(random.integers(6_000, 20_000))
     kind = str(random.choice(AMBIENTS, p=[0.4, 0.35, 0.25]))
     ambient = _ambient(random, count, cadence, kind)
-    stray_in, stray_out, positions, ratio = _stray(random, count, cadence, family)
+    stray_in, stray_out, body, ratio = _stray(random, count, cadence, family)
     noise_out, noise_in, coloured, drift = _noises(random, count)
     leak = _leak(random)
     outboard = ambient + stray_out + noise_out + random.normal(0.0, 1.0, 3)
@@ -67,7 +70,7 @@ def make_case(seed: int, family: str | None = None) -> Case:
     noise = float(np.sqrt(np.mean(np.var(noise_out, axis=0))))
     facts = {"leak": float(np.abs(leak).max()), "coloured": coloured, "offset_drift": drift}
     return Case(
-        seed, family, kind, readings, ambient[keep], stray_out[keep], noise, ratio, cadence, positions, facts
+        seed, family, kind, readings, ambient[keep], stray_out[keep], noise, ratio, cadence, body, facts
     )
 
 
@@ -98,8 +101,8 @@ def coloured_noise(random: np.random.Generator, count: int, slope: float) -> Flo
 
 def _stray(
     random: np.random.Generator, count: int, cadence: float, family: str
-) -> tuple[Floats, Floats, Floats, float]:
-    """Return the stray field at both sensors, where they are, and the ratio of its sizes."""
+) -> tuple[Floats, Floats, Body, float]:
+    """Return the stray field at both sensors, where everything is, and the ratio of its sizes."""
     ratio = random.uniform(0.05, 0.7)
     far = random.uniform(1.0, 6.0)
     near = far * ratio ** (1.0 / 3.0)
@@ -107,13 +110,13 @@ def _stray(
     inboard, outboard = np.zeros((count, 3)), np.zeros((count, 3))
     size = _log(random, 0.03, 10.0)
     for series in _currents(random, count, cadence, family):
-        place = random.uniform(-0.3, 0.3, 3) * near
+        place = random.uniform(-_BODY, _BODY, 3) * near
         moment = random.normal(size=3)
         fields = [_dipole(sensor - place, moment) for sensor in sensors]
         scale = size * random.lognormal(0.0, 0.5) / np.linalg.norm(fields[1])
         inboard += scale * series[:, None] * fields[0]
         outboard += scale * series[:, None] * fields[1]
-    return inboard, outboard, sensors, ratio
+    return inboard, outboard, Body(sensors, np.zeros(3), np.full(3, _BODY * near)), ratio
 
 
 def _dipole(place: Floats, moment: Floats) -> Floats:

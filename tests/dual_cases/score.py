@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -49,18 +49,25 @@ class Score:
         return self.chosen != "none"
 
 
-def score_seed(seed: int, known_positions: bool = True) -> Score:
+def score_seed(seed: int, told: float = 1.0) -> Score:
     """Make a case, correct it, and tell what became of it."""
     case = make_case(seed)
     started = time.perf_counter()
-    judgement = corrected(case, known_positions)
+    judgement = corrected(case, told)
     return score(case, judgement, time.perf_counter() - started)
 
 
-def corrected(case: Case, known_positions: bool = True) -> Judgement:
-    """Return the judgement on all candidates; the truth is not given."""
-    positions = case.positions if known_positions else None
-    return judge(case.readings, Candidates(case.readings, positions).fit)
+def corrected(case: Case, told: float = 1.0) -> Judgement:
+    """Return the judgement on all candidates; the truth is not given.
+
+    Parameters
+    ----------
+    told : float
+        Size of the body as it is told, beside the true one; 0 when nothing is told of positions.
+    """
+    body = replace(case.body, reach=told * case.body.reach) if told else None
+    candidates = Candidates(case.readings, body)
+    return judge(case.readings, candidates.fit, expectation=candidates.expectation)
 
 
 def score(case: Case, judgement: Judgement, seconds: float = 0.0) -> Score:

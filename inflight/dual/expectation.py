@@ -1,0 +1,182 @@
+"""What geometry lets expect of a correction, before the outboard reading is asked.
+
+All units stand in the spacecraft's body. Each place in it takes the difference of both sensors to the
+outboard sensor by a matrix of its own; none of them makes a stray field that a correction of about the right
+size would not lower. What is not a spacecraft's field in the difference is set against it: white noise, what
+the sensors wander by themselves, and ambient field that leaks in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from inflight.arrays import Floats
+from inflight.dual.correction import Correction
+from inflight.dual.moments import Noise
+from inflight.dual.readings import Readings
+from inflight.dual.scales import Cells, cells_of
+from inflight.dual.wander import DRIFT, drift_in, drift_of_contrast, flicker_of_contrast
+from inflight.time import SECOND
+
+#: The longest blocks are this part of the record; cells that tell the quiet level of a scale.
+_LONGEST, _QUIET_CELLS = 4, 6
+_QUIET = 0.25
+#: Slopes of several units on one scale differ by so much from those of one.
+SCATTER = 0.2
+#: Draws of the sensors' wandering for each place.
+_TURNS = 5
+#: Part of the drift of both sensors that is the outboard one's.
+_OUTBOARD = 0.5
+#: Chance below which held-out readings are not of units in the body.
+_REFUTED = 1e-6
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Slopes of held-out outboard readings on a correction, scale by scale.
+
+    Attributes
+    ----------
+    scale : ndarray of int64, shape (scale,)
+    slope, variance : ndarray, shape (scale,)
+    """
+
+    scale: npt.NDArray[np.int64]
+    slope: Floats
+    variance: Floats
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What geometry lets expect of one correction, for units at many places and sensors that wander.
+
+    Attributes
+    ----------
+    scale : ndarray of int64, shape (scale,)
+    power : ndarray, shape (scale,)
+        Mean square that the correction has there, nT^2 summed over axes.
+    slope : ndarray, shape (scale, draw)
+        Of the stray field on the correction.
+    """
+
+    scale: npt.NDArray[np.int64]
+    power: Floats
+    slope: Floats
+
+    @property
+    def benefit(self) -> Floats:
+        """Fall of the mean square error in each draw, nT^2; (draw,)."""
+        return np.asarray(self.power @ (2.0 * self.slope - 1.0))
+
+    def misfit(self, seen: Seen) -> Floats:
+        """Return the sum of squares of what held-out readings say less what is expected, (draw,)."""
+        _, own, other = np.intersect1d(self.scale, seen.scale, return_indices=True)
+        variance = seen.variance[other] + SCATTER**2
+        away = self.slope[own] - seen.slope[other, None]
+        return np.asarray(np.sum(away**2 / variance[:, None], axis=0))
+
+    def refuted_by(self, seen: Seen) -> bool:
+        """Whether no place in the body makes what held-out readings say."""
+        return bool(seen.scale.size) and float(chi2.sf(self.misfit(seen).min(), seen.scale.size)) < _REFUTED
+
+    def chance_of_harm(self, seen: Seen) -> float:
+        """Return the probability that the correction makes the error larger, after held-out readings."""
+        return float(self.weights(seen) @ (self.benefit <= 0.0))
+
+    def mean_benefit(self, seen: Seen) -> float:
+        """Return the fall of the mean square error after held-out readings, nT^2."""
+        return float(self.weights(seen) @ self.benefit)
+
+    def weights(self, seen: Seen) -> Floats:
+        """Return how likely each draw is after held-out readings; (draw,)."""
+        misfit = self.misfit(seen)
+        weight = np.exp(-0.5 * (misfit - misfit.min()))
+        return np.asarray(weight / weight.sum())
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What is known before the outboard reading is asked.
+
+    Attributes
+    ----------
+    matrices : ndarray, shape (place, 3, 3)
+        What takes the difference to the outboard sensor, for places all over the body.
+    stray : ndarray, shape (time, axis)
+        The difference without white noise and what it holds of the ambient field, nT; NaN where a sensor is
+        missing. Less noise is left in it than was taken out of the stray field: slopes are rather larger.
+    noise : Noise
+        Its white noise, and how much of that is the outboard sensor's.
+    leak_covariance : ndarray, shape (9, 9)
+        Of what is not known of the leak.
+    drift : float
+        How far the sensors drift apart by themselves in an hour, nT.
+    """
+
+    matrices: Floats
+    stray: Floats
+    noise: Noise
+    leak_covariance: Floats
+    drift: float = DRIFT
+
+    def of(self, readings: Readings, correction: Correction) -> Expected:
+        """Return what to expect of a correction of the same readings."""
+        good = readings.good
+        taken = np.nan_to_num(correction.field[good], nan=0.0)
+        cells = cells_of(readings.outboard[good], self.stray[good], taken, longest=_LONGEST)
+        across, square = cells.covariance[:, 3:6, 6:], np.einsum("cii->c", cells.covariance[:, 6:, 6:])
+        scales = np.unique(cells.scale)
+        power, drawn = np.zeros(scales.size), np.zeros((scales.size, len(self.matrices), 1))
+        lost = np.zeros((scales.size, len(self.matrices), _TURNS))
+        # How large noise, drift and leak are beside what is usual of them, in power.
+        random = np.random.default_rng(2)
+        turns = random.normal(size=(3, len(self.matrices), _TURNS)) ** 2
+        for place, scale in enumerate(scales):
+            here = cells.part(cells.scale == scale)
+            weighted = here.count[:, None, None] * across[cells.scale == scale]
+            total = max(float(here.count @ square[cells.scale == scale]), 1e-300)
+            power[place] = total / here.count.sum() / (2.0 * float(scale))
+            drawn[place, :, 0] = np.einsum("pji,cij->p", self.matrices, weighted) / total
+            lost[place] = self._lost(here, turns, readings)
+        # What changes more slowly than any contrast: a step in the record has as much there.
+        power[-1] *= 2.0
+        slope = drawn * (1.0 - lost)
+        return Expected(scales, power, slope.reshape(scales.size, -1))
+
+    def _lost(self, cells: Cells, turns: Floats, readings: Readings) -> Floats:
+        """Return by how much the slope on one scale is less than that of stray field alone; (place, turn).
+
+        Flicker noise, drift of the offsets, and ambient field that leaks in: `turns` (3, place, turn) times
+        what is usual of them. Of the outboard sensor's own noise the correction has the opposite sign: it
+        adds to that.
+        """
+        power = self._size(cells.covariance[:, 3:6, 3:6])
+        total = max(float(cells.count @ power), 1e-300)
+        count, block = int(readings.good.sum()), int(cells.scale[0])
+        drift = drift_in((readings.stamps[-1] - readings.stamps[0]) / SECOND, self.drift)
+        # Sensors wander all the time: no more than in a quiet stretch.
+        most = float(np.quantile(power, _QUIET)) if len(cells) >= _QUIET_CELLS else np.inf
+        usual = (
+            self._size(self.noise.covariance[None])[0] * flicker_of_contrast(block, count),
+            self._size(np.eye(3)[None])[0] * drift_of_contrast(block, count, drift),
+        )
+        leak = self.leak_covariance.reshape(3, 3, 3, 3)
+        through = self._size(np.einsum("iajb,cab->cij", leak, cells.covariance[:, :3, :3]))
+        parts = [
+            np.minimum(one * turn, most) * cells.count.sum() for one, turn in zip(usual, turns, strict=False)
+        ]
+        parts.append(turns[2] * float(cells.count @ through))
+        lost = np.array(parts) / total
+        lost /= np.maximum(lost.sum(axis=0), 1.0)
+        factor = float(np.sqrt(np.sum(self.matrices.mean(axis=0) ** 2) / 3.0))
+        outboard = self.noise.share * lost[0] + _OUTBOARD * lost[1]
+        return np.asarray(lost.sum(axis=0) + outboard / factor)
+
+    def _size(self, covariance: Floats) -> Floats:
+        """Return the power at the outboard sensor of covariances of the difference (cell, 3, 3)."""
+        middle = self.matrices.mean(axis=0)
+        return np.asarray(np.einsum("ki,cij,kj->c", middle, covariance, middle))

@@ -1,0 +1,39 @@
+"""What two sensors at rest do by themselves, slowly: flicker noise and drifting offsets.
+
+White noise is seen where a spacecraft rests; what changes as slowly as units do cannot be told from them by
+the difference alone. So much is therefore allowed for, and no correction is made of less.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: How far two sensors drift apart in one hour, nT, one standard deviation; it grows with the root of time.
+#: Offsets of space fluxgates move by some 0.1 nT in a day, and by about 1 nT in a month.
+DRIFT = 0.03
+#: Flicker noise of the difference in a record beside the white noise of one sample, one standard deviation.
+FLICKER = 0.5
+
+
+def drift_in(seconds: float, hourly: float = DRIFT) -> float:
+    """Return how far two sensors drift apart in a time, nT, one standard deviation."""
+    return float(hourly * np.sqrt(max(seconds, 0.0) / 3600.0))
+
+
+def flicker_of_octave(count: int) -> float:
+    """Return the variance of flicker noise in one octave of a record, beside that of the white noise."""
+    return FLICKER**2 / max(float(np.log2(max(count, 2))), 1.0)
+
+
+def flicker_of_contrast(block: int, count: int) -> float:
+    """Return the variance of flicker noise in contrasts of `block` samples, beside that of white noise."""
+    # Means over neighbouring blocks differ by 4 ln 2 times the variance of a factor e of frequency.
+    return 2.0 * float(np.log(2.0)) * FLICKER**2 * block / max(float(np.log(count / 2.0)), 1.0)
+
+
+def drift_of_contrast(block: int, count: int, drift: float) -> float:
+    """Return the variance of a straight drift in contrasts of `block` samples, nT^2 an axis.
+
+    `drift` is its rms in the record, nT.
+    """
+    return float((np.sqrt(12.0) * drift * block / count) ** 2 * block / 2.0)
