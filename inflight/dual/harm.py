@@ -40,7 +40,7 @@ _STEEPEST = 1.6
 #: the ambient one, what is too much is ambient field. Clear slopes above one are those of a matrix too small.
 _STEEP, _CLEAR = 1.1, 20.0
 #: A correction may do harm with this probability.
-_CHANCE = 0.01
+_CHANCE = 0.005
 #: What lowers the mean square error by less than this part of the noise's is not worth it.
 _TRIVIAL = 1e-3
 
