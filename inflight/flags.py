@@ -53,6 +53,9 @@ class Flag(IntFlag):
     FLIPPED = 1 << 16
     #: The reading of a turning sensor stands at an end of the range the mission YAML states.
     SATURATED = 1 << 17
+    #: Nothing is taken off the outboard reading of two sensors: no correction is known here, or the one that
+    #: was learnt does not help.
+    NOT_CORRECTED = 1 << 18
 
 
 #: Flags that take a sample out of every fit.

@@ -35,11 +35,12 @@ from inflight.tasks.calibrate import Failure, failure_of
 from inflight.tasks.channel_series import kept_readings
 from inflight.tasks.needs import AMBIENT, Need, ambient_of
 from inflight.tasks.samples import load_samples
+from inflight.tasks.states_constant import gradiometer_in_states, gradiometer_with_states
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 2
+STATES_VERSION = 3
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -156,7 +157,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
         gradiometer = gradiometer_variables(form, candidates.readings)
         table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
-    return table.assign(
+    told = table.assign(
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
@@ -167,6 +168,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         applied="no" if chosen == "none" else "yes",
         verdict=found.correction.reason,
     )
+    return gradiometer_in_states(told, candidates.readings) if chosen in FORMS else told
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
@@ -177,7 +179,7 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     """
     method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
     if method == "gradiometer":
-        return replace(correction_by_gradiometer(table, readings), reason=verdict)
+        return replace(gradiometer_with_states(table, readings), reason=verdict)
     training = from_dataset(table)
     if not len(training):
         return no_correction(len(readings), verdict)

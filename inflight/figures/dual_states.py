@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle, islice
 
 import numpy as np
@@ -37,7 +37,10 @@ def state_colours(states: Sequence[int]) -> dict[int, str]:
 
 
 def difference_figure(
-    points: Floats, state: Ints, centre: Floats, covariance: Floats, plane: tuple[int, int]
+    points: Floats,
+    state: Ints,
+    known: Mapping[int, tuple[Floats, Floats]],
+    plane: tuple[int, int],
 ) -> figure:
     """Draw mean differences of states' intervals and, as ellipses of two sigmas, the states themselves.
 
@@ -46,8 +49,9 @@ def difference_figure(
     points : ndarray, shape (interval, axis)
         Mean ``B_in - B_out`` of each interval, nT.
     state : ndarray of int64, shape (interval,)
-    centre, covariance : ndarray, shapes (state, axis) and (state, axis, axis)
-        nT, nT^2; NaN for numbers that name no state.
+    known : mapping of int to (centre, covariance)
+        Of each state by its number: its place in the difference, (axis,) nT, and the covariance of its
+        points, (axis, axis) nT^2; not finite where it has none.
     plane : (int, int)
         Axes drawn to the right and up.
     """
@@ -59,7 +63,7 @@ def difference_figure(
     )
     # Numbers stand beside their states: those at the edge need room.
     plot.x_range.range_padding = plot.y_range.range_padding = _ROOM
-    colours = state_colours([*state.tolist(), *range(len(centre))])
+    colours = state_colours([*state.tolist(), *known])
     thin = slice(None, None, max(1, len(points) // _POINTS))
     source = ColumnDataSource(
         {
@@ -70,7 +74,7 @@ def difference_figure(
         }
     )
     plot.scatter("x", "y", source=source, color="colour", size=4, alpha=0.5)
-    for number, (middle, spread) in enumerate(zip(centre, covariance, strict=True)):
+    for number, (middle, spread) in known.items():
         if not np.isfinite(middle).all():
             continue
         part = spread[np.ix_(plane, plane)]
