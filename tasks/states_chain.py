@@ -114,14 +114,12 @@ def joined(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
 def _continued(known: Sequence[tuple[xr.Dataset, Training]], later: Training) -> Ageing:
     """Return how a window goes on from the best of those before it."""
     # A number that any window before has given is given to nothing else.
-    free = {
-        "next_number": max(one.next_number for _, one in known),
-        "next_unit": max(one.next_unit for _, one in known),
-    }
+    number = max(one.next_number for _, one in known)
+    unit = max(one.next_unit for _, one in known)
     order = sorted(known, key=lambda one: str(one[0].attrs.get("applied")) != "yes")
     tried: list[Ageing] = []
     for _, earlier in order:
-        going = continued(replace(earlier, **free), later)
+        going = continued(replace(earlier, next_number=number, next_unit=unit), later)
         if _keeps_constant(earlier, going):
             return going
         tried.append(going)

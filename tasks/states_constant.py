@@ -128,7 +128,8 @@ def _constant(table: xr.Dataset) -> tuple[Floats, Floats] | None:
     """Return what is added to the gradiometer's correction, and its standard deviation; (axis,), nT.
 
     Each state says how far its correction is from what the gradiometer takes off there: the mean by their
-    errors. What all states have in common does not average out, and what they differ by is in the error.
+    errors. What all states have in common does not average out: the error is that of one state, or by how
+    much they differ where that is more.
     """
     if IN_STATES not in table:
         return None
@@ -146,4 +147,4 @@ def _constant(table: xr.Dataset) -> tuple[Floats, Floats] | None:
     apart = training.correction[seen] - taken[seen]
     value = np.sum(weight * apart, axis=0)
     scatter = np.sum(weight * (apart - value) ** 2, axis=0)
-    return value, np.sqrt(np.sum(weight * variance, axis=0) + scatter)
+    return value, np.sqrt(np.maximum(np.sum(weight * variance, axis=0), scatter))
