@@ -56,11 +56,13 @@ class Flag(IntFlag):
     #: Nothing is taken off the outboard reading of two sensors: no correction is known here, or the one that
     #: was learnt does not help.
     NOT_CORRECTED = 1 << 18
+    #: The reading stays the very same for long while that of the boom's other sensor changes.
+    STILL = 1 << 19
 
 
 #: Flags that take a sample out of every fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED
+UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED | Flag.STILL
 
 
 def meanings() -> tuple[list[int], str]:

@@ -48,11 +48,11 @@ class Stretches:
     Attributes
     ----------
     begin, end : ndarray of int64, shape (stretch,)
-        TT2000.
+        TT2000; a stretch ends one step after its last sample.
     state : ndarray of int64, shape (stretch,)
     probability : ndarray, shape (stretch,)
     difference : ndarray, shape (stretch, axis)
-        Mean ``B_in - B_out``, nT.
+        Mean ``B_in - B_out``, nT; NaN without a reading.
     """
 
     begin: Int64
@@ -218,23 +218,26 @@ def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: 
         steps_across(difference, at, width),
         unit_signs(table, at),
         channel_changes(cat, mission, day.day, stamps[at.last], stamps[at.first]),
-        stretches_of(state, product["probability"].values, difference, stamps),
+        stretches_of(state, product["probability"].values, difference, stamps, usual_step(stamps, SECOND)),
         stamps[thinned],
         outboard[thinned],
         field[thinned],
     )
 
 
-def stretches_of(state: Int64, probability: Floats, difference: Floats, stamps: Int64) -> Stretches:
+def stretches_of(
+    state: Int64, probability: Floats, difference: Floats, stamps: Int64, step: int
+) -> Stretches:
     """Return the stretches of one state each; samples without a reading count in none of the means."""
     edges = np.flatnonzero(np.diff(state)) + 1
     first = np.concatenate([[0], edges]).astype(np.int64)
     last = np.concatenate([edges, [state.size]]).astype(np.int64)
     good: npt.NDArray[np.bool_] = np.asarray(np.isfinite(difference).all(axis=1))
-    counts = np.maximum(np.add.reduceat(good.astype(np.float64), first), 1.0)
+    counts = np.add.reduceat(good.astype(np.float64), first)
+    counts = np.where(counts > 0.0, counts, np.nan)
     mean = np.add.reduceat(np.where(good[:, None], difference, 0.0), first, axis=0) / counts[:, None]
     sure = np.asarray(probability, dtype=np.float64)[first]
-    return Stretches(stamps[first], stamps[last - 1], state[first], sure, mean)
+    return Stretches(stamps[first], stamps[last - 1] + step, state[first], sure, mean)
 
 
 def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[Remaining, str]]:

@@ -57,32 +57,57 @@ def _residual_text(report: DualCompareReport) -> list[str]:
     rows = [
         (
             one["day"],
-            one["method"],
-            one["applied"],
+            one["method"] if one["applied"] == "yes" else "none",
             str(one["switchings"]),
-            *(f"{one[name]:.4f}" for name in ("before_nT", "after_nT", "noise_floor_nT")),
+            *(_number(one[name]) for name in ("before_nT", "after_nT", "noise_floor_nT")),
+            escape(of_day.reason) if one["applied"] == "yes" else "left as measured, see below",
         )
-        for one in map(told_of_day, report.days)
+        for one, of_day in ((told_of_day(one), one) for one in report.days)
     ]
-    head = ("day", "method", "applied", "switchings", "as measured, nT", "corrected, nT", "floor, nT")
+    head = ("day", "method", "switchings", "as measured, nT", "corrected, nT", "floor, nT", "verdict")
     told = [
         "The ambient field does not know when the spacecraft switches. Without a stray field it steps "
-        "there no more than elsewhere: that is the floor. A constant error is not in these numbers."
+        "there no more than elsewhere: that is the floor. A constant error is not in these numbers.",
+        "A correction is judged on stretches that it was not learnt from (held out). The slope tells how "
+        "much of what it takes off is in the outboard reading: one where it is right.",
+        html_table(head, rows),
     ]
-    return [*told, *map(escape, verdict_told(report)), html_table(head, rows)]
+    if not np.isfinite(report.joined("before")).any():
+        told.append("Nothing switched in the span between readings: there are no steps to draw.")
+    listed = "".join(
+        f"<li>{_days_told(days)} left as measured:{_as_list(reason)}</li>"
+        for (applied, reason), days in _reasons(report).items()
+        if applied != "yes"
+    )
+    listed += "".join(f"<li>{escape(_sentence(one))}</li>" for one in constant_sentences(report.constants))
+    return [*told, f"<ul>{listed}</ul>"] if listed else told
+
+
+def _as_list(reason: str) -> str:
+    """Return what speaks against each correction that was tried."""
+    return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in reason.split('; '))}</ul>"
+
+
+def _number(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else "none"
 
 
 def verdict_told(report: DualCompareReport) -> list[str]:
     """Return which days are corrected or left alone and why, and where the field may step by a constant."""
-    days: dict[tuple[str, str], list[str]] = {}
-    for one in report.days:
-        if one.reason:
-            days.setdefault((one.applied, one.reason), []).append(str(one.day.day))
     told = [
-        f"{_days_told(which)}: {'corrected' if applied == 'yes' else 'LEFT AS MEASURED'}, {reason}."
-        for (applied, reason), which in days.items()
+        f"{_days_told(days)}: {'corrected' if applied == 'yes' else 'LEFT AS MEASURED'}, {reason}."
+        for (applied, reason), days in _reasons(report).items()
+        if reason
     ]
     return told + [_sentence(one) for one in constant_sentences(report.constants)]
+
+
+def _reasons(report: DualCompareReport) -> dict[tuple[str, str], list[str]]:
+    """Return the days by whether they are corrected and why."""
+    days: dict[tuple[str, str], list[str]] = {}
+    for one in report.days:
+        days.setdefault((one.applied, one.reason), []).append(str(one.day.day))
+    return days
 
 
 def _days_told(days: list[str]) -> str:
@@ -95,7 +120,7 @@ def _sentence(text: str) -> str:
 
 def _step_figures(report: DualCompareReport) -> list[Any]:
     parts = report.joined("difference"), report.joined("before"), report.joined("after")
-    return [steps_figure(*parts, axis) for axis in range(3)] if len(parts[0]) else []
+    return [steps_figure(*parts, axis) for axis in range(3)] if np.isfinite(parts[1]).any() else []
 
 
 def _fails_text(report: DualCompareReport) -> list[str]:
@@ -213,7 +238,7 @@ def _state_figures(report: DualCompareReport) -> list[Any]:
         np.concatenate([getattr(one, name) for one in parts])
         for name in ("begin", "end", "state", "probability", "difference")
     )
-    settled = state != -2
+    settled = (state != -2) & np.isfinite(mean).all(axis=1)
     known = {
         int(number): (table["centre"].values[at], _spread(table, at))
         for table in report.tables

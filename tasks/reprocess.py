@@ -23,7 +23,7 @@ from inflight.tasks.delivery import each_result
 from inflight.tasks.keeping import SolvedTables, TableKeeper, adopted_days
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
-from inflight.tasks.report import Progress, RunReport
+from inflight.tasks.report import Progress, RunReport, no_work_problems
 from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
 from inflight.tasks.reprocess_dual import dual_comparisons, is_calibrated_apart, reprocess_dual
 from inflight.tasks.reprocess_states import reprocess_states
@@ -364,16 +364,7 @@ def _report(
         "no_work": len(made.no_work),
     }
     problems = [book.failed[day] for day in sorted(book.failed)]
-    problems += [
-        {
-            "day": str(day),
-            "channel": "",
-            "cause": "no_work",
-            "remedy": "ingest the day's files",
-            "message": message,
-        }
-        for day, message in made.no_work.items()
-    ]
+    problems += no_work_problems(made.no_work)
     there = [day for day in cat.days(made.product, states=("published",)) if day.day in made.keys]
     told = [day for day in cat.days(made.equations, states=("published",)) if day.day in made.keys]
     problems += partial_problems(there) + spin_problems([*there, *told])

@@ -20,12 +20,13 @@ from inflight.mission import Mission
 from inflight.tasks.calibrate import Failure, Job
 from inflight.tasks.keeping import adopted_days
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
-from inflight.tasks.report import RunReport
+from inflight.tasks.report import RunReport, no_work_problems
 from inflight.tasks.reprocess_dual import take_outcome
 from inflight.tasks.states_chain import OWN, Chain, chained_key, joined
 from inflight.tasks.states_constant import constant_changes, constant_of
 from inflight.tasks.states_day import states_batch
 from inflight.tasks.states_plan import KnownTables, product_key, table_name, window_key, windows
+from inflight.tasks.states_remarks import remarks_of
 from inflight.tasks.states_window import states_window
 from inflight.time import DayLike, day_bounds
 
@@ -86,7 +87,8 @@ def reprocess_states(
         "failed": len(out.failed),
         "no_work": len(made.no_work),
     }
-    problems = [out.failed[day] for day in sorted(out.failed)]
+    problems = [out.failed[day] for day in sorted(out.failed)] + remarks_of(out.tables)
+    problems += no_work_problems(made.no_work)
     outputs = [made.product, f"tables/{table_name(made)}"] if done or same else []
     constants = {day: constant_of(table) for day, (_, _, table) in out.tables.items()}
     extra = {

@@ -13,9 +13,9 @@ from inflight.dual.residual_steps import quiet_steps, quietest_width, rms, steps
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.tasks.boom_readings import boom_samples
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.produce import rounded
-from inflight.tasks.samples import load_samples
 from inflight.tasks.states_constant import constant_of
 from inflight.tasks.states_window import correction_of
 from inflight.time import SECOND, day_bounds, usual_step
@@ -39,7 +39,7 @@ def states_day(
     The report's residual is the rms step of the outboard field at the day's switchings, nT a component:
     as measured, corrected, and the floor, that of the corrected field where nothing switches.
     """
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
+    samples = boom_samples(cat, mission, model, day, job.needs, job.index)
     readings, flag = readings_of(model, samples)
     correction = correction_of(table, readings)
     flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)

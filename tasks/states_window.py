@@ -31,11 +31,12 @@ from inflight.errors import InflightError, SamplesError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive_index import ArchiveIndex
+from inflight.tasks.boom_readings import boom_samples
 from inflight.tasks.calibrate import Failure, failure_of
 from inflight.tasks.channel_series import kept_readings
 from inflight.tasks.needs import AMBIENT, Need, ambient_of
-from inflight.tasks.samples import load_samples
 from inflight.tasks.states_constant import gradiometer_in_states, gradiometer_with_states
+from inflight.tasks.states_remarks import with_remark
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
@@ -60,13 +61,13 @@ def states_window(
     Dataset
         Of `inflight.dual.table.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`, `benefit`
         over `candidate` say what held-out stretches tell of each correction. Attributes `method`,
-        `applied` (yes or no), `verdict`.
+        `applied` (yes or no), `verdict`, `remark`.
     """
     with threadpool_limits(1), kept_readings():
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, positions_of(mission, model.comparison), ambient=ambient)
-            return table_of(candidates, judge(readings, candidates.fit))
+            return with_remark(table_of(candidates, judge(readings, candidates.fit)))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
 
@@ -106,7 +107,7 @@ def window_readings(
     parts, ambient, last = [], [], None
     for day in days:
         try:
-            samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
+            samples = boom_samples(cat, mission, model, day, needs, index)
             parts.append(readings_of(model, samples)[0])
             ambient.append(_ambient(mission, model.comparison, samples))
         except InflightError as error:

@@ -98,7 +98,7 @@ def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) 
     probability : ndarray, shape (interval,)
         NaN where the method has none.
     """
-    plot = plain_figure("States in time", "", "state", x_axis_type="datetime", width=1130)
+    plot = plain_figure("States in time", "UTC", "state", x_axis_type="datetime", width=1130)
     colours = state_colours(state.tolist())
     sure = np.nan_to_num(probability, nan=0.3)
     source = ColumnDataSource(
@@ -121,7 +121,9 @@ def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) 
 
 def before_after_figure(time: Times, outboard: Floats, field: Floats, axis: int) -> figure:
     """Draw one component of the outboard reading and of the corrected field, nT."""
-    plot = plain_figure(f"Outboard sensor along {_AXES[axis]}", "", "nT", x_axis_type="datetime", width=1130)
+    plot = plain_figure(
+        f"Outboard sensor along {_AXES[axis]}", "UTC", "nT", x_axis_type="datetime", width=1130
+    )
     for values, colour, label in ((outboard, BEFORE, "as measured"), (field, AFTER, "corrected")):
         plot.line(time, values[:, axis], color=colour, alpha=0.8, legend_label=label)
     legend_below(plot)
@@ -130,7 +132,7 @@ def before_after_figure(time: Times, outboard: Floats, field: Floats, axis: int)
 
 def correction_figure(time: Times, taken_off: Floats) -> figure:
     """Draw what was taken off the outboard reading, all three components (time, axis), nT."""
-    plot = plain_figure("What was taken off", "", "nT", x_axis_type="datetime", width=1130)
+    plot = plain_figure("What was taken off", "UTC", "nT", x_axis_type="datetime", width=1130)
     for axis, colour in enumerate(COMPONENTS):
         plot.line(time, taken_off[:, axis], color=colour, legend_label=_AXES[axis])
     legend_below(plot)
