@@ -53,12 +53,12 @@ def boom_samples(
     flag = np.asarray(samples["flag"].values, dtype=np.uint32).copy()
     for role in _ROLES:
         with np.errstate(invalid="ignore"):
-            wild = (np.abs(values[role]) > _IMPOSSIBLE).any(axis=1)
+            wild = np.asarray((np.abs(values[role]) > _IMPOSSIBLE).any(axis=1))
         flag[wild] |= np.uint32(Flag.OUT_OF_RANGE)
         values[role] = np.where(wild[:, None], np.nan, values[role])
     for role, other in (_ROLES, _ROLES[::-1]):
         still = still_rows(values[role], values[other])
-        read = np.isfinite(values[role]).all(axis=1)
+        read = np.asarray(np.isfinite(values[role]).all(axis=1))
         if read.any() and still[read].all():
             name = mission.comparisons[model.comparison].instruments()[role]
             raise SamplesError(
