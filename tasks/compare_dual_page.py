@@ -60,7 +60,7 @@ def _residual_text(report: DualCompareReport) -> list[str]:
             one["method"] if one["applied"] == "yes" else "none",
             str(one["switchings"]),
             *(_number(one[name]) for name in ("before_nT", "after_nT", "noise_floor_nT")),
-            escape(of_day.reason) if one["applied"] == "yes" else "left as measured, see below",
+            _verdict(of_day) if one["applied"] == "yes" else "left as measured, see below",
         )
         for one, of_day in ((told_of_day(one), one) for one in report.days)
     ]
@@ -70,7 +70,7 @@ def _residual_text(report: DualCompareReport) -> list[str]:
         "there no more than elsewhere: that is the floor. A constant error is not in these numbers.",
         "A correction is judged on stretches that it was not learnt from (held out). The slope tells how "
         "much of what it takes off is in the outboard reading: one where it is right.",
-        html_table(head, rows),
+        f'<div class="wide told">{html_table(head, rows)}</div>',
     ]
     if not np.isfinite(report.joined("before")).any():
         told.append("Nothing switched in the span between readings: there are no steps to draw.")
@@ -83,9 +83,14 @@ def _residual_text(report: DualCompareReport) -> list[str]:
     return [*told, f"<ul>{listed}</ul>"] if listed else told
 
 
+def _verdict(one: DualDayRows) -> str:
+    """Return why a day is corrected; its method has a column of its own."""
+    return escape(one.reason.removeprefix(f"{one.method}: ").replace("+-", "±"))
+
+
 def _as_list(reason: str) -> str:
     """Return what speaks against each correction that was tried."""
-    return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in reason.split('; '))}</ul>"
+    return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in reason.replace('+-', '±').split('; '))}</ul>"
 
 
 def _number(value: float) -> str:
