@@ -9,6 +9,8 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.span import Span
 from inflight.tasks.planning import ReprocessSettings, plan
+from inflight.tasks.states_plan import days_to_do
+from inflight.tasks.states_units import is_told_by_states
 
 
 def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -31,13 +33,18 @@ def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str,
     """
     span = Span.model_validate({"start": start, "end": end}).as_text()
     wanted = ReprocessSettings.model_validate(settings)
-    planned = plan(Catalog(workspace.root), workspace.mission(), *span, wanted)
-    batches = [[str(batch[0]), str(batch[-1]), len(batch)] for batch in planned.batches]
+    cat, mission = Catalog(workspace.root), workspace.mission()
+    planned = plan(cat, mission, *span, wanted)
+    todo, unchanged = planned.batches, planned.unchanged
+    if is_told_by_states(mission, wanted.comparison):
+        days, unchanged = days_to_do(cat, planned)
+        todo = planned.in_batches(days)
+    batches = [[str(batch[0]), str(batch[-1]), len(batch)] for batch in todo]
     return {
         "context": planned.context,
         "days": {
-            "planned": sum(len(batch) for batch in planned.batches),
-            "unchanged": len(planned.unchanged),
+            "planned": sum(len(batch) for batch in todo),
+            "unchanged": len(unchanged),
             "no_work": len(planned.no_work),
         },
         "batches": batches,

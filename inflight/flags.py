@@ -53,11 +53,16 @@ class Flag(IntFlag):
     FLIPPED = 1 << 16
     #: The reading of a turning sensor stands at an end of the range the mission YAML states.
     SATURATED = 1 << 17
+    #: Nothing is taken off the outboard reading of two sensors: no correction is known here, or the one that
+    #: was learnt does not help.
+    NOT_CORRECTED = 1 << 18
+    #: The reading stays the very same for long while that of the boom's other sensor changes.
+    STILL = 1 << 19
 
 
 #: Flags that take a sample out of every fit.
 UNUSABLE = Flag.VECTOR_MISSING | Flag.SCALAR_MISSING | Flag.CHANNEL_MISSING | Flag.OUT_OF_RANGE
-UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED
+UNUSABLE |= Flag.INSTRUMENT_FLAG | Flag.FLIPPED | Flag.SATURATED | Flag.STILL
 
 
 def meanings() -> tuple[list[int], str]:

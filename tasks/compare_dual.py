@@ -26,12 +26,13 @@ from inflight.dual.residual_steps import (
 )
 from inflight.errors import CatalogError
 from inflight.mission import Mission
-from inflight.tasks.compare_dual_page import states_parts, told_of_day
+from inflight.tasks.compare_dual_page import states_parts, told_of_day, verdict_told
 from inflight.tasks.compare_page import Compared
 from inflight.tasks.compare_rows import scalar_channels
 from inflight.tasks.planning import product_of
 from inflight.tasks.report import Progress
-from inflight.tasks.states_units import channel_changes, unit_signs
+from inflight.tasks.states_constant import constant_changes
+from inflight.tasks.states_units import channel_changes, joined_signs, unit_signs
 from inflight.time import SECOND, DayLike, Int64, usual_step
 
 #: Points of a curve that a browser can draw.
@@ -47,11 +48,11 @@ class Stretches:
     Attributes
     ----------
     begin, end : ndarray of int64, shape (stretch,)
-        TT2000.
+        TT2000; a stretch ends one step after its last sample.
     state : ndarray of int64, shape (stretch,)
     probability : ndarray, shape (stretch,)
     difference : ndarray, shape (stretch, axis)
-        Mean ``B_in - B_out``, nT.
+        Mean ``B_in - B_out``, nT; NaN without a reading.
     """
 
     begin: Int64
@@ -69,6 +70,7 @@ class DualDayRows:
     method: str
     applied: str
     reason: str
+    constant: str
     at: Switchings
     before: Floats
     after: Floats
@@ -84,18 +86,36 @@ class DualDayRows:
 
 @dataclass
 class DualCompareReport:
-    """What `compare_dual` found; `path` is the page, when one was written."""
+    """What `compare_dual` found.
+
+    Attributes
+    ----------
+    tables : list of Dataset
+        Tables of states that hold in the span, each once, oldest first.
+    path : Path, optional
+        Of the page, when one was written.
+    """
 
     comparison: str
     context: str
     days: list[DualDayRows]
     fails_where: list[tuple[Remaining, str]]
-    table: xr.Dataset | None
+    tables: list[xr.Dataset]
     path: Path | None = None
 
     def joined(self, name: str) -> Floats:
         """Return an array of all days, (switching, axis)."""
         return np.concatenate([getattr(one, name) for one in self.days])
+
+    @property
+    def signs(self) -> Floats:
+        """Which units are switched at each switching of all days; (switching, number of unit)."""
+        return joined_signs([one.signs for one in self.days])
+
+    @property
+    def constants(self) -> list[dict[str, str]]:
+        """Where the constant part of the field becomes another."""
+        return constant_changes({one.day.day: one.constant for one in self.days})
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON; a residual is a step's rms component, nT."""
@@ -125,9 +145,11 @@ class DualCompareReport:
                 }
                 for one, unit in self.fails_where
             ],
+            "constant_changes": self.constants,
             "verdict": {
                 "applied": sorted({one.applied for one in self.days}),
                 "reasons": sorted({one.reason for one in self.days if one.reason}),
+                "told": verdict_told(self),
             },
             "path": str(self.path) if self.path else "",
         }
@@ -156,12 +178,14 @@ def compare_dual(
             remedy="run 'inflight reprocess' first",
         )
     rows, tell = [], progress or (lambda stage, done, total: None)
+    tables: dict[int, xr.Dataset] = {}
     for done, day in enumerate(days):
         tell("compare", done, len(days))
         table = cat.table(f"{comparison}-states", str(day.day))
+        tables.setdefault(int(table.attrs["table_id"]), table)
         rows.append(day_rows(cat, mission, day, table, thin=max(1, 86_400 * len(days) // _POINTS)))
     tell("compare", len(days), len(days))
-    report = DualCompareReport(comparison, days[-1].context or "", rows, [], table)
+    report = DualCompareReport(comparison, days[-1].context or "", rows, [], list(tables.values()))
     report.fails_where = sorted(
         fails_where(report, mission), key=lambda one: -float(np.abs(one[0].value / one[0].sigma).max())
     )
@@ -186,6 +210,7 @@ def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: 
         str(product.attrs["method"]),
         str(product.attrs["applied"]),
         str(product.attrs["reason"]),
+        str(product.attrs.get("constant", "")),
         at,
         steps_across(outboard, at, width),
         steps_across(field, at, width),
@@ -193,23 +218,26 @@ def day_rows(cat: Catalog, mission: Mission, day: Day, table: xr.Dataset, thin: 
         steps_across(difference, at, width),
         unit_signs(table, at),
         channel_changes(cat, mission, day.day, stamps[at.last], stamps[at.first]),
-        stretches_of(state, product["probability"].values, difference, stamps),
+        stretches_of(state, product["probability"].values, difference, stamps, usual_step(stamps, SECOND)),
         stamps[thinned],
         outboard[thinned],
         field[thinned],
     )
 
 
-def stretches_of(state: Int64, probability: Floats, difference: Floats, stamps: Int64) -> Stretches:
+def stretches_of(
+    state: Int64, probability: Floats, difference: Floats, stamps: Int64, step: int
+) -> Stretches:
     """Return the stretches of one state each; samples without a reading count in none of the means."""
     edges = np.flatnonzero(np.diff(state)) + 1
     first = np.concatenate([[0], edges]).astype(np.int64)
     last = np.concatenate([edges, [state.size]]).astype(np.int64)
     good: npt.NDArray[np.bool_] = np.asarray(np.isfinite(difference).all(axis=1))
-    counts = np.maximum(np.add.reduceat(good.astype(np.float64), first), 1.0)
+    counts = np.add.reduceat(good.astype(np.float64), first)
+    counts = np.where(counts > 0.0, counts, np.nan)
     mean = np.add.reduceat(np.where(good[:, None], difference, 0.0), first, axis=0) / counts[:, None]
     sure = np.asarray(probability, dtype=np.float64)[first]
-    return Stretches(stamps[first], stamps[last - 1], state[first], sure, mean)
+    return Stretches(stamps[first], stamps[last - 1] + step, state[first], sure, mean)
 
 
 def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[Remaining, str]]:
@@ -225,7 +253,7 @@ def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[R
     for one in by_state(at, steps):
         if one.is_clear:
             yield one, "nT"
-    signs = report.joined("signs")
+    signs = report.signs
     for unit in range(signs.shape[1]):
         found = regressed(f"unit {unit}", steps, signs[:, unit])
         if found is not None and found.is_clear:

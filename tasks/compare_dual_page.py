@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from inflight.figures.dual_states import (
     timeline_figure,
 )
 from inflight.figures.page import Later, html_table
+from inflight.tasks.states_constant import constant_sentences
 from inflight.time import SECOND, to_utc
 
 if TYPE_CHECKING:
@@ -55,25 +57,75 @@ def _residual_text(report: DualCompareReport) -> list[str]:
     rows = [
         (
             one["day"],
-            one["method"],
-            one["applied"],
+            one["method"] if one["applied"] == "yes" else "none",
             str(one["switchings"]),
-            *(f"{one[name]:.4f}" for name in ("before_nT", "after_nT", "noise_floor_nT")),
+            *(_number(one[name]) for name in ("before_nT", "after_nT", "noise_floor_nT")),
+            _verdict(of_day) if one["applied"] == "yes" else "left as measured, see below",
         )
-        for one in map(told_of_day, report.days)
+        for one, of_day in ((told_of_day(one), one) for one in report.days)
     ]
-    head = ("day", "method", "applied", "switchings", "as measured, nT", "corrected, nT", "floor, nT")
+    head = ("day", "method", "switchings", "as measured, nT", "corrected, nT", "floor, nT", "verdict")
     told = [
         "The ambient field does not know when the spacecraft switches. Without a stray field it steps "
-        "there no more than elsewhere: that is the floor. A constant error is not in these numbers."
+        "there no more than elsewhere: that is the floor. A constant error is not in these numbers.",
+        "A correction is judged on stretches that it was not learnt from (held out). The slope tells how "
+        "much of what it takes off is in the outboard reading: one where it is right.",
+        f'<div class="wide told">{html_table(head, rows)}</div>',
     ]
-    told += [escape(reason) for reason in sorted({one.reason for one in report.days if one.reason})]
-    return [*told, html_table(head, rows)]
+    if not np.isfinite(report.joined("before")).any():
+        told.append("Nothing switched in the span between readings: there are no steps to draw.")
+    listed = "".join(
+        f"<li>{_days_told(days)} left as measured:{_as_list(reason)}</li>"
+        for (applied, reason), days in _reasons(report).items()
+        if applied != "yes"
+    )
+    listed += "".join(f"<li>{escape(_sentence(one))}</li>" for one in constant_sentences(report.constants))
+    return [*told, f"<ul>{listed}</ul>"] if listed else told
+
+
+def _verdict(one: DualDayRows) -> str:
+    """Return why a day is corrected; its method has a column of its own."""
+    return escape(one.reason.removeprefix(f"{one.method}: ").replace("+-", "±"))
+
+
+def _as_list(reason: str) -> str:
+    """Return what speaks against each correction that was tried."""
+    return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in reason.replace('+-', '±').split('; '))}</ul>"
+
+
+def _number(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else "none"
+
+
+def verdict_told(report: DualCompareReport) -> list[str]:
+    """Return which days are corrected or left alone and why, and where the field may step by a constant."""
+    told = [
+        f"{_days_told(days)}: {'corrected' if applied == 'yes' else 'LEFT AS MEASURED'}, {reason}."
+        for (applied, reason), days in _reasons(report).items()
+        if reason
+    ]
+    return told + [_sentence(one) for one in constant_sentences(report.constants)]
+
+
+def _reasons(report: DualCompareReport) -> dict[tuple[str, str], list[str]]:
+    """Return the days by whether they are corrected and why."""
+    days: dict[tuple[str, str], list[str]] = {}
+    for one in report.days:
+        days.setdefault((one.applied, one.reason), []).append(str(one.day.day))
+    return days
+
+
+def _days_told(days: list[str]) -> str:
+    return days[0] if len(days) == 1 else f"{len(days)} days from {days[0]} to {days[-1]}"
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _step_figures(report: DualCompareReport) -> list[Any]:
     parts = report.joined("difference"), report.joined("before"), report.joined("after")
-    return [steps_figure(*parts, axis) for axis in range(3)] if len(parts[0]) else []
+    return [steps_figure(*parts, axis) for axis in range(3)] if np.isfinite(parts[1]).any() else []
 
 
 def _fails_text(report: DualCompareReport) -> list[str]:
@@ -93,7 +145,7 @@ def _states_text(report: DualCompareReport) -> list[str]:
         ):
             seconds[state] = seconds.get(state, 0.0) + float(end - begin) / SECOND
             times[state] = times.get(state, 0) + 1
-    known = _of_states(report.table)
+    known = _of_states(report.tables)
     rows = [
         (
             {-1: "unknown", -2: "transient"}.get(state, str(state)),
@@ -105,28 +157,36 @@ def _states_text(report: DualCompareReport) -> list[str]:
     ]
     head = ("state", "units on", "difference x, y, z (nT)", "outboard x, y, z (nT)", "stretches", "hours")
     return [
-        "A state is a point of the difference; its outboard field is relative to that of one state. Numbers "
-        "are those of the newest table.",
+        "A state is what is switched on together. It has one place in the space of the difference of both "
+        "sensors (inboard less outboard); its field at the outboard sensor is relative to that of one state. "
+        "A unit is what is switched as one. Numbers stay from window to window; fields are those of the last "
+        "window that knew the state.",
+        "Points are stretches between switchings, ellipses two standard deviations of a state's points. "
+        "Points move away from their ellipse where the difference drifts.",
         f'<div class="wide told">{html_table(head, rows)}</div>',
     ]
 
 
-def _of_states(table: xr.Dataset | None) -> dict[int, tuple[str, str, str]]:
-    """Return units on, difference and outboard field of each state of a table, as text."""
-    if table is None or "occupancy" not in table:
-        return {}
+def _of_states(tables: Sequence[xr.Dataset]) -> dict[int, tuple[str, str, str]]:
+    """Return units on, difference and outboard field of each state, as text, from the last table with it."""
     return {
         int(number): (
-            ", ".join(str(unit) for unit in np.flatnonzero(table["occupancy"].values[at] > 0.5)) or "none",
+            _units_on(table, at),
             _vector(table["centre"].values[at]),
             _vector(
                 table["correction"].values[at],
                 np.sqrt(np.clip(np.diag(table["covariance"].values[at]), 0.0, None)),
             ),
         )
+        for table in tables
         for at, number in enumerate(table["number"].values)
         if np.isfinite(table["centre"].values[at]).all()
     }
+
+
+def _units_on(table: xr.Dataset, row: int) -> str:
+    on = table["unit_number"].values[table["occupancy"].values[row] > 0.5]
+    return ", ".join(str(unit) for unit in sorted(on.tolist())) or "none"
 
 
 def _vector(value: Floats, sigma: Floats | None = None) -> str:
@@ -137,8 +197,13 @@ def _vector(value: Floats, sigma: Floats | None = None) -> str:
 
 def _units_text(report: DualCompareReport) -> list[str]:
     """Return the units whose sums make the states, and the channels behind them."""
-    table, signs = report.table, report.joined("signs")
-    if table is None or not signs.shape[1]:
+    signs = report.signs
+    known = {
+        int(unit): (table, row)
+        for table in report.tables
+        for row, unit in enumerate(table["unit_number"].values)
+    }
+    if not signs.shape[1]:
         return ["There are no units: nothing was seen to switch by itself."]
     names = sorted({name for one in report.days for name in one.changes})
     changes = {
@@ -147,16 +212,17 @@ def _units_text(report: DualCompareReport) -> list[str]:
     }
     rows = []
     for one in name_units(signs, changes):
-        if one.unit >= table.sizes.get("unit", 0):
+        if one.unit not in known:
             continue
-        error = np.sqrt(np.clip(np.diag(table["unit_covariance"].values[one.unit]), 0.0, None))
+        table, row = known[one.unit]
+        error = np.sqrt(np.clip(np.diag(table["unit_covariance"].values[row]), 0.0, None))
         rows.append(
             (
                 str(one.unit),
                 escape(" or ".join(one.channels)) or "a unit without housekeeping",
                 str(one.switchings),
-                _vector(table["unit"].values[one.unit]),
-                _vector(table["unit_correction"].values[one.unit], error),
+                _vector(table["unit"].values[row]),
+                _vector(table["unit_correction"].values[row], error),
                 escape(one.reason),
             )
         )
@@ -177,12 +243,20 @@ def _state_figures(report: DualCompareReport) -> list[Any]:
         np.concatenate([getattr(one, name) for one in parts])
         for name in ("begin", "end", "state", "probability", "difference")
     )
-    settled = state != -2
-    centre, covariance = np.empty((0, 3)), np.empty((0, 3, 3))
-    if report.table is not None and "centre" in report.table:
-        centre, covariance = report.table["centre"].values, report.table["centre_covariance"].values
-    planes = [difference_figure(mean[settled], state[settled], centre, covariance, plane) for plane in PLANES]
+    settled = (state != -2) & np.isfinite(mean).all(axis=1)
+    known = {
+        int(number): (table["centre"].values[at], _spread(table, at))
+        for table in report.tables
+        for at, number in enumerate(table["number"].values)
+    }
+    planes = [difference_figure(mean[settled], state[settled], known, plane) for plane in PLANES]
     return [*planes, timeline_figure(to_utc(begin), to_utc(end), state, sure)]
+
+
+def _spread(table: xr.Dataset, row: int) -> Floats:
+    """Return the covariance of a state's points: of its centre and of their scatter beyond noise; nT^2."""
+    scatter = float(table.attrs["scatter"]) ** 2
+    return np.asarray(table["centre_covariance"].values[row] + scatter * np.eye(3))
 
 
 def _series_figures(report: DualCompareReport) -> list[Any]:

@@ -18,6 +18,7 @@ from inflight.mission import Mission
 from inflight.tasks.chain_report import write_page
 from inflight.tasks.chain_sections import Part, with_error
 from inflight.tasks.reprocess_dual import NO_PRODUCT, TABLES
+from inflight.tasks.states_units import is_told_by_states
 from inflight.tasks.tables import newest_tables
 from inflight.time import day_of
 
@@ -30,8 +31,14 @@ def dual_report(
     Raises
     ------
     CatalogError
-        When none is certified.
+        When none is certified, or the spacecraft's states tell the sensors: these have tables of their own.
     """
+    if is_told_by_states(mission, comparison):
+        raise CatalogError(
+            f"'{comparison}' is told by the spacecraft's states: no table says how its sensors stand to each "
+            "other",
+            remedy="'inflight compare' shows states, units and what is left",
+        )
     tables, parts = dual_parts(cat, comparison)
     daily = tables["relation-daily"]
     days = [str(one)[:10] for one in day_of(daily["start"].values[[0, -1]])]

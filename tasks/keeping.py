@@ -1,9 +1,9 @@
-"""Tables of a run: made only when their content is new, staged, and certified at publication."""
+"""What a run keeps: tables made only when their content is new, and the days of runs that were ended."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -76,3 +76,16 @@ class TableKeeper:
         if "start" in table and table["start"].dims == ("interval",):
             return int(table["start"].values[0]), int(table["end"].values[-1])
         return day_bounds(min(self.days))[0], day_bounds(max(self.days))[1]
+
+
+def adopted_days(
+    run: Run, dataset: str, keys: Mapping[np.datetime64, str], days: Iterable[np.datetime64]
+) -> dict[np.datetime64, Day]:
+    """Take over the days that a killed run had made from the same inputs."""
+    offered = run.adoptable(dataset)
+    adopted = {}
+    for day in days:
+        found = run.adopt(dataset, day, keys[day]) if (day, keys[day]) in offered else None
+        if found is not None:
+            adopted[day] = found
+    return adopted

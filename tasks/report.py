@@ -115,6 +115,20 @@ def _whole_problem(item: Mapping[str, str]) -> dict[str, str]:
     return dict.fromkeys(("day", "channel", "cause", "remedy", "message"), "") | dict(item)
 
 
+def no_work_problems(no_work: Mapping[Any, str]) -> list[dict[str, str]]:
+    """Return days without a measurement as entries of `RunReport.problems`: day -> what is missing."""
+    return [
+        {
+            "day": str(day),
+            "channel": "",
+            "cause": "no_work",
+            "remedy": "ingest the day's files",
+            "message": message,
+        }
+        for day, message in no_work.items()
+    ]
+
+
 def problem_of(error: InflightError, day: str = "") -> dict[str, str]:
     """Return an error as one entry of `RunReport.problems`."""
     return {

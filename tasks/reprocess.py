@@ -20,10 +20,10 @@ from inflight.mission import Mission
 from inflight.tasks.calibrate import Job, Outcome, calibrate_batch
 from inflight.tasks.chain import chain_batch
 from inflight.tasks.delivery import each_result
-from inflight.tasks.keeping import SolvedTables, TableKeeper
+from inflight.tasks.keeping import SolvedTables, TableKeeper, adopted_days
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
-from inflight.tasks.report import Progress, RunReport
+from inflight.tasks.report import Progress, RunReport, no_work_problems
 from inflight.tasks.reprocess_chain import chain_arguments, chained, save_fitted, spread_offsets
 from inflight.tasks.reprocess_dual import dual_comparisons, is_calibrated_apart, reprocess_dual
 from inflight.tasks.reprocess_states import reprocess_states
@@ -103,7 +103,8 @@ def calibrate(
     if reference is None:
         # A run killed amid a later pass leaves equations linearised here and there, and one killed after
         # it does not tell how many it made: only the first pass gives the bytes of an undisturbed run.
-        adopted = _adopt(run, made.equations, made.keys, batches)
+        asked = [day for batch in batches for day in batch]
+        adopted = adopted_days(run, made.equations, made.keys, asked)
         fresh = {day: found for day, found in adopted.items() if not found.report.get("shared")}
     left = [[day for day in batch if day not in fresh] for batch in batches]
     jobs = _jobs(made, run, [batch for batch in left if batch], made.equations, made.keys)
@@ -118,19 +119,6 @@ def calibrate(
     for outcome in mapper("calibrate", step, arguments):
         fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
     return fresh
-
-
-def _adopt(
-    run: Run, dataset: str, keys: Mapping[np.datetime64, str], batches: Sequence[Sequence[np.datetime64]]
-) -> dict[np.datetime64, Day]:
-    """Take over the days that a killed run had made from the same inputs."""
-    offered = run.adoptable(dataset)
-    adopted = {}
-    for day in (day for batch in batches for day in batch if (day, keys[day]) in offered):
-        found = run.adopt(dataset, day, keys[day])
-        if found is not None:
-            adopted[day] = found
-    return adopted
 
 
 def solve(cat: Catalog, made: Plan, run: Run, days: Mapping[np.datetime64, Day]) -> SolvedTables:
@@ -199,7 +187,7 @@ def produce(
             same.append(day)
         else:
             todo.append(day)
-    adopted = _adopt(run, made.product, keys, [todo])
+    adopted = adopted_days(run, made.product, keys, todo)
     book.done |= set(adopted)
     todo = [day for day in todo if day not in adopted]
     parents = f"table:{tables.ids[made.settings.table]}"
@@ -376,16 +364,7 @@ def _report(
         "no_work": len(made.no_work),
     }
     problems = [book.failed[day] for day in sorted(book.failed)]
-    problems += [
-        {
-            "day": str(day),
-            "channel": "",
-            "cause": "no_work",
-            "remedy": "ingest the day's files",
-            "message": message,
-        }
-        for day, message in made.no_work.items()
-    ]
+    problems += no_work_problems(made.no_work)
     there = [day for day in cat.days(made.product, states=("published",)) if day.day in made.keys]
     told = [day for day in cat.days(made.equations, states=("published",)) if day.day in made.keys]
     problems += partial_problems(there) + spin_problems([*there, *told])

@@ -7,30 +7,28 @@ is left alone.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog, Day, Run, idempotency_key
+from inflight.catalog import Catalog, Run
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.calibrate import Failure, Job
+from inflight.tasks.keeping import adopted_days
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
-from inflight.tasks.report import RunReport
+from inflight.tasks.report import RunReport, no_work_problems
 from inflight.tasks.reprocess_dual import take_outcome
-from inflight.tasks.states_chain import OWN, chained_key, joined, table_before
-from inflight.tasks.states_day import STATES_PRODUCT_VERSION, states_batch
-from inflight.tasks.states_window import STATES_VERSION, states_window
-from inflight.tasks.tables import window_edges
+from inflight.tasks.states_chain import OWN, Chain, chained_key, joined
+from inflight.tasks.states_constant import constant_changes, constant_of
+from inflight.tasks.states_day import states_batch
+from inflight.tasks.states_plan import KnownTables, product_key, table_name, window_key, windows
+from inflight.tasks.states_remarks import remarks_of
+from inflight.tasks.states_window import states_window
 from inflight.time import DayLike, day_bounds
-
-#: The table, by name without the comparison.
-STATES = "states"
 
 
 @dataclass
@@ -89,63 +87,57 @@ def reprocess_states(
         "failed": len(out.failed),
         "no_work": len(made.no_work),
     }
-    problems = [out.failed[day] for day in sorted(out.failed)]
-    outputs = [made.product, f"tables/{settings.comparison}-{STATES}"] if done or same else []
-    extra = {"residual": residual_of(cat, made), "windows": verdicts(out.tables)}
+    problems = [out.failed[day] for day in sorted(out.failed)] + remarks_of(out.tables)
+    problems += no_work_problems(made.no_work)
+    outputs = [made.product, f"tables/{table_name(made)}"] if done or same else []
+    constants = {day: constant_of(table) for day, (_, _, table) in out.tables.items()}
+    extra = {
+        "residual": residual_of(cat, made),
+        "windows": verdicts(out.tables),
+        "constant_changes": constant_changes(constants),
+    }
     return RunReport("reprocess", run.id, made.context, counts, problems, outputs, extra)
-
-
-def windows(days: Sequence[np.datetime64], settings: ReprocessSettings) -> list[list[np.datetime64]]:
-    """Return the days of each window that has any: days, windows of the fixed grid, or all together."""
-    if settings.table == "span":
-        return [list(days)]
-    size = 1 if settings.table == "daily" else settings.window_days
-    edges = window_edges(min(days), max(days), size)
-    groups = [[day for day in days if low <= day < high] for low, high in pairwise(edges)]
-    return [group for group in groups if group]
 
 
 def _tables(
     cat: Catalog, mission: Mission, made: Plan, run: Run, mapper: Callable[..., Any], out: _Made
 ) -> None:
-    """Learn from each window, then join them in order; what has not changed is neither done again."""
-    name = f"{made.settings.comparison}-{STATES}"
-    records = [one for one in cat.tables(name) if not one.damaged]
-    known, learnt = {one.key: one for one in records}, {one.key[:OWN]: one for one in records}
+    """Learn from each window and join them in order; what has not changed is neither done again.
+
+    A window's table is staged as soon as those before it are: a run that is killed leaves what it has made
+    to the next one.
+    """
+    name = table_name(made)
+    known = KnownTables.of(cat, name)
     groups = windows(made.days, made.settings)
-    keys = [_window_key(made, group) for group in groups]
-    todo = [(group, key) for group, key in zip(groups, keys, strict=True) if key[:OWN] not in learnt]
-    arguments = [(cat, mission, made.model, group, made.needs, made.index.around(group)) for group, _ in todo]
-    fresh = dict(zip([key for _, key in todo], mapper("calibrate", states_window, arguments), strict=True))
-    before_key, before = table_before(cat, name, groups[0][0]) or ("", None)
+    keys = [window_key(made, group) for group in groups]
+    todo = [group for group, key in zip(groups, keys, strict=True) if key[:OWN] not in known.learnt]
+    arguments = [(cat, mission, made.model, group, made.needs, made.index.around(group)) for group in todo]
+    fresh = iter(mapper("calibrate", states_window, arguments))
+    chain = Chain.before(cat, name, groups[0][0])
     for group, own in zip(groups, keys, strict=True):
-        bounds = day_bounds(group[0])[0], day_bounds(group[-1])[1]
-        key = chained_key(own, before_key)
-        if key in known:
-            number, table = known[key].id, cat.table_by_id(known[key].id)
-        elif isinstance(fresh.get(own), Failure):
-            _fail(run, made.product, group, fresh[own], out)
+        key = chained_key(own, chain.keys)
+        learnt = known.learnt.get(own[:OWN])
+        alone = next(fresh) if learnt is None else cat.table_by_id(learnt.id)
+        if isinstance(alone, Failure):
+            _fail(run, made.product, group, alone, out)
             continue
+        bounds = day_bounds(group[0])[0], day_bounds(group[-1])[1]
+        if key in known.joined:
+            number, table = known.joined[key].id, cat.table_by_id(known.joined[key].id)
         else:
-            alone = fresh[own] if own in fresh else cat.table_by_id(learnt[own[:OWN]].id)
-            table = joined(before, alone)
+            table = joined(chain.tables, alone)
             parents = [one for day in group for one in _sources(made, day)]
             number = run.stage_table(name, table, start=bounds[0], end=bounds[1], parents=parents, key=key)
-        if key not in known or (None, *bounds) not in known[key].certified:
+        if key not in known.joined or (None, *bounds) not in known.joined[key].certified:
             out.certify.append((number, *bounds, None))
         out.tables |= dict.fromkeys(group, (number, key, table))
-        if table.sizes["state"]:
-            before_key, before = key, table
+        chain.add(key, table)
 
 
 def _sources(made: Plan, day: np.datetime64) -> list[str]:
     base = next(need for need in made.needs if need.name == made.base)
     return [source.id for source in made.index.sources(made.needs, day, base)]
-
-
-def _window_key(made: Plan, group: Sequence[np.datetime64]) -> str:
-    told = [STATES, str(STATES_VERSION), made.context, *(made.keys[day] for day in group)]
-    return hashlib.sha256("".join(told).encode()).hexdigest()
 
 
 def _fail(run: Run, product: str, days: Sequence[np.datetime64], failure: Failure, out: _Made) -> None:
@@ -166,17 +158,15 @@ def _products(
 ) -> tuple[list[np.datetime64], list[np.datetime64]]:
     """Correct the days whose readings or table changed; return them and those left alone."""
     current = {day.day: day for day in cat.days(made.product, states=("published",))}
-    keys = {
-        day: idempotency_key(made.product, day, STATES_PRODUCT_VERSION, made.context, [made.keys[day], key])
-        for day, (_, key, _) in out.tables.items()
-    }
+    keys = {day: product_key(made, day, key) for day, (_, key, _) in out.tables.items()}
     same = [day for day, key in keys.items() if day in current and current[day].key == key]
     todo = sorted(set(keys) - set(same))
-    arguments = [(cat, mission, made.model, *one) for one in _jobs(made, run, todo, keys, out)]
-    done: list[Day] = []
+    done = list(adopted_days(run, made.product, keys, todo))
+    left = sorted(set(todo) - set(done))
+    arguments = [(cat, mission, made.model, *one) for one in _jobs(made, run, left, keys, out)]
     for outcome in mapper("produce", states_batch, arguments):
-        done += take_outcome(run, made.product, outcome, out.failed)
-    return [day.day for day in done], same
+        done += [day.day for day in take_outcome(run, made.product, outcome, out.failed)]
+    return sorted(done), same
 
 
 def _jobs(
@@ -237,6 +227,7 @@ def verdicts(tables: Mapping[np.datetime64, tuple[int, str, xr.Dataset]]) -> lis
                 "method": str(table.attrs.get("method", "")),
                 "applied": str(table.attrs.get("applied", "")),
                 "verdict": str(table.attrs.get("verdict", "")),
+                "constant": constant_of(table),
             },
         )
         told["end"] = str(day + ONE_DAY)

@@ -30,12 +30,13 @@ _TITLES = {
     "slow": "Slow housekeeping",
     "mon": "Ambient field known from elsewhere",
 }
-_SOURCE = Source("vex", "Venus-Express-like simulated spacecraft", _TITLES, _VARIABLES)
+#: Whose files they are.
+SOURCE = Source("vex", "Venus-Express-like simulated spacecraft", _TITLES, _VARIABLES)
 
 
 def truth_path(destination: Path, day: np.datetime64) -> Path:
     """Return where the truth of a day stands, for tests and nobody else."""
-    return destination / TRUTH / f"{_SOURCE.name}_truth_{compact(day)}.nc"
+    return destination / TRUTH / f"{SOURCE.name}_truth_{compact(day)}.nc"
 
 
 def simulate_dual(
@@ -73,7 +74,7 @@ def simulate_dual(
     for number, _ in enumerate(written(write_dual_day, settings, folder, missing, workers), start=1):
         if progress is not None:
             progress(len(days) - len(missing) + number, len(days))
-    paths = (_SOURCE.path(folder, instrument, day) for day in days for instrument in _TITLES)
+    paths = (SOURCE.path(folder, instrument, day) for day in days for instrument in _TITLES)
     return [path for path in paths if path.exists()]
 
 
@@ -83,9 +84,9 @@ def write_dual_day(settings: DualSettings, destination: Path, day: np.datetime64
         simulated = simulate_dual_day(settings, day)
         paths = []
         for instrument, data in simulated.instruments.items():
-            path = _SOURCE.path(destination, instrument, day)
+            path = SOURCE.path(destination, instrument, day)
             with atomic(path) as partial:
-                write_cdf(partial, _SOURCE, instrument, data, day)
+                write_cdf(partial, SOURCE, instrument, data, day)
             paths.append(path)
         write_truth(truth_path(destination, day), simulated.truth)
     return paths

@@ -13,16 +13,17 @@ from inflight.dual.residual_steps import quiet_steps, quietest_width, rms, steps
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
+from inflight.tasks.boom_readings import boom_samples
 from inflight.tasks.calibrate import Job, Outcome, make_days
 from inflight.tasks.produce import rounded
-from inflight.tasks.samples import load_samples
+from inflight.tasks.states_constant import constant_of
 from inflight.tasks.states_window import correction_of
 from inflight.time import SECOND, day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the products change.
-STATES_PRODUCT_VERSION = 1
+STATES_PRODUCT_VERSION = 2
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
-_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS
+_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.NOT_CORRECTED
 
 
 def states_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job) -> Outcome:
@@ -38,11 +39,18 @@ def states_day(
     The report's residual is the rms step of the outboard field at the day's switchings, nT a component:
     as measured, corrected, and the floor, that of the corrected field where nothing switches.
     """
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
+    samples = boom_samples(cat, mission, model, day, job.needs, job.index)
     readings, flag = readings_of(model, samples)
-    product = dual_level2(readings, correction_of(table, readings), flag, model.comparison)
+    correction = correction_of(table, readings)
+    flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
+    product = dual_level2(readings, correction, flag, model.comparison)
     product = rounded(product)
-    product.attrs |= {"mission": mission.mission, "acknowledgement": mission.acknowledgement, "day": str(day)}
+    product.attrs |= {
+        "mission": mission.mission,
+        "acknowledgement": mission.acknowledgement,
+        "day": str(day),
+        "constant": constant_of(table),
+    }
     return product, report_of(product, day)
 
 
@@ -68,5 +76,8 @@ def report_of(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
         "states": np.unique(state[state >= 0]).tolist(),
         "unknown_part": float(np.mean(state == -1)),
         "applied": str(product.attrs["applied"]),
+        "method": str(product.attrs["method"]),
+        "reason": str(product.attrs["reason"]),
+        "constant": str(product.attrs["constant"]),
         **{name: value if np.isfinite(value) else None for name, value in steps.items()},
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,12 @@ def unit_signs(table: xr.Dataset, at: Switchings) -> Floats:
     step = member[rows[1][known]] - member[rows[0][known]]
     out[np.ix_(known, units)] = step
     return out
+
+
+def joined_signs(signs: Sequence[Floats]) -> Floats:
+    """Return `unit_signs` of several days together; days that do not know the last units have zeros."""
+    width = max(one.shape[1] for one in signs)
+    return np.concatenate([np.pad(one, ((0, 0), (0, width - one.shape[1]))) for one in signs])
 
 
 def housekeeping(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -132,8 +139,7 @@ def named_units(
         tables |= dict.fromkeys(table["unit_number"].values.tolist(), table)
         signs.append(unit_signs(table, at))
         changes.append(channel_changes(cat, mission, day.day, stamps[at.last], stamps[at.first]))
-    width = max(one.shape[1] for one in signs)
-    joined = np.concatenate([np.pad(one, ((0, 0), (0, width - one.shape[1]))) for one in signs])
+    joined = joined_signs(signs)
     names = sorted({name for one in changes for name in one})
     series = {
         name: np.concatenate(

@@ -32,15 +32,17 @@ from inflight.errors import InflightError, SamplesError
 from inflight.mission import DualComparison, Mission
 from inflight.model import Model
 from inflight.tasks.archive_index import ArchiveIndex
+from inflight.tasks.boom_readings import boom_samples
 from inflight.tasks.calibrate import Failure, failure_of
 from inflight.tasks.channel_series import kept_readings
 from inflight.tasks.needs import AMBIENT, Need, ambient_of
-from inflight.tasks.samples import load_samples
+from inflight.tasks.states_constant import gradiometer_in_states, gradiometer_with_states
+from inflight.tasks.states_remarks import with_remark
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 3
+STATES_VERSION = 4
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -60,13 +62,14 @@ def states_window(
     Dataset
         Of `inflight.dual.table.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`, `benefit`,
         `chance_of_harm` over `candidate` say what held-out stretches tell of each correction. Attributes
-        `method`, `applied` (yes or no), `verdict`.
+        `method`, `applied` (yes or no), `verdict`, `remark`.
     """
     with threadpool_limits(1), kept_readings():
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
-            return table_of(candidates, judge(readings, candidates.fit, expectation=candidates.expectation))
+            found = judge(readings, candidates.fit, expectation=candidates.expectation)
+            return with_remark(table_of(candidates, found))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
 
@@ -112,7 +115,7 @@ def window_readings(
     parts, ambient, last = [], [], None
     for day in days:
         try:
-            samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
+            samples = boom_samples(cat, mission, model, day, needs, index)
             parts.append(readings_of(model, samples)[0])
             ambient.append(_ambient(mission, model.comparison, samples))
         except InflightError as error:
@@ -163,7 +166,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
         gradiometer = gradiometer_variables(form, candidates.readings)
         table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
-    return table.assign(
+    told = table.assign(
         slope=(one, np.array([each.slope for each in evidence])),
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
@@ -175,6 +178,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         applied="no" if chosen == "none" else "yes",
         verdict=found.correction.reason,
     )
+    return gradiometer_in_states(told, candidates.readings) if chosen in FORMS else told
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
@@ -185,7 +189,7 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     """
     method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
     if method == "gradiometer":
-        return replace(correction_by_gradiometer(table, readings), reason=verdict)
+        return replace(gradiometer_with_states(table, readings), reason=verdict)
     training = from_dataset(table)
     if not len(training):
         return no_correction(len(readings), verdict)

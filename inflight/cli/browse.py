@@ -98,8 +98,10 @@ def _with_notes(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _noted(report: Mapping[str, Any]) -> str:
-    """Return what an archive's day tells of its samples: missing ones, gaps and rows that were dropped."""
+    """Return what a day tells: samples that are missing, gaps, rows that were dropped, or raw fields."""
     told = []
+    if report.get("applied") == "no":
+        told.append(f"left as measured: {report.get('reason', '')}")
     for name, channel in report.get("channels", {}).items():
         if channel.get("gaps"):
             start, _, most = max(channel["gaps"], key=lambda gap: gap[2])

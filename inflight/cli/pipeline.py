@@ -182,13 +182,23 @@ def reprocess(
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect)
-    session.finish(report, _not_made(report))
+    session.finish(report, [*_not_made(report), *_left_alone(report)])
 
 
 def _not_made(report: RunReport) -> Iterator[str]:
     """Yield which tables of the chain could not be made, and why."""
     for name, why in report.extra.get("left_out", {}).items():
         yield f"table '{name}' is not made: {why}"
+
+
+def _left_alone(report: RunReport) -> Iterator[str]:
+    """Yield which windows of two sensors are left as measured and why, and where their field may step."""
+    from inflight.tasks.states_constant import constant_sentences
+
+    for one in report.extra.get("windows", []):
+        if one["applied"] != "yes":
+            yield f"{one['start']} to {one['end']} is left as measured: {one['verdict']}"
+    yield from constant_sentences(report.extra.get("constant_changes", []))
 
 
 def backfill(

@@ -135,8 +135,8 @@ def print_dual_comparison(console: Console, fields: dict[str, Any]) -> None:
         console.print(f"{residual['what']} ({residual['switchings']} switchings):", soft_wrap=True)
         for name, label in (("before", "as measured"), ("after", "corrected"), ("noise_floor", "floor")):
             console.print(f"  {label:<12} {residual[f'{name}_nT']:8.3f} nT", style="bold")
-    for reason in fields["verdict"]["reasons"]:
-        console.print(f"  {reason}", soft_wrap=True, markup=False)
+    for told in fields["verdict"]["told"]:
+        console.print(f"  {told}", soft_wrap=True, markup=False)
     for failing in fields["fails_where"]:
         console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
     page = fields["path"] or "none, because the workspace cannot be written; --output names another place"

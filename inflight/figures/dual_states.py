@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle, islice
 
 import numpy as np
@@ -37,7 +37,10 @@ def state_colours(states: Sequence[int]) -> dict[int, str]:
 
 
 def difference_figure(
-    points: Floats, state: Ints, centre: Floats, covariance: Floats, plane: tuple[int, int]
+    points: Floats,
+    state: Ints,
+    known: Mapping[int, tuple[Floats, Floats]],
+    plane: tuple[int, int],
 ) -> figure:
     """Draw mean differences of states' intervals and, as ellipses of two sigmas, the states themselves.
 
@@ -46,8 +49,9 @@ def difference_figure(
     points : ndarray, shape (interval, axis)
         Mean ``B_in - B_out`` of each interval, nT.
     state : ndarray of int64, shape (interval,)
-    centre, covariance : ndarray, shapes (state, axis) and (state, axis, axis)
-        nT, nT^2; NaN for numbers that name no state.
+    known : mapping of int to (centre, covariance)
+        Of each state by its number: its place in the difference, (axis,) nT, and the covariance of its
+        points, (axis, axis) nT^2; not finite where it has none.
     plane : (int, int)
         Axes drawn to the right and up.
     """
@@ -59,7 +63,7 @@ def difference_figure(
     )
     # Numbers stand beside their states: those at the edge need room.
     plot.x_range.range_padding = plot.y_range.range_padding = _ROOM
-    colours = state_colours([*state.tolist(), *range(len(centre))])
+    colours = state_colours([*state.tolist(), *known])
     thin = slice(None, None, max(1, len(points) // _POINTS))
     source = ColumnDataSource(
         {
@@ -70,7 +74,7 @@ def difference_figure(
         }
     )
     plot.scatter("x", "y", source=source, color="colour", size=4, alpha=0.5)
-    for number, (middle, spread) in enumerate(zip(centre, covariance, strict=True)):
+    for number, (middle, spread) in known.items():
         if not np.isfinite(middle).all():
             continue
         part = spread[np.ix_(plane, plane)]
@@ -94,7 +98,7 @@ def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) 
     probability : ndarray, shape (interval,)
         NaN where the method has none.
     """
-    plot = plain_figure("States in time", "", "state", x_axis_type="datetime", width=1130)
+    plot = plain_figure("States in time", "UTC", "state", x_axis_type="datetime", width=1130)
     colours = state_colours(state.tolist())
     sure = np.nan_to_num(probability, nan=0.3)
     source = ColumnDataSource(
@@ -117,7 +121,9 @@ def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) 
 
 def before_after_figure(time: Times, outboard: Floats, field: Floats, axis: int) -> figure:
     """Draw one component of the outboard reading and of the corrected field, nT."""
-    plot = plain_figure(f"Outboard sensor along {_AXES[axis]}", "", "nT", x_axis_type="datetime", width=1130)
+    plot = plain_figure(
+        f"Outboard sensor along {_AXES[axis]}", "UTC", "nT", x_axis_type="datetime", width=1130
+    )
     for values, colour, label in ((outboard, BEFORE, "as measured"), (field, AFTER, "corrected")):
         plot.line(time, values[:, axis], color=colour, alpha=0.8, legend_label=label)
     legend_below(plot)
@@ -126,7 +132,7 @@ def before_after_figure(time: Times, outboard: Floats, field: Floats, axis: int)
 
 def correction_figure(time: Times, taken_off: Floats) -> figure:
     """Draw what was taken off the outboard reading, all three components (time, axis), nT."""
-    plot = plain_figure("What was taken off", "", "nT", x_axis_type="datetime", width=1130)
+    plot = plain_figure("What was taken off", "UTC", "nT", x_axis_type="datetime", width=1130)
     for axis, colour in enumerate(COMPONENTS):
         plot.line(time, taken_off[:, axis], color=colour, legend_label=_AXES[axis])
     legend_below(plot)

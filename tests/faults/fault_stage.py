@@ -29,7 +29,9 @@ class Stage:
     """Begins processes; `close` ends them all."""
 
     def __init__(self):
-        environment = os.environ | {"PYTHONPATH": str(TESTS), "OPENBLAS_NUM_THREADS": "1"}
+        # The project that is tested here, wherever it is imported from.
+        path = os.pathsep.join([str(TESTS), *filter(None, [os.environ.get("PYTHONPATH")])])
+        environment = os.environ | {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"}
         self._server = subprocess.Popen(
             [sys.executable, "-u", str(Path(__file__).resolve())],
             stdin=subprocess.PIPE,

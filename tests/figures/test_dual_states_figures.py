@@ -22,11 +22,14 @@ def test_each_known_state_has_an_ellipse_and_its_number():
     points = np.random.default_rng(1).normal(size=(50, 3))
     state = np.repeat([0, 1, -1, 3, 0], 10)
     centre = np.array([[0.0, 0, 0], [1, 1, 1], [np.nan] * 3, [2, 0, 2]])
-    covariance = np.broadcast_to(0.1 * np.eye(3), (4, 3, 3))
+    # In the order of a table, which need not be that of the numbers.
+    known = {number: (centre[number], 0.1 * np.eye(3)) for number in (3, 0, 2, 1)}
     for plane in PLANES:
-        plot = difference_figure(points, state, centre, covariance, plane)
-        numbers = [one.data_source.data["text"][0] for one in glyphs(plot, Text)]
-        assert numbers == ["0", "1", "3"]
+        plot = difference_figure(points, state, known, plane)
+        drawn = {one.data_source.data["text"][0]: one.data_source.data for one in glyphs(plot, Text)}
+        assert sorted(drawn) == ["0", "1", "3"]
+        for number, data in drawn.items():
+            assert (data["x"][0], data["y"][0]) == tuple(centre[int(number)][list(plane)])
 
 
 def test_the_timeline_has_one_bar_a_stretch():

@@ -12,8 +12,10 @@ import xarray as xr
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
+from inflight.cli import main
 from inflight.errors import MissionError
 from inflight.flags import Flag
+from inflight.flows.plan import plan_span
 from inflight.simulate.dual import DualSettings
 from inflight.tasks.compare import compare
 from inflight.tasks.ingest import ingest
@@ -203,6 +205,25 @@ def tables_of(cat):
     return [cat.table("main-states", f"2006-05-{day}") for day in (14, 15, 16)]
 
 
+def test_the_plan_of_a_backfill_counts_what_would_be_made(three, tmp_path):
+    _, _, made, _ = three
+    span = ("2006-05-14", "2006-05-18")
+    told = plan_span(made, *span, {"table": "daily"})
+    assert told["days"] == {"planned": 0, "unchanged": 3, "no_work": 1}
+    # Windows of another length are other tables: all is to be made.
+    assert plan_span(made, *span, {"table": "span"})["days"]["planned"] == 3
+    shutil.copytree(made.root, tmp_path / "w")
+    copied = Workspace.open(tmp_path / "w")
+    simulate_dual(DualSettings(days=4, seed=33, overrides=COARSE), copied.data, workers=1)
+    cat, mission = Catalog(copied.root), copied.mission()
+    assert ingest(cat, mission, copied.data).days["failed"] == 0
+    told = plan_span(copied, *span, {"table": "daily"})
+    done = reprocess(cat, mission, *span, settings=ReprocessSettings(table="daily"))
+    assert told["days"]["planned"] == done.days["done"] >= 1
+    assert told["days"]["unchanged"] == done.days["unchanged"]
+    assert plan_span(copied, *span, {"table": "daily"})["days"]["planned"] == 0
+
+
 def test_windows_of_a_day_learn_by_themselves(three):
     cat, _, _, report = three
     assert len(report.extra["windows"]) == 3
@@ -324,7 +345,7 @@ def test_a_day_without_the_monitor_has_a_product_all_the_same(commissioned):
     assert (report.days["done"], report.days["failed"]) == (2, 0)
 
 
-def test_a_spacecraft_that_switches_nothing_is_left_alone(tmp_path):
+def test_a_spacecraft_that_switches_nothing_is_left_alone(tmp_path, capsys):
     silent = ("transmitter", "spectrometer", "camera", "survival_heater")
     cat, mission, _ = workspace(
         tmp_path / "w", DualSettings(days=1, seed=35, without=silent, overrides=COARSE)
@@ -336,3 +357,12 @@ def test_a_spacecraft_that_switches_nothing_is_left_alone(tmp_path):
     product = cat.read(cat.days("l2/field", states=("published",))[0])
     assert np.array_equal(product["field_spacecraft"], product["outboard"], equal_nan=True)
     assert product.attrs["reason"]
+    assert product.attrs["constant"] == "as measured"
+    read = np.isfinite(product["outboard"].values).all(axis=1)
+    assert ((product["flag"].values[read] & np.uint32(Flag.NOT_CORRECTED)) != 0).all()
+    # Nobody need open the product to learn of it.
+    fields = compare(cat, mission).as_json()
+    assert "LEFT AS MEASURED" in " ".join(fields["verdict"]["told"])
+    with pytest.raises(SystemExit):
+        main(["catalog", "show", "l2/field", "-w", str(tmp_path / "w")])
+    assert "left as measured" in " ".join(capsys.readouterr().out.split())

@@ -1,0 +1,87 @@
+"""A mission with two sensors whose second day is delivered anew, spoilt, from its files to its products."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.simulate.dual import DualSettings, simulate_dual_day
+from inflight.tasks.delivered_cdf import write_cdf
+from inflight.tasks.ingest import ingest
+from inflight.tasks.planning import ReprocessSettings
+from inflight.tasks.reprocess import reprocess
+from inflight.tasks.simulate_dual import SOURCE
+
+MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
+CADENCE = 8
+SETTINGS = DualSettings(days=2, seed=102, overrides={"cadence": float(CADENCE)})
+GOOD, BAD = SETTINGS.day_list
+CHOSEN = ReprocessSettings(table="daily", batch_days=1)
+Spoil = Callable[[dict[str, xr.Dataset]], None]
+
+
+def boom(folder: Path, days: Sequence[np.datetime64] = (GOOD, BAD)) -> Workspace:
+    """Return a workspace of good days, reprocessed one by one."""
+    source = folder / "boom.yaml"
+    text = MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", f"cadence: {CADENCE} s")
+    source.write_text(text, encoding="utf-8")
+    made = Workspace.create(folder / "boom", source)
+    for day in days:
+        deliver(made, day)
+    taken, report = work(made)
+    assert taken.days["failed"] == report.days["failed"] == 0
+    return made
+
+
+def deliver(made: Workspace, day: np.datetime64, spoil: Spoil | None = None) -> None:
+    """Write a day's files as `spoil` leaves them; an instrument that it takes away has none."""
+    instruments = dict(simulate_dual_day(SETTINGS, day).instruments)
+    for name in instruments:
+        SOURCE.path(made.data, name, day).unlink(missing_ok=True)
+    if spoil is not None:
+        spoil(instruments)
+    for name, data in instruments.items():
+        path = SOURCE.path(made.data, name, day)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_cdf(path, SOURCE, name, data, day)
+
+
+def copied(made: Workspace, folder: Path) -> Workspace:
+    """Return a copy of a workspace."""
+    shutil.copytree(made.root, folder)
+    return Workspace.open(folder)
+
+
+def work(made: Workspace):
+    """Take in what was delivered and reprocess; return both reports."""
+    cat, mission = Catalog(made.root), made.mission()
+    taken = ingest(cat, mission, made.data)
+    return taken, reprocess(cat, mission, settings=CHOSEN)
+
+
+def product(made: Workspace, day: np.datetime64 = BAD) -> xr.Dataset:
+    """Return a day's product."""
+    cat = Catalog(made.root)
+    (found,) = [one for one in cat.days("l2/field", states=("published",)) if one.day == day]
+    return cat.read(found, dated=False)
+
+
+def errors(data: xr.Dataset, day: np.datetime64 = BAD) -> dict[str, np.ndarray]:
+    """Return errors of the outboard reading and of the field, without constants; (time, axis) nT, NaN
+    where the product is missing."""
+    truth = simulate_dual_day(SETTINGS, day).truth
+    stamps = truth["Epoch"].values.astype(np.int64)
+    known = truth["FIELD"].values + truth["OFFSET_OUT"].values
+    rows = np.clip(np.searchsorted(data["tt2000"].values, stamps), 0, data.sizes["time"] - 1)
+    there = data["tt2000"].values[rows] == stamps
+    out = {"flag": data["flag"].values[rows[there]], "sigma": data["uncertainty"].values[rows[there]]}
+    for name in ("outboard", "field_spacecraft"):
+        left = data[name].values[rows[there]] - known[there]
+        out[name] = left - np.nanmedian(left, axis=0)
+    return out

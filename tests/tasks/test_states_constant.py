@@ -1,0 +1,125 @@
+"""The constant part of the field goes on from window to window, by whichever method, or it is told."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.dual.candidates import Candidates
+from inflight.dual.gradiometer_table import correction_by_gradiometer
+from inflight.dual.harm import judge
+from inflight.dual.table import from_dataset, to_dataset
+from inflight.dual.training import relative_to
+from inflight.simulate.dual import DualSettings
+from inflight.tasks.ingest import ingest
+from inflight.tasks.planning import ReprocessSettings, plan
+from inflight.tasks.simulate_dual import simulate_dual
+from inflight.tasks.states_chain import joined
+from inflight.tasks.states_constant import constant_changes, constant_of, constant_sentences
+from inflight.tasks.states_window import correction_of, positions_of, table_of, window_readings
+
+MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory):
+    """Two days learnt from one by one: readings and, whatever was chosen, a table of either method each."""
+    folder = tmp_path_factory.mktemp("constant")
+    source = folder / "boom.yaml"
+    source.write_text(MISSION.read_text(encoding="utf-8").replace("cadence: 1 s", "cadence: 8 s"))
+    made = Workspace.create(folder / "w", source)
+    simulate_dual(DualSettings(days=2, seed=102, overrides={"cadence": 8.0}), made.data, workers=1)
+    cat, mission = Catalog(made.root), made.mission()
+    assert ingest(cat, mission, made.data).days["failed"] == 0
+    planned = plan(cat, mission, settings=ReprocessSettings(table="daily"))
+    return [forced(cat, mission, planned, day) for day in planned.days]
+
+
+def forced(cat, mission, planned, day):
+    around = planned.index.around([day])
+    readings, _ = window_readings(cat, mission, planned.model, [day], planned.needs, around)
+    candidates = Candidates(readings, positions_of(mission, "main"))
+    found = judge(readings, candidates.fit)
+    applied = replace(found.correction, applied=True, reason="forced")
+    tables = {
+        method: table_of(candidates, replace(found, chosen=method, correction=applied))
+        for method in ("states", "matrix")
+    }
+    return readings, tables
+
+
+def relative(table, number):
+    """Return a table whose corrections are relative to another of its states."""
+    told = to_dataset(relative_to(from_dataset(table), number))
+    return table.assign(told.data_vars).assign_attrs(told.attrs)
+
+
+def test_a_gradiometer_has_the_constant_of_the_states_whichever_they_are_relative_to(days):
+    readings, tables = days[0]
+    free = correction_by_gradiometer(tables["matrix"], readings)
+    far = []
+    for number in tables["states"]["number"].values[:6].tolist():
+        states = correction_of(relative(tables["states"], number), readings)
+        table = relative(tables["matrix"], number)
+        found = correction_of(table, readings)
+        both = states.known & found.known
+        apart = (found.field - states.field)[both].mean(axis=0)
+        assert np.all(np.abs(apart) < 2.0 * np.median(found.sigma[both], axis=0))
+        assert constant_of(table) == f"relative to state {number}"
+        far.append(np.abs((free.field - states.field)[both].mean(axis=0) / np.abs(apart)))
+    # Left where its median is zero it would be off by as much as the states differ.
+    assert np.median(far) > 2.0
+
+
+def test_a_gradiometer_tells_the_states_it_passes_through(days):
+    readings, tables = days[0]
+    found, states = (correction_of(tables[method], readings) for method in ("matrix", "states"))
+    assert found.method == "gradiometer"
+    np.testing.assert_array_equal(found.state, states.state)
+
+
+def test_a_window_by_a_gradiometer_goes_on_from_one_by_states(days):
+    first = joined([], days[0][1]["states"])
+    readings, tables = days[1]
+    states, gradiometer = (joined([first], tables[method]) for method in ("states", "matrix"))
+    assert constant_of(states) == constant_of(gradiometer) == constant_of(first) == "relative to state 0"
+    one, other = (correction_of(table, readings) for table in (states, gradiometer))
+    both = one.known & other.known
+    apart = (other.field - one.field)[both].mean(axis=0)
+    assert np.all(np.abs(apart) < 2.0 * np.median(other.sigma[both], axis=0))
+
+
+def test_a_window_that_was_left_alone_does_not_end_the_chain(days):
+    first = joined([], days[0][1]["states"])
+    # Learnt from one state that nobody knows, and not applied.
+    lost = days[0][1]["states"].isel(state=[0], next=[0])
+    lost = lost.assign(centre=lost["centre"] + 500.0).assign_attrs(applied="no", method="none", reference=0)
+    lost = joined([first], lost)
+    (number,) = lost["number"].values
+    assert number >= first.attrs["next_number"]
+    later = joined([lost, first], days[1][1]["states"])
+    assert later.attrs["goes_on"] == "yes"
+    assert constant_of(later) == constant_of(first)
+    # Numbers are never given twice.
+    assert later.attrs["next_number"] > number
+    assert number not in later["number"].values
+
+
+def test_a_gradiometer_without_states_stands_alone_and_that_is_told(days):
+    _, tables = days[0]
+    bare = tables["matrix"].drop_vars("gradiometer_in_states")
+    told = constant_of(bare)
+    assert told == "that of the window from 2006-05-14 alone"
+    first, second = np.datetime64("2006-05-14"), np.datetime64("2006-05-15")
+    changes = constant_changes({first: told, second: "relative to state 0"})
+    assert [one["day"] for one in changes] == ["2006-05-15"]
+    assert "may step by a constant" in constant_sentences(changes)[0]
+    assert constant_changes({first: "absolute", second: "absolute"}) == []
+
+
+def test_what_is_left_as_measured_is_told_as_such():
+    assert constant_of(xr.Dataset(attrs={"applied": "no"})) == "as measured"
