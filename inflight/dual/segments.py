@@ -132,7 +132,10 @@ def segments_of(
     edges = np.concatenate([[0], places[(places > 0) & (places < rows.size)], [rows.size]]).astype(np.int64)
     edges, transient = _without_short(edges, shortest)
     level = level_noise(d, edges[1:-1], noise)
-    return _measured(readings, rows, d, edges, transient, (level, int(noise.length[-1])), rows[lone])
+    # Where the drift is a random walk longer stretches are less sure than shorter ones.
+    best = int(np.argmin(np.einsum("sii->s", level.covariance)))
+    window = int(level.length[best] if best + 1 < level.length.size else noise.length[-1])
+    return _measured(readings, rows, d, edges, transient, (level, window), rows[lone])
 
 
 def _without_short(edges: Places, shortest: int) -> tuple[Places, npt.NDArray[np.bool_]]:
