@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.dual.states import DriftRate
+from inflight.dual.drift import DriftRate
 from inflight.dual.training import Training
 from inflight.errors import CalibrationError
 

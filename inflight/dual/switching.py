@@ -1,0 +1,102 @@
+"""States told by the sequence of steps alone, whatever the difference drifts in between.
+
+A step is known to the noise of short stretches however far the level has moved since a state was last seen.
+Where all steps of a record are sums of a few vectors, and each vector is added and taken off in turn, the
+accumulated steps name the states. That a wrong reading of the steps passes this test halves in likelihood
+with every step beyond one for each vector, so that a record of some length proves itself.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.dual.changes import Change, joined, limit_of, reduced, simplest
+from inflight.dual.correction import TRANSIENT
+from inflight.dual.drift import DriftRate, Track
+from inflight.dual.segments import Segments
+from inflight.time import SECOND
+
+Labels = npt.NDArray[np.int64]
+
+#: Steps beyond one for each vector that prove a reading: one in a thousand passes by accident.
+_PROOF = 10
+#: With more distinct steps than this they are no sums of a few vectors.
+_MOST = 24
+
+
+def labels_by_steps(segments: Segments, rate: DriftRate) -> Labels | None:
+    """Return the state of each segment, numbered as they appear, from the steps between segments.
+
+    Parameters
+    ----------
+    segments : Segments
+    rate : DriftRate
+        How fast the difference drifts.
+
+    Returns
+    -------
+    ndarray of int64, shape (segment,), or None
+        `TRANSIENT` for those too short; None where steps do not prove what the states are.
+    """
+    steady = np.flatnonzero(~segments.transient)
+    if steady.size < _PROOF + 2:
+        return None
+    step, covariance = steps_between(segments, rate)
+    limit = limit_of(len(step))
+    size = np.einsum("si,sij,sj->s", step, np.linalg.inv(covariance), step)
+    real = np.flatnonzero(size > limit)
+    # The surest steps first: others are recognised by them.
+    order = real[np.argsort(np.einsum("sii->s", covariance[real]), kind="stable")]
+    changes: list[Change] = []
+    which: dict[int, tuple[int, int]] = {}
+    for one in order.tolist():
+        which[one] = joined(changes, Change(step[one], covariance[one], 1), limit)
+        if len(changes) > _MOST:
+            return None
+    kept, parts = reduced(changes)
+    if len(real) - len(kept) < _PROOF:
+        return None
+    toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
+    for one, (change, sign) in which.items():
+        for unit, value in parts[change].items():
+            toggled[one + 1, unit] = sign * value
+    table = simplest(np.cumsum(toggled, axis=0))
+    if np.ptp(table, axis=0).max(initial=0) > 1:
+        return None
+    _, first, found = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    label = np.full(len(segments), TRANSIENT, dtype=np.int64)
+    label[steady] = np.argsort(np.argsort(first))[found.ravel()]
+    return label
+
+
+def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:
+    """Return steps from each steady segment to the next, the drift in between taken off, and covariances.
+
+    Parameters
+    ----------
+    segments : Segments
+    rate : DriftRate
+
+    Returns
+    -------
+    step, covariance : ndarray, shape (steady segment - 1, axis) and (..., axis, axis)
+        nT and nT^2.
+    """
+    steady = np.flatnonzero(~segments.transient)
+    track = Track.start(rate)
+    step, covariance = np.empty((steady.size - 1, 3)), np.empty((steady.size - 1, 3, 3))
+    track.sloping(segments.begin.slope[steady[0]], segments.slope_variance[steady[0]])
+    for place, (one, after) in enumerate(pairwise(steady.tolist())):
+        track.through(segments, one)
+        seconds = float(segments.begin.middle[after] - segments.finish.middle[one]) / SECOND
+        value = track.value.copy()
+        track.covariance[:, 0, :] = track.covariance[:, :, 0] = 0.0
+        track.forward(seconds)
+        track.sloping(segments.begin.slope[after], segments.slope_variance[after])
+        step[place] = segments.begin.mean[after] - segments.finish.mean[one] - (track.value - value)
+        covariance[place] = segments.covariance[one] + segments.covariance[after] + track.spread
+    return step, covariance
