@@ -11,17 +11,18 @@ A step common to all later segments, of an offset for instance, cannot be told f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
+from inflight.dual.changes import Occupancy
 from inflight.dual.correction import TRANSIENT
 from inflight.dual.drift import DriftRate, Track, drift_rate, own_drift
 from inflight.dual.segments import Segments
-from inflight.dual.switching import labels_by_steps
+from inflight.dual.switching import Proven, labels_by_steps
 from inflight.time import SECOND
 
 Labels = npt.NDArray[np.int64]
@@ -54,6 +55,8 @@ class States:
     drift_rate : DriftRate
     scatter : float
         Standard deviation of a state's points beyond noise, nT, any axis.
+    occupancy : ndarray of int64, shape (state, unit), optional
+        Which units are switched, where the steps prove it.
     """
 
     centre: Floats
@@ -64,6 +67,7 @@ class States:
     drift_end: Floats
     drift_rate: DriftRate
     scatter: float
+    occupancy: Occupancy | None = None
 
     def __len__(self) -> int:
         return len(self.centre)
@@ -82,15 +86,18 @@ def find_states(segments: Segments) -> States:
     """
     sample = float(np.sqrt(np.trace(segments.noise.of_mean(1)) / 3.0))
     rate = drift_rate(segments)
-    given = labels_by_steps(segments, rate)
-    if given is not None:
-        proven = [_with_labels(segments, rate, part * sample, given) for part in _SCATTERS]
-        return min(proven, key=lambda one: one[0])[1]
-    tried = [_with_scatter(segments, rate, part * sample) for part in _SCATTERS]
     length = max(float(segments.end[-1] - segments.start[0]) / SECOND, 1.0)
+    rates = [rate]
     for part in _WANDERS:
-        slow = rate._replace(value=np.maximum(rate.value, (part * sample) ** 2 / length))
-        tried += [_with_scatter(segments, slow, other * sample) for other in _SCATTERS]
+        rates.append(rate._replace(value=np.maximum(rate.value, (part * sample) ** 2 / length)))
+    given = labels_by_steps(segments, rates)
+    tried = []
+    for one in rates:
+        for part in _SCATTERS:
+            if given is None:
+                tried.append(_with_scatter(segments, one, part * sample))
+            else:
+                tried.append(_with_labels(segments, one, part * sample, given))
     return min(tried, key=lambda one: one[0])[1]
 
 
@@ -227,16 +234,17 @@ def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[
     return _told(found, scatter)
 
 
-def _with_labels(segments: Segments, rate: DriftRate, scatter: float, given: Labels) -> tuple[float, States]:
+def _with_labels(segments: Segments, rate: DriftRate, scatter: float, given: Proven) -> tuple[float, States]:
     """Return cost and states of known labels, which are numbered as they appear."""
     found = _Clustering(segments, rate, scatter)
-    found.given = given
+    found.given = given.label
     found.run(may_add=True)
     for _ in range(2):
         found.centres()
         found.run(may_add=False)
     found.centres()
-    return _told(found, scatter)
+    cost, states = _told(found, scatter)
+    return cost, replace(states, occupancy=given.occupancy)
 
 
 def _told(found: _Clustering, scatter: float) -> tuple[float, States]:

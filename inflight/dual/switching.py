@@ -8,13 +8,15 @@ with every step beyond one for each vector, so that a record of some length prov
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.changes import Change, joined, limit_of, reduced, simplest
+from inflight.dual.changes import Change, Occupancy, joined, limit_of, reduced, simplest
 from inflight.dual.correction import TRANSIENT
 from inflight.dual.drift import DriftRate, Track
 from inflight.dual.segments import Segments
@@ -28,23 +30,38 @@ _PROOF = 10
 _MOST = 24
 
 
-def labels_by_steps(segments: Segments, rate: DriftRate) -> Labels | None:
-    """Return the state of each segment, numbered as they appear, from the steps between segments.
+class Proven(NamedTuple):
+    """States that the steps prove.
+
+    Attributes
+    ----------
+    label : ndarray of int64, shape (segment,)
+        State of each segment, numbered as they appear; `TRANSIENT` for those too short.
+    occupancy : ndarray of int64, shape (state, unit)
+        0 or 1.
+    """
+
+    label: Labels
+    occupancy: Occupancy
+
+
+def labels_by_steps(segments: Segments, rates: Sequence[DriftRate]) -> Proven | None:
+    """Return the states that the steps between segments prove; None where they prove none.
 
     Parameters
     ----------
     segments : Segments
-    rate : DriftRate
-        How fast the difference drifts.
-
-    Returns
-    -------
-    ndarray of int64, shape (segment,), or None
-        `TRANSIENT` for those too short; None where steps do not prove what the states are.
+    rates : sequence of DriftRate
+        How fast the difference may drift, the likeliest first.
     """
-    steady = np.flatnonzero(~segments.transient)
-    if steady.size < _PROOF + 2:
+    if np.count_nonzero(~segments.transient) < _PROOF + 2:
         return None
+    found = (_at_rate(segments, rate) for rate in rates)
+    return next((one for one in found if one is not None), None)
+
+
+def _at_rate(segments: Segments, rate: DriftRate) -> Proven | None:
+    steady = np.flatnonzero(~segments.transient)
     step, covariance = steps_between(segments, rate)
     limit = limit_of(len(step))
     size = np.einsum("si,sij,sj->s", step, np.linalg.inv(covariance), step)
@@ -70,7 +87,7 @@ def labels_by_steps(segments: Segments, rate: DriftRate) -> Labels | None:
     _, first, found = np.unique(table, axis=0, return_index=True, return_inverse=True)
     label = np.full(len(segments), TRANSIENT, dtype=np.int64)
     label[steady] = np.argsort(np.argsort(first))[found.ravel()]
-    return label
+    return Proven(label, table[np.sort(first)])
 
 
 def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:

@@ -81,6 +81,8 @@ def find_units(states: States) -> Units:
     edges = _edges(label)
     if len(states) < 2 or not edges:
         return _no_units(states, "one state only")
+    if states.occupancy is not None:
+        return _fitted(states, states.occupancy)
     changes, which = _distinct(states, edges)
     kept, parts = reduced(changes)
     occupancy = _occupancy(len(states), edges, which, parts, len(kept))
@@ -162,7 +164,11 @@ def _fitted(states: States, occupancy: Occupancy) -> Units:
     left = states.centre - design @ value
     far = np.einsum("si,sij,sj->s", left, weight, left)
     freedom = 3 * (count - units - 1)
-    consistent = bool(far.max() < limit_of(count)) and freedom > 0
+    proven = states.occupancy is not None
+    if proven and freedom > 0:
+        # What is proven does not become doubtful by levels that wandered farther than they say.
+        covariance = covariance * max(1.0, float(far.sum()) / freedom)
+    consistent = proven or (bool(far.max() < limit_of(count)) and freedom > 0)
     if consistent:
         reason = f"{count} states are sums of {units} units"
     elif freedom <= 0:
