@@ -57,6 +57,8 @@ class States:
         Standard deviation of a state's points beyond noise, nT, any axis.
     occupancy : ndarray of int64, shape (state, unit), optional
         Which units are switched, where the steps prove it.
+    sureness : float
+        Probability that no doubtful choice of a state misled the drift, and with it later choices.
     """
 
     centre: Floats
@@ -68,6 +70,7 @@ class States:
     drift_rate: DriftRate
     scatter: float
     occupancy: Occupancy | None = None
+    sureness: float = 1.0
 
     def __len__(self) -> int:
         return len(self.centre)
@@ -117,6 +120,7 @@ class _Clustering:
         self.own = np.array([self.spread + own_drift(segments, one, rate) for one in range(count)])
         self.cost = 0.0
         self.given: Labels | None = None
+        self.misled = np.zeros(count)
         self.anywhere = _anywhere(segments, self.steady, scatter)
 
     def prior(self) -> float:
@@ -150,12 +154,20 @@ class _Clustering:
             return
         state = self._nearest(far, total) if self.given is None else int(self.given[one])
         self.label[one] = state
+        self.misled[one] = self._doubt(far, total, state) * float(
+            (track.spread @ np.linalg.inv(total[state])).diagonal().max()
+        )
         self.cost += far[state] + float(np.linalg.slogdet(spread + track.spread)[1])
         if may_add:
             gain = self.covariance[state] @ np.linalg.inv(total[state])
             self.centre[state] += gain @ left[state]
             self.covariance[state] -= gain @ self.covariance[state]
         track.seen(left[state], np.diag(total[state]))
+
+    def _doubt(self, far: Floats, total: Floats, state: int) -> float:
+        """Return the probability that another state is right, or a new one, which could lie anywhere."""
+        likely = -0.5 * np.append(far + np.linalg.slogdet(total)[1], self.anywhere)
+        return float(1.0 - np.exp(likely[state] - np.logaddexp.reduce(likely)))
 
     def _is_new(self, one: int, far: Floats, may_add: bool) -> bool:
         if self.given is not None:
@@ -231,7 +243,8 @@ def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[
         if np.array_equal(before, found.label):
             break
     found.centres()
-    return _told(found, scatter)
+    cost, states = _told(found, scatter)
+    return cost, replace(states, sureness=float(np.exp(-found.misled.sum())))
 
 
 def _with_labels(segments: Segments, rate: DriftRate, scatter: float, given: Proven) -> tuple[float, States]:

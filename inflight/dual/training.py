@@ -79,6 +79,8 @@ class Training:
         The first numbers that no training before had.
     carried : bool
         The constant part was known to an earlier training and is taken from there.
+    sureness : float
+        Probability that the states were not mixed up by drift; see `states.States`.
     """
 
     number: npt.NDArray[np.int64]
@@ -109,6 +111,7 @@ class Training:
     next_number: int
     next_unit: int
     carried: bool = False
+    sureness: float = 1.0
 
     def __len__(self) -> int:
         return int(self.number.size)
@@ -243,6 +246,7 @@ def trained_from(
         unit_number=np.arange(len(units) if of_units else 0),
         next_number=count,
         next_unit=len(units) if of_units else 0,
+        sureness=states.sureness,
     )
 
 
