@@ -93,7 +93,7 @@ def find_states(segments: Segments) -> States:
     rates = [rate]
     for part in _WANDERS:
         rates.append(rate._replace(value=np.maximum(rate.value, (part * sample) ** 2 / length)))
-    given = labels_by_steps(segments, rates)
+    given = labels_by_steps(segments, rates, [part * sample for part in _SCATTERS])
     tried = []
     for one in rates:
         for part in _SCATTERS:

@@ -26,6 +26,9 @@ Labels = npt.NDArray[np.int64]
 
 #: Steps beyond one for each vector that prove a reading: one in a thousand passes by accident.
 _PROOF = 10
+#: Each vector must be seen so often, and be no nearer to another than this part of its size: else errors may
+#: have made two of one.
+_TURNS, _ALIKE = 3, 0.1
 #: With more distinct steps than this they are no sums of a few vectors.
 _MOST = 24
 
@@ -45,7 +48,9 @@ class Proven(NamedTuple):
     occupancy: Occupancy
 
 
-def labels_by_steps(segments: Segments, rates: Sequence[DriftRate]) -> Proven | None:
+def labels_by_steps(
+    segments: Segments, rates: Sequence[DriftRate], scatters: Sequence[float]
+) -> Proven | None:
     """Return the states that the steps between segments prove; None where they prove none.
 
     Parameters
@@ -53,16 +58,22 @@ def labels_by_steps(segments: Segments, rates: Sequence[DriftRate]) -> Proven | 
     segments : Segments
     rates : sequence of DriftRate
         How fast the difference may drift, the likeliest first.
+    scatters : sequence of float
+        By how much a state's point may vary beside noise and drift, nT; the likeliest first.
     """
     if np.count_nonzero(~segments.transient) < _PROOF + 2:
         return None
-    found = (_at_rate(segments, rate) for rate in rates)
-    return next((one for one in found if one is not None), None)
+    for rate in rates:
+        step, covariance = steps_between(segments, rate)
+        for scatter in scatters:
+            found = _read(segments, step, covariance + 2.0 * scatter**2 * np.eye(3))
+            if found is not None:
+                return found
+    return None
 
 
-def _at_rate(segments: Segments, rate: DriftRate) -> Proven | None:
+def _read(segments: Segments, step: Floats, covariance: Floats) -> Proven | None:
     steady = np.flatnonzero(~segments.transient)
-    step, covariance = steps_between(segments, rate)
     limit = limit_of(len(step))
     size = np.einsum("si,sij,sj->s", step, np.linalg.inv(covariance), step)
     real = np.flatnonzero(size > limit)
@@ -75,19 +86,31 @@ def _at_rate(segments: Segments, rate: DriftRate) -> Proven | None:
         if len(changes) > _MOST:
             return None
     kept, parts = reduced(changes)
-    if len(real) - len(kept) < _PROOF:
+    if len(real) - len(kept) < _PROOF or _alike(np.array([changes[one].vector for one in kept])):
         return None
     toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
     for one, (change, sign) in which.items():
         for unit, value in parts[change].items():
             toggled[one + 1, unit] = sign * value
     table = simplest(np.cumsum(toggled, axis=0))
-    if np.ptp(table, axis=0).max(initial=0) > 1:
+    seldom = np.abs(np.diff(table, axis=0)).sum(axis=0).min(initial=_TURNS) < _TURNS
+    if seldom or np.ptp(table, axis=0).max(initial=0) > 1:
         return None
     _, first, found = np.unique(table, axis=0, return_index=True, return_inverse=True)
     label = np.full(len(segments), TRANSIENT, dtype=np.int64)
     label[steady] = np.argsort(np.argsort(first))[found.ravel()]
     return Proven(label, table[np.sort(first)])
+
+
+def _alike(vectors: Floats) -> bool:
+    """Return whether two of the vectors (vector, axis) hardly differ, up to their sign."""
+    size = np.linalg.norm(vectors, axis=1)
+    apart = np.minimum(
+        np.linalg.norm(vectors[:, None] - vectors[None], axis=2),
+        np.linalg.norm(vectors[:, None] + vectors[None], axis=2),
+    )
+    np.fill_diagonal(apart, np.inf)
+    return bool(np.any(apart < _ALIKE * np.minimum(size[:, None], size[None])))
 
 
 def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:
