@@ -12,7 +12,7 @@ from inflight.arrays import Floats
 from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, StepNoise, find_jumps, spikes
 from inflight.dual.level_noise import level_noise
 from inflight.dual.readings import Readings
-from inflight.dual.tails import without_tails
+from inflight.dual.tails import confirmed, without_tails
 from inflight.errors import SamplesError
 from inflight.time import SECOND, Int64
 
@@ -127,6 +127,7 @@ def segments_of(
         d[lone] = 0.5 * (d[lone - 1] + d[lone + 1])
     d = without_tails(d)
     places, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
+    places = confirmed(d, places)
     if jumps is not None:
         places = np.unique(np.searchsorted(rows, jumps))
     edges = np.concatenate([[0], places[(places > 0) & (places < rows.size)], [rows.size]]).astype(np.int64)
