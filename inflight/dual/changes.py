@@ -106,7 +106,11 @@ def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int
         for choice in choices:
             spread = wanted.covariance + sum(changes[part].covariance for part in choice)
             # The sphere that sums of so many vectors fill, beside what one would accept.
-            volume = limit**1.5 * np.sqrt(np.linalg.det(spread)) / (size**2 * number / 3.0 * limit) ** 1.5
+            volume = (
+                limit**1.5
+                * np.sqrt(max(float(np.linalg.det(spread)), 0.0))
+                / (size**2 * number / 3.0 * limit) ** 1.5
+            )
             if len(choices) * len(signs) * volume > _ACCIDENTS:
                 continue
             for sign in signs:

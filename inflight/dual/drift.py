@@ -52,7 +52,13 @@ class Track:
         self.covariance[:, 0, 1] += walk * seconds / 2.0
         self.covariance[:, 1, 0] += walk * seconds / 2.0
         # The slope stays what slopes usually are, however long nobody looks.
-        self.covariance[:, 1, 1] = np.minimum(self.covariance[:, 1, 1] + walk, 4.0 * self.rate.slope)
+        free = self.covariance[:, 1, 1] + walk
+        known = np.minimum(free, 4.0 * self.rate.slope)
+        # Value and slope stay as much alike: else the covariance would be none, and the drift run away.
+        alike = np.sqrt(np.where(free > 0, known / np.where(free > 0, free, 1.0), 1.0))
+        self.covariance[:, 1, 1] = known
+        self.covariance[:, 0, 1] *= alike
+        self.covariance[:, 1, 0] *= alike
 
     def sloping(self, slope: Floats, variance: Floats) -> None:
         """Take the slope within a segment into account, which does not need its state."""
