@@ -14,13 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.dual.changes import Occupancy
 from inflight.dual.drift import DriftRate
 from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, step_noise
 from inflight.dual.outboard import OutboardSteps, StrayFit, fit_stray, outboard_steps
 from inflight.dual.readings import Readings
 from inflight.dual.segments import SHORTEST, Segments, segments_of
 from inflight.dual.states import States, find_states
-from inflight.dual.units import Occupancy, Units, find_units
+from inflight.dual.units import Units, find_units
 from inflight.errors import CalibrationError
 from inflight.time import SECOND
 
