@@ -14,8 +14,8 @@ import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
+from inflight.dual.changes import Occupancy
 from inflight.dual.training import Training, relative_to
-from inflight.dual.units import Occupancy
 
 #: Chance that the same state is not recognised in a later training, of all its states.
 _MISSED = 1e-3

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
+from inflight.dual.drift import Track, own_drift
 from inflight.dual.segments import Segments
-from inflight.dual.states import Track, own_drift
 from inflight.dual.training import Training
 from inflight.time import SECOND
 

@@ -102,12 +102,12 @@ def _by_segment(segments: Segments, training: Training, assigned: Assignment) ->
     total = np.maximum(share.sum(axis=1), 1e-300)[:, None]
     field = share @ training.correction / total
     apart = training.correction[None] - field[:, None]
-    weight = share / total
+    weight = training.sureness * share / total + (1.0 - training.sureness) * _by_time(training)
     covariance = np.einsum("sk,kij->sij", weight, training.covariance)
     covariance += np.einsum("sk,ski,skj->sij", weight, apart, apart)
     covariance[:, range(3), range(3)] += (_DRIFT_SHARE * assigned.drift) ** 2
     best = assigned.best
-    probability = assigned.probability[np.arange(count), best]
+    probability = assigned.probability[np.arange(count), best] * training.sureness
     lost = best == known
     state = np.where(lost, UNKNOWN, training.number[np.minimum(best, known - 1)])
     flag = np.where(lost, np.uint32(Flag.UNKNOWN_STATE), np.uint32(0)).astype(np.uint32)
@@ -116,6 +116,12 @@ def _by_segment(segments: Segments, training: Training, assigned: Assignment) ->
     found = _BySegment(field, covariance, state, probability, flag)
     _bridge(found, segments, training, assigned)
     return found
+
+
+def _by_time(training: Training) -> Floats:
+    """Return the part of the time in each state; (state,)."""
+    seconds = training.seconds + 1e-9
+    return np.asarray(seconds / seconds.sum())
 
 
 def _bridge(found: _BySegment, segments: Segments, training: Training, assigned: Assignment) -> None:

@@ -10,8 +10,9 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, StepNoise, find_jumps, spikes
+from inflight.dual.level_noise import level_noise
 from inflight.dual.readings import Readings
-from inflight.dual.tails import without_tails
+from inflight.dual.tails import confirmed, without_tails
 from inflight.errors import SamplesError
 from inflight.time import SECOND, Int64
 
@@ -42,7 +43,7 @@ class Segments:
     transient : ndarray of bool, shape (segment,)
         Too short to be a state.
     noise : StepNoise
-        Of d.
+        Of d, without its drift.
     window : int
         Samples.
     spikes : ndarray of int64, shape (spike,)
@@ -126,11 +127,16 @@ def segments_of(
         d[lone] = 0.5 * (d[lone - 1] + d[lone + 1])
     d = without_tails(d)
     places, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
+    places = confirmed(d, places)
     if jumps is not None:
         places = np.unique(np.searchsorted(rows, jumps))
     edges = np.concatenate([[0], places[(places > 0) & (places < rows.size)], [rows.size]]).astype(np.int64)
     edges, transient = _without_short(edges, shortest)
-    return _measured(readings, rows, d, edges, transient, noise, rows[lone])
+    level = level_noise(d, edges[1:-1], noise)
+    # Where the drift is a random walk longer stretches are less sure than shorter ones.
+    best = int(np.argmin(np.einsum("sii->s", level.covariance)))
+    window = int(level.length[best] if best + 1 < level.length.size else noise.length[-1])
+    return _measured(readings, rows, d, edges, transient, (level, window), rows[lone])
 
 
 def _without_short(edges: Places, shortest: int) -> tuple[Places, npt.NDArray[np.bool_]]:
@@ -147,11 +153,11 @@ def _measured(
     d: Floats,
     edges: Places,
     transient: npt.NDArray[np.bool_],
-    noise: StepNoise,
+    measured: tuple[StepNoise, int],
     lone: Places,
 ) -> Segments:
     count = np.diff(edges)
-    window = int(noise.length[-1])
+    noise, window = measured
     width = np.where(count >= 2 * window, window, count)
     good = readings.stamps if rows.size == len(readings) else readings.stamps[rows]
     begin = _end(d, good, edges[:-1], edges[:-1] + width)

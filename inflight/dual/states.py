@@ -11,16 +11,18 @@ A step common to all later segments, of an offset for instance, cannot be told f
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
+from inflight.dual.changes import Occupancy
 from inflight.dual.correction import TRANSIENT
+from inflight.dual.drift import DriftRate, Track, drift_rate, own_drift
 from inflight.dual.segments import Segments
+from inflight.dual.switching import Proven, labels_by_steps
 from inflight.time import SECOND
 
 Labels = npt.NDArray[np.int64]
@@ -31,11 +33,7 @@ _FALSE_STATES = 1e-3
 _SCATTERS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
 #: Drifts over the whole record that are tried beside what segments show, in the same unit.
 _WANDERS = (1.0, 3.0, 10.0, 30.0)
-#: Median of a squared Gaussian of variance one.
-_MEDIAN_SQUARE = 0.4549
 _TURNS = 6
-#: The fewest groups of slopes that tell how fast they change.
-_GROUPS = 6
 
 
 @dataclass(frozen=True)
@@ -57,6 +55,10 @@ class States:
     drift_rate : DriftRate
     scatter : float
         Standard deviation of a state's points beyond noise, nT, any axis.
+    occupancy : ndarray of int64, shape (state, unit), optional
+        Which units are switched, where the steps prove it.
+    sureness : float
+        Probability that no doubtful choice of a state misled the drift, and with it later choices.
     """
 
     centre: Floats
@@ -67,6 +69,8 @@ class States:
     drift_end: Floats
     drift_rate: DriftRate
     scatter: float
+    occupancy: Occupancy | None = None
+    sureness: float = 1.0
 
     def __len__(self) -> int:
         return len(self.centre)
@@ -85,173 +89,19 @@ def find_states(segments: Segments) -> States:
     """
     sample = float(np.sqrt(np.trace(segments.noise.of_mean(1)) / 3.0))
     rate = drift_rate(segments)
-    tried = [_with_scatter(segments, rate, part * sample) for part in _SCATTERS]
     length = max(float(segments.end[-1] - segments.start[0]) / SECOND, 1.0)
+    rates = [rate]
     for part in _WANDERS:
-        slow = rate._replace(value=np.maximum(rate.value, (part * sample) ** 2 / length))
-        tried += [_with_scatter(segments, slow, other * sample) for other in _SCATTERS]
+        rates.append(rate._replace(value=np.maximum(rate.value, (part * sample) ** 2 / length)))
+    given = labels_by_steps(segments, rates, [part * sample for part in _SCATTERS])
+    tried = []
+    for one in rates:
+        for part in _SCATTERS:
+            if given is None:
+                tried.append(_with_scatter(segments, one, part * sample))
+            else:
+                tried.append(_with_labels(segments, one, part * sample, given))
     return min(tried, key=lambda one: one[0])[1]
-
-
-@dataclass
-class Track:
-    """The common drift as it is carried along: its value and its slope, each axis for itself.
-
-    Attributes
-    ----------
-    value, slope : ndarray, shape (axis,)
-        nT, nT/s.
-    covariance : ndarray, shape (axis, 2, 2)
-        Of value and slope.
-    rate : DriftRate
-    """
-
-    value: Floats
-    slope: Floats
-    covariance: Floats
-    rate: DriftRate
-
-    @classmethod
-    def start(cls, rate: DriftRate) -> Track:
-        """Return a drift of zero whose slope is not known."""
-        covariance = np.zeros((3, 2, 2))
-        covariance[:, 1, 1] = rate.slope
-        return cls(np.zeros(3), np.zeros(3), covariance, rate)
-
-    def forward(self, seconds: float) -> None:
-        """Let time pass in which nothing is seen."""
-        self.value = self.value + seconds * self.slope
-        move = np.array([[1.0, seconds], [0.0, 1.0]])
-        self.covariance = move @ self.covariance @ move.T
-        walk = self.rate.bend * seconds
-        self.covariance[:, 0, 0] += self.rate.value * seconds + walk * seconds**2 / 3.0
-        self.covariance[:, 0, 1] += walk * seconds / 2.0
-        self.covariance[:, 1, 0] += walk * seconds / 2.0
-        # The slope stays what slopes usually are, however long nobody looks.
-        self.covariance[:, 1, 1] = np.minimum(self.covariance[:, 1, 1] + walk, 4.0 * self.rate.slope)
-
-    def sloping(self, slope: Floats, variance: Floats) -> None:
-        """Take the slope within a segment into account, which does not need its state."""
-        total = self.covariance[:, 1, 1] + variance
-        gain = np.where(total > 0, self.covariance[:, :, 1].T / np.where(total > 0, total, 1.0), 0.0).T
-        left = slope - self.slope
-        self.value, self.slope = self.value + gain[:, 0] * left, self.slope + gain[:, 1] * left
-        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 1, :]
-
-    def through(self, segments: Segments, one: int) -> None:
-        """Go from a segment's beginning to its end, between which the drift itself is seen."""
-        seconds = float(segments.seconds[one])
-        if not seconds > 0:
-            return
-        known = self.covariance[:, 0, 0].copy()
-        value = self.value
-        self.forward(seconds)
-        expected = np.maximum(self.covariance[:, 0, 0] - known, 0.0)
-        noise = 2.0 * np.diag(segments.covariance[one])
-        gain = expected / np.maximum(expected + noise, 1e-300)
-        change = segments.finish.mean[one] - segments.begin.mean[one]
-        self.value = self.value + gain * (change - (self.value - value))
-        self.covariance[:, 0, 0] = known + gain * noise
-        self.covariance[:, 0, 1] = self.covariance[:, 1, 0] = 0.0
-        self.sloping(segments.finish.slope[one], segments.slope_variance[one])
-
-    def seen(self, left: Floats, variance: Floats) -> None:
-        """Take a segment in a known state into account: what is left of it, and the variance; (axis,)."""
-        gain = self.covariance[:, :, 0] / variance[:, None]
-        self.value, self.slope = self.value + gain[:, 0] * left, self.slope + gain[:, 1] * left
-        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 0, :]
-
-    @property
-    def spread(self) -> Floats:
-        """Covariance of the value; (axis, axis)."""
-        return np.diag(self.covariance[:, 0, 0])
-
-
-class DriftRate(NamedTuple):
-    """How fast the difference drifts; each of shape (axis,).
-
-    Attributes
-    ----------
-    slope : ndarray
-        Variance of the slope, nT^2/s^2.
-    bend : ndarray
-        Variance by which the slope changes, nT^2/s^3.
-    value : ndarray
-        Variance by which the drift itself wanders beside that, nT^2/s.
-    """
-
-    slope: Floats
-    bend: Floats
-    value: Floats
-
-
-def drift_rate(segments: Segments) -> DriftRate:
-    """Return how fast the segments drift; zero where they do so by no more than noise."""
-    zero = np.zeros(3)
-    steady = np.flatnonzero(~segments.transient)
-    if steady.size < 3:
-        return DriftRate(zero, zero, zero)
-    noise, slope = segments.slope_variance[steady], segments.begin.slope[steady]
-    usual, bend = _sloping(slope, noise, segments.begin.middle[steady] / SECOND)
-    long = np.flatnonzero(~segments.transient & (segments.seconds > 0))
-    if not long.size:
-        return DriftRate(usual, bend, zero)
-    span = segments.seconds[long]
-    mean = 0.5 * (segments.begin.slope[long] + segments.finish.slope[long])
-    change = segments.finish.mean[long] - segments.begin.mean[long]
-    error = 2.0 * np.einsum("sii->si", segments.covariance[long])
-    error += 0.5 * span[:, None] ** 2 * segments.slope_variance[long]
-    wander = _beyond(change - mean * span[:, None], error, span)
-    return DriftRate(usual, bend, wander)
-
-
-def _sloping(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floats]:
-    """Return the variance of slopes, and that a second by which they change; (axis,) each.
-
-    The largest that groups of any size show: one slope is often lost in its noise where the mean of many is
-    not. Slopes are not taken to change less than turns a usual one round in the whole record.
-    """
-    usual, bend = np.zeros(3), np.zeros(3)
-    size = 1
-    while len(slope) // size >= _GROUPS:
-        edges = np.arange(0, len(slope) - size + 1, size)
-        error = 1.0 / np.add.reduceat(1.0 / noise, edges, axis=0)
-        mean = np.add.reduceat(slope / noise, edges, axis=0) * error
-        middle = np.add.reduceat(at, edges) / np.diff(np.append(edges, len(slope)))
-        seconds = np.maximum(np.diff(middle), 1e-9)
-        usual = np.maximum(usual, _beyond(mean, error, np.ones(edges.size)))
-        bend = np.maximum(bend, _beyond(np.diff(mean, axis=0), error[1:] + error[:-1], seconds))
-        size *= 2
-    least = usual / max(float(at[-1] - at[0]), 1e-9)
-    return usual, np.asarray(np.where(usual > 0, np.maximum(bend, least), 0.0))
-
-
-def _beyond(values: Floats, noise: Floats, unit: Floats) -> Floats:
-    """Return the variance of values (row, axis) a unit (row,) beyond their noise; (axis,), 0 if no more."""
-    ratio = values**2 / noise
-    middle = np.median(ratio, axis=0) / _MEDIAN_SQUARE
-    # The median of n squares of noise alone scatters by 2.3 / sqrt(n).
-    over = middle - 1.0 > 2.0 * 2.3 / np.sqrt(len(values))
-    size = np.median((values**2 / _MEDIAN_SQUARE - noise) / unit[:, None], axis=0)
-    return np.asarray(np.where(over, np.maximum(size, 0.0), 0.0))
-
-
-def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
-    """Return the covariance (axis, axis) that allows a state's own drift: what changed within the segment.
-
-    Where all segments drift alike the common drift takes the change; where only this one does, its unit
-    warms up, and the next time the level is another.
-    """
-    seconds = float(segments.end[one] - segments.start[one]) / SECOND
-    if not seconds > 0:
-        return np.zeros((3, 3))
-    whole = segments.finish.mean[one] - segments.begin.mean[one]
-    noise = 2.0 * np.diag(segments.covariance[one])
-    if not segments.seconds[one] > 0:
-        whole = segments.begin.slope[one] * seconds
-        noise = np.where(seconds > 0, segments.slope_variance[one], 0.0) * seconds**2
-    allowed = 4.0 * noise + seconds * rate.value + seconds**2 * rate.slope
-    return np.diag(np.where(whole**2 > allowed, whole**2, 0.0))
 
 
 class _Clustering:
@@ -269,6 +119,8 @@ class _Clustering:
         self.drift_covariance = np.zeros((count, 3, 3))
         self.own = np.array([self.spread + own_drift(segments, one, rate) for one in range(count)])
         self.cost = 0.0
+        self.given: Labels | None = None
+        self.misled = np.zeros(count)
         self.anywhere = _anywhere(segments, self.steady, scatter)
 
     def prior(self) -> float:
@@ -295,21 +147,37 @@ class _Clustering:
         left = self.segments.begin.mean[one] - track.value - self.centre
         total = spread + track.spread + self.covariance
         far = np.einsum("ki,kij,kj->k", left, np.linalg.inv(total), left) if len(left) else np.empty(0)
-        if not far.size or (may_add and far.min() > self.limit):
+        if self._is_new(one, far, may_add):
             self.label[one] = len(self.centre)
             self.centre = np.append(self.centre, [self.segments.begin.mean[one] - track.value], axis=0)
             self.covariance = np.append(self.covariance, [spread + track.spread], axis=0)
             return
-        likely = far + np.linalg.slogdet(total)[1]
-        # Far beyond its noise a wide state must not win by its width alone.
-        state = int(np.argmin(np.where(far <= max(self.limit, far.min()), likely, np.inf)))
+        state = self._nearest(far, total) if self.given is None else int(self.given[one])
         self.label[one] = state
+        self.misled[one] = self._doubt(far, total, state) * float(
+            (track.spread @ np.linalg.inv(total[state])).diagonal().max()
+        )
         self.cost += far[state] + float(np.linalg.slogdet(spread + track.spread)[1])
         if may_add:
             gain = self.covariance[state] @ np.linalg.inv(total[state])
             self.centre[state] += gain @ left[state]
             self.covariance[state] -= gain @ self.covariance[state]
         track.seen(left[state], np.diag(total[state]))
+
+    def _doubt(self, far: Floats, total: Floats, state: int) -> float:
+        """Return the probability that another state is right, or a new one, which could lie anywhere."""
+        likely = -0.5 * np.append(far + np.linalg.slogdet(total)[1], self.anywhere)
+        return float(1.0 - np.exp(likely[state] - np.logaddexp.reduce(likely)))
+
+    def _is_new(self, one: int, far: Floats, may_add: bool) -> bool:
+        if self.given is not None:
+            return int(self.given[one]) == len(far)
+        return not far.size or bool(may_add and far.min() > self.limit)
+
+    def _nearest(self, far: Floats, total: Floats) -> int:
+        likely = far + np.linalg.slogdet(total)[1]
+        # Far beyond its noise a wide state must not win by its width alone.
+        return int(np.argmin(np.where(far <= max(self.limit, far.min()), likely, np.inf)))
 
     def _follow_transients(self) -> None:
         known = self.steady
@@ -375,8 +243,26 @@ def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[
         if np.array_equal(before, found.label):
             break
     found.centres()
+    cost, states = _told(found, scatter)
+    return cost, replace(states, sureness=float(np.exp(-found.misled.sum())))
+
+
+def _with_labels(segments: Segments, rate: DriftRate, scatter: float, given: Proven) -> tuple[float, States]:
+    """Return cost and states of known labels, which are numbered as they appear."""
+    found = _Clustering(segments, rate, scatter)
+    found.given = given.label
+    found.run(may_add=True)
+    for _ in range(2):
+        found.centres()
+        found.run(may_add=False)
+    found.centres()
+    cost, states = _told(found, scatter)
+    return cost, replace(states, occupancy=given.occupancy)
+
+
+def _told(found: _Clustering, scatter: float) -> tuple[float, States]:
     cost = found.cost + found.prior()
     count = np.bincount(found.label[found.steady], minlength=len(found.centre))
     return cost, States(
-        found.centre, found.covariance, count, found.label, found.drift, found.drift_end, rate, scatter
+        found.centre, found.covariance, count, found.label, found.drift, found.drift_end, found.rate, scatter
     )

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.dual.states import DriftRate
+from inflight.dual.drift import DriftRate
 from inflight.dual.training import Training
 from inflight.errors import CalibrationError
 
@@ -57,6 +57,7 @@ def to_dataset(training: Training) -> xr.Dataset:
         "next_number": int(training.next_number),
         "next_unit": int(training.next_unit),
         "carried": int(training.carried),
+        "sureness": float(training.sureness),
         "reason": training.reason,
     }
     axes = {"axis": ["x", "y", "z"], "other": ["x", "y", "z"]}
@@ -91,5 +92,7 @@ def from_dataset(table: xr.Dataset) -> Training:
         next_number=int(table.attrs["next_number"]),
         next_unit=int(table.attrs["next_unit"]),
         carried=bool(table.attrs["carried"]),
+        # Tables of before say nothing of it.
+        sureness=float(table.attrs.get("sureness", 1.0)),
         reason=str(table.attrs["reason"]),
     )

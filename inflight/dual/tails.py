@@ -7,10 +7,14 @@ more keep their size, and means are again as sure as their scatter says.
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 import numba
 import numpy as np
+from scipy import stats
 
 from inflight.arrays import Floats
+from inflight.dual.jumps import Places
 from inflight.dual.readings import white_covariance
 
 #: Squared distances from the median of five (whitened) that one in 8000 samples of Gaussian noise exceeds.
@@ -20,6 +24,48 @@ _FAR = 18.2
 _HEAVY = 0.002
 #: Distances are then bounded to this many standard deviations; 97 % of Gaussian noise is within.
 _BOUND = 3.0
+#: Samples on either side whose medians must differ at a jump, in one of these lengths at least, and the
+#: chance that noise does so: it need not be small, as the means differ already.
+_MEDIANS = (16, 64, 512)
+_UNLIKE = float(stats.chi2.isf(0.01, 3))
+
+
+def confirmed(values: Floats, places: Places) -> Places:
+    """Return the jumps at which medians differ, too: a few samples far out make a mean but no median.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time, axis)
+        nT, finite.
+    places : ndarray of int64, shape (jump,)
+        Increasing rows of the first samples after a jump.
+    """
+    white = white_covariance(values)
+    if not white.max() > 0:
+        return places
+    weight = np.linalg.inv(white + 1e-12 * np.trace(white) * np.eye(3))
+    left = places.tolist()
+    doubtful = [one for one in left if _unlikeness(values, left, one, weight) < _UNLIKE]
+    # Without its doubtful neighbours a jump has longer stretches to show itself.
+    for one in doubtful:
+        if _unlikeness(values, left, one, weight) < _UNLIKE:
+            left.remove(one)
+    return np.array(left, dtype=np.int64)
+
+
+def _unlikeness(values: Floats, places: list[int], one: int, weight: Floats) -> float:
+    """Return the largest squared difference, in errors, of the medians on both sides of a jump."""
+    index = bisect_left(places, one)
+    first = places[index - 1] if index else 0
+    last = places[index + 1] if index + 1 < len(places) else len(values)
+    highest = 0.0
+    for length in _MEDIANS:
+        before, after = values[max(first, one - length) : one], values[one : min(last, one + length)]
+        step = np.median(after, axis=0) - np.median(before, axis=0)
+        # The median of white Gaussian noise; of two samples it is their mean.
+        error = 0.5 * np.pi * (1.0 / len(before) + 1.0 / len(after))
+        highest = max(highest, float(step @ weight @ step) / error)
+    return highest
 
 
 def without_tails(values: Floats) -> Floats:

@@ -14,12 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.dual.changes import Occupancy
+from inflight.dual.drift import DriftRate
 from inflight.dual.jumps import FALSE_ALARMS, LONGEST, Places, step_noise
 from inflight.dual.outboard import OutboardSteps, StrayFit, fit_stray, outboard_steps
 from inflight.dual.readings import Readings
 from inflight.dual.segments import SHORTEST, Segments, segments_of
-from inflight.dual.states import DriftRate, States, find_states
-from inflight.dual.units import Occupancy, Units, find_units
+from inflight.dual.states import States, find_states
+from inflight.dual.units import Units, find_units
 from inflight.errors import CalibrationError
 from inflight.time import SECOND
 
@@ -78,6 +80,8 @@ class Training:
         The first numbers that no training before had.
     carried : bool
         The constant part was known to an earlier training and is taken from there.
+    sureness : float
+        Probability that the states were not mixed up by drift; see `states.States`.
     """
 
     number: npt.NDArray[np.int64]
@@ -108,6 +112,7 @@ class Training:
     next_number: int
     next_unit: int
     carried: bool = False
+    sureness: float = 1.0
 
     def __len__(self) -> int:
         return int(self.number.size)
@@ -242,6 +247,7 @@ def trained_from(
         unit_number=np.arange(len(units) if of_units else 0),
         next_number=count,
         next_unit=len(units) if of_units else 0,
+        sureness=states.sureness,
     )
 
 

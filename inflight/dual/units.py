@@ -15,19 +15,11 @@ from itertools import combinations, product
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
 
 from inflight.arrays import Floats
+from inflight.dual.changes import Change, Occupancy, joined, limit_of, reduced, simplest
 from inflight.dual.states import States
 
-Occupancy = npt.NDArray[np.int64]
-
-#: Chance that a change is not recognised as a unit's, or a sum's, by its noise.
-_MISSED = 1e-3
-#: A sum is believed when fewer than this many agree by accident.
-_ACCIDENTS = 0.05
-#: Most units that are taken to switch at once.
-_TOGETHER = 3
 #: With more units than this only states near to one that was seen are predicted.
 _MOST_ALL, _NEAR = 8, 2
 
@@ -83,23 +75,16 @@ class Units:
         return np.array(rows, dtype=np.int64).reshape(len(rows), count)
 
 
-@dataclass(frozen=True)
-class _Change:
-    """A vector by which states change, up to its sign."""
-
-    vector: Floats
-    covariance: Floats
-    count: int
-
-
 def find_units(states: States) -> Units:
     """Return the units that make the states, from the changes between states that follow each other."""
     label = states.label[states.label >= 0]
     edges = _edges(label)
     if len(states) < 2 or not edges:
         return _no_units(states, "one state only")
+    if states.occupancy is not None:
+        return _fitted(states, states.occupancy)
     changes, which = _distinct(states, edges)
-    kept, parts = _reduced(changes)
+    kept, parts = reduced(changes)
     occupancy = _occupancy(len(states), edges, which, parts, len(kept))
     if occupancy is None:
         return _no_units(states, "the changes between states contradict each other as sums of units")
@@ -116,94 +101,19 @@ def _edges(label: npt.NDArray[np.int64]) -> dict[tuple[int, int], int]:
     return found
 
 
-def _limit(tests: int) -> float:
-    return float(stats.chi2.isf(_MISSED / max(tests, 1), 3))
-
-
-def _squared(vector: Floats, covariance: Floats) -> float:
-    return float(vector @ np.linalg.solve(covariance, vector))
-
-
 def _distinct(
     states: States, edges: dict[tuple[int, int], int]
-) -> tuple[list[_Change], dict[tuple[int, int], tuple[int, int]]]:
+) -> tuple[list[Change], dict[tuple[int, int], tuple[int, int]]]:
     """Return the distinct changes, and for each pair of states its change and sign."""
-    changes: list[_Change] = []
+    changes: list[Change] = []
     which = {}
-    limit = _limit(len(edges))
+    limit = limit_of(len(edges))
     scatter = 2.0 * states.scatter**2 * np.eye(3)
     for (one, other), count in sorted(edges.items(), key=lambda item: -item[1]):
         vector = states.centre[other] - states.centre[one]
         spread = states.covariance[other] + states.covariance[one] + scatter
-        best = (np.inf, 0, 1)
-        for index, known in enumerate(changes):
-            for sign in (1, -1):
-                far = _squared(vector - sign * known.vector, spread + known.covariance)
-                best = min(best, (far, index, sign))
-        far, index, sign = best
-        if far > limit:
-            changes.append(_Change(vector, spread, count))
-            which[one, other] = (len(changes) - 1, 1)
-            continue
-        known = changes[index]
-        gain = known.covariance @ np.linalg.inv(spread + known.covariance)
-        changes[index] = _Change(
-            known.vector + gain @ (sign * vector - known.vector),
-            known.covariance - gain @ known.covariance,
-            known.count + count,
-        )
-        which[one, other] = (index, sign)
+        which[one, other] = joined(changes, Change(vector, spread, count), limit)
     return changes, which
-
-
-def _reduced(changes: list[_Change]) -> tuple[list[int], dict[int, dict[int, int]]]:
-    """Return which changes are units, and each change as signed units (by place among the units)."""
-    # Rare and large changes are the sums; frequent and small ones the units.
-    order = sorted(
-        range(len(changes)), key=lambda one: (changes[one].count, -float(np.linalg.norm(changes[one].vector)))
-    )
-    kept = set(order)
-    made: dict[int, dict[int, int]] = {}
-    for one in order:
-        sum_of = _as_sum(changes, one, sorted(kept - {one}))
-        if sum_of is not None:
-            kept.discard(one)
-            made[one] = sum_of
-    units = sorted(kept)
-    place = {one: index for index, one in enumerate(units)}
-    parts: dict[int, dict[int, int]] = {one: {place[one]: 1} for one in units}
-    for one in reversed([one for one in order if one in made]):
-        total: dict[int, int] = {}
-        for part, sign in made[one].items():
-            for unit, value in parts[part].items():
-                total[unit] = total.get(unit, 0) + sign * value
-        parts[one] = {unit: value for unit, value in total.items() if value}
-    return units, parts
-
-
-def _as_sum(changes: list[_Change], one: int, others: list[int]) -> dict[int, int] | None:
-    """Return a change as a signed sum of two or three others; None when it is none."""
-    wanted = changes[one]
-    size = float(np.sqrt(np.mean([np.sum(change.vector**2) for change in changes])))
-    for number in range(2, min(_TOGETHER, len(others)) + 1):
-        choices = list(combinations(others, number))
-        signs = list(product((1, -1), repeat=number))
-        limit = _limit(1)
-        best: tuple[float, dict[int, int]] | None = None
-        for choice in choices:
-            spread = wanted.covariance + sum(changes[part].covariance for part in choice)
-            # The sphere that sums of so many vectors fill, beside what one would accept.
-            volume = limit**1.5 * np.sqrt(np.linalg.det(spread)) / (size**2 * number / 3.0 * limit) ** 1.5
-            if len(choices) * len(signs) * volume > _ACCIDENTS:
-                continue
-            for sign in signs:
-                total = sum(s * changes[part].vector for s, part in zip(sign, choice, strict=True))
-                far = _squared(wanted.vector - total, spread)
-                if far < limit and (best is None or far < best[0]):
-                    best = far, dict(zip(choice, sign, strict=True))
-        if best is not None:
-            return best[1]
-    return None
 
 
 def _occupancy(
@@ -235,28 +145,7 @@ def _occupancy(
                 return None
     if len(found) < states:
         return None
-    return _simplest(np.array([found[state] for state in range(states)]))
-
-
-def _simplest(table: Occupancy) -> Occupancy:
-    """Return occupancies of units combined anew, so that as many as possible are on or off and no more.
-
-    Two that often switch together may have been taken for one unit: with the sum ``a + b`` and ``a`` as units
-    b alone is "minus one" of them.
-    """
-    while True:
-        span = np.ptp(table, axis=0)
-        best: tuple[int, int, int, int] | None = None
-        for one, other, sign in product(range(table.shape[1]), range(table.shape[1]), (1, -1)):
-            if one == other:
-                continue
-            gain = int(span[other] - np.ptp(table[:, other] - sign * table[:, one]))
-            if gain > 0 and (best is None or gain > best[0]):
-                best = gain, one, other, sign
-        if best is None:
-            return np.asarray(table - table.min(axis=0))
-        _, one, other, sign = best
-        table[:, other] -= sign * table[:, one]
+    return simplest(np.array([found[state] for state in range(states)]))
 
 
 def _fitted(states: States, occupancy: Occupancy) -> Units:
@@ -275,7 +164,11 @@ def _fitted(states: States, occupancy: Occupancy) -> Units:
     left = states.centre - design @ value
     far = np.einsum("si,sij,sj->s", left, weight, left)
     freedom = 3 * (count - units - 1)
-    consistent = bool(far.max() < _limit(count)) and freedom > 0
+    proven = states.occupancy is not None
+    if proven and freedom > 0:
+        # What is proven does not become doubtful by levels that wandered farther than they say.
+        covariance = covariance * max(1.0, float(far.sum()) / freedom)
+    consistent = proven or (bool(far.max() < limit_of(count)) and freedom > 0)
     if consistent:
         reason = f"{count} states are sums of {units} units"
     elif freedom <= 0:

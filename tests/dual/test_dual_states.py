@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from switching_cases import case, switched
+from scipy.optimize import linear_sum_assignment
+from switching_cases import case, power_law, switched
 
+from inflight.dual.drift import DriftRate, Track
+from inflight.dual.processing import process
 from inflight.dual.readings import Readings
 from inflight.dual.segments import segments_of
 from inflight.dual.states import find_states
+from inflight.dual.training import train
 from inflight.dual.units import find_units
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 
@@ -103,3 +107,40 @@ def test_states_are_not_split_where_offsets_wander_by_many_errors(seed):
     )
     found = find_states(segments_of(Readings(stamps, turned, day.instruments["ob"]["B_RAW"].values)))
     assert abs(len(found) - np.unique(day.truth["STATE"].values).size) <= 1
+
+
+@pytest.mark.parametrize("drift", [0.5, 2.0, 5.0])
+@pytest.mark.parametrize("units", [2, 5])
+def test_states_are_those_that_are_there_however_the_offset_drifts(units, drift):
+    _segments, states, true = told(case(7_000 + units, units=units, drift=drift))
+    steady = states.label >= 0
+    pairs = set(zip(states.label[steady].tolist(), true[steady].tolist(), strict=True))
+    assert len(states) == len(np.unique(true)) == len(pairs)
+
+
+@pytest.mark.parametrize("walk", [0.3, 1.0])
+def test_states_said_with_confidence_are_right_where_the_offset_wanders(walk):
+    right, said = 0, 0
+    for seed in range(7_100, 7_103):
+        made = case(seed, units=2 + seed % 4)
+        away = power_law(np.random.default_rng(seed), len(made.readings), walk, 2.0)
+        readings = Readings(made.readings.stamps, made.readings.inboard + away, made.readings.outboard)
+        found = process(readings, train(readings))
+        segments = segments_of(readings)
+        middle = ((segments.first + segments.last) // 2)[~segments.transient]
+        state, true = found.state[middle], made.code[middle]
+        sure = (state >= 0) & (found.probability[middle] >= 0.95)
+        table = np.zeros((found.state.max() + 1, made.code.max() + 1), dtype=int)
+        np.add.at(table, (state[sure], true[sure]), 1)
+        # One state of the training for each that there is.
+        right += int(table[linear_sum_assignment(-table)].sum())
+        said += int(sure.sum())
+    assert right >= 0.95 * said
+
+
+def test_a_drift_that_nobody_looks_at_keeps_a_covariance():
+    rate = DriftRate(*(np.full(3, one) for one in (1e-2, 1e-2, 0.0)))
+    track = Track.start(rate)
+    for _ in range(200):
+        track.forward(10.0)
+        assert (np.linalg.eigvalsh(track.covariance) >= -1e-9 * track.covariance[:, 0, 0].max()).all()
