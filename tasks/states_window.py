@@ -68,7 +68,7 @@ def states_window(
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
-            found = judge(readings, candidates.fit, expectation=candidates.expectation)
+            found = judge(readings, candidates.fit, candidates.expectations)
             return with_remark(table_of(candidates, found))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
@@ -171,6 +171,8 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
         chance_of_harm=(one, np.array([each.chance_of_harm for each in evidence]), {"units": "1"}),
+        share=(one, np.array([each.share for each in evidence]), {"units": "1"}),
+        share_away=(one, np.array([each.away for each in evidence]), {"units": "1"}),
         helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
         candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
     ).assign_attrs(
@@ -189,17 +191,30 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     """
     method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
     if method == "gradiometer":
-        return replace(gradiometer_with_states(table, readings), reason=verdict)
+        found = _share_of(
+            table, str(table.attrs["gradiometer_form"]), gradiometer_with_states(table, readings)
+        )
+        return replace(found, reason=verdict)
     training = from_dataset(table)
     if not len(training):
         return no_correction(len(readings), verdict)
     if method == "combined":
-        return replace(correction_by_both(readings, training, gradiometer_of(table)), reason=verdict)
+        found = correction_by_both(readings, training, gradiometer_of(table))
+        return replace(_share_of(table, method, found), reason=verdict)
     fallback = correction_by_gradiometer(table, readings) if gradiometer_helps(table) else None
     correction = process(readings, training, fallback=fallback)
     if str(table.attrs["applied"]) != "yes":
         return correction.withheld(verdict)
-    return replace(correction, reason=verdict)
+    return replace(_share_of(table, method, correction), reason=verdict)
+
+
+def _share_of(table: xr.Dataset, candidate: str, correction: Correction) -> Correction:
+    """Return as much of a candidate's correction as is sure to help."""
+    names = table["candidate"].values.tolist()
+    if candidate not in names:
+        return correction
+    place = names.index(candidate)
+    return correction.partly(float(table["share"].values[place]), float(table["share_away"].values[place]))
 
 
 def gradiometer_helps(table: xr.Dataset) -> bool:

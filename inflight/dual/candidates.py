@@ -17,7 +17,7 @@ from inflight.dual.gradiometer import FORMS, LEAK_SIGMA, Gradiometer, fit_forms
 from inflight.dual.harm import Corrector
 from inflight.dual.moments import Noise
 from inflight.dual.outboard import OutboardSteps, outboard_steps
-from inflight.dual.places import Body, matrices_from_geometry
+from inflight.dual.places import Body, matrices_in, matrices_of_any_boom
 from inflight.dual.processing import process
 from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
@@ -88,17 +88,21 @@ class Candidates:
         return self._gradiometers(np.ones(len(self.readings), dtype=bool))
 
     @cached_property
-    def expectation(self) -> Expectation | None:
-        """What geometry lets expect; None where the body is not told, or nothing can be fitted."""
+    def expectations(self) -> list[Expectation]:
+        """What geometry lets expect of the body, where it is told, and of any boom; the likelier first."""
         full = self.gradiometers.get("matrix")
-        if self.body is None or full is None:
-            return None
+        if full is None:
+            return []
         good = self.readings.good
         stray = np.full((len(self.readings), 3), np.nan)
         stray[good] = without_noise(full.stray(self.readings)[good], full.noise)[0]
-        places = matrices_from_geometry(self.body)
         noise = Noise(full.noise, full.mixing.share, 0.0)
-        return Expectation(places, stray, noise, full.mixing.leak_covariance)
+        places = {} if self.body is None else {"all units in the body": matrices_in(self.body)}
+        places["units nearer to the inboard sensor"] = matrices_of_any_boom()
+        return [
+            Expectation(matrices, stray, noise, full.mixing.leak_covariance, units)
+            for units, matrices in places.items()
+        ]
 
     @cached_property
     def training(self) -> Training:

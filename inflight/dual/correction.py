@@ -75,6 +75,22 @@ class Correction:
             return outboard.copy()
         return np.asarray(outboard - np.nan_to_num(self.field, nan=0.0))
 
+    def partly(self, share: float, away: float) -> Correction:
+        """Return the correction of which only a share is taken off.
+
+        Parameters
+        ----------
+        share : float
+            1 for the whole, which is returned as it is.
+        away : float
+            How far the share is from that of the stray field, rms: it widens the error of what changes.
+        """
+        if share == 1.0 or not self.known.any():
+            return self
+        changes = self.field - np.median(self.field[self.known], axis=0)
+        wider = self.covariance * share**2 + away**2 * changes[:, :, None] * changes[:, None, :]
+        return replace(self, field=share * self.field, covariance=wider)
+
     def withheld(self, reason: str) -> Correction:
         """Return the same correction, not applied for a reason."""
         return replace(self, applied=False, reason=reason)

@@ -29,8 +29,9 @@ _QUIET = 0.25
 SCATTER = 0.2
 #: Draws of the sensors' wandering for each place.
 _TURNS = 5
-#: Part of the drift of both sensors that is the outboard one's.
-_OUTBOARD = 0.5
+#: Part of the drift of both sensors that is the outboard one's: two straight lines, each as likely to rise as
+#: to fall; mean and standard deviation.
+_OUTBOARD = (0.5, 0.5)
 #: Chance below which held-out readings are not of units in the body.
 _REFUTED = 1e-6
 
@@ -68,9 +69,9 @@ class Expected:
     slope: Floats
 
     @property
-    def benefit(self) -> Floats:
-        """Fall of the mean square error in each draw, nT^2; (draw,)."""
-        return np.asarray(self.power @ (2.0 * self.slope - 1.0))
+    def whole(self) -> Floats:
+        """Slope over all scales in each draw; (draw,)."""
+        return np.asarray(self.power @ self.slope / max(float(self.power.sum()), 1e-300))
 
     def misfit(self, seen: Seen) -> Floats:
         """Return the sum of squares of what held-out readings say less what is expected, (draw,)."""
@@ -83,13 +84,18 @@ class Expected:
         """Whether no place in the body makes what held-out readings say."""
         return bool(seen.scale.size) and float(chi2.sf(self.misfit(seen).min(), seen.scale.size)) < _REFUTED
 
-    def chance_of_harm(self, seen: Seen) -> float:
-        """Return the probability that the correction makes the error larger, after held-out readings."""
-        return float(self.weights(seen) @ (self.benefit <= 0.0))
+    def chance_of_harm(self, seen: Seen, share: float = 1.0) -> float:
+        """Return the probability that taking off a share makes the error larger, after held-out readings."""
+        return float(self.weights(seen) @ (self.whole <= 0.5 * share))
 
-    def mean_benefit(self, seen: Seen) -> float:
-        """Return the fall of the mean square error after held-out readings, nT^2."""
-        return float(self.weights(seen) @ self.benefit)
+    def mean_benefit(self, seen: Seen, share: float = 1.0) -> float:
+        """Return the fall of the mean square error by taking off a share, after held-out readings, nT^2."""
+        mean = float(self.weights(seen) @ self.whole)
+        return float(self.power.sum()) * share * (2.0 * mean - share)
+
+    def away(self, seen: Seen, share: float) -> float:
+        """Return how far the slope is from a share, rms, after held-out readings."""
+        return float(np.sqrt(self.weights(seen) @ (self.whole - share) ** 2))
 
     def weights(self, seen: Seen) -> Floats:
         """Return how likely each draw is after held-out readings; (draw,)."""
@@ -113,6 +119,8 @@ class Expectation:
         Its white noise, and how much of that is the outboard sensor's.
     leak_covariance : ndarray, shape (9, 9)
         Of what is not known of the leak.
+    units : str
+        Where the units are taken to stand.
     drift : float
         How far the sensors drift apart by themselves in an hour, nT.
     """
@@ -121,6 +129,7 @@ class Expectation:
     stray: Floats
     noise: Noise
     leak_covariance: Floats
+    units: str = "all units in the body"
     drift: float = DRIFT
 
     def of(self, readings: Readings, correction: Correction) -> Expected:
@@ -134,7 +143,9 @@ class Expectation:
         lost = np.zeros((scales.size, len(self.matrices), _TURNS))
         # How large noise, drift and leak are beside what is usual of them, in power.
         random = np.random.default_rng(2)
-        turns = random.normal(size=(3, len(self.matrices), _TURNS)) ** 2
+        turns = random.normal(size=(4, len(self.matrices), _TURNS))
+        turns[:3] **= 2
+        turns[3] = _OUTBOARD[0] + _OUTBOARD[1] * turns[3]
         for place, scale in enumerate(scales):
             here = cells.part(cells.scale == scale)
             weighted = here.count[:, None, None] * across[cells.scale == scale]
@@ -150,9 +161,9 @@ class Expectation:
     def _lost(self, cells: Cells, turns: Floats, readings: Readings) -> Floats:
         """Return by how much the slope on one scale is less than that of stray field alone; (place, turn).
 
-        Flicker noise, drift of the offsets, and ambient field that leaks in: `turns` (3, place, turn) times
-        what is usual of them. Of the outboard sensor's own noise the correction has the opposite sign: it
-        adds to that.
+        Flicker noise, drift of the offsets, and ambient field that leaks in: `turns` (4, place, turn) times
+        what is usual of them, and the outboard sensor's part of the drift. Of that sensor's own noise the
+        correction has the opposite sign: it adds to it.
         """
         power = self._size(cells.covariance[:, 3:6, 3:6])
         total = max(float(cells.count @ power), 1e-300)
@@ -173,7 +184,7 @@ class Expectation:
         lost = np.array(parts) / total
         lost /= np.maximum(lost.sum(axis=0), 1.0)
         factor = float(np.sqrt(np.sum(self.matrices.mean(axis=0) ** 2) / 3.0))
-        outboard = self.noise.share * lost[0] + _OUTBOARD * lost[1]
+        outboard = self.noise.share * lost[0] + turns[3] * lost[1]
         return np.asarray(lost.sum(axis=0) + outboard / factor)
 
     def _size(self, covariance: Floats) -> Floats:

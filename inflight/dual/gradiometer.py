@@ -21,8 +21,8 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.dual.mixing import Mixing, fit_mixing, moments_of, noise_of, usable_cells
-from inflight.dual.moments import WIDE, Moments
-from inflight.dual.places import Body, dipole_matrix, fit_place, matrix_from_geometry
+from inflight.dual.moments import Moments
+from inflight.dual.places import Body, dipole_matrix, fit_place, known_from, matrices_in, matrices_of_any_boom
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
 from inflight.dual.scales import cells_of, quietest
@@ -149,7 +149,7 @@ def fit_forms(
     every = cells_of(readings.outboard[good], readings.difference[good])
     noise = noise_of(every, quietest(every, readings.noise))
     cells = usable_cells(every, noise)
-    prior = (np.zeros(9), WIDE**2 * np.eye(9)) if body is None else matrix_from_geometry(body)
+    prior = known_from(matrices_of_any_boom() if body is None else matrices_in(body))
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
     told = moments_of(cells, mixing, noise)
     value, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)

@@ -18,8 +18,8 @@ from scipy import ndimage
 from inflight.arrays import Floats
 from inflight.dual.scales import Cells
 
-#: Standard deviation of an element of the matrix before anything is seen; a ratio k of 0.75 makes 3.
-WIDE = 3.0
+#: Weighted square of the difference along a direction that tells something of the matrix.
+_SEEN = 0.1
 #: The noise that both series share is known to this part of the difference's.
 _UNSURE = 0.1
 #: Blocks of time whose scatter tells how far the variances can be believed.
@@ -79,7 +79,7 @@ class Moments:
     noise: Floats
     error: Floats
 
-    def solve(self, basis: Floats, prior: tuple[Floats, Floats] | None = None) -> tuple[Floats, Floats]:
+    def solve(self, basis: Floats, prior: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
         """Return the factors of matrices that explain the outboard field, and their covariance.
 
         The covariance is widened by what blocks of time disagree beyond it: units of different places, which
@@ -88,14 +88,13 @@ class Moments:
         Parameters
         ----------
         basis : ndarray, shape (parameter, 3, 3)
-        prior : tuple of ndarray, shapes (9,), (9, 9), optional
+        prior : tuple of ndarray, shapes (9,), (9, 9)
             Mean and covariance of the elements of the matrix, row by row, before anything is seen.
         """
-        known = (np.zeros(9), WIDE**2 * np.eye(9)) if prior is None else prior
         flat = basis.reshape(len(basis), 9)
-        first, _ = self._regressed(basis, known, self.whitened(known[0].reshape(3, 3), 1.0))
+        first, _ = self._regressed(basis, prior, self.whitened(prior[0].reshape(3, 3), 1.0))
         matrix = (first @ flat).reshape(3, 3)
-        return self._regressed(basis, known, self.whitened(matrix, self.excess(matrix)))
+        return self._regressed(basis, prior, self.whitened(matrix, self.excess(matrix)))
 
     def _regressed(
         self, basis: Floats, prior: tuple[Floats, Floats], told: Whitened
@@ -145,7 +144,7 @@ class Moments:
         for axis in range(3):
             for one, square in zip(self._scores(axis, matrix[axis]), self.square[:, axis], strict=True):
                 value, vector = np.linalg.eigh(square)
-                seen = value > 1.0 / WIDE**2
+                seen = value > _SEEN
                 extra += float(np.sum((vector.T @ one)[seen] ** 2 / value[seen])) - float(seen.sum())
                 power += float(value[seen].sum())
         return max(extra, 0.0) / power if power > 0 else 0.0

@@ -6,13 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.dual.moments import Whitened
 from inflight.errors import CalibrationError
 from inflight.estimators.dipole import unit_dipole
 
-_DRAWS = 400
+_DRAWS = 600
+#: Of a boom of which nothing is known: size of a dipole's field at the outboard beside that at the inboard
+#: sensor, and the places of dipoles on each axis in distances of the inboard sensor.
+_RATIOS, _ANYWHERE = (0.02, 0.75), 0.4
 
 
 @dataclass(frozen=True)
@@ -64,21 +68,42 @@ def dipole_matrix(positions: Floats, place: Floats) -> Floats:
     return np.asarray(np.linalg.solve((near - far).T, far.T).T)
 
 
-def matrix_from_geometry(body: Body) -> tuple[Floats, Floats]:
-    """Return what geometry alone says of the matrix: mean (9,) and covariance (9, 9)."""
-    drawn = matrices_from_geometry(body).reshape(-1, 9)
-    spread_of_one = np.cov(drawn.T)
+def matrices_in(body: Body) -> Floats:
+    """Return matrices of dipoles all over a body, (place, 3, 3); those next to a sensor are left out."""
+    return _inner(np.array([dipole_matrix(body.positions, place) for place in body.places()]))
+
+
+def matrices_of_any_boom() -> Floats:
+    """Return matrices of dipoles that stand nearer to the inboard sensor than to the outboard one.
+
+    Nothing is known of where: the boom points anywhere, the sensors are close together or far apart.
+
+    Returns
+    -------
+    ndarray, shape (place, 3, 3)
+    """
+    random = np.random.default_rng(3)
+    drawn = []
+    for turn in Rotation.random(_DRAWS, rng=random):
+        ratio = random.uniform(*_RATIOS)
+        sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
+        inside = dipole_matrix(sensors, random.uniform(-_ANYWHERE, _ANYWHERE, 3))
+        drawn.append(turn.as_matrix() @ inside @ turn.as_matrix().T)
+    return _inner(np.array(drawn))
+
+
+def known_from(matrices: Floats) -> tuple[Floats, Floats]:
+    """Return what matrices of single places say of that of all units: mean (9,) and covariance (9, 9)."""
+    flat = matrices.reshape(-1, 9)
+    spread_of_one = np.cov(flat.T)
     # Several units at once make matrices that no single place makes: as far away, in any direction.
-    return drawn.mean(axis=0), spread_of_one + np.trace(spread_of_one) / 9.0 * np.eye(9)
+    return flat.mean(axis=0), spread_of_one + np.trace(spread_of_one) / 9.0 * np.eye(9)
 
 
-def matrices_from_geometry(body: Body) -> Floats:
-    """Return matrices of dipoles in the body, (place, 3, 3); those next to a sensor are left out."""
-    drawn = np.array([dipole_matrix(body.positions, place) for place in body.places()])
+def _inner(drawn: Floats) -> Floats:
+    """Return matrices without those next to a sensor, which have no bound."""
     flat = drawn.reshape(-1, 9)
-    # Places next to a sensor make matrices without bound: the spread is that of the inner part.
-    inner = np.all(np.abs(flat - np.median(flat, axis=0)) <= 6.0 * _spread(flat), axis=1)
-    return np.asarray(drawn[inner])
+    return np.asarray(drawn[np.all(np.abs(flat - np.median(flat, axis=0)) <= 6.0 * _spread(flat), axis=1)])
 
 
 def _spread(drawn: Floats) -> Floats:

@@ -213,16 +213,13 @@ def trained_from(
         predicted = np.column_stack([predicted, np.ones(len(predicted))])
     else:
         predicted = predicted - predicted[reference]
-    centre, spread = states.centre, states.covariance
-    if len(unseen):
-        more, more_spread = units.centre(unseen)
-        centre, spread = np.concatenate([centre, more]), np.concatenate([spread, more_spread])
+    more, more_spread = units.centre(unseen) if len(unseen) else (np.empty((0, 3)), np.empty((0, 3, 3)))
     count = len(predicted)
     new = count - len(states)
     return Training(
         number=np.arange(count),
-        centre=centre,
-        centre_covariance=spread,
+        centre=np.concatenate([states.centre, more]),
+        centre_covariance=np.concatenate([states.covariance, more_spread]),
         correction=predicted @ fit.value,
         covariance=np.einsum("sp,piqj,sq->sij", predicted, fit.covariance, predicted),
         segments=np.append(states.count, np.zeros(new, dtype=np.int64)),

@@ -37,10 +37,16 @@ def world(seed):
     return Readings(np.arange(COUNT) * SECOND, inboard, outboard), ambient, stray, random
 
 
+def judge_all(readings, body=None):
+    candidates = Candidates(readings, body)
+    return judge(readings, candidates.fit, candidates.expectations)
+
+
 def judged(readings, **fields):
     return judge(
         readings,
         lambda _: {name: partial(field_correction, field=field) for name, field in fields.items()},
+        Candidates(readings).expectations,
     )
 
 
@@ -86,7 +92,7 @@ def test_two_quiet_sensors_are_left_alone():
     ambient = np.cumsum(random.normal(0, 0.05, (COUNT, 3)), axis=0)
     both = [ambient + random.normal(0, 0.02, ambient.shape) for _ in range(2)]
     readings = Readings(np.arange(COUNT) * SECOND, *both)
-    found = judge(readings, Candidates(readings).fit)
+    found = judge_all(readings)
     after = found.correction.corrected(readings.outboard) - ambient
     assert after.std() <= 1.02 * (readings.outboard - ambient).std()
 
@@ -94,6 +100,6 @@ def test_two_quiet_sensors_are_left_alone():
 def test_too_few_readings_have_a_reason():
     readings, _, _, _ = world(7)
     short = readings.part(slice(0, 200))
-    found = judge(short, Candidates(short).fit)
+    found = judge_all(short)
     assert found.chosen == "none"
     assert found.correction.reason

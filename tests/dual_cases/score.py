@@ -67,7 +67,7 @@ def corrected(case: Case, told: float = 1.0) -> Judgement:
     """
     body = replace(case.body, reach=told * case.body.reach) if told else None
     candidates = Candidates(case.readings, body)
-    return judge(case.readings, candidates.fit, expectation=candidates.expectation)
+    return judge(case.readings, candidates.fit, candidates.expectations)
 
 
 def score(case: Case, judgement: Judgement, seconds: float = 0.0) -> Score:

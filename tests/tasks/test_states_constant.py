@@ -20,7 +20,7 @@ from inflight.tasks.planning import ReprocessSettings, plan
 from inflight.tasks.simulate_dual import simulate_dual
 from inflight.tasks.states_chain import joined
 from inflight.tasks.states_constant import constant_changes, constant_of, constant_sentences
-from inflight.tasks.states_window import correction_of, positions_of, table_of, window_readings
+from inflight.tasks.states_window import body_of, correction_of, table_of, window_readings
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 
@@ -42,8 +42,8 @@ def days(tmp_path_factory):
 def forced(cat, mission, planned, day):
     around = planned.index.around([day])
     readings, _ = window_readings(cat, mission, planned.model, [day], planned.needs, around)
-    candidates = Candidates(readings, positions_of(mission, "main"))
-    found = judge(readings, candidates.fit)
+    candidates = Candidates(readings, body_of(mission, "main"))
+    found = judge(readings, candidates.fit, candidates.expectations)
     applied = replace(found.correction, applied=True, reason="forced")
     tables = {
         method: table_of(candidates, replace(found, chosen=method, correction=applied))
