@@ -1,0 +1,174 @@
+"""What geometry lets expect counts where the readings are silent, and gives way where they speak."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inflight.dual.bands import gradiometer_correction
+from inflight.dual.candidates import Candidates
+from inflight.dual.correction import UNKNOWN, Correction
+from inflight.dual.expectation import Expected, Seen
+from inflight.dual.gradiometer import fit_forms, fit_gradiometer
+from inflight.dual.harm import judge
+from inflight.dual.moments import Moments
+from inflight.dual.places import Body, dipole_matrix, known_from, matrices_in, matrices_of_any_boom
+from inflight.dual.readings import Readings
+from inflight.time import SECOND
+
+COUNT = 6000
+BODY = Body(np.array([[1.0, 0.0, 0.0], [1.8, 0.0, 0.0]]), np.zeros(3), np.full(3, 0.3))
+PLACE = np.array([0.1, -0.15, 0.05])
+NOTHING_SEEN = Seen(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+
+def coloured(random, size):
+    return size * np.cumsum(random.normal(0.0, 1.0, (COUNT, 3)), axis=0)
+
+
+def boom(seed, difference, restless, noise=0.01):
+    """Readings of one unit at PLACE that makes a difference (time, axis), and the true field."""
+    random = np.random.default_rng(seed)
+    ambient = coloured(random, restless) + np.array([20.0, -5.0, 3.0])
+    outboard = ambient + difference @ dipole_matrix(BODY.positions, PLACE).T
+    inboard = outboard + difference
+    inboard, outboard = (one + random.normal(0.0, noise, (COUNT, 3)) for one in (inboard, outboard))
+    return Readings(np.arange(COUNT) * SECOND, inboard, outboard), ambient
+
+
+def switching(seed, size=0.4):
+    random = np.random.default_rng([seed, 1])
+    on = np.searchsorted(np.cumsum(random.exponential(200, 200)), np.arange(COUNT)) % 2
+    return size * on[:, None] * np.array([0.6, -0.5, 0.6])
+
+
+def judged(readings, body=None):
+    candidates = Candidates(readings, body)
+    return judge(readings, candidates.fit, candidates.expectations)
+
+
+def error(field, ambient):
+    return np.sqrt(np.var(field - ambient, axis=0).mean())
+
+
+def test_matrices_of_a_body_hold_that_of_a_unit_in_it():
+    mean, covariance = known_from(matrices_in(BODY))
+    away = dipole_matrix(BODY.positions, PLACE).ravel() - mean
+    assert away @ np.linalg.solve(covariance, away) < 20.0
+    assert np.linalg.norm(away) > 0.05
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.3, 0.7])
+def test_any_boom_holds_every_ratio_of_a_unit_nearer_to_the_inboard_sensor(ratio):
+    along = np.trace(matrices_of_any_boom(), axis1=1, axis2=2) / 3.0
+    assert along.min() < ratio / (1.0 - ratio) < along.max()
+    assert (along > 0).all()
+
+
+def test_where_the_ambient_field_hides_everything_the_matrix_is_that_of_the_body():
+    readings, _ = boom(1, switching(1), restless=0.5)
+    found = fit_gradiometer(readings, "matrix", BODY)
+    mean, _ = known_from(matrices_in(BODY))
+    assert found.matrix == pytest.approx(mean.reshape(3, 3), abs=0.1)
+
+
+def test_noise_of_the_difference_does_not_shrink_the_matrix():
+    stray, noise = np.diag([3e4, 1e4, 2e4]), 1e4 * np.eye(3)
+    truth = dipole_matrix(BODY.positions, PLACE)
+    blocks = 24
+    told = Moments(
+        np.tile((stray + noise) / blocks, (blocks, 3, 1, 1)),
+        np.tile(truth @ stray / blocks, (blocks, 1, 1)),
+        np.tile(noise / blocks, (blocks, 3, 1, 1)),
+        np.zeros((3, 3, 3)),
+    )
+    wide = np.zeros(9), 9.0 * np.eye(9)
+    found, covariance = told.solve(np.eye(9).reshape(9, 3, 3), wide)
+    assert found.reshape(3, 3) == pytest.approx(truth, abs=0.01)
+    # Plain regression is wrong by more than three of the stated errors.
+    plain = (truth @ stray @ np.linalg.inv(stray + noise)).ravel()
+    assert np.abs((plain - found) / np.sqrt(np.diag(covariance))).max() > 3.0
+
+
+def test_geometry_corrects_what_readings_alone_cannot_tell():
+    alone, told = [], []
+    for seed in range(4):
+        readings, ambient = boom(seed, switching(seed), restless=0.2)
+        raw = error(readings.outboard, ambient)
+        for found, out in ((judged(readings), alone), (judged(readings, BODY), told)):
+            out.append(error(found.correction.corrected(readings.outboard), ambient) / raw)
+    assert max(told) < 0.9
+    assert np.mean(told) < 0.9 * np.mean(alone)
+
+
+def test_an_inboard_sensor_that_only_makes_noise_is_refused():
+    random = np.random.default_rng(5)
+    ambient = coloured(random, 0.1)
+    inboard, outboard = random.normal(0.0, 0.02, (COUNT, 3)), ambient + random.normal(0.0, 0.02, (COUNT, 3))
+    for body in (None, BODY):
+        found = judged(Readings(np.arange(COUNT) * SECOND, inboard, outboard), body)
+        assert found.chosen == "none"
+        assert "left alone" in found.correction.reason
+
+
+def test_a_drift_of_the_size_that_sensors_have_is_left_alone_and_a_large_one_is_not():
+    rise = np.linspace(-1.0, 1.0, COUNT)[:, None] * [0.5, -0.3, 0.4]
+    small, ambient = boom(7, 0.05 * rise, restless=0.05)
+    raw = error(small.outboard, ambient)
+    assert error(judged(small, BODY).correction.corrected(small.outboard), ambient) < 1.02 * raw
+    careful = gradiometer_correction(fit_gradiometer(small, "careful", BODY), small)
+    matrix = gradiometer_correction(fit_gradiometer(small, "matrix", BODY), small)
+    assert careful.field.std() < 0.3 * matrix.field.std()
+    large, ambient = boom(7, 20.0 * rise, restless=0.05)
+    after = error(judged(large, BODY).correction.corrected(large.outboard), ambient)
+    assert after < 0.4 * error(large.outboard, ambient)
+
+
+def test_units_outside_of_the_body_that_is_told_refute_it():
+    wrong = replace(BODY, middle=np.array([-8.0, 0.0, 0.0]))
+    readings, ambient = boom(8, switching(8, 5.0), restless=0.001)
+    found = judged(readings, wrong)
+    assert {one.units for one in found.evidence.values()} == {"units nearer to the inboard sensor"}
+    assert error(found.correction.corrected(readings.outboard), ambient) < 0.3 * error(
+        readings.outboard, ambient
+    )
+
+
+def test_less_is_taken_off_where_the_whole_might_do_harm():
+    draws = np.random.default_rng(9).normal(0.75, 0.15, 4000)
+    expected = Expected(np.array([1]), np.array([2.0]), draws[None])
+    chances = [expected.chance_of_harm(NOTHING_SEEN, share) for share in (1.0, 0.7, 0.5)]
+    assert chances[0] > chances[1] > chances[2]
+    # 2 share <c s> - share^2 <c^2>
+    assert expected.mean_benefit(NOTHING_SEEN, 0.7) == pytest.approx(2.0 * 0.7 * (2 * draws.mean() - 0.7))
+    assert expected.mean_benefit(NOTHING_SEEN, 0.7) > expected.mean_benefit(NOTHING_SEEN, 1.0) - 0.1
+
+
+def test_readings_move_the_expected_slope_to_what_they_say():
+    draws = np.random.default_rng(10).uniform(0.2, 2.0, 4000)
+    expected = Expected(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
+    seen = Seen(np.array([1, 2]), np.array([1.0, 1.0]), np.array([0.01, 0.01]))
+    assert expected.weights(seen) @ expected.whole == pytest.approx(1.0, abs=0.05)
+    assert not expected.refuted_by(seen)
+    assert expected.refuted_by(replace(seen, slope=np.array([9.0, 9.0])))
+
+
+def test_a_share_of_a_correction_has_an_error_that_holds_the_rest():
+    field = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    nothing = np.zeros(3)
+    whole = Correction(
+        field, np.zeros((3, 3, 3)), np.full(3, UNKNOWN), nothing, nothing.astype(np.uint32), "states"
+    )
+    part = whole.partly(0.7, 0.3)
+    assert part.field[1, 0] == pytest.approx(1.4)
+    assert part.sigma[1, 0] == pytest.approx(0.6)
+    assert part.sigma[0, 0] == 0.0
+    assert whole.partly(1.0, 0.3) is whole
+
+
+def test_every_form_starts_from_geometry():
+    readings, _ = boom(11, switching(11), restless=0.5)
+    mean, _ = known_from(matrices_in(BODY))
+    for one in fit_forms(readings, ("ratio", "axes", "dipole", "principal", "matrix"), BODY).values():
+        if one.form != "principal":
+            assert np.trace(one.matrix) == pytest.approx(np.trace(mean.reshape(3, 3)), rel=0.3), one.form
