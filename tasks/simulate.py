@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import io
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import xarray as xr
 from cdflib.cdfwrite import CDF
 from ruamel.yaml import YAML
-from threadpoolctl import threadpool_limits
 
-from inflight.errors import CatalogError
 from inflight.simulate import SimulationSettings, simulate_day
-from inflight.tasks.delivered_cdf import Source, Variable, atomic, compact, storage, write_cdf
+from inflight.tasks.delivered_cdf import Source, Variable
+from inflight.tasks.simulated_days import DayWriter, Progress
 
-#: Called with the number of days done and of all days.
-Progress = Callable[[int, int], None]
 INSTRUMENTS = ("fgm", "ovm", "tq", "hk", "att", "orb")
 SECOND_FLUXGATE = "fgm2"
-TRUTH = "truth"
 #: Settings that may differ between two runs into one folder: they only widen the span.
-_SPAN = {"start", "days"}
-
+_SPAN = frozenset({"start", "days"})
 
 _XYZ = ("x", "y", "z")
 _VARIABLES = {
@@ -54,7 +43,7 @@ _TITLES = {
     "att": "Attitude",
     "orb": "Orbit",
 }
-_SOURCE = Source("champ", "CHAMP-like simulated spacecraft", _TITLES, _VARIABLES)
+_WRITER = DayWriter(Source("champ", "CHAMP-like simulated spacecraft", _TITLES, _VARIABLES), simulate_day)
 
 
 def instruments_of(settings: SimulationSettings) -> tuple[str, ...]:
@@ -64,12 +53,12 @@ def instruments_of(settings: SimulationSettings) -> tuple[str, ...]:
 
 def delivered_path(destination: Path, instrument: str, day: np.datetime64) -> Path:
     """Return where a delivered file stands: ``fgm/champ_fgm_20050101_v01.cdf``."""
-    return _SOURCE.path(destination, instrument, day)
+    return _WRITER.source.path(destination, instrument, day)
 
 
 def truth_path(destination: Path, day: np.datetime64) -> Path:
     """Return where the truth of a day stands, for tests and nobody else."""
-    return destination / TRUTH / f"champ_truth_{compact(day)}.nc"
+    return _WRITER.truth_path(destination, day)
 
 
 def simulate(
@@ -107,34 +96,17 @@ def simulate(
     StorageError
         When the disk refuses a write; days written before stay.
     """
-    folder = Path(destination)
-    truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
-    claim(
-        folder, settings.model_dump(mode="json"), truth, SimulationSettings().model_dump(mode="json"), _SPAN
+    instruments = instruments_of(settings)
+    return _WRITER.write(
+        settings,
+        Path(destination),
+        instruments,
+        needed=() if "missing_days" in settings.defects else instruments,
+        free=_SPAN,
+        standard=SimulationSettings().model_dump(mode="json"),
+        progress=progress,
+        workers=workers,
     )
-    days = settings.day_list
-    missing = [day for day in days if not _is_complete(settings, folder, day)]
-    for number, _ in enumerate(written(write_day, settings, folder, missing, workers), start=1):
-        if progress is not None:
-            progress(len(days) - len(missing) + number, len(days))
-    paths = (
-        delivered_path(folder, instrument, day) for day in days for instrument in instruments_of(settings)
-    )
-    return [path for path in paths if path.exists()]
-
-
-def write_day(settings: SimulationSettings, destination: Path, day: np.datetime64) -> list[Path]:
-    """Simulate and write one day, the truth last; return the delivered files."""
-    with threadpool_limits(limits=1), storage(destination, day):
-        simulated = simulate_day(settings, day)
-        paths = []
-        for instrument, data in simulated.instruments.items():
-            path = delivered_path(destination, instrument, day)
-            with atomic(path) as partial:
-                write_cdf(partial, _SOURCE, instrument, data, day)
-            paths.append(path)
-        write_truth(truth_path(destination, day), simulated.truth)
-    return paths
 
 
 def preflight_model(text: str, settings: SimulationSettings) -> str:
@@ -162,73 +134,3 @@ def preflight_model(text: str, settings: SimulationSettings) -> str:
     stream = io.StringIO()
     yaml.dump(tree, stream)
     return stream.getvalue()
-
-
-def written(
-    write: Callable[..., list[Path]],
-    settings: Any,
-    folder: Path,
-    days: Sequence[np.datetime64],
-    workers: int,
-) -> Iterator[list[Path]]:
-    """Yield the files of each day as `write(settings, folder, day)` has made them."""
-    if workers <= 1 or len(days) <= 1:
-        for day in days:
-            yield write(settings, folder, day)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
-        jobs = [pool.submit(write, settings, folder, day) for day in days]
-        try:
-            for job in as_completed(jobs):
-                yield job.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def claim(
-    folder: Path,
-    wanted: Mapping[str, Any],
-    truth: Mapping[str, Any],
-    standard: Mapping[str, Any],
-    span: set[str],
-) -> None:
-    """Write the settings of a simulation into the truth folder, or check that those there are the same.
-
-    Parameters
-    ----------
-    wanted, truth : mapping
-        Settings, and what they make of the simulation.
-    standard : mapping
-        Settings that older folders do not name.
-    span : set of str
-        Settings that may differ between two runs into one folder: they only widen the span.
-    """
-    path = folder / TRUTH / "settings.json"
-    if path.exists():
-        found = {**standard, **json.loads(path.read_text())}
-        differing = sorted(key for key in set(wanted) - span if found.get(key) != wanted.get(key))
-        if differing:
-            raise CatalogError(
-                f"the folder holds a simulation with other {', '.join(differing)}",
-                file=str(folder),
-                remedy="choose an empty folder or the same settings",
-            )
-        return
-    with storage(folder, None), atomic(path) as partial:
-        partial.write_text(json.dumps({**wanted, "truth": dict(truth)}, indent=1))
-
-
-def _is_complete(settings: SimulationSettings, folder: Path, day: np.datetime64) -> bool:
-    if not truth_path(folder, day).exists():
-        return False
-    there = [delivered_path(folder, instrument, day).exists() for instrument in instruments_of(settings)]
-    return all(there) or "missing_days" in settings.defects
-
-
-def write_truth(path: Path, truth: xr.Dataset) -> None:
-    """Write every tenth sample of the truth: enough to judge by, and small."""
-    step = max(1, round(10e9 / np.diff(truth["Epoch"].values[:2]).item()))
-    thinned = truth.isel(record=slice(None, None, step))
-    with atomic(path) as partial:
-        thinned.to_netcdf(partial, engine="h5netcdf")

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from cdflib.cdfwrite import CDF
-from threadpoolctl import threadpool_limits
 
 from inflight.simulate.dual import DualSettings, simulate_dual_day
-from inflight.tasks.delivered_cdf import Source, Variable, atomic, compact, storage, write_cdf
-from inflight.tasks.simulate import TRUTH, Progress, claim, write_truth, written
+from inflight.tasks.delivered_cdf import Source, Variable
+from inflight.tasks.simulated_days import DayWriter, Progress
 
 _XYZ = ("x", "y", "z")
 _VARIABLES = {
@@ -32,11 +31,12 @@ _TITLES = {
 }
 #: Whose files they are.
 SOURCE = Source("vex", "Venus-Express-like simulated spacecraft", _TITLES, _VARIABLES)
+_WRITER = DayWriter(SOURCE, simulate_dual_day)
 
 
 def truth_path(destination: Path, day: np.datetime64) -> Path:
     """Return where the truth of a day stands, for tests and nobody else."""
-    return destination / TRUTH / f"{SOURCE.name}_truth_{compact(day)}.nc"
+    return _WRITER.truth_path(destination, day)
 
 
 def simulate_dual(
@@ -65,28 +65,4 @@ def simulate_dual(
     StorageError
         When the disk refuses a write.
     """
-    folder = Path(destination)
-    truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
-    # What ages counts from the first day: only the end may differ between two runs.
-    claim(folder, settings.model_dump(mode="json"), truth, {}, {"days"})
-    days = settings.day_list
-    missing = [day for day in days if not truth_path(folder, day).exists()]
-    for number, _ in enumerate(written(write_dual_day, settings, folder, missing, workers), start=1):
-        if progress is not None:
-            progress(len(days) - len(missing) + number, len(days))
-    paths = (SOURCE.path(folder, instrument, day) for day in days for instrument in _TITLES)
-    return [path for path in paths if path.exists()]
-
-
-def write_dual_day(settings: DualSettings, destination: Path, day: np.datetime64) -> list[Path]:
-    """Simulate and write one day, the truth last; return the delivered files."""
-    with threadpool_limits(limits=1), storage(destination, day):
-        simulated = simulate_dual_day(settings, day)
-        paths = []
-        for instrument, data in simulated.instruments.items():
-            path = SOURCE.path(destination, instrument, day)
-            with atomic(path) as partial:
-                write_cdf(partial, SOURCE, instrument, data, day)
-            paths.append(path)
-        write_truth(truth_path(destination, day), simulated.truth)
-    return paths
+    return _WRITER.write(settings, Path(destination), tuple(_TITLES), progress=progress, workers=workers)

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from cdflib.cdfwrite import CDF
-from threadpoolctl import threadpool_limits
 
 from inflight.simulate.spinning import CRAFT, SpinningSettings, simulate_spinning_day
-from inflight.tasks.delivered_cdf import Source, Variable, atomic, compact, storage, write_cdf
-from inflight.tasks.simulate import TRUTH, Progress, claim, write_truth, written
+from inflight.tasks.delivered_cdf import Source, Variable
+from inflight.tasks.simulated_days import DayWriter, Progress
 
 _XYZ = ("x", "y", "z")
 _VARIABLES = {
@@ -45,9 +44,13 @@ SOURCES = {
 }
 
 
+def _writer(settings: SpinningSettings) -> DayWriter:
+    return DayWriter(SOURCES[settings.craft], simulate_spinning_day)
+
+
 def truth_path(settings: SpinningSettings, destination: Path, day: np.datetime64) -> Path:
     """Return where the truth of a day stands, for tests and nobody else."""
-    return destination / TRUTH / f"{settings.craft}_truth_{compact(day)}.nc"
+    return _writer(settings).truth_path(destination, day)
 
 
 def simulate_spinning(
@@ -81,30 +84,6 @@ def simulate_spinning(
     StorageError
         When the disk refuses a write.
     """
-    folder = Path(destination)
-    truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
-    # What drifts counts from the first day: only the end may differ between two runs.
-    claim(folder, settings.model_dump(mode="json"), truth, {}, {"days"})
-    days = settings.day_list
-    missing = [day for day in days if not truth_path(settings, folder, day).exists()]
-    for number, _ in enumerate(written(write_spinning_day, settings, folder, missing, workers), start=1):
-        if progress is not None:
-            progress(len(days) - len(missing) + number, len(days))
-    source = SOURCES[settings.craft]
-    paths = (source.path(folder, instrument, day) for day in days for instrument in _TITLES)
-    return [path for path in paths if path.exists()]
-
-
-def write_spinning_day(settings: SpinningSettings, destination: Path, day: np.datetime64) -> list[Path]:
-    """Simulate and write one day, the truth last; return the delivered files."""
-    source = SOURCES[settings.craft]
-    with threadpool_limits(limits=1), storage(destination, day):
-        simulated = simulate_spinning_day(settings, day)
-        paths = []
-        for instrument, data in simulated.instruments.items():
-            path = source.path(destination, instrument, day)
-            with atomic(path) as partial:
-                write_cdf(partial, source, instrument, data, day)
-            paths.append(path)
-        write_truth(truth_path(settings, destination, day), simulated.truth)
-    return paths
+    return _writer(settings).write(
+        settings, Path(destination), tuple(_TITLES), progress=progress, workers=workers
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from inflight.catalog.workspace import Workspace
+    from inflight.simulate.mission import MissionSettings
 
 
 #: The shipped mission that the simulator flies.
@@ -112,16 +113,15 @@ def simulate(
         workspace = Workspace.create(session.workspace, SIMULATED_MISSION)
     _require_simulated(workspace)
     settings = {"start": start, "days": days, "seed": seed, "hide": hide or (), "without": without or ()}
+    mission = workspace.mission().mission
     if SECOND_FLUXGATE in workspace.mission().instruments:
         settings |= {"second_fluxgate": True}
+    if mission in SPINNING:
+        settings |= {"craft": mission}
     with session.progress() as progress:
-        if workspace.mission().mission in SPINNING:
-            settings |= {"craft": workspace.mission().mission}
-            written = write_spinning(workspace.data, settings, workers=workers, progress=progress)
-        elif workspace.mission().mission == TWO_SENSORS:
-            written = write_two_sensors(workspace.data, settings, workers=workers, progress=progress)
-        else:
-            written = write_deliveries(workspace.data, settings, workers=workers, progress=progress)
+        written = write_deliveries(
+            workspace.data, settings, mission=mission, workers=workers, progress=progress
+        )
     report = RunReport(
         "simulate",
         days={"planned": days, "done": days},
@@ -142,50 +142,39 @@ def _require_simulated(workspace: Workspace) -> None:
         )
 
 
-def write_spinning(
-    folder: Path, settings: Mapping[str, Any], *, workers: int | None, progress: Progress
-) -> list[Path]:
-    """Simulate day files of a spinning spacecraft; `settings` are those of `SpinningSettings`."""
-    from inflight.flows.cluster import available_cores
-    from inflight.simulate.spinning import SpinningSettings
-    from inflight.tasks.simulate_spinning import simulate_spinning
-
-    return simulate_spinning(
-        SpinningSettings.model_validate(settings),
-        folder,
-        progress=lambda done, total: progress("simulate", done, total),
-        workers=workers or available_cores(),
-    )
-
-
-def write_two_sensors(
-    folder: Path, settings: Mapping[str, Any], *, workers: int | None, progress: Progress
-) -> list[Path]:
-    """Simulate day files of two sensors on one boom; `settings` are those of `DualSettings`."""
-    from inflight.flows.cluster import available_cores
-    from inflight.simulate.dual import DualSettings
-    from inflight.tasks.simulate_dual import simulate_dual
-
-    return simulate_dual(
-        DualSettings.model_validate(settings),
-        folder,
-        progress=lambda done, total: progress("simulate", done, total),
-        workers=workers or available_cores(),
-    )
-
-
 def write_deliveries(
-    folder: Path, settings: Mapping[str, Any], *, workers: int | None, progress: Progress
+    folder: Path,
+    settings: Mapping[str, Any],
+    *,
+    mission: str = SIMULATED_MISSION,
+    workers: int | None,
+    progress: Progress,
 ) -> list[Path]:
-    """Simulate day files into a folder; `settings` are those of `inflight.simulate.SimulationSettings`."""
+    """Simulate day files of a mission into a folder; `settings` are those of its kind."""
     from inflight.flows.cluster import available_cores
-    from inflight.simulate import SimulationSettings
-    from inflight.tasks.simulate import simulate as write_files
 
-    wanted = SimulationSettings.model_validate(settings)
+    kind, write_files = _simulator(mission)
     return write_files(
-        wanted,
+        kind.model_validate(settings),
         folder,
         progress=lambda done, total: progress("simulate", done, total),
         workers=workers or available_cores(),
     )
+
+
+def _simulator(mission: str) -> tuple[type[MissionSettings], Callable[..., list[Path]]]:
+    """Return the settings of a simulated mission, and what writes its days."""
+    if mission in SPINNING:
+        from inflight.simulate.spinning import SpinningSettings
+        from inflight.tasks.simulate_spinning import simulate_spinning
+
+        return SpinningSettings, simulate_spinning
+    if mission == TWO_SENSORS:
+        from inflight.simulate.dual import DualSettings
+        from inflight.tasks.simulate_dual import simulate_dual
+
+        return DualSettings, simulate_dual
+    from inflight.simulate import SimulationSettings
+    from inflight.tasks.simulate import simulate as simulate_champ
+
+    return SimulationSettings, simulate_champ

@@ -5,15 +5,15 @@ drive dipoles on the spacecraft and sensors whose equations are written here a s
 direction from field to reading. Each module names the source of its equations.
 """
 
-from inflight.simulate.day import SimulatedDay, simulate_day
+from inflight.simulate.day import simulate_day
+from inflight.simulate.mission import SimulatedDay
 from inflight.simulate.parameters import Parameters
-from inflight.simulate.settings import SimulationSettings, describe_effects, effect_names
+from inflight.simulate.settings import SimulationSettings, effect_names
 
 __all__ = [
     "Parameters",
     "SimulatedDay",
     "SimulationSettings",
-    "describe_effects",
     "effect_names",
     "simulate_day",
 ]

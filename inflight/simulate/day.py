@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +13,7 @@ from inflight.simulate import fluxgate, overhauser
 from inflight.simulate.defects import apply_defects
 from inflight.simulate.field import external_field, main_field
 from inflight.simulate.grid import Float, Grid, Sampling, interpolate
+from inflight.simulate.mission import SimulatedDay
 from inflight.simulate.orbit import EARTH_RADIUS, Geometry, geometry, node_local_time, sunlight
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.power import Currents, currents, switched
@@ -30,29 +30,6 @@ _WARM_UP = 24_000
 _SLOW, _ATTITUDE = 10, 5
 
 
-@dataclass(frozen=True)
-class SimulatedDay:
-    """Deliveries and truth of one day.
-
-    Attributes
-    ----------
-    instruments : dict of Dataset
-        fgm, ovm, tq, hk, att, orb, and fgm2 when asked for, with the variables of the delivered
-        files along ``record``; ``Epoch`` is TT2000. One whose day is missing is not in it.
-    truth : Dataset
-        Undamaged, along ``record`` at the cadence of the magnetometers: ``FIELD`` (record, axis)
-        and ``STRENGTH`` of the ambient field at the stamp, ``STRAY_VECTOR``, ``STRAY_SCALAR``
-        (record, axis) the spacecraft's field at the sensors, all nT in spacecraft axes; ``T_EFF``
-        degC that acts on the coil, ``SUNLIT``, ``I_PANEL`` (record, panel) A. Attributes hold
-        effects, hidden ones, parameters and the nine parameters at noon, as JSON. With a second
-        fluxgate also ``STRAY_SECOND``, spacecraft axes, and its nine parameters.
-    """
-
-    day: np.datetime64
-    instruments: dict[str, xr.Dataset]
-    truth: xr.Dataset
-
-
 def simulate_day(settings: SimulationSettings, day: DayLike) -> SimulatedDay:
     """Return one day of a simulated mission.
 
@@ -66,7 +43,13 @@ def simulate_day(settings: SimulationSettings, day: DayLike) -> SimulatedDay:
     Returns
     -------
     SimulatedDay
-        The same whatever other days are asked for, byte for byte.
+        The same whatever other days are asked for, byte for byte. `instruments` are fgm, ovm, tq, hk,
+        att, orb, and fgm2 when asked for, with the variables of the delivered files; one whose day is
+        missing is not in it. `truth` holds ``FIELD`` (record, axis) and ``STRENGTH`` of the ambient field
+        at the stamp, ``STRAY_VECTOR``, ``STRAY_SCALAR`` (record, axis) the spacecraft's field at the
+        sensors, all nT in spacecraft axes; ``T_EFF`` degC that acts on the coil, ``SUNLIT``, ``I_PANEL``
+        (record, panel) A; among its attributes the nine parameters at noon. With a second fluxgate also
+        ``STRAY_SECOND``, spacecraft axes, and its nine parameters.
     """
     scene = _Scene(settings, as_day(day))
     instruments = {

@@ -6,17 +6,17 @@ says so. Axes are the spacecraft's: x along flight, z down, y = z x x.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+
+from inflight.simulate.mission import MissionParameters
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(MissionParameters):
     """Truth of a simulated mission; every name can be overridden in `SimulationSettings.overrides`."""
 
     #: Orbit, Yin 1.3: km above 6371.2 km at MJD 196 and its decay in km a day; degrees.
@@ -132,28 +132,12 @@ class Parameters:
     clock_fault_days: tuple[float, float] = (3164.0, 3168.0)
     clock_fault: float = 0.012
 
-    @classmethod
-    def with_overrides(cls, overrides: Mapping[str, Any]) -> Parameters:
-        """Return the parameters with some values replaced.
-
-        Raises
-        ------
-        ValueError
-            When a name is unknown or a value has another shape.
-        """
-        standard = cls()
-        values = {name: _like(name, getattr(standard, name, None), new) for name, new in overrides.items()}
-        return dataclasses.replace(standard, **values)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return every parameter by name, as plain numbers and lists."""
-        return dataclasses.asdict(self)
+    def _fitting(self, name: str, given: Any) -> Any:
+        return _like(name, getattr(self, name), given)
 
 
 def _like(name: str, old: Any, new: Any) -> Any:
     """Turn lists into tuples and check that the shape is the old one's."""
-    if old is None:
-        raise ValueError(f"overrides: no parameter {name!r}")
     if isinstance(old, tuple):
         if not isinstance(new, list | tuple) or len(new) != len(old):
             raise ValueError(f"overrides.{name}: {new!r} found, {len(old)} values expected")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
 
+from inflight.simulate.mission import MissionSettings
 from inflight.simulate.parameters import Parameters
 
 #: Effects present unless removed with `without`: name -> what it is.
@@ -49,32 +49,18 @@ Defect = Literal[
 
 
 def effect_names() -> tuple[str, ...]:
-    """Return the name of every effect the simulator knows; `describe_effects` says what each is."""
-    return (*STANDARD_EFFECTS, *EXTRA_EFFECTS)
+    """Return the name of every effect the simulator knows."""
+    return tuple(SimulationSettings.describe_effects())
 
 
-def describe_effects() -> dict[str, str]:
-    """Return effect name -> one line of description."""
-    return STANDARD_EFFECTS | EXTRA_EFFECTS
+class SimulationSettings(MissionSettings):
+    """A simulated CHAMP; the pre-flight model written beside the deliveries names no effect of `hide`."""
 
-
-class SimulationSettings(BaseModel):
-    """A simulated mission; the same settings always give the same files.
-
-    An effect named in `hide` is in the data, but only the truth tells of it: the pre-flight model
-    written beside the deliveries does not. One named in `without` is not in the data at all, and
-    one of `include` is added to the standard ones.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    standard_effects = STANDARD_EFFECTS
+    extra_effects = EXTRA_EFFECTS
 
     start: dt.date = dt.date(2005, 1, 1)
-    #: Number of UTC days.
     days: Annotated[int, Field(ge=1)] = 30
-    seed: Annotated[int, Field(ge=0)] = 1
-    hide: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    include: tuple[str, ...] = ()
     #: Seconds between samples of the magnetometers and torquer currents.
     cadence: Literal[1, 2, 5, 10] = 1
     #: Standard deviation of the fluxgate's white noise, nT an axis.
@@ -88,33 +74,8 @@ class SimulationSettings(BaseModel):
     defects: tuple[Defect, ...] = ("gaps",)
     #: Deliver a second fluxgate, `fgm2`.
     second_fluxgate: bool = False
-    #: Values of `Parameters` that differ from CHAMP's, by name.
-    overrides: dict[str, Any] = {}
-
-    @model_validator(mode="after")
-    def _known_names(self) -> Self:
-        for key in ("hide", "without", "include"):
-            unknown = sorted(set(getattr(self, key)) - set(effect_names()))
-            if unknown:
-                raise ValueError(f"{key}: no effect {unknown}; there are {', '.join(effect_names())}")
-        both = sorted(set(self.without) & {*self.hide, *self.include})
-        if both:
-            raise ValueError(f"{both} cannot be both in the data and without")
-        Parameters.with_overrides(self.overrides)
-        return self
-
-    @property
-    def effects(self) -> frozenset[str]:
-        """Names of the effects present in the data."""
-        return frozenset({*STANDARD_EFFECTS, *self.include, *self.hide} - set(self.without))
 
     @property
     def parameters(self) -> Parameters:
         """The numbers behind the effects."""
-        return Parameters.with_overrides(self.overrides)
-
-    @property
-    def day_list(self) -> list[np.datetime64]:
-        """The UTC days asked for, datetime64[D]."""
-        first = np.datetime64(self.start, "D")
-        return [first + offset for offset in range(self.days)]
+        return Parameters().changed(self.overrides)

@@ -141,7 +141,7 @@ def test_the_remanent_field_comes_back_as_the_difference_of_both_sensors():
     whole, usual = (
         np.mean(scalar - vector, axis=0)
         for vector, scalar in (
-            remanent_fields(at, Parameters.with_overrides({"remanent_per_current": size}))
+            remanent_fields(at, Parameters().changed({"remanent_per_current": size}))
             for size in (14.2, Parameters().remanent_per_current)
         )
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import inflight.tasks.simulate as simulate_task
+import inflight.tasks.simulated_days as simulated_days
 from inflight.errors import CatalogError, StorageError
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.tasks.simulate import INSTRUMENTS, delivered_path, preflight_model, simulate, truth_path
@@ -109,7 +109,7 @@ def test_neither_processes_nor_the_clock_change_a_byte(delivered, tmp_path):
 
 def test_a_stopped_run_is_completed_and_whole_days_are_kept(delivered, tmp_path, monkeypatch):
     folder, _ = delivered
-    real, calls = simulate_task.write_cdf, []
+    real, calls = simulated_days.write_cdf, []
 
     def fail_on_the_ninth(path, source, instrument, data, day):
         calls.append(instrument)
@@ -118,14 +118,14 @@ def test_a_stopped_run_is_completed_and_whole_days_are_kept(delivered, tmp_path,
             raise OSError(28, "No space left on device")
         real(path, source, instrument, data, day)
 
-    monkeypatch.setattr(simulate_task, "write_cdf", fail_on_the_ninth)
+    monkeypatch.setattr(simulated_days, "write_cdf", fail_on_the_ninth)
     with pytest.raises(StorageError, match="No space left"):
         simulate(SMALL, tmp_path, workers=1)
     assert not list(tmp_path.rglob("*partial*"))
     assert not delivered_path(tmp_path, "tq", SMALL.day_list[1]).exists()
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*20050103*")}
     assert len(kept) == 7
-    monkeypatch.setattr(simulate_task, "write_cdf", real)
+    monkeypatch.setattr(simulated_days, "write_cdf", real)
     simulate(SMALL, tmp_path, workers=1)
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert hashes(tmp_path).keys() == hashes(folder).keys()

@@ -4,7 +4,7 @@ Every unit is a dipole at a place (or, for the published six states, a pair of f
 see its field at once, the inner one more of it. The numbers are chosen; no spacecraft has them.
 """
 
-from inflight.simulate.dual.day import DualDay, simulate_dual_day
-from inflight.simulate.dual.settings import DualParameters, DualSettings, describe_dual_effects
+from inflight.simulate.dual.day import simulate_dual_day
+from inflight.simulate.dual.settings import DualParameters, DualSettings
 
-__all__ = ["DualDay", "DualParameters", "DualSettings", "describe_dual_effects", "simulate_dual_day"]
+__all__ = ["DualParameters", "DualSettings", "simulate_dual_day"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +12,7 @@ from inflight.simulate.dipole import dipole_matrix
 from inflight.simulate.dual.settings import DualSettings
 from inflight.simulate.dual.switching import NEW_UNIT, UNITS, Calendar, Unit, part_on, six_states, together
 from inflight.simulate.grid import Float, Int64, Sampling
+from inflight.simulate.mission import SimulatedDay
 from inflight.simulate.randomness import generator, wander
 from inflight.simulate.spinning.ambient import wind
 from inflight.simulate.spinning.settings import SpinningParameters
@@ -27,29 +27,25 @@ _VALVE, _ARRAY, _ARRAY_CURRENT = (0.1, -0.1, -0.2), (0.0, 0.5, -0.4), 6000.0
 _CHANNELS = {"transmitter": "I_TX", "spectrometer": "I_SPEC", "camera": "I_CAM"}
 
 
-@dataclass(frozen=True)
-class DualDay:
-    """Deliveries and truth of one day.
+def simulate_dual_day(settings: DualSettings, day: DayLike) -> SimulatedDay:
+    """Return one day of a simulated mission, the same whatever other days are asked for.
 
-    Attributes
+    Parameters
     ----------
-    instruments : dict of Dataset
-        ``ib``, ``ob``: B_RAW (record, axis) nT, sensor axes, and FLAG; ``hk``: I_TX, I_SPEC, I_CAM,
-        I_ARRAY mA; ``slow``: T_BODY degC; while the ambient field is known ``mon``: B (record, axis) nT,
-        spacecraft axes. ``Epoch`` is TT2000.
-    truth : Dataset
-        FIELD, STRAY_IN, STRAY_OUT, OFFSET_IN, OFFSET_OUT (record, axis) nT, spacecraft axes; STATE
-        (record): a bit for each unit in order that is on, or the number of the published state; attributes
-        hold effects, hidden ones and parameters as JSON.
+    settings : DualSettings
+        The mission; what ages and wanders counts from its `start`.
+    day : date, str or datetime64
+        UTC.
+
+    Returns
+    -------
+    SimulatedDay
+        Instruments ``ib``, ``ob``: B_RAW (record, axis) nT, sensor axes, and FLAG; ``hk``: I_TX, I_SPEC,
+        I_CAM, I_ARRAY mA; ``slow``: T_BODY degC; while the ambient field is known ``mon``: B (record,
+        axis) nT, spacecraft axes. Truth: FIELD, STRAY_IN, STRAY_OUT, OFFSET_IN, OFFSET_OUT (record, axis)
+        nT, spacecraft axes; STATE (record): a bit for each unit in order that is on, or the number of the
+        published state.
     """
-
-    day: np.datetime64
-    instruments: dict[str, xr.Dataset]
-    truth: xr.Dataset
-
-
-def simulate_dual_day(settings: DualSettings, day: DayLike) -> DualDay:
-    """Return one day of a simulated mission, the same whatever other days are asked for."""
     scene = _Scene(settings, as_day(day))
     instruments = {
         "ib": scene.magnetometer("inboard"),
@@ -59,7 +55,7 @@ def simulate_dual_day(settings: DualSettings, day: DayLike) -> DualDay:
     }
     if "monitor" in settings.effects and scene.number - scene.first < settings.parameters.monitor_days:
         instruments["mon"] = scene.monitor()
-    return DualDay(scene.day, instruments, scene.truth())
+    return SimulatedDay(scene.day, instruments, scene.truth())
 
 
 class _Scene:

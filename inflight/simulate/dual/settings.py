@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Annotated, Any, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
 
-from inflight.errors import SettingsError
 from inflight.simulate.dual.switching import UNITS
+from inflight.simulate.mission import MissionParameters, MissionSettings
 
 #: Effects present unless removed with `without`: name -> what it is. `hide` keeps a unit's current back.
 STANDARD: dict[str, str] = {unit.name: f"field of the {unit.name.replace('_', ' ')}" for unit in UNITS} | {
@@ -33,7 +32,7 @@ DualDefect = Literal["gaps", "spikes"]
 
 
 @dataclass(frozen=True)
-class DualParameters:
+class DualParameters(MissionParameters):
     """Numbers behind the spacecraft; fields in nT, times in seconds, places in m, spacecraft axes.
 
     Attributes
@@ -73,75 +72,18 @@ class DualParameters:
     array_moment: tuple[float, float, float] = (0.01, -0.006, 0.008)
     misalignment: float = 0.2
 
-    def changed(self, overrides: dict[str, Any]) -> DualParameters:
-        """Return the same with some numbers replaced.
 
-        Raises
-        ------
-        SettingsError
-            When there is no such number.
-        """
-        known = {one.name for one in fields(self)}
-        if unknown := sorted(set(overrides) - known):
-            raise SettingsError(
-                f"no parameter {', '.join(unknown)}", remedy=f"there are {', '.join(sorted(known))}"
-            )
-        given: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in overrides.items()
-        }
-        return replace(self, **given)
+class DualSettings(MissionSettings):
+    """A simulated mission with two sensors; `hide` names units whose housekeeping is not delivered."""
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the numbers by name."""
-        return asdict(self)
-
-
-class DualSettings(BaseModel):
-    """A simulated mission with two sensors; the same settings always give the same measurements.
-
-    `hide` names units whose housekeeping is not delivered; `without` and `include` as in
-    `inflight.simulate.SimulationSettings`.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    standard_effects = STANDARD
+    extra_effects = EXTRA
 
     start: dt.date = dt.date(2006, 5, 14)
     days: Annotated[int, Field(ge=1)] = 4
-    seed: Annotated[int, Field(ge=0)] = 1
-    hide: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    include: tuple[str, ...] = ()
     defects: tuple[DualDefect, ...] = ()
-    overrides: dict[str, Any] = {}
-
-    @model_validator(mode="after")
-    def _known(self) -> Self:
-        known = {*STANDARD, *EXTRA}
-        for key in ("hide", "without", "include"):
-            if unknown := sorted(set(getattr(self, key)) - known):
-                raise ValueError(f"{key}: no effect {unknown}; there are {', '.join(sorted(known))}")
-        if both := sorted(set(self.without) & {*self.hide, *self.include}):
-            raise ValueError(f"{both} cannot be both in the data and without")
-        DualParameters().changed(self.overrides)
-        return self
-
-    @property
-    def effects(self) -> frozenset[str]:
-        """Names of the effects present in the data."""
-        return frozenset({*STANDARD, *self.include, *self.hide} - set(self.without))
 
     @property
     def parameters(self) -> DualParameters:
         """The numbers behind the effects."""
         return DualParameters().changed(self.overrides)
-
-    @property
-    def day_list(self) -> list[np.datetime64]:
-        """The UTC days asked for, datetime64[D]."""
-        first = np.datetime64(self.start, "D")
-        return [first + offset for offset in range(self.days)]
-
-
-def describe_dual_effects() -> dict[str, str]:
-    """Return effect name -> one line of description."""
-    return STANDARD | EXTRA

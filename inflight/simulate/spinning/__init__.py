@@ -4,19 +4,7 @@ The ambient field is nature's own statistics (Alfvenic rotations and compression
 dipole; the sensor's equation is written here a second time, in the direction from field to reading.
 """
 
-from inflight.simulate.spinning.day import SpinningDay, simulate_spinning_day
-from inflight.simulate.spinning.settings import (
-    CRAFT,
-    SpinningParameters,
-    SpinningSettings,
-    describe_spinning_effects,
-)
+from inflight.simulate.spinning.day import simulate_spinning_day
+from inflight.simulate.spinning.settings import CRAFT, SpinningParameters, SpinningSettings
 
-__all__ = [
-    "CRAFT",
-    "SpinningDay",
-    "SpinningParameters",
-    "SpinningSettings",
-    "describe_spinning_effects",
-    "simulate_spinning_day",
-]
+__all__ = ["CRAFT", "SpinningParameters", "SpinningSettings", "simulate_spinning_day"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,6 +10,7 @@ import xarray as xr
 from scipy.signal import lfilter
 
 from inflight.simulate.grid import Float, Int64, Sampling
+from inflight.simulate.mission import SimulatedDay
 from inflight.simulate.randomness import generator
 from inflight.simulate.spinning import ambient, attitude, sensor
 from inflight.simulate.spinning.settings import SpinningSettings
@@ -27,29 +27,25 @@ _COIL_ON, _COIL_EVERY = 9_000.0, 26_000.0
 _GAP_S, _FALSE_S = 900.0, 0.37
 
 
-@dataclass(frozen=True)
-class SpinningDay:
-    """Deliveries and truth of one day.
+def simulate_spinning_day(settings: SpinningSettings, day: DayLike) -> SimulatedDay:
+    """Return one day of a simulated spinning mission, the same whatever other days are asked for.
 
-    Attributes
+    Parameters
     ----------
-    instruments : dict of Dataset
-        ``fgm``: FGM_RAW (record, axis) nT, T_SENSOR degC, FGM_FLAG; ``sun``: SPIN_PERIOD s at every
-        sun pulse; ``hk``: I_COIL, I_SOL mA; ``slow``: T_ELECTRONICS degC, SHADOW; ``orb``: POS_GSE km
-        and ``att``: SPIN_AXIS (record, 2) deg, right ascension and declination of date (both only with an
-        orbit). ``Epoch`` is TT2000.
-    truth : Dataset
-        FIELD (record, axis) nT in payload axes, PHASE rad (unwrapped from the day's begin), OFFSET
-        (record, axis) nT; attributes hold effects, hidden ones and parameters as JSON.
+    settings : SpinningSettings
+        The mission; what drifts counts from its `start`.
+    day : date, str or datetime64
+        UTC.
+
+    Returns
+    -------
+    SimulatedDay
+        Instruments ``fgm``: FGM_RAW (record, axis) nT, T_SENSOR degC, FGM_FLAG; ``sun``: SPIN_PERIOD s at
+        every sun pulse; ``hk``: I_COIL, I_SOL mA; ``slow``: T_ELECTRONICS degC, SHADOW; ``orb``: POS_GSE
+        km and ``att``: SPIN_AXIS (record, 2) deg, right ascension and declination of date (both only with
+        an orbit). Truth: FIELD (record, axis) nT in payload axes, PHASE rad (unwrapped from the day's
+        begin), OFFSET (record, axis) nT.
     """
-
-    day: np.datetime64
-    instruments: dict[str, xr.Dataset]
-    truth: xr.Dataset
-
-
-def simulate_spinning_day(settings: SpinningSettings, day: DayLike) -> SpinningDay:
-    """Return one day of a simulated spinning mission, the same whatever other days are asked for."""
     scene = _Scene(settings, as_day(day))
     instruments = {
         "fgm": scene.magnetometer(),
@@ -60,7 +56,7 @@ def simulate_spinning_day(settings: SpinningSettings, day: DayLike) -> SpinningD
     if scene.parameters.apogee > 0.0:
         instruments["orb"] = scene.orbit()
         instruments["att"] = scene.spin_axis()
-    return SpinningDay(scene.day, instruments, scene.truth())
+    return SimulatedDay(scene.day, instruments, scene.truth())
 
 
 class _Scene:

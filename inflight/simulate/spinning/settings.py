@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Annotated, Any, Literal, Self
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
 
-from inflight.errors import SettingsError
+from inflight.simulate.mission import MissionParameters, MissionSettings
 
 #: Effects present unless removed with `without`: name -> what it is.
 STANDARD: dict[str, str] = {
@@ -34,7 +33,7 @@ SpinDefect = Literal["gaps", "missing_pulses", "false_pulses", "spikes", "satura
 
 
 @dataclass(frozen=True)
-class SpinningParameters:
+class SpinningParameters(MissionParameters):
     """Numbers behind a spinning spacecraft; angles in radians, fields in nT, times in seconds.
 
     Attributes
@@ -89,28 +88,6 @@ class SpinningParameters:
     quadratic: tuple[float, float, float] = (2.0e-9, -1.5e-9, 0.0)
     cubic: tuple[float, float, float] = (4.0e-14, 3.0e-14, 0.0)
 
-    def changed(self, overrides: dict[str, Any]) -> SpinningParameters:
-        """Return the same with some numbers replaced.
-
-        Raises
-        ------
-        SettingsError
-            When there is no such number.
-        """
-        known = {one.name for one in fields(self)}
-        if unknown := sorted(set(overrides) - known):
-            raise SettingsError(
-                f"no parameter {', '.join(unknown)}", remedy=f"there are {', '.join(sorted(known))}"
-            )
-        given: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in overrides.items()
-        }
-        return replace(self, **given)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the numbers by name."""
-        return asdict(self)
-
 
 #: Spacecraft: THEMIS turns in 3 s and passes through dipole, sheath and wind; IMP-8 in 2.6 s and Helios
 #: in 1 s, both in the solar wind.
@@ -123,52 +100,18 @@ CRAFT: dict[str, SpinningParameters] = {
 }
 
 
-class SpinningSettings(BaseModel):
-    """A simulated spinning mission; the same settings always give the same measurements.
+class SpinningSettings(MissionSettings):
+    """A simulated spinning mission."""
 
-    `hide`, `without` and `include` as in `inflight.simulate.SimulationSettings`.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    standard_effects = STANDARD
+    extra_effects = EXTRA
 
     craft: Literal["themis", "imp8", "helios"] = "themis"
     start: dt.date = dt.date(2012, 3, 1)
     days: Annotated[int, Field(ge=1)] = 6
-    seed: Annotated[int, Field(ge=0)] = 1
-    hide: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
-    include: tuple[str, ...] = ()
     defects: tuple[SpinDefect, ...] = ()
-    overrides: dict[str, Any] = {}
-
-    @model_validator(mode="after")
-    def _known(self) -> Self:
-        known = {*STANDARD, *EXTRA}
-        for key in ("hide", "without", "include"):
-            if unknown := sorted(set(getattr(self, key)) - known):
-                raise ValueError(f"{key}: no effect {unknown}; there are {', '.join(sorted(known))}")
-        if both := sorted(set(self.without) & {*self.hide, *self.include}):
-            raise ValueError(f"{both} cannot be both in the data and without")
-        CRAFT[self.craft].changed(self.overrides)
-        return self
-
-    @property
-    def effects(self) -> frozenset[str]:
-        """Names of the effects present in the data."""
-        return frozenset({*STANDARD, *self.include, *self.hide} - set(self.without))
 
     @property
     def parameters(self) -> SpinningParameters:
         """The numbers behind the effects."""
         return CRAFT[self.craft].changed(self.overrides)
-
-    @property
-    def day_list(self) -> list[np.datetime64]:
-        """The UTC days asked for, datetime64[D]."""
-        first = np.datetime64(self.start, "D")
-        return [first + offset for offset in range(self.days)]
-
-
-def describe_spinning_effects() -> dict[str, str]:
-    """Return effect name -> one line of description."""
-    return STANDARD | EXTRA
