@@ -48,7 +48,23 @@ def backfill(
         taken in.
     """
     span = Span(start=start, end=end)
+    return bring_up_to_date("backfill", workspace, (span, span), settings, data, workers)
+
+
+def bring_up_to_date(
+    command: str,
+    workspace: Path,
+    spans: tuple[Span, Span],
+    settings: ReprocessSettings,
+    data: Path | None,
+    workers: int | None,
+) -> dict[str, Any]:
+    """Take in the first span and reprocess the second one, within the flow that calls this.
+
+    Parameters and result as of the flow ``backfill``; `command` names the report.
+    """
+    delivered, made = spans
     with dask_client(workers) as client:
-        taken = take_in(workspace, data, None, span, unsearched(client))
-        report = reprocess_span(Workspace.open(workspace), span, settings, client)
-    return taken.followed_by(report, "backfill").as_json()
+        taken = take_in(workspace, data, None, delivered, unsearched(client))
+        report = reprocess_span(Workspace.open(workspace), made, settings, client)
+    return taken.followed_by(report, command).as_json()

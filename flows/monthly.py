@@ -8,12 +8,9 @@ from typing import Any
 
 from prefect import flow
 
-from inflight.catalog.workspace import Workspace
-from inflight.flows.cluster import dask_client
-from inflight.flows.ingest import take_in
-from inflight.flows.reprocess import reprocess_span
+from inflight.flows.backfill import bring_up_to_date
 from inflight.flows.span import month_span
-from inflight.flows.stages import batch_runner, unsearched
+from inflight.flows.stages import batch_runner
 from inflight.tasks.planning import ReprocessSettings
 
 #: Each day's own parameters with the month's offset along the spin axis.
@@ -36,21 +33,8 @@ def monthly(
         Folder of the mission.
     month : str, optional
         ``YYYY-MM``; the last one that is over when absent.
-    settings : ReprocessSettings
-        As of the flow ``reprocess``.
-    data : Path, optional
-        Folder of the delivered files; ``data`` in the workspace when absent.
-    workers : int, optional
-        Dask processes; the cores when absent.
-
-    Returns
-    -------
-    dict
-        The fields of a `RunReport`: its days are those of the products; ``ingest`` tells what was
-        taken in.
+    settings, data, workers
+        As of the flow ``backfill``, and so is the result.
     """
     span = month_span(month, dt.datetime.now(dt.UTC).date())
-    with dask_client(workers) as client:
-        taken = take_in(workspace, data, None, span.with_neighbours(), unsearched(client))
-        report = reprocess_span(Workspace.open(workspace), span, settings, client)
-    return taken.followed_by(report, "monthly").as_json()
+    return bring_up_to_date("monthly", workspace, (span.with_neighbours(), span), settings, data, workers)

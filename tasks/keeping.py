@@ -1,4 +1,4 @@
-"""What a run keeps: tables made only when their content is new, and the days of runs that were ended."""
+"""What a run keeps: what became of days, tables made only when their content is new, days of ended runs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import xarray as xr
 
 from inflight.catalog import Catalog, Day, Run
 from inflight.model import Model
+from inflight.tasks.calibrate import Failure, Outcome
 from inflight.tasks.planning import Plan
 from inflight.tasks.reprocess_chain import tables_key
 from inflight.tasks.tables import TABLES_VERSION, content_keys
@@ -89,3 +90,30 @@ def adopted_days(
         if found is not None:
             adopted[day] = found
     return adopted
+
+
+def take_outcome(
+    run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
+) -> list[Day]:
+    """Register an outcome with the run; put failures among those known, and return the days made."""
+    for day, failure in outcome.failures.items():
+        take_failure(run, dataset, day, failure, failed)
+    return run.attach(outcome.segment) if outcome.segment is not None else []
+
+
+def take_failure(
+    run: Run,
+    dataset: str,
+    day: np.datetime64,
+    failure: Failure,
+    failed: dict[np.datetime64, dict[str, str]],
+) -> None:
+    """Register why a day could not be made with the run; put it among the problems known."""
+    run.record(dataset, day, "failed", failure.cause, failure.message)
+    failed[day] = {
+        "day": str(day),
+        "channel": failure.channel,
+        "cause": failure.cause,
+        "remedy": failure.remedy,
+        "message": failure.message,
+    }

@@ -20,7 +20,7 @@ from inflight.mission import Mission
 from inflight.tasks.calibrate import Job, Outcome, calibrate_batch
 from inflight.tasks.chain import chain_batch
 from inflight.tasks.delivery import each_result
-from inflight.tasks.keeping import SolvedTables, TableKeeper, adopted_days
+from inflight.tasks.keeping import SolvedTables, TableKeeper, adopted_days, take_outcome
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.produce import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.report import Progress, RunReport, no_work_problems
@@ -55,19 +55,6 @@ class _Book:
     done: set[np.datetime64] = field(default_factory=set)
     failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
     reports: dict[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
-
-    def take(self, run: Run, dataset: str, outcome: Outcome) -> list[Day]:
-        """Register an outcome with the run; remember failures."""
-        for day, failure in outcome.failures.items():
-            run.record(dataset, day, "failed", failure.cause, failure.message)
-            self.failed[day] = {
-                "day": str(day),
-                "channel": failure.channel,
-                "cause": failure.cause,
-                "remedy": failure.remedy,
-                "message": failure.message,
-            }
-        return run.attach(outcome.segment) if outcome.segment is not None else []
 
 
 def _jobs(
@@ -117,7 +104,7 @@ def calibrate(
     if made.is_spin:
         step, arguments = spin_batch, [(cat, mission, made.model, job) for job in jobs]
     for outcome in mapper("calibrate", step, arguments):
-        fresh |= {day.day: day for day in book.take(run, made.equations, outcome)}
+        fresh |= {day.day: day for day in take_outcome(run, made.equations, outcome, book.failed)}
     return fresh
 
 
@@ -198,7 +185,7 @@ def produce(
     spread = made.settings.distribute if made.settings.is_chain else None
     arguments = [(cat, mission, tables.model, tables.used, job, made.model, spread) for job in jobs]
     for outcome in mapper("produce", produce_batch, arguments):
-        fresh = book.take(run, made.product, outcome)
+        fresh = take_outcome(run, made.product, outcome, book.failed)
         book.done |= {day.day for day in fresh}
         book.reports |= {day.day: day.report for day in fresh}
     book.reports |= {day: current[day].report for day in same}

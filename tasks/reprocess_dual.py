@@ -30,6 +30,7 @@ from inflight.mission import Mission
 from inflight.tasks import spin_bending
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Job, Outcome, make_days
+from inflight.tasks.keeping import take_outcome
 from inflight.tasks.models import current_model
 from inflight.tasks.planning import ReprocessSettings, equations_of, product_of
 from inflight.tasks.report import RunReport
@@ -241,22 +242,6 @@ def dual_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.Dat
 def _filled(values: Floats) -> Floats:
     """Return clusters (cluster, ...) with empty ones behind them: a store's days are of one size."""
     return np.concatenate([values, np.zeros((MOST_CLUSTERS - len(values), *values.shape[1:]))])
-
-
-def take_outcome(
-    run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
-) -> list[Day]:
-    """Register an outcome with the run; put failures among those known."""
-    for day, failure in outcome.failures.items():
-        run.record(dataset, day, "failed", failure.cause, failure.message)
-        failed[day] = {
-            "day": str(day),
-            "channel": failure.channel,
-            "cause": failure.cause,
-            "remedy": failure.remedy,
-            "message": failure.message,
-        }
-    return run.attach(outcome.segment) if outcome.segment is not None else []
 
 
 def _keep_tables(cat: Catalog, run: Run, comparison: str, days: Sequence[Day], kind: str) -> dict[str, Any]:

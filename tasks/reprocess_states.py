@@ -18,10 +18,9 @@ from inflight.catalog import Catalog, Run
 from inflight.errors import MissionError
 from inflight.mission import Mission
 from inflight.tasks.calibrate import Failure, Job
-from inflight.tasks.keeping import adopted_days
+from inflight.tasks.keeping import adopted_days, take_failure, take_outcome
 from inflight.tasks.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.report import RunReport, no_work_problems
-from inflight.tasks.reprocess_dual import take_outcome
 from inflight.tasks.states_chain import OWN, Chain, chained_key, joined
 from inflight.tasks.states_constant import constant_changes, constant_of
 from inflight.tasks.states_day import states_batch
@@ -143,14 +142,7 @@ def _sources(made: Plan, day: np.datetime64) -> list[str]:
 def _fail(run: Run, product: str, days: Sequence[np.datetime64], failure: Failure, out: _Made) -> None:
     """Record the days of a window from which nothing was learnt."""
     for day in days:
-        run.record(product, day, "failed", failure.cause, failure.message)
-        out.failed[day] = {
-            "day": str(day),
-            "channel": failure.channel,
-            "cause": failure.cause,
-            "remedy": failure.remedy,
-            "message": failure.message,
-        }
+        take_failure(run, product, day, failure, out.failed)
 
 
 def _products(

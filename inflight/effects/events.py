@@ -16,7 +16,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
 from inflight.effects.scalar_sensor import ScalarBias, TimeShift
-from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES, sheared, unsheared
+from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES, ScaledReading, sheared, unsheared
 from inflight.errors import ModelError
 from inflight.mission import Mission
 from inflight.sensors import Sensor
@@ -68,18 +68,22 @@ class OffsetStep(OffsetEpisode):
     options = ("at",)
 
 
-class ClockEpisode(_Dated, TimeShift):
-    """A scalar instrument's time shift for a while: `time_shift` within the span only."""
-
-    options: ClassVar[tuple[str, ...]] = ("from", "to")
+class _DatedReading(_Dated):
+    """An effect of a scalar instrument, the class named after this one, that holds within a span only."""
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the early reading; (time,) nT."""
+        """Return the reading as the instrument gives it; (time,) nT."""
         return np.where(self.inside(samples), super().disturb(reading, samples, values, sensor), reading)
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading at the vector sensor's time; (time,) nT."""
+        """Return the reading without the effect; (time,) nT."""
         return np.where(self.inside(samples), super().correct(reading, samples, values, sensor), reading)
+
+
+class ClockEpisode(_DatedReading, TimeShift):
+    """A scalar instrument's time shift for a while: `time_shift` within the span only."""
+
+    options: ClassVar[tuple[str, ...]] = ("from", "to")
 
 
 class ClockStep(ClockEpisode):
@@ -88,44 +92,26 @@ class ClockStep(ClockEpisode):
     options = ("at",)
 
 
-class BiasStep(_Dated, ScalarBias):
+class BiasStep(_DatedReading, ScalarBias):
     """A scalar instrument's bias from one moment on: `scalar_bias` from then."""
 
     options: ClassVar[tuple[str, ...]] = ("at",)
 
-    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the biased reading; (time,) nT."""
-        return np.where(self.inside(samples), super().disturb(reading, samples, values, sensor), reading)
 
-    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading without bias; (time,) nT."""
-        return np.where(self.inside(samples), super().correct(reading, samples, values, sensor), reading)
-
-
-class ScaleEpisode(_Dated):
+class ScaleEpisode(_Dated, ScaledReading):
     """Scale factors that differ for a while: the corrected reading is ``1 + change`` of it within the span.
 
     The factor multiplies the reading less `about`, the nominal offset.
     """
 
     family = "sensor"
-    acts_on = VECTOR_ROLES
     options: ClassVar[tuple[str, ...]] = ("from", "to")
     change = Parameter("1", AXES, step=1e-6, sigma=1e-3)
     about = Parameter("nT", AXES)
 
-    def _factor(self, samples: xr.Dataset, values: Values) -> Floats:
+    def factor(self, samples: xr.Dataset, values: Values) -> Floats:
+        """Return 1 and the change within the span, 1 elsewhere; (time, axis)."""
         return np.where(self.inside(samples)[:, None], 1.0 + values["change"], 1.0)
-
-    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading with the scale of outside the span; (time, axis) nT."""
-        about = values["about"]
-        return np.asarray(about + (reading - about) * self._factor(samples, values))
-
-    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading as the sensor gives it; (time, axis) nT."""
-        about = values["about"]
-        return np.asarray(about + (reading - about) / self._factor(samples, values))
 
 
 class ScaleStep(ScaleEpisode):

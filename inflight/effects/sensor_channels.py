@@ -10,12 +10,12 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
 from inflight.effects.families import channels_of_kind, options_of_channels
-from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES, sheared, unsheared
+from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES, ScaledReading, sheared, unsheared
 from inflight.mission import Mission
 from inflight.sensors import Sensor
 
 
-class ChannelScale(Effect):
+class ChannelScale(ScaledReading):
     """Scale factors that follow any channel: corrected = reading times ``1 - coefficient (c - reference)``.
 
     `reference` is in the channel's own unit. The factor multiplies the reading less `about`, the
@@ -25,25 +25,15 @@ class ChannelScale(Effect):
 
     family = "sensor"
     family_by_channel = True
-    acts_on = VECTOR_ROLES
     channels = ("",)
     coefficient = Parameter("1", AXES, step=1e-6, sigma=1e-3, per_channel=1)
     reference = Parameter("1")
     about = Parameter("nT", AXES)
 
-    def _factor(self, samples: xr.Dataset, values: Values) -> Floats:
+    def factor(self, samples: xr.Dataset, values: Values) -> Floats:
+        """Return 1 less what the channel does; (time, axis)."""
         change = self.drive(samples, "coefficient", about=values["reference"][..., 0])
         return np.asarray(1.0 - change[:, None] * values["coefficient"])
-
-    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading at the channel's reference; (time, axis) nT."""
-        about = values["about"]
-        return np.asarray(about + (reading - about) * self._factor(samples, values))
-
-    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading at the channel's value; (time, axis) nT."""
-        about = values["about"]
-        return np.asarray(about + (reading - about) / self._factor(samples, values))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:

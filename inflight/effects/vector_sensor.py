@@ -133,7 +133,30 @@ class Nonlinearity(Effect):
         return [{}]
 
 
-class Temperature(Effect):
+class ScaledReading(Effect):
+    """An effect that multiplies the reading less `about`, the nominal offset, by a factor near 1.
+
+    Whoever derives from it states `about`, a parameter in nT an axis, and says what the factor is.
+    """
+
+    acts_on = VECTOR_ROLES
+
+    def factor(self, samples: xr.Dataset, values: Values) -> Floats:
+        """Return what the corrected reading is of the reading; (time, axis), 1."""
+        raise NotImplementedError
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading of a sensor without the effect; (time, axis) nT."""
+        about = values["about"]
+        return np.asarray(about + (reading - about) * self.factor(samples, values))
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the reading as the sensor gives it; (time, axis) nT."""
+        about = values["about"]
+        return np.asarray(about + (reading - about) / self.factor(samples, values))
+
+
+class Temperature(ScaledReading):
     """Scale factors that follow a temperature: ``1 - linear dT - quadratic dT^2`` an axis.
 
     ``dT = T - reference``, T as the channel gives it after its lag (Yin 2010, section 2.4 step 4).
@@ -141,26 +164,16 @@ class Temperature(Effect):
     """
 
     family = "temperature"
-    acts_on = VECTOR_ROLES
     channels = ("coil_temperature",)
     linear = Parameter("1/K", AXES, step=1e-6, sigma=1e-4)
     quadratic = Parameter("1/K^2", AXES, step=1e-8, sigma=1e-6)
     reference = Parameter("degC", default=20.0)
     about = Parameter("nT", AXES)
 
-    def _factor(self, samples: xr.Dataset, values: Values) -> Floats:
+    def factor(self, samples: xr.Dataset, values: Values) -> Floats:
+        """Return 1 less what the temperature does; (time, axis)."""
         dt = (self.channel(samples, "degC") - values["reference"][..., 0])[:, None]
         return np.asarray(1.0 - dt * (values["linear"] + values["quadratic"] * dt))
-
-    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading at the reference temperature; (time, axis) nT."""
-        about = values["about"]
-        return np.asarray(about + (reading - about) * self._factor(samples, values))
-
-    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the reading at the sensor's temperature; (time, axis) nT."""
-        about = values["about"]
-        return np.asarray(about + (reading - about) / self._factor(samples, values))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
