@@ -83,21 +83,14 @@ def level2(
         field = field - spread.correction
     sensor = next(entry.sensor for entry in model.effects if entry.sensor.role == "vector")
     body = rotate(field, np.asarray(sensor.orientation))
+    before, sigma = raw.residual(samples)[:, 0], _widened(_uncertainty(reading, parameters), widening)
     variables: _Variables = {
         "field_sensor": (_VECTOR, field, _told("calibrated field", "sensor")),
         "field_spacecraft": (_VECTOR, body, _told("calibrated field", "spacecraft")),
         "scalar": (_SCALAR, scalar, _told("calibrated field strength of the scalar sensor")),
         "residual": (_SCALAR, residual, _told("|B_vector| - F after calibration")),
-        "residual_preflight": (
-            _SCALAR,
-            raw.residual(samples)[:, 0],
-            _told("|B_vector| - F with the pre-flight model"),
-        ),
-        "uncertainty": (
-            _VECTOR,
-            _widened(_uncertainty(reading, parameters), widening),
-            _told("one sigma", "sensor"),
-        ),
+        "residual_preflight": (_SCALAR, before, _told("|B_vector| - F with the pre-flight model")),
+        "uncertainty": (_VECTOR, sigma, _told("one sigma", "sensor")),
     }
     variables |= _corrections(model, light, spread, distribute)
     flag = _geometry(variables, samples, body, flag)

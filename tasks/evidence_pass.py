@@ -14,6 +14,7 @@ from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.calibrate import Job
 from inflight.tasks.delivery import each_result
 from inflight.tasks.evidence import PassPlan, evidence_batch
+from inflight.tasks.keeping import adopted_days, take_outcome
 from inflight.tasks.needs import Need
 from inflight.tasks.report import Progress
 
@@ -48,12 +49,8 @@ def make_blocks(
     if not todo:
         return "", [kept[day] for day in sorted(kept)]
     with cat.run("diagnose", settings.model_dump(), context=context) as run:
-        offered = run.adoptable(dataset)
-        for day in list(todo):
-            adopted = run.adopt(dataset, day, keys[day]) if (day, keys[day]) in offered else None
-            if adopted is not None:
-                kept[day] = adopted
-                todo.remove(day)
+        kept |= adopted_days(run, dataset, keys, todo)
+        todo = [day for day in todo if day not in kept]
         size = settings.batch_blocks
         batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
         jobs = [
@@ -62,22 +59,18 @@ def make_blocks(
         ]
         tell("pass", 0, len(todo))
         done = 0
-        failures: dict[str, str] = {}
+        failed: dict[np.datetime64, dict[str, str]] = {}
         for job, outcome in zip(
             jobs,
             each_result(client, evidence_batch, [(cat, mission, plan, index, job) for job in jobs]),
             strict=True,
         ):
-            if outcome.segment is not None:
-                kept |= {day.day: day for day in run.attach(outcome.segment)}
-            for day, failure in outcome.failures.items():
-                run.record(dataset, day, "failed", failure.cause, failure.message)
-                failures[str(day)] = failure.message
+            kept |= {day.day: day for day in take_outcome(run, dataset, outcome, failed)}
             done += len(job.days)
             tell("pass", done, len(todo))
         if not kept:
             raise WorkerError(
-                f"no block of the span could be made; the first: {next(iter(failures.values()))}",
+                f"no block of the span could be made; the first: {next(iter(failed.values()))['message']}",
                 remedy="see the message; 'inflight compare' shows single days",
             )
         run.publish(supersede=True)

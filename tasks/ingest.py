@@ -105,33 +105,35 @@ def ingest(
     StorageError
         When the disk refuses a write; nothing is published then.
     """
-    names = list(instruments) if instruments is not None else list(mission.instruments)
-    unknown = [name for name in names if name not in mission.instruments]
-    if unknown:
-        raise MissionError(
-            f"the mission has no instrument {', '.join(unknown)}",
-            remedy=f"choose from {', '.join(mission.instruments)}",
-        )
+    names, folder = _instruments(mission, instruments), Path(data).resolve()
     span = (_bound(start), _bound(end))
     tell = progress or (lambda stage, done, total: None)
     plans = []
     for count, name in enumerate(names):
         tell("index", count, len(names))
-        delivery = survey(cat, mission, name, Path(data).resolve(), span=span, client=client)
-        plans.append(_plan(cat, delivery, span))
+        plans.append(_plan(cat, survey(cat, mission, name, folder, span=span, client=client), span))
     tell("index", len(names), len(names))
     if not any(plan.has_work for plan in plans):
         return _report("", plans, [])
     settings = {"mission": mission.mission, "mission_sha": mission.sha, "instruments": names}
     with cat.run("ingest", settings | {"start": str(start or ""), "end": str(end or "")}) as run:
-        jobs = [
-            job for plan in plans for job in _jobs(cat, mission, run, Path(data).resolve(), plan, batch_days)
-        ]
+        jobs = [job for plan in plans for job in _jobs(cat, mission, run, folder, plan, batch_days)]
         _make_days(run, {plan.delivery.instrument: plan for plan in plans}, jobs, client, tell)
         for plan in plans:
             _record(cat, run, plan)
         published = run.publish()
     return _report(run.id, plans, published)
+
+
+def _instruments(mission: Mission, named: Sequence[str] | None) -> list[str]:
+    """Return the instruments to take in: those named, or all."""
+    names = list(named) if named is not None else list(mission.instruments)
+    if unknown := [name for name in names if name not in mission.instruments]:
+        raise MissionError(
+            f"the mission has no instrument {', '.join(unknown)}",
+            remedy=f"choose from {', '.join(mission.instruments)}",
+        )
+    return names
 
 
 def _bound(day: str | np.datetime64 | None) -> int | None:

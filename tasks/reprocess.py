@@ -252,15 +252,17 @@ def reprocess(
         if made.settings.is_chain:
             _keep_offsets(cat, made, run, days, tables, book.reports)
         run.publish(certify=tables.certify, supersede=True)
+    return _report(cat, made, run, book, same, _told(cat, made, tables))
+
+
+def _told(cat: Catalog, made: Plan, tables: SolvedTables) -> dict[str, Any]:
+    """Return the extra fields of a report: residual, model of a chain, tables that could not be made."""
     extra: dict[str, Any] = {"residual": _residual(cat, made)}
     if made.settings.is_chain:
-        extra |= {
-            "model": {"name": tables.model.name, "version": tables.model.version},
-            "left_out": tables.notes,
-        }
-    elif tables.notes:
+        extra["model"] = {"name": tables.model.name, "version": tables.model.version}
+    if made.settings.is_chain or tables.notes:
         extra["left_out"] = tables.notes
-    return _report(cat, made, run, book, same, extra)
+    return extra
 
 
 def _keep_offsets(

@@ -28,7 +28,7 @@ from inflight.tasks.needs import (
     geometry_channels,
     position_channel,
 )
-from inflight.tasks.spinning import saturated, spin_phase
+from inflight.tasks.spinning import Turned, saturated, spin_phase
 from inflight.time import day_bounds
 from inflight.units import parse_unit
 
@@ -70,28 +70,15 @@ def load_samples(
     """
     base = next(need for need in needs if need.name == base_role(mission, model.comparison))
     needs = [need for need in needs if need.name != SPIN_AXIS]
-    channels = {}
     clock = next((need for need in needs if need.name == SPIN_PHASE), None)
-    for need in needs:
-        if need is not clock:
-            alone = index.stands_alone(need, base, day)
-            channels[need.name] = channel_series(cat, need, day, index, alone)
-    missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
-    if missing:
-        raise SamplesError(
-            f"no measurements of '{missing[0].instrument}'", day=str(day), remedy="ingest the day's files"
-        )
-    present = {name: series for name, series in channels.items() if series is not None}
+    present = _present(cat, [need for need in needs if need is not clock], base, day, index)
     stamps = present[base.name]["tt2000"].values
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
     if clock is not None:
         told = channel_series(cat, clock, day, index, alone=False)
         turned = spin_phase(mission, model.comparison, clock, told, samples["tt2000"].values)
-        samples[SPIN_PHASE] = turned.phase
-        channel = mission.instruments[base.instrument].channels[base.channel]
-        samples["flag"] = samples["flag"] | turned.flag | saturated(samples[base.name].values, channel)
-        samples["flag"] = samples["flag"] | flip_flags(mission, day, samples["tt2000"].values)
+        _add_phase(samples, mission, base, day, turned)
     for need in needs:
         if need.name not in samples:
             samples[need.name] = _absent(mission, need, samples.sizes["time"])
@@ -102,6 +89,30 @@ def load_samples(
     samples = _with_products(samples, needs)
     folding = folding_of(mission, model.comparison) if folded else None
     return samples if folding is None else fold(samples, folding, (start, end))
+
+
+def _present(
+    cat: Catalog, needs: Sequence[Need], base: Need, day: np.datetime64, index: ArchiveIndex
+) -> dict[str, xr.DataArray]:
+    """Return the series of what is needed and there; refused where a field is not."""
+    channels = {
+        need.name: channel_series(cat, need, day, index, index.stands_alone(need, base, day))
+        for need in needs
+    }
+    missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
+    if missing:
+        raise SamplesError(
+            f"no measurements of '{missing[0].instrument}'", day=str(day), remedy="ingest the day's files"
+        )
+    return {name: series for name, series in channels.items() if series is not None}
+
+
+def _add_phase(samples: xr.Dataset, mission: Mission, base: Need, day: np.datetime64, turned: Turned) -> None:
+    """Put the spin phase beside the samples, and flag what it, saturation and the flipper make unusable."""
+    samples[SPIN_PHASE] = turned.phase
+    channel = mission.instruments[base.instrument].channels[base.channel]
+    flag = samples["flag"] | turned.flag | saturated(samples[base.name].values, channel)
+    samples["flag"] = flag | flip_flags(mission, day, samples["tt2000"].values)
 
 
 def _asked_geometry(model: Model, needs: Sequence[Need]) -> set[str]:

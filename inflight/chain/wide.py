@@ -6,7 +6,7 @@ which keep every linear statement: the mean residual is the same function of the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -145,7 +145,14 @@ def wide_and_beside(
     whole = _packed(terms, gram[np.ix_(own, own)], count, span, attributes)
     if not more:
         return whole, None
-    known = {name: bool(np.isfinite(one[binned.weight > 0]).all()) for name, one in more.items()}
+    return whole, _strip(gram, terms, more, binned.weight > 0)
+
+
+def _strip(
+    gram: Floats, terms: Sequence[Term], more: Mapping[str, Floats], seen: npt.NDArray[np.bool_]
+) -> xr.Dataset:
+    """Return the strip of the causes `more` from the Gram matrix of everything; `seen` (bin,)."""
+    known = {name: bool(np.isfinite(one[seen]).all()) for name, one in more.items()}
     told = [name for term in terms for name in term.columns]
     kept = np.delete(np.arange(len(gram)), len(told) + np.arange(SCALES))
     named = [*told, *more, RESIDUAL]
@@ -154,7 +161,7 @@ def wide_and_beside(
         {"gram": (("block", "column", "other"), gram[np.ix_(kept, kept)][None]), "scale": ("column", scale)},
         coords={"column": named, "other": named},
     )
-    return whole, split(both, told, known)
+    return split(both, told, known)
 
 
 def _scaled(more: Mapping[str, Floats]) -> list[Floats]:

@@ -167,20 +167,8 @@ def coarsen(
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
     weight = np.where(count >= _LEAST * usual, np.minimum(count / usual, 1.0), 0.0)
     if "weight" in samples:
-        told_weight = bin_means(np.asarray(samples["weight"].values, dtype=np.float64), stamps, edges, good)[
-            0
-        ]
-        weight = np.where(weight > 0, weight * told_weight, 0.0)
-    data: dict[str, xr.Variable] = dict(channels)
-    data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
-    for role in ("vector", "scalar", "inboard", "outboard"):
-        if role in samples:
-            data[role] = xr.Variable(
-                samples[role].dims, bin_means(samples[role].values, stamps, edges, good)[0]
-            )
-    field, _ = bin_means(rows.field, stamps, edges, good)
-    data["field"] = xr.Variable(("time", "axis"), field, {"units": "nT"})
-    data["field_direction"] = xr.Variable(("time", "axis"), direction_of(field), {"units": "1"})
+        of_samples = np.asarray(samples["weight"].values, dtype=np.float64)
+        weight = np.where(weight > 0, weight * bin_means(of_samples, stamps, edges, good)[0], 0.0)
     seen = weight > 0
     directions = {
         name: bin_means(np.asarray(one), stamps, edges, good)[0] for name, one in rows.directions.items()
@@ -197,7 +185,30 @@ def coarsen(
         "inside": max(inside, 0.0) / rows.residual.shape[1],
         "spikes": float((usable & single).sum()),
     } | told
-    return Rows(xr.Dataset(data), residual, directions, turn, weight, rows.kept), sums
+    binned = _binned(samples, rows, edges, channels, good)
+    return Rows(binned, residual, directions, turn, weight, rows.kept), sums
+
+
+def _binned(
+    samples: xr.Dataset,
+    rows: NativeRows,
+    edges: Int64,
+    channels: Mapping[str, xr.Variable],
+    good: npt.NDArray[np.bool_],
+) -> xr.Dataset:
+    """Return readings and field on the bins, beside the channels that stand there already."""
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    data: dict[str, xr.Variable] = dict(channels)
+    data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
+    for role in ("vector", "scalar", "inboard", "outboard"):
+        if role in samples:
+            data[role] = xr.Variable(
+                samples[role].dims, bin_means(samples[role].values, stamps, edges, good)[0]
+            )
+    field, _ = bin_means(rows.field, stamps, edges, good)
+    data["field"] = xr.Variable(("time", "axis"), field, {"units": "nT"})
+    data["field_direction"] = xr.Variable(("time", "axis"), direction_of(field), {"units": "1"})
+    return xr.Dataset(data)
 
 
 def _outliers(

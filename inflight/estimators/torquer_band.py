@@ -86,11 +86,8 @@ def band_equations(
             f"samples every {cadence:g} s do not hold {band[1]:g} Hz",
             remedy="take the torquer currents and the residual at the magnetometers' own cadence",
         )
-    rows = np.empty((10, stamps.size))
-    for row, (axis, coil) in enumerate(product(range(3), repeat=2)):
-        np.multiply(direction[:, axis], current[:, coil], out=rows[row])
-    rows[9] = residual
-    found = []
+    rows = _rows(residual, direction, current)
+    found: list[tuple[Floats, int, int, int]] = []
     for part in _stretches(stamps, np.isfinite(rows.sum(axis=0)), cadence, longest, shortest):
         both = _transform(part.stop - part.start, cadence, *band, order) @ rows[:, part].T
         gram, count = both.T @ both, both.shape[0]
@@ -101,6 +98,21 @@ def band_equations(
             f"no stretch of {shortest:g} s without a gap in {stamps.size} samples",
             remedy="take another span, or lower 'shortest' (at least two periods of the band's width)",
         )
+    attributes = {"band_low_Hz": band[0], "band_high_Hz": band[1], "cadence_s": cadence}
+    return _of_stretches(found).assign_attrs(attributes)
+
+
+def _rows(residual: Floats, direction: Floats, current: Floats) -> Floats:
+    """Return the columns ``e_j I_k`` and the residual; (10, time), nT A and nT."""
+    rows = np.empty((10, residual.size))
+    for row, (axis, coil) in enumerate(product(range(3), repeat=2)):
+        np.multiply(direction[:, axis], current[:, coil], out=rows[row])
+    rows[9] = residual
+    return rows
+
+
+def _of_stretches(found: Sequence[tuple[Floats, int, int, int]]) -> xr.Dataset:
+    """Return the dataset of `band_equations` from Gram matrix, rows, first and last stamp of stretches."""
     start = np.array([one[2] for one in found], dtype=np.int64)
     names = [*COLUMNS, "residual"]
     return xr.Dataset(
@@ -112,7 +124,6 @@ def band_equations(
             "day": ("segment", day_of(start).astype("datetime64[D]").astype(np.int64)),
         },
         coords={"column": names, "other": names},
-        attrs={"band_low_Hz": band[0], "band_high_Hz": band[1], "cadence_s": cadence},
     )
 
 
