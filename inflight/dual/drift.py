@@ -145,8 +145,10 @@ def _sloping(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floats]:
     size = 1
     while len(slope) // size >= _GROUPS:
         edges = np.arange(0, len(slope) - size + 1, size)
-        error = 1.0 / np.add.reduceat(1.0 / noise, edges, axis=0)
-        mean = np.add.reduceat(slope / noise, edges, axis=0) * error
+        # Stretches too short for a slope have none, and no noise.
+        weight = np.divide(1.0, noise, out=np.zeros_like(noise), where=noise > 0)
+        error = 1.0 / np.maximum(np.add.reduceat(weight, edges, axis=0), 1e-12)
+        mean = np.add.reduceat(slope * weight, edges, axis=0) * error
         middle = np.add.reduceat(at, edges) / np.diff(np.append(edges, len(slope)))
         seconds = np.maximum(np.diff(middle), 1e-9)
         usual = np.maximum(usual, _beyond(mean, error, np.ones(edges.size)))

@@ -24,6 +24,8 @@ from inflight.time import SECOND
 
 #: The longest blocks are this part of the record; cells that tell the quiet level of a scale.
 _LONGEST, _QUIET_CELLS = 4, 6
+#: Blocks of switchings are at most this part of the record.
+_QUICK = 64
 _QUIET = 0.25
 #: Slopes of several units on one scale differ by so much from those of one.
 SCATTER = 0.2
@@ -93,6 +95,15 @@ class Expected:
         mean = float(self.weights(seen) @ self.whole)
         return float(self.power.sum()) * share * (2.0 * mean - share)
 
+    def quick_benefit(self, seen: Seen, share: float = 1.0) -> float:
+        """Return the part of `mean_benefit` on the scales that are seen, nT^2.
+
+        On slower ones it is not told how much of a correction is the sensors' own.
+        """
+        own = np.isin(self.scale, seen.scale)
+        slope = self.slope[own] @ self.weights(seen)
+        return float(share * (self.power[own] @ (2.0 * slope - share)))
+
     def away(self, seen: Seen, share: float) -> float:
         """Return how far the slope is from a share, rms, after held-out readings."""
         return float(np.sqrt(self.weights(seen) @ (self.whole - share) ** 2))
@@ -133,30 +144,45 @@ class Expectation:
     drift: float = DRIFT
 
     def of(self, readings: Readings, correction: Correction) -> Expected:
-        """Return what to expect of a correction of the same readings."""
+        """Return what to expect of a correction of the same readings.
+
+        What comes and goes with the states is stray field: its slope is that of the switchings on all scales,
+        because what the sensors wander between two of them is in neither. The rest may be the sensors' own.
+        """
         good = readings.good
-        taken = np.nan_to_num(correction.field[good], nan=0.0)
-        cells = cells_of(readings.outboard[good], self.stray[good], taken, longest=_LONGEST)
-        across, square = cells.covariance[:, 3:6, 6:], np.einsum("cii->c", cells.covariance[:, 6:, 6:])
-        scales = np.unique(cells.scale)
-        power, drawn = np.zeros(scales.size), np.zeros((scales.size, len(self.matrices), 1))
-        lost = np.zeros((scales.size, len(self.matrices), _TURNS))
+        field = np.nan_to_num(correction.field[good], nan=0.0)
+        stepped = _by_state(field, correction.state[good])
+        cells = cells_of(
+            readings.outboard[good], self.stray[good], stepped, field - stepped, longest=_LONGEST
+        )
+        number = int(good.sum())
         # How large noise, drift and leak are beside what is usual of them, in power.
         random = np.random.default_rng(2)
         turns = random.normal(size=(4, len(self.matrices), _TURNS))
         turns[:3] **= 2
         turns[3] = _OUTBOARD[0] + _OUTBOARD[1] * turns[3]
+        scales = np.unique(cells.scale)
+        quick = self._slopes(cells.part(cells.scale <= max(number // _QUICK, 1)), slice(6, 9))[:, None]
+        power, slope = np.zeros(scales.size), np.zeros((scales.size, len(self.matrices), _TURNS))
         for place, scale in enumerate(scales):
             here = cells.part(cells.scale == scale)
-            weighted = here.count[:, None, None] * across[cells.scale == scale]
-            total = max(float(here.count @ square[cells.scale == scale]), 1e-300)
+            taken = here.covariance[:, 6:, 6:].reshape(-1, 2, 3, 2, 3)
+            total, *parts = (
+                max(float(np.einsum("c,cii->", here.count, one)), 1e-300)
+                for one in (taken.sum(axis=(1, 3)), taken[:, 0, :, 0], taken[:, 1, :, 1])
+            )
             power[place] = total / here.count.sum() / (2.0 * float(scale))
-            drawn[place, :, 0] = np.einsum("pji,cij->p", self.matrices, weighted) / total
-            lost[place] = self._lost(here, turns, readings)
+            rest = self._slopes(here, slice(9, 12))[:, None] * (1.0 - self._lost(here, turns, readings))
+            slope[place] = (quick * parts[0] + rest * parts[1]) / total
         # What changes more slowly than any contrast: a step in the record has as much there.
         power[-1] *= 2.0
-        slope = drawn * (1.0 - lost)
         return Expected(scales, power, slope.reshape(scales.size, -1))
+
+    def _slopes(self, cells: Cells, part: slice) -> Floats:
+        """Return the slopes of what matrices make of the difference on a part of the correction; (place,)."""
+        across = np.einsum("c,cij->ij", cells.count, cells.covariance[:, 3:6, part])
+        total = float(np.einsum("c,cii->", cells.count, cells.covariance[:, part, part]))
+        return np.asarray(np.einsum("pji,ij->p", self.matrices, across) / max(total, 1e-300))
 
     def _lost(self, cells: Cells, turns: Floats, readings: Readings) -> Floats:
         """Return by how much the slope on one scale is less than that of stray field alone; (place, turn).
@@ -191,3 +217,17 @@ class Expectation:
         """Return the power at the outboard sensor of covariances of the difference (cell, 3, 3)."""
         middle = self.matrices.mean(axis=0)
         return np.asarray(np.einsum("ki,cij,kj->c", middle, covariance, middle))
+
+
+def _by_state(values: Floats, state: npt.NDArray[np.int64]) -> Floats:
+    """Return the part of values (time, axis) that is the same whenever a state comes again.
+
+    What sensors do by themselves does not come and go with a state: only the rest may be that.
+    """
+    stepped = np.zeros_like(values)
+    known, place = np.unique(state, return_inverse=True)
+    count = np.bincount(place)
+    for axis in range(3):
+        stepped[:, axis] = (np.bincount(place, values[:, axis]) / count)[place]
+    stepped[(known < 0)[place]] = 0.0
+    return stepped

@@ -60,6 +60,10 @@ class Evidence:
         Part of the correction that is taken off: as much as is sure to help.
     away : float
         How far that is from the stray field's part, rms.
+    constant_known : bool
+        The correction holds the part of the stray field that never changes.
+    quick : float
+        The benefit on the scales that held-out readings tell of, nT^2: by it the best is chosen.
     """
 
     name: str
@@ -71,6 +75,8 @@ class Evidence:
     units: str
     share: float = 1.0
     away: float = 0.0
+    constant_known: bool = False
+    quick: float = 0.0
 
     @property
     def helps(self) -> bool:
@@ -134,8 +140,8 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
         return Judgement(
             no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence
         )
-    # The careful form where no other is sure to help.
-    best = max(helping, key=lambda one: (one.name != "careful", one.benefit))
+    # The careful form where no other is sure to help; what changes is judged, the constant comes on top.
+    best = max(helping, key=lambda one: (one.name != "careful", one.constant_known, one.quick))
     correction = whole[best.name](readings).partly(best.share, best.away)
     return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
 
@@ -168,10 +174,12 @@ def evidence_of(
         expected = one.of(readings, correction)
         if not expected.refuted_by(seen):
             noise = one.noise.share * float(np.trace(one.noise.covariance))
-            share = next((part for part in SHARES if expected.chance_of_harm(seen, part) < CHANCE), 1.0)
+            shares = (1.0,) if correction.constant_known else SHARES
+            share = next((part for part in shares if expected.chance_of_harm(seen, part) < CHANCE), 1.0)
             benefit, chance = expected.mean_benefit(seen, share), expected.chance_of_harm(seen, share)
             trivial, away = benefit < _TRIVIAL * noise, expected.away(seen, share)
-            return Evidence(name, slope, sigma, chance, benefit, trivial, one.units, share, away)
+            told = (correction.constant_known, expected.quick_benefit(seen, share))
+            return Evidence(name, slope, sigma, chance, benefit, trivial, one.units, share, away, *told)
     return Evidence(name, slope, sigma, float("nan"), 0.0, False, units)
 
 

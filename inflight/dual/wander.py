@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-#: How far two sensors drift apart in one hour, nT, one standard deviation; it grows with the root of time.
-#: Offsets of space fluxgates move by some 0.1 nT in a day, and by about 1 nT in a month.
-DRIFT = 0.03
+#: How far two sensors drift apart within minutes, by their temperatures, and in an hour, which grows with the
+#: root of time; nT, one standard deviation. Offsets of space fluxgates move by some 0.1 nT in a day, and by
+#: about 1 nT in a month.
+AT_ONCE, DRIFT = 0.05, 0.03
 #: Flicker noise of the difference in a record beside the white noise of one sample, one standard deviation.
 FLICKER = 0.5
 
 
 def drift_in(seconds: float, hourly: float = DRIFT) -> float:
     """Return how far two sensors drift apart in a time, nT, one standard deviation."""
-    return float(hourly * np.sqrt(max(seconds, 0.0) / 3600.0))
+    return float(np.hypot(AT_ONCE, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
 
 
 def flicker_of_octave(count: int) -> float:
