@@ -141,6 +141,7 @@ class Expectation:
         scales = np.unique(cells.scale)
         power, drawn = np.zeros(scales.size), np.zeros((scales.size, len(self.matrices), 1))
         lost = np.zeros((scales.size, len(self.matrices), _TURNS))
+        added = np.zeros_like(lost)
         # How large noise, drift and leak are beside what is usual of them, in power.
         random = np.random.default_rng(2)
         turns = random.normal(size=(4, len(self.matrices), _TURNS))
@@ -152,18 +153,21 @@ class Expectation:
             total = max(float(here.count @ square[cells.scale == scale]), 1e-300)
             power[place] = total / here.count.sum() / (2.0 * float(scale))
             drawn[place, :, 0] = np.einsum("pji,cij->p", self.matrices, weighted) / total
-            lost[place] = self._lost(here, turns, readings)
+            lost[place], added[place] = self._lost(here, turns, readings)
         # What changes more slowly than any contrast: a step in the record has as much there.
         power[-1] *= 2.0
-        slope = drawn * (1.0 - lost)
+        # Where the correction is against the units' field, it is no merit that it is for a sensor's noise:
+        # that would be the inboard reading in the outboard one's place.
+        slope = drawn * (1.0 - lost) - np.abs(drawn) * added
         return Expected(scales, power, slope.reshape(scales.size, -1))
 
-    def _lost(self, cells: Cells, turns: Floats, readings: Readings) -> Floats:
-        """Return by how much the slope on one scale is less than that of stray field alone; (place, turn).
+    def _lost(self, cells: Cells, turns: Floats, readings: Readings) -> tuple[Floats, Floats]:
+        """Return which part of the difference is no stray field, and what that adds; each (place, turn).
 
         Flicker noise, drift of the offsets, and ambient field that leaks in: `turns` (4, place, turn) times
-        what is usual of them, and the outboard sensor's part of the drift. Of that sensor's own noise the
-        correction has the opposite sign: it adds to it.
+        what is usual of them, and the outboard sensor's part of the drift. Of that sensor's own noise n the
+        difference holds -n: the correction M d of power P adds to the error by <n M n> / P, a part of the
+        lost power over M.
         """
         power = self._size(cells.covariance[:, 3:6, 3:6])
         total = max(float(cells.count @ power), 1e-300)
@@ -185,7 +189,7 @@ class Expectation:
         lost /= np.maximum(lost.sum(axis=0), 1.0)
         factor = float(np.sqrt(np.sum(self.matrices.mean(axis=0) ** 2) / 3.0))
         outboard = self.noise.share * lost[0] + turns[3] * lost[1]
-        return np.asarray(lost.sum(axis=0) + outboard / factor)
+        return np.asarray(lost.sum(axis=0)), np.asarray(outboard / factor)
 
     def _size(self, covariance: Floats) -> Floats:
         """Return the power at the outboard sensor of covariances of the difference (cell, 3, 3)."""

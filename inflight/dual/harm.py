@@ -28,6 +28,9 @@ FOLDS = 4
 CHANCE = 0.005
 #: Parts of a correction that are tried: half of it does no harm where the stray field is a fourth of it.
 SHARES = (1.0, 0.85, 0.7, 0.5)
+#: A correction that is expected to be so many times smaller than the stray field is refuted by itself: the
+#: outboard reading that it was fitted to does not hold what the units would make.
+_FAR_TOO_SMALL = 3.0
 #: What lowers the mean square error by less than this part of the noise's is not worth it.
 _TRIVIAL = 1e-3
 #: Contrasts that a cell's variance has beside its own.
@@ -75,7 +78,12 @@ class Evidence:
     @property
     def helps(self) -> bool:
         """Whether the correction lowers the error beyond doubt."""
-        return self.chance_of_harm < CHANCE and not self.trivial
+        return self.chance_of_harm < CHANCE and not self.trivial and not self._far_too_small
+
+    @property
+    def _far_too_small(self) -> bool:
+        """Whether the outboard reading hardly holds the field that geometry expects: a dead sensor."""
+        return self.away > _FAR_TOO_SMALL - 1.0
 
     @property
     def told(self) -> str:
@@ -95,6 +103,8 @@ class Evidence:
             return "it would do harm"
         if self.trivial:
             return "it takes off hardly anything"
+        if self.chance_of_harm < CHANCE:
+            return f"the outboard reading does not hold the field of {self.units}, as if it were dead"
         return "these readings do not tell whether it helps"
 
 
