@@ -31,6 +31,8 @@ SHARES = (1.0, 0.85, 0.7, 0.5)
 #: A correction that is expected to be so many times smaller than the stray field is refuted by itself: the
 #: outboard reading that it was fitted to does not hold what the units would make.
 _FAR_TOO_SMALL = 3.0
+#: The form that all others of a gradiometer are special cases of.
+_GENERAL = "matrix"
 #: What lowers the mean square error by less than this part of the noise's is not worth it.
 _TRIVIAL = 1e-3
 #: Contrasts that a cell's variance has beside its own.
@@ -138,6 +140,7 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
         for name, parts in held.items()
         if name in whole
     }
+    evidence = _none_where_the_general_form_is_refuted(evidence)
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
         told = "; ".join(f"{name}: {one.told}" for name, one in evidence.items())
@@ -148,6 +151,19 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
     best = max(helping, key=lambda one: (one.name != "careful", one.benefit))
     correction = whole[best.name](readings).partly(best.share, best.away)
     return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
+
+
+def _none_where_the_general_form_is_refuted(evidence: Mapping[str, Evidence]) -> dict[str, Evidence]:
+    """Return the evidence, all of it refuted where that of the full matrix is.
+
+    The full matrix follows the readings wherever they lead. Where that is no field of units, the difference
+    holds something else, such as the ambient field that a dead sensor does not see; a form that is too stiff
+    to show it is no better.
+    """
+    general = evidence.get(_GENERAL)
+    if general is None or np.isfinite(general.chance_of_harm):
+        return dict(evidence)
+    return {name: replace(one, chance_of_harm=float("nan")) for name, one in evidence.items()}
 
 
 #: Corrections of held-out parts, each by candidates that were fitted to the others.

@@ -17,8 +17,8 @@ _DRAWS = 600
 #: Of a boom of which nothing is known: size of a dipole's field at the outboard beside that at the inboard
 #: sensor, and the places of dipoles on each axis in distances of the inboard sensor.
 _RATIOS, _ANYWHERE = (0.02, 0.75), 0.4
-#: Where units are not in the body that was told they stand within this many distances of the inboard sensor.
-_AROUND = 1.2
+#: Units outside of the body that was told are so far from the inboard sensor: logarithm, in baselines.
+_AWAY = (-1.5, 3.0)
 
 
 @dataclass(frozen=True)
@@ -95,14 +95,19 @@ def matrices_of_any_boom() -> Floats:
 
 
 def matrices_near(body: Body) -> Floats:
-    """Return matrices of dipoles anywhere nearer to the inboard than to the outboard sensor, (place, 3, 3).
+    """Return matrices of dipoles nearer to the inboard than to the outboard sensor, (place, 3, 3).
 
-    Of units outside of the body that was told: where the sensors are is still known.
+    Of units outside of the body that was told: where the sensors are is still known. The units are in any
+    direction from the inboard sensor, at any distance of which the field's ratio is that of `_RATIOS`.
     """
-    wide = np.full(3, _AROUND * float(np.linalg.norm(body.positions[0] - body.middle)))
-    places = Body(body.positions, body.middle, np.maximum(wide, body.reach)).places()
+    random = np.random.default_rng(4)
+    away = random.normal(size=(4 * _DRAWS, 3))
+    away *= (np.exp(random.uniform(*_AWAY, len(away))) / np.linalg.norm(away, axis=1))[:, None]
+    places = body.positions[0] + body.baseline * away
     near, far = (np.linalg.norm(places - one, axis=1) for one in body.positions)
-    return _inner(np.array([dipole_matrix(body.positions, place) for place in places[near < far]]))
+    ratio = (near / far) ** 3
+    places = places[(ratio > _RATIOS[0]) & (ratio < _RATIOS[1])]
+    return _inner(np.array([dipole_matrix(body.positions, place) for place in places]))
 
 
 def spread_at(matrix: Floats) -> Floats:

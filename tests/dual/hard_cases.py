@@ -49,7 +49,7 @@ class Outcome:
 
     before: float
     after: float
-    stated: float
+    pull: float  # rms error of the correction over its rms sigma; NaN where none is applied
     judgement: Judgement
 
     @property
@@ -59,10 +59,6 @@ class Outcome:
     @property
     def applied(self) -> bool:
         return self.judgement.chosen != "none"
-
-    @property
-    def pull(self) -> float:
-        return self.after / self.stated if self.applied else float("nan")
 
 
 def outcome(case: Hard) -> Outcome:
@@ -74,9 +70,10 @@ def outcome(case: Hard) -> Outcome:
     before = _size((readings.outboard - case.ambient)[good])
     after = _size((found.corrected(readings.outboard) - case.ambient)[good])
     known = found.known & good
-    stated = float(np.sqrt(np.mean(found.sigma[known] ** 2))) if found.applied and known.any() else np.nan
-    wrong = _size((found.field - case.stray)[known]) if found.applied and known.any() else np.nan
-    return Outcome(before, after, stated * after / wrong if found.applied else np.nan, judgement)
+    pull = float("nan")
+    if found.applied and known.any():
+        pull = _size((found.field - case.stray)[known]) / float(np.sqrt(np.mean(found.sigma[known] ** 2)))
+    return Outcome(before, after, pull, judgement)
 
 
 def _size(values: Floats) -> float:
