@@ -122,7 +122,10 @@ def drift_rate(segments: Segments) -> DriftRate:
     if steady.size < 3:
         return DriftRate(zero, zero, zero)
     noise, slope = segments.slope_variance[steady], segments.begin.slope[steady]
-    usual, bend = _sloping(slope, noise, segments.begin.middle[steady] / SECOND)
+    # A stretch that is too short for a slope has an infinite variance.
+    told = np.isfinite(noise).all(axis=1)
+    at = segments.begin.middle[steady] / SECOND
+    usual, bend = _sloping(slope[told], noise[told], at[told])
     long = np.flatnonzero(~segments.transient & (segments.seconds > 0))
     if not long.size:
         return DriftRate(usual, bend, zero)
@@ -152,7 +155,7 @@ def _sloping(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floats]:
         usual = np.maximum(usual, _beyond(mean, error, np.ones(edges.size)))
         bend = np.maximum(bend, _beyond(np.diff(mean, axis=0), error[1:] + error[:-1], seconds))
         size *= 2
-    least = usual / max(float(at[-1] - at[0]), 1e-9)
+    least = usual / max(float(at[-1] - at[0]) if at.size else 0.0, 1e-9)
     return usual, np.asarray(np.where(usual > 0, np.maximum(bend, least), 0.0))
 
 
