@@ -332,18 +332,6 @@ def strong(random: np.random.Generator) -> Hard:
     return case(random, size=1000.0)
 
 
-def weak(random: np.random.Generator) -> Hard:
-    return case(random, size=10.0 ** random.uniform(-3.0, -2.0))
-
-
-def axis_missing(random: np.random.Generator) -> Hard:
-    """One axis of one sensor gives no numbers."""
-    made = case(random)
-    broken = made.inboard if random.random() < 0.5 else made.outboard
-    broken[:, random.integers(3)] = np.nan
-    return made
-
-
 def axis_stuck(random: np.random.Generator) -> Hard:
     """One axis of the inboard sensor stands at one value."""
     made = case(random)
@@ -396,7 +384,6 @@ MAKERS: dict[str, Callable[[np.random.Generator], Hard]] = {
     "crosstalk": crosstalk,
     "half a sample late": late_by(0.5),
     "a sample late": late_by(1.0),
-    "ten samples late": late_by(10.0),
     "slow inboard": slow_inboard,
     "warm day": warm_day,
     "storm": storm,
@@ -404,8 +391,6 @@ MAKERS: dict[str, Callable[[np.random.Generator], Hard]] = {
     "torquers follow the field": torquers_follow_the_field,
     "ten minutes": ten_minutes,
     "strong": strong,
-    "weak": weak,
-    "axis missing": axis_missing,
     "axis stuck": axis_stuck,
     "axes exchanged": axes_exchanged,
     "coarse": coarse,
