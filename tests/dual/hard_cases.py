@@ -328,10 +328,6 @@ def ten_minutes(random: np.random.Generator) -> Hard:
     return case(random, nothing(600) if random.random() < 0.3 else None, count=600)
 
 
-def strong(random: np.random.Generator) -> Hard:
-    return case(random, size=1000.0)
-
-
 def axis_stuck(random: np.random.Generator) -> Hard:
     """One axis of the inboard sensor stands at one value."""
     made = case(random)
@@ -383,14 +379,12 @@ MAKERS: dict[str, Callable[[np.random.Generator], Hard]] = {
     "gain": gain_of_inboard,
     "crosstalk": crosstalk,
     "half a sample late": late_by(0.5),
-    "a sample late": late_by(1.0),
     "slow inboard": slow_inboard,
     "warm day": warm_day,
     "storm": storm,
     "turning": turning,
     "torquers follow the field": torquers_follow_the_field,
     "ten minutes": ten_minutes,
-    "strong": strong,
     "axis stuck": axis_stuck,
     "axes exchanged": axes_exchanged,
     "coarse": coarse,
