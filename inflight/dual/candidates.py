@@ -17,7 +17,7 @@ from inflight.dual.gradiometer import FORMS, LEAK_SIGMA, Gradiometer, fit_forms
 from inflight.dual.harm import Corrector
 from inflight.dual.moments import Noise
 from inflight.dual.outboard import OutboardSteps, outboard_steps
-from inflight.dual.places import Body, matrices_in, matrices_of_any_boom
+from inflight.dual.places import Body, matrices_in, matrices_near, matrices_of_any_boom
 from inflight.dual.processing import process
 from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
@@ -89,7 +89,7 @@ class Candidates:
 
     @cached_property
     def expectations(self) -> list[Expectation]:
-        """What geometry lets expect of the body, where it is told, and of any boom; the likelier first."""
+        """What geometry lets expect of the body and of all around it, or of any boom; the likelier first."""
         full = self.gradiometers.get("matrix")
         if full is None:
             return []
@@ -97,8 +97,11 @@ class Candidates:
         stray = np.full((len(self.readings), 3), np.nan)
         stray[good] = without_noise(full.stray(self.readings)[good], full.noise)[0]
         noise = Noise(full.noise, full.mixing.share, 0.0)
-        places = {} if self.body is None else {"all units in the body": matrices_in(self.body)}
-        places["units nearer to the inboard sensor"] = matrices_of_any_boom()
+        nearer = "units nearer to the inboard sensor"
+        if self.body is None:
+            places = {nearer: matrices_of_any_boom()}
+        else:
+            places = {"all units in the body": matrices_in(self.body), nearer: matrices_near(self.body)}
         return [
             Expectation(matrices, stray, noise, full.mixing.leak_covariance, units)
             for units, matrices in places.items()

@@ -118,7 +118,9 @@ class DriftRate(NamedTuple):
 def drift_rate(segments: Segments) -> DriftRate:
     """Return how fast the segments drift; zero where they do so by no more than noise."""
     zero = np.zeros(3)
-    steady = np.flatnonzero(~segments.transient)
+    # A stretch that is too short for a slope has an infinite variance.
+    told = ~segments.transient & np.isfinite(segments.slope_variance).all(axis=1)
+    steady = np.flatnonzero(told)
     if steady.size < 3:
         return DriftRate(zero, zero, zero)
     noise, slope = segments.slope_variance[steady], segments.begin.slope[steady]
@@ -145,16 +147,15 @@ def _sloping(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floats]:
     size = 1
     while len(slope) // size >= _GROUPS:
         edges = np.arange(0, len(slope) - size + 1, size)
-        # Stretches too short for a slope have none, and no noise.
-        weight = np.divide(1.0, noise, out=np.zeros_like(noise), where=noise > 0)
-        error = 1.0 / np.maximum(np.add.reduceat(weight, edges, axis=0), 1e-12)
+        weight = 1.0 / np.maximum(noise, 1e-300)
+        error = 1.0 / np.add.reduceat(weight, edges, axis=0)
         mean = np.add.reduceat(slope * weight, edges, axis=0) * error
         middle = np.add.reduceat(at, edges) / np.diff(np.append(edges, len(slope)))
         seconds = np.maximum(np.diff(middle), 1e-9)
         usual = np.maximum(usual, _beyond(mean, error, np.ones(edges.size)))
         bend = np.maximum(bend, _beyond(np.diff(mean, axis=0), error[1:] + error[:-1], seconds))
         size *= 2
-    least = usual / max(float(at[-1] - at[0]), 1e-9)
+    least = usual / max(float(at[-1] - at[0]) if at.size else 0.0, 1e-9)
     return usual, np.asarray(np.where(usual > 0, np.maximum(bend, least), 0.0))
 
 

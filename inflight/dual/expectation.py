@@ -172,7 +172,11 @@ class Expectation:
                 for one in (taken.sum(axis=(1, 3)), taken[:, 0, :, 0], taken[:, 1, :, 1])
             )
             power[place] = total / here.count.sum() / (2.0 * float(scale))
-            rest = self._slopes(here, slice(9, 12))[:, None] * (1.0 - self._lost(here, turns, readings))
+            lost, added = self._lost(here, turns, readings)
+            others = self._slopes(here, slice(9, 12))[:, None]
+            # Where the correction is against the units' field, it is no merit that it is for a sensor's
+            # noise: that would be the inboard reading in the outboard one's place.
+            rest = others * (1.0 - lost) - np.abs(others) * added
             slope[place] = (quick * parts[0] + rest * parts[1]) / total
         # What changes more slowly than any contrast: a step in the record has as much there.
         power[-1] *= 2.0
@@ -184,12 +188,13 @@ class Expectation:
         total = float(np.einsum("c,cii->", cells.count, cells.covariance[:, part, part]))
         return np.asarray(np.einsum("pji,ij->p", self.matrices, across) / max(total, 1e-300))
 
-    def _lost(self, cells: Cells, turns: Floats, readings: Readings) -> Floats:
-        """Return by how much the slope on one scale is less than that of stray field alone; (place, turn).
+    def _lost(self, cells: Cells, turns: Floats, readings: Readings) -> tuple[Floats, Floats]:
+        """Return which part of the difference is no stray field, and what that adds; each (place, turn).
 
         Flicker noise, drift of the offsets, and ambient field that leaks in: `turns` (4, place, turn) times
-        what is usual of them, and the outboard sensor's part of the drift. Of that sensor's own noise the
-        correction has the opposite sign: it adds to it.
+        what is usual of them, and the outboard sensor's part of the drift. Of that sensor's own noise n the
+        difference holds -n: the correction M d of power P adds to the error by <n M n> / P, a part of the
+        lost power over M.
         """
         power = self._size(cells.covariance[:, 3:6, 3:6])
         total = max(float(cells.count @ power), 1e-300)
@@ -211,7 +216,7 @@ class Expectation:
         lost /= np.maximum(lost.sum(axis=0), 1.0)
         factor = float(np.sqrt(np.sum(self.matrices.mean(axis=0) ** 2) / 3.0))
         outboard = self.noise.share * lost[0] + turns[3] * lost[1]
-        return np.asarray(lost.sum(axis=0) + outboard / factor)
+        return np.asarray(lost.sum(axis=0)), np.asarray(outboard / factor)
 
     def _size(self, covariance: Floats) -> Floats:
         """Return the power at the outboard sensor of covariances of the difference (cell, 3, 3)."""

@@ -22,7 +22,15 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.dual.mixing import Mixing, fit_mixing, moments_of, noise_of, usable_cells
 from inflight.dual.moments import Moments
-from inflight.dual.places import Body, dipole_matrix, fit_place, known_from, matrices_in, matrices_of_any_boom
+from inflight.dual.places import (
+    Body,
+    dipole_matrix,
+    fit_place,
+    known_from,
+    matrices_in,
+    matrices_of_any_boom,
+    spread_at,
+)
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
 from inflight.dual.scales import cells_of, quietest
@@ -35,6 +43,9 @@ LEAK_SIGMA = 0.01
 _FEWEST = 256
 #: Those with the full matrix.
 _FULL = ("matrix", "careful")
+#: Part of the units' spread that one matrix leaves and no regression shows, where all three axes of the
+#: difference are in use: six units are taken for usual, of which a matrix fits three.
+_UNSEEN = 0.5
 #: Part of the weighted variance of the difference that the principal directions must hold.
 _HELD = 0.99
 
@@ -50,7 +61,8 @@ class Gradiometer:
     mixing : Mixing
         The matrix in this form, and the leak.
     covariance : ndarray, shape (9, 9)
-        Of the elements of the matrix, row by row: of the mean over units and of their scatter.
+        Of the elements of the matrix, row by row: of the mean over units and of their scatter, that which
+        shows and that which geometry lets expect.
     value, value_covariance : ndarray, shape (parameter,), (parameter, parameter)
         The numbers of the form.
     noise : ndarray, shape (3, 3)
@@ -147,7 +159,7 @@ def fit_forms(
             remedy="take a longer span",
         )
     every = cells_of(readings.outboard[good], readings.difference[good])
-    noise = noise_of(every, quietest(every, readings.noise))
+    noise = noise_of(every, quietest(every, readings.noise), leak_sigma)
     cells = usable_cells(every, noise)
     prior = known_from(matrices_of_any_boom() if body is None else matrices_in(body))
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
@@ -156,10 +168,25 @@ def fit_forms(
     mixing = replace(mixing, matrix=value.reshape(3, 3))
     scatter = told.scatter(mixing.matrix) * np.eye(9)
     full = Gradiometer("matrix", mixing, covariance + scatter, value, covariance, noise.covariance)
-    return {
+    made = {
         form: replace(full, form=form) if form in _FULL else as_form(full, told, form, prior, body)
         for form in forms
     }
+    unseen = _unseen(full, told, body)
+    return {form: replace(one, covariance=one.covariance + unseen) for form, one in made.items()}
+
+
+def _unseen(full: Gradiometer, told: Moments, body: Body | None) -> Floats:
+    """Return the units' spread that no regression shows, as a covariance of the matrix's elements; (9, 9).
+
+    A matrix fits three units with directions of their own. What more of them make beside it is uncorrelated
+    with the difference as a whole, like ambient field: only geometry tells how large it may be.
+    """
+    if len(_held_directions(told, full.noise)) < 3:
+        return np.zeros((9, 9))
+    if body is None:
+        return _UNSEEN * spread_at(full.matrix)
+    return np.asarray(_UNSEEN * np.cov(matrices_in(body).reshape(-1, 9).T))
 
 
 def as_form(

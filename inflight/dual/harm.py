@@ -28,6 +28,11 @@ FOLDS = 4
 CHANCE = 0.005
 #: Parts of a correction that are tried: half of it does no harm where the stray field is a fourth of it.
 SHARES = (1.0, 0.85, 0.7, 0.5)
+#: A correction that is expected to be so many times smaller than the stray field is refuted by itself: the
+#: outboard reading that it was fitted to does not hold what the units would make.
+_FAR_TOO_SMALL = 3.0
+#: The form that all others of a gradiometer are special cases of.
+_GENERAL = "matrix"
 #: What lowers the mean square error by less than this part of the noise's is not worth it.
 _TRIVIAL = 1e-3
 #: Contrasts that a cell's variance has beside its own.
@@ -81,7 +86,12 @@ class Evidence:
     @property
     def helps(self) -> bool:
         """Whether the correction lowers the error beyond doubt."""
-        return self.chance_of_harm < CHANCE and not self.trivial
+        return self.chance_of_harm < CHANCE and not self.trivial and not self._far_too_small
+
+    @property
+    def _far_too_small(self) -> bool:
+        """Whether the outboard reading hardly holds the field that geometry expects: a dead sensor."""
+        return self.away > _FAR_TOO_SMALL - 1.0
 
     @property
     def told(self) -> str:
@@ -101,6 +111,8 @@ class Evidence:
             return "it would do harm"
         if self.trivial:
             return "it takes off hardly anything"
+        if self.chance_of_harm < CHANCE:
+            return f"the outboard reading does not hold the field of {self.units}, as if it were dead"
         return "these readings do not tell whether it helps"
 
 
@@ -134,6 +146,7 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
         for name, parts in held.items()
         if name in whole
     }
+    evidence = _none_where_the_general_form_is_refuted(evidence)
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
         told = "; ".join(f"{name}: {one.told}" for name, one in evidence.items())
@@ -144,6 +157,19 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
     best = max(helping, key=lambda one: (one.name != "careful", one.constant_known, one.quick))
     correction = whole[best.name](readings).partly(best.share, best.away)
     return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
+
+
+def _none_where_the_general_form_is_refuted(evidence: Mapping[str, Evidence]) -> dict[str, Evidence]:
+    """Return the evidence, all of it refuted where that of the full matrix is.
+
+    The full matrix follows the readings wherever they lead. Where that is no field of units, the difference
+    holds something else, such as the ambient field that a dead sensor does not see; a form that is too stiff
+    to show it is no better.
+    """
+    general = evidence.get(_GENERAL)
+    if general is None or np.isfinite(general.chance_of_harm):
+        return dict(evidence)
+    return {name: replace(one, chance_of_harm=float("nan")) for name, one in evidence.items()}
 
 
 #: Corrections of held-out parts, each by candidates that were fitted to the others.

@@ -90,16 +90,19 @@ def _bounded(covariance: Floats) -> Floats:
     return np.where(off, np.clip(covariance, -most, most), covariance)
 
 
-def noise_of(cells: Cells, covariance: Floats) -> Noise:
+def noise_of(cells: Cells, covariance: Floats, leak_sigma: float = 0.0) -> Noise:
     """Return the noise of the difference with the part of it that is the outboard sensor's, 0.02 to 0.98.
 
     Outboard reading and difference share it with opposite sign, which their covariance on the shortest scale
-    shows; the median over cells, lest a few that switch decide. A half where the ambient field hides it.
+    shows; the median over cells, lest a few that switch decide. A half where the ambient field hides it: so
+    does what may leak of it, in all cells with the same sign.
 
     Parameters
     ----------
     covariance : ndarray, shape (3, 3)
         Of the white noise of d, nT^2.
+    leak_sigma : float
+        Standard deviation of the elements of the leak.
     """
     quiet = np.einsum("cii->c", cells.covariance[:, 3:, 3:]) < _QUIET * float(np.trace(covariance))
     first = cells.part((cells.scale == 1) & quiet)
@@ -109,6 +112,7 @@ def noise_of(cells: Cells, covariance: Floats) -> Noise:
     found = -np.einsum("cii->ci", first.covariance[:, :3, 3:]) / variance
     middle = np.median(found, axis=0)
     spread = 1.4826 * np.median(np.abs(found - middle), axis=0) * 1.25 / np.sqrt(len(first)) + 1e-6
+    spread += leak_sigma * np.median(np.einsum("cii->ci", first.covariance[:, :3, :3]), axis=0) / variance
     weight, prior = 1.0 / spread**2, 1.0 / _SHARE**2
     total = float(weight.sum()) + prior
     share = np.clip((float(weight @ middle) + 0.5 * prior) / total, 0.02, 0.98)

@@ -179,7 +179,10 @@ def moments(cells: Cells, rows: tuple[Floats, Floats], noise: Noise, leak: Float
     ambient, stray = rows
     bent = cells.covariance @ stray.T
     square, cross = stray @ bent, bent[:, :3]
-    variance = np.maximum(np.einsum("ki,cij,kj->ck", ambient, cells.covariance, ambient), noise.floor)
+    field = ambient @ cells.covariance @ ambient.T
+    # The noise that both series share is out of the cells, but it is in what is left of the reading.
+    both = np.diag(ambient[:, :3] @ (noise.share * noise.covariance) @ ambient[:, 3:].T)
+    variance = np.maximum(np.einsum("ckk->ck", field) - 2.0 * both, noise.floor)
     weight = cells.count[:, None] / _usual(variance, cells)
     block = np.minimum(cells.row * _BLOCKS // (int(cells.row.max(initial=0)) + 1), _BLOCKS - 1)
     sums, crosses = np.zeros((_BLOCKS, 3, 3, 3)), np.zeros((_BLOCKS, 3, 3))
@@ -187,8 +190,9 @@ def moments(cells: Cells, rows: tuple[Floats, Floats], noise: Noise, leak: Float
     np.add.at(sums, block, weight[:, :, None, None] * square[:, None])
     np.add.at(crosses, block, weight[:, :, None] * cross)
     np.add.at(weights, block, weight)
-    # Ambient field left in the difference is regressed on itself: of unit variance after the weights.
-    error = np.einsum("ikjk->kij", leak.reshape(3, 3, 3, 3)) * float(cells.count.sum()) ** 2
+    # Ambient field left in the difference is regressed on itself, and on other axes of it that go with it.
+    alike = np.einsum("ck,ckj->kj", weight, field)
+    error = np.einsum("kj,kl,ijml->kim", alike, alike, leak.reshape(3, 3, 3, 3))
     shared = noise.share_sigma * np.einsum("k,ki->ki", weight.sum(axis=0), noise.covariance)
     error = error + np.einsum("ki,kj->kij", shared, shared)
     return Moments(sums, crosses, weights[:, :, None, None] * noise.covariance, error)

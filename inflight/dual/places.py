@@ -17,6 +17,8 @@ _DRAWS = 600
 #: Of a boom of which nothing is known: size of a dipole's field at the outboard beside that at the inboard
 #: sensor, and the places of dipoles on each axis in distances of the inboard sensor.
 _RATIOS, _ANYWHERE = (0.02, 0.75), 0.4
+#: Units outside of the body that was told are so far from the inboard sensor: logarithm, in baselines.
+_AWAY = (-1.5, 3.0)
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,34 @@ def matrices_of_any_boom() -> Floats:
         inside = dipole_matrix(sensors, random.uniform(-_ANYWHERE, _ANYWHERE, 3))
         drawn.append(turn.as_matrix() @ inside @ turn.as_matrix().T)
     return _inner(np.array(drawn))
+
+
+def matrices_near(body: Body) -> Floats:
+    """Return matrices of dipoles nearer to the inboard than to the outboard sensor, (place, 3, 3).
+
+    Of units outside of the body that was told: where the sensors are is still known. The units are in any
+    direction from the inboard sensor, at any distance of which the field's ratio is that of `_RATIOS`.
+    """
+    random = np.random.default_rng(4)
+    away = random.normal(size=(4 * _DRAWS, 3))
+    away *= (np.exp(random.uniform(*_AWAY, len(away))) / np.linalg.norm(away, axis=1))[:, None]
+    places = body.positions[0] + body.baseline * away
+    near, far = (np.linalg.norm(places - one, axis=1) for one in body.positions)
+    ratio = (near / far) ** 3
+    places = places[(ratio > _RATIOS[0]) & (ratio < _RATIOS[1])]
+    return _inner(np.array([dipole_matrix(body.positions, place) for place in places]))
+
+
+def spread_at(matrix: Floats) -> Floats:
+    """Return how matrices of units differ on a boom of which nothing is known but a fitted matrix; (9, 9).
+
+    The boom points anywhere: the spread is the same in all elements.
+    """
+    size = float(np.trace(matrix)) / 3.0
+    ratio = float(np.clip(size / (1.0 + size), *_RATIOS)) if size > 0 else _RATIOS[0]
+    sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
+    single = np.cov(matrices_in(Body(sensors, np.zeros(3), np.full(3, _ANYWHERE))).reshape(-1, 9).T)
+    return np.asarray(np.trace(single) / 9.0 * np.eye(9))
 
 
 def known_from(matrices: Floats) -> tuple[Floats, Floats]:

@@ -33,8 +33,12 @@ def flicker_of_contrast(block: int, count: int) -> float:
 
 
 def drift_of_contrast(block: int, count: int, drift: float) -> float:
-    """Return the variance of a straight drift in contrasts of `block` samples, nT^2 an axis.
+    """Return the variance of drift in contrasts of `block` samples, nT^2 an axis.
 
-    `drift` is its rms in the record, nT.
+    A straight line of rms `drift` in the record, nT, and a random walk as far from one end to the other: on
+    short scales the walk is larger, on long ones the line.
     """
-    return float((np.sqrt(12.0) * drift * block / count) ** 2 * block / 2.0)
+    line = (np.sqrt(12.0) * drift * block / count) ** 2
+    # Means over neighbouring blocks of a walk with steps of variance v differ by 2/3 v block.
+    walk = 2.0 / 3.0 * drift**2 * block / count
+    return float((line + walk) * block / 2.0)

@@ -1,0 +1,52 @@
+"""Two sensors in trouble: what the judge takes for granted fails, and it does no harm."""
+
+import numpy as np
+import pytest
+
+from inflight.dual.gradiometer import fit_forms
+from inflight.dual.places import Body, matrices_in, matrices_near
+from inflight.dual.wander import drift_of_contrast
+from tests.dual.hard_cases import HARM, body, case, inside, make, outcome, units
+
+#: Not among them, since two sensors cannot tell: an offset that jumps like a unit, one that follows the day
+#: farther than sensors wander, moments commanded by the field, sensors whose axes are exchanged.
+TROUBLE = ["gain", "crosstalk", "half a sample late", "storm", "turning", "walking offsets", "ten minutes"]
+
+
+@pytest.mark.parametrize("name", ["dead inboard", "slow inboard", "dead outboard"])
+def test_a_broken_sensor_makes_nothing_worse(name):
+    assert max(outcome(make(name, seed)).ratio for seed in (200, 5)) < HARM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TROUBLE)
+def test_trouble_makes_no_case_worse(name):
+    assert max(outcome(make(name, seed)).ratio for seed in (300, 301)) < HARM
+
+
+def test_six_units_are_farther_from_one_matrix_than_the_regression_shows_and_the_sigma_knows():
+    pulls = []
+    for seed in range(6):
+        random = np.random.default_rng([11, seed])
+        parts = [units(random, 4000, 1.0, inside) for _ in range(3)]
+        made = case(random, (sum(one[0] for one in parts), sum(one[1] for one in parts)))
+        fitted = fit_forms(made.readings, ("matrix",), body())["matrix"]
+        sources = sum(one[0] for one in parts) - made.stray
+        error = sources @ fitted.matrix.T - made.stray
+        stated = np.einsum("ikil,tk,tl->t", fitted.covariance.reshape(3, 3, 3, 3), sources, sources)
+        pulls.append(np.sum(error.var(axis=0)) / np.mean(stated))
+    assert np.mean(pulls) < 2.0
+
+
+def test_around_the_body_more_is_possible_than_in_it_and_less_than_on_any_boom():
+    small = Body(body().positions, np.zeros(3), np.full(3, 0.05))
+    assert matrices_near(small).std(axis=0).min() > matrices_in(small).std(axis=0).max()
+
+
+def test_contrasts_of_a_random_walk_are_no_larger_than_is_allowed_for():
+    random = np.random.default_rng(5)
+    count, drift, block = 4096, 0.1, 32
+    walk = np.cumsum(random.normal(0.0, drift / np.sqrt(count), (400, count)), axis=1)
+    means = walk.reshape(400, -1, block).mean(axis=2)
+    seen = np.mean(np.diff(means, axis=1) ** 2) * block / 2.0
+    assert seen < drift_of_contrast(block, count, drift) < 2.0 * seen
