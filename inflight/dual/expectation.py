@@ -229,10 +229,12 @@ def _by_state(values: Floats, state: npt.NDArray[np.int64]) -> Floats:
 
     What sensors do by themselves does not come and go with a state: only the rest may be that.
     """
-    stepped = np.zeros_like(values)
-    known, place = np.unique(state, return_inverse=True)
+    told = np.flatnonzero(state >= 0)
+    if not told.size:
+        return np.zeros_like(values)
+    # While a state passes or is unknown that before it goes on: no steps are made that nobody took.
+    last = told[np.maximum(np.searchsorted(told, np.arange(state.size), side="right") - 1, 0)]
+    _, place = np.unique(state[told], return_inverse=True)
     count = np.bincount(place)
-    for axis in range(3):
-        stepped[:, axis] = (np.bincount(place, values[:, axis]) / count)[place]
-    stepped[(known < 0)[place]] = 0.0
-    return stepped
+    mean = np.stack([np.bincount(place, values[told, axis]) / count for axis in range(3)], axis=1)
+    return np.asarray(mean[place][np.searchsorted(told, last)])

@@ -28,7 +28,7 @@ def sealed(fresh, tmp_path):
 
 def command(*arguments, user=None):
     line = [sys.executable, "-c", "from inflight.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(line, capture_output=True, text=True, check=False, user=user, timeout=60)
+    return subprocess.run(line, capture_output=True, text=True, check=False, user=user, timeout=300)
 
 
 def test_everything_that_reads_reads_a_sealed_workspace(sealed):
