@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from inflight.arrays import Floats
 from inflight.dual.gradiometer_table import gradiometer_of, has_gradiometer
 
 #: Said of sensors of which the outer one sees more of the spacecraft.
@@ -23,19 +24,28 @@ def with_remark(table: xr.Dataset) -> xr.Dataset:
 
 
 def _looks_swapped(table: xr.Dataset) -> bool:
-    """Return True when units, else the gradiometer, add more to the outer than to the inner sensor."""
-    outer = np.asarray(table["unit_correction"].values)
-    inner = outer + np.asarray(table["unit"].values)
-    variance = np.einsum("uii->ui", np.asarray(table["unit_covariance"].values))
-    clear = (np.abs(outer) > _CLEAR * np.sqrt(np.clip(variance, 0.0, None))).any(axis=1)
-    if clear.any():
-        sizes = [float(np.linalg.norm(one[clear])) for one in (outer, inner)]
-    elif has_gradiometer(table) and str(table.attrs["method"]) == "gradiometer":
+    """Return True when what switches adds more to the outer than to the inner sensor."""
+    for outer, apart, covariance in _steps(table):
+        inner = outer + apart
+        variance = np.einsum("uii->ui", covariance)
+        clear = (np.abs(outer) > _CLEAR * np.sqrt(np.clip(variance, 0.0, None))).any(axis=1)
+        if clear.any():
+            return float(np.linalg.norm(outer[clear])) > _LARGER * float(np.linalg.norm(inner[clear]))
+    if has_gradiometer(table) and str(table.attrs["method"]) == "gradiometer":
         matrix = gradiometer_of(table).matrix
-        sizes = [float(np.linalg.norm(one)) for one in (matrix, matrix + np.eye(3))]
-    else:
-        return False
-    return sizes[0] > _LARGER * sizes[1]
+        return float(np.linalg.norm(matrix)) > _LARGER * float(np.linalg.norm(matrix + np.eye(3)))
+    return False
+
+
+def _steps(table: xr.Dataset) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Give what units, then states, add to the outer sensor and to the difference, and the error."""
+    names = ("unit_correction", "unit", "unit_covariance"), ("correction", "centre", "covariance")
+    for place, (outer, apart, covariance) in enumerate(names):
+        value, difference = (np.asarray(table[one].values) for one in (outer, apart))
+        if place and len(value):
+            longest = int(np.argmax(table["seconds"].values))
+            value, difference = value - value[longest], difference - difference[longest]
+        yield value, difference, np.asarray(table[covariance].values)
 
 
 def remarks_of(tables: Mapping[np.datetime64, tuple[int, str, xr.Dataset]]) -> list[dict[str, str]]:

@@ -72,12 +72,18 @@ def product(made: Workspace, day: np.datetime64 = BAD) -> xr.Dataset:
     return cat.read(found, dated=False)
 
 
-def errors(data: xr.Dataset, day: np.datetime64 = BAD) -> dict[str, np.ndarray]:
+def errors(data: xr.Dataset, day: np.datetime64 = BAD, between: bool = False) -> dict[str, np.ndarray]:
     """Return errors of the outboard reading and of the field, without constants; (time, axis) nT, NaN
-    where the product is missing."""
+    where the product is missing. The truth is interpolated where the product has stamps between its own."""
     truth = simulate_dual_day(SETTINGS, day).truth
     stamps = truth["Epoch"].values.astype(np.int64)
     known = truth["FIELD"].values + truth["OFFSET_OUT"].values
+    if between:
+        inside = (data["tt2000"].values > stamps[0]) & (data["tt2000"].values < stamps[-1])
+        data = data.isel(time=np.flatnonzero(inside))
+        at = data["tt2000"].values - stamps[0]
+        known = np.stack([np.interp(at, stamps - stamps[0], one) for one in known.T], axis=1)
+        stamps = data["tt2000"].values
     rows = np.clip(np.searchsorted(data["tt2000"].values, stamps), 0, data.sizes["time"] - 1)
     there = data["tt2000"].values[rows] == stamps
     out = {"flag": data["flag"].values[rows[there]], "sigma": data["uncertainty"].values[rows[there]]}
