@@ -210,17 +210,19 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
 
 def _share_of(table: xr.Dataset, candidate: str, correction: Correction) -> Correction:
     """Return as much of a candidate's correction as is sure to help."""
+    told = _told_of(table, candidate)
+    return correction if told is None else correction.partly(float(told["share"]), float(told["share_away"]))
+
+
+def _told_of(table: xr.Dataset, candidate: str) -> xr.Dataset | None:
+    """Return what was said of one candidate; None where it was not tried."""
     names = table["candidate"].values.tolist()
-    if candidate not in names:
-        return correction
-    place = names.index(candidate)
-    return correction.partly(float(table["share"].values[place]), float(table["share_away"].values[place]))
+    return table.isel(candidate=names.index(candidate)) if candidate in names else None
 
 
 def gradiometer_helps(table: xr.Dataset) -> bool:
     """Return True when held-out stretches say that a table's gradiometer helps by itself."""
-    names = table["candidate"].values.tolist()
-    form = table.attrs.get("gradiometer_form")
-    if form not in names or not has_gradiometer(table):
+    if not has_gradiometer(table):
         return False
-    return bool(table["helps"].values[names.index(form)])
+    told = _told_of(table, str(table.attrs.get("gradiometer_form")))
+    return told is not None and bool(told["helps"])

@@ -17,7 +17,7 @@ from inflight.dual.gradiometer import FORMS, LEAK_SIGMA, Gradiometer, fit_forms
 from inflight.dual.harm import Corrector
 from inflight.dual.moments import Noise
 from inflight.dual.outboard import OutboardSteps, outboard_steps
-from inflight.dual.places import Body, matrices_in, matrices_near, matrices_of_any_boom
+from inflight.dual.places import Body, matrices_near, matrices_of_any_boom
 from inflight.dual.processing import process
 from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
@@ -101,7 +101,7 @@ class Candidates:
         if self.body is None:
             places = {nearer: matrices_of_any_boom()}
         else:
-            places = {"all units in the body": matrices_in(self.body), nearer: matrices_near(self.body)}
+            places = {"all units in the body": self.body.matrices, nearer: matrices_near(self.body)}
         return [
             Expectation(matrices, stray, noise, full.mixing.leak_covariance, units)
             for units, matrices in places.items()

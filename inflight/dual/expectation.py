@@ -208,9 +208,8 @@ class Expectation:
         )
         leak = self.leak_covariance.reshape(3, 3, 3, 3)
         through = self._size(np.einsum("iajb,cab->cij", leak, cells.covariance[:, :3, :3]))
-        parts = [
-            np.minimum(one * turn, most) * cells.count.sum() for one, turn in zip(usual, turns, strict=False)
-        ]
+        here = cells.count.sum()
+        parts = [np.minimum(one * turn, most) * here for one, turn in zip(usual, turns[:2], strict=True)]
         parts.append(turns[2] * float(cells.count @ through))
         lost = np.array(parts) / total
         lost /= np.maximum(lost.sum(axis=0), 1.0)
@@ -233,8 +232,8 @@ def _by_state(values: Floats, state: npt.NDArray[np.int64]) -> Floats:
     if not told.size:
         return np.zeros_like(values)
     # While a state passes or is unknown that before it goes on: no steps are made that nobody took.
-    last = told[np.maximum(np.searchsorted(told, np.arange(state.size), side="right") - 1, 0)]
+    last = np.maximum(np.searchsorted(told, np.arange(state.size), side="right") - 1, 0)
     _, place = np.unique(state[told], return_inverse=True)
     count = np.bincount(place)
     mean = np.stack([np.bincount(place, values[told, axis]) / count for axis in range(3)], axis=1)
-    return np.asarray(mean[place][np.searchsorted(told, last)])
+    return np.asarray(mean[place[last]])

@@ -27,7 +27,6 @@ from inflight.dual.places import (
     dipole_matrix,
     fit_place,
     known_from,
-    matrices_in,
     matrices_of_any_boom,
     spread_at,
 )
@@ -161,7 +160,7 @@ def fit_forms(
     every = cells_of(readings.outboard[good], readings.difference[good])
     noise = noise_of(every, quietest(every, readings.noise), leak_sigma)
     cells = usable_cells(every, noise)
-    prior = known_from(matrices_of_any_boom() if body is None else matrices_in(body))
+    prior = known_from(matrices_of_any_boom() if body is None else body.matrices)
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
     told = moments_of(cells, mixing, noise)
     value, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
@@ -186,7 +185,7 @@ def _unseen(full: Gradiometer, told: Moments, body: Body | None) -> Floats:
         return np.zeros((9, 9))
     if body is None:
         return _UNSEEN * spread_at(full.matrix)
-    return np.asarray(_UNSEEN * np.cov(matrices_in(body).reshape(-1, 9).T))
+    return np.asarray(_UNSEEN * np.cov(body.matrices.reshape(-1, 9).T))
 
 
 def as_form(

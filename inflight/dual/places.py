@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -42,6 +43,11 @@ class Body:
         drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 3))
         return np.asarray(self.middle + drawn * self.reach)
 
+    @cached_property
+    def matrices(self) -> Floats:
+        """Those of dipoles all over the body, (place, 3, 3); those next to a sensor are left out."""
+        return _inner(np.array([dipole_matrix(self.positions, place) for place in self.places()]))
+
     @property
     def spread(self) -> Floats:
         """Standard deviation of the units' places on each axis, m."""
@@ -70,11 +76,7 @@ def dipole_matrix(positions: Floats, place: Floats) -> Floats:
     return np.asarray(np.linalg.solve((near - far).T, far.T).T)
 
 
-def matrices_in(body: Body) -> Floats:
-    """Return matrices of dipoles all over a body, (place, 3, 3); those next to a sensor are left out."""
-    return _inner(np.array([dipole_matrix(body.positions, place) for place in body.places()]))
-
-
+@cache
 def matrices_of_any_boom() -> Floats:
     """Return matrices of dipoles that stand nearer to the inboard sensor than to the outboard one.
 
@@ -118,7 +120,7 @@ def spread_at(matrix: Floats) -> Floats:
     size = float(np.trace(matrix)) / 3.0
     ratio = float(np.clip(size / (1.0 + size), *_RATIOS)) if size > 0 else _RATIOS[0]
     sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
-    single = np.cov(matrices_in(Body(sensors, np.zeros(3), np.full(3, _ANYWHERE))).reshape(-1, 9).T)
+    single = np.cov(Body(sensors, np.zeros(3), np.full(3, _ANYWHERE)).matrices.reshape(-1, 9).T)
     return np.asarray(np.trace(single) / 9.0 * np.eye(9))
 
 

@@ -12,7 +12,7 @@ from inflight.dual.expectation import Expected, Seen
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
 from inflight.dual.harm import judge
 from inflight.dual.moments import Moments
-from inflight.dual.places import Body, dipole_matrix, known_from, matrices_in, matrices_of_any_boom
+from inflight.dual.places import Body, dipole_matrix, known_from, matrices_of_any_boom
 from inflight.dual.readings import Readings
 from inflight.time import SECOND
 
@@ -52,7 +52,7 @@ def error(field, ambient):
 
 
 def test_matrices_of_a_body_hold_that_of_a_unit_in_it():
-    mean, covariance = known_from(matrices_in(BODY))
+    mean, covariance = known_from(BODY.matrices)
     away = dipole_matrix(BODY.positions, PLACE).ravel() - mean
     assert away @ np.linalg.solve(covariance, away) < 20.0
     assert np.linalg.norm(away) > 0.05
@@ -68,7 +68,7 @@ def test_any_boom_holds_every_ratio_of_a_unit_nearer_to_the_inboard_sensor(ratio
 def test_where_the_ambient_field_hides_everything_the_matrix_is_that_of_the_body():
     readings, _ = boom(1, switching(1), restless=0.5)
     found = fit_gradiometer(readings, "matrix", BODY)
-    mean, _ = known_from(matrices_in(BODY))
+    mean, _ = known_from(BODY.matrices)
     assert found.matrix == pytest.approx(mean.reshape(3, 3), abs=0.1)
 
 
@@ -168,7 +168,7 @@ def test_a_share_of_a_correction_has_an_error_that_holds_the_rest():
 
 def test_every_form_starts_from_geometry():
     readings, _ = boom(11, switching(11), restless=0.5)
-    mean, _ = known_from(matrices_in(BODY))
+    mean, _ = known_from(BODY.matrices)
     for one in fit_forms(readings, ("ratio", "axes", "dipole", "principal", "matrix"), BODY).values():
         if one.form != "principal":
             assert np.trace(one.matrix) == pytest.approx(np.trace(mean.reshape(3, 3)), rel=0.3), one.form

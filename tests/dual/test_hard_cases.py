@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.dual.gradiometer import fit_forms
-from inflight.dual.places import Body, matrices_in, matrices_near
+from inflight.dual.places import Body, matrices_near
 from inflight.dual.wander import drift_of_contrast
 from tests.dual.hard_cases import HARM, body, case, inside, make, outcome, units
 
@@ -40,7 +40,7 @@ def test_six_units_are_farther_from_one_matrix_than_the_regression_shows_and_the
 
 def test_around_the_body_more_is_possible_than_in_it_and_less_than_on_any_boom():
     small = Body(body().positions, np.zeros(3), np.full(3, 0.05))
-    assert matrices_near(small).std(axis=0).min() > matrices_in(small).std(axis=0).max()
+    assert matrices_near(small).std(axis=0).min() > small.matrices.std(axis=0).max()
 
 
 def test_contrasts_of_a_random_walk_are_no_larger_than_is_allowed_for():
