@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from inflight.dual.correction import Correction, no_correction
-from inflight.dual.expectation import Expectation, Seen
+from inflight.dual.correction import WHOLE, Correction, Part, no_correction
+from inflight.dual.expectation import Expectation, Expected, Seen
 from inflight.dual.readings import Readings
 from inflight.dual.scales import Cells, cells_of, joined_cells
 
@@ -61,10 +61,10 @@ class Evidence:
         That fall is nothing beside the noise.
     units : str
         Where the units are taken to stand.
-    share : float
-        Part of the correction that is taken off: as much as is sure to help.
+    part : Part
+        What of the correction is taken off: as much as is sure to help.
     away : float
-        How far that is from the stray field's part, rms.
+        How far its share is from the stray field's part, rms.
     constant_known : bool
         The correction holds the part of the stray field that never changes.
     quick : float
@@ -78,7 +78,7 @@ class Evidence:
     benefit: float
     trivial: bool
     units: str
-    share: float = 1.0
+    part: Part = WHOLE
     away: float = 0.0
     constant_known: bool = False
     quick: float = 0.0
@@ -101,7 +101,7 @@ class Evidence:
             seen = f"chance of harm {self.chance_of_harm:.2g} with {self.units}, {seen}"
         if not self.helps:
             return f"left alone, {self._against}: {seen}"
-        return f"helps: {seen}" if self.share == 1.0 else f"{self.share:.2f} of it is sure to help: {seen}"
+        return f"helps: {seen}" if self.part == WHOLE else f"{self.part} is sure to help: {seen}"
 
     @property
     def _against(self) -> str:
@@ -155,7 +155,7 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
         )
     # The careful form where no other is sure to help; what changes is judged, the constant comes on top.
     best = max(helping, key=lambda one: (one.name != "careful", one.constant_known, one.quick))
-    correction = whole[best.name](readings).partly(best.share, best.away)
+    correction = whole[best.name](readings).partly(best.part, best.away)
     return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
 
 
@@ -200,13 +200,21 @@ def evidence_of(
         expected = one.of(readings, correction)
         if not expected.refuted_by(seen):
             noise = one.noise.share * float(np.trace(one.noise.covariance))
-            shares = (1.0,) if correction.constant_known else SHARES
-            share = next((part for part in shares if expected.chance_of_harm(seen, part) < CHANCE), 1.0)
-            benefit, chance = expected.mean_benefit(seen, share), expected.chance_of_harm(seen, share)
-            trivial, away = benefit < _TRIVIAL * noise, expected.away(seen, share)
-            told = (correction.constant_known, expected.quick_benefit(seen, share))
-            return Evidence(name, slope, sigma, chance, benefit, trivial, one.units, share, away, *told)
+            part = best_part(expected, seen, correction.constant_known)
+            benefit, chance = expected.mean_benefit(seen, part), expected.chance_of_harm(seen, part)
+            trivial, away = benefit < _TRIVIAL * noise, expected.away(seen, part.share)
+            told = (correction.constant_known, expected.quick_benefit(seen, part))
+            return Evidence(name, slope, sigma, chance, benefit, trivial, one.units, part, away, *told)
     return Evidence(name, slope, sigma, float("nan"), 0.0, False, units)
+
+
+def best_part(expected: Expected, seen: Seen, constant_known: bool) -> Part:
+    """Return what of a correction lowers the error most among what is sure to; the whole if nothing is."""
+    if constant_known:
+        return WHOLE
+    parts = [Part(share, width) for width in (0, *expected.kept) for share in SHARES]
+    sure = [part for part in parts if expected.chance_of_harm(seen, part) < CHANCE]
+    return max(sure, key=lambda part: expected.mean_benefit(seen, part), default=WHOLE)
 
 
 def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from inflight.arrays import Floats
+
 #: How far two sensors drift apart within minutes, by their temperatures, and in an hour, which grows with the
 #: root of time; nT, one standard deviation. Offsets of space fluxgates move by some 0.1 nT in a day, and by
 #: about 1 nT in a month.
@@ -42,3 +44,25 @@ def drift_of_contrast(block: int, count: int, drift: float) -> float:
     # Means over neighbouring blocks of a walk with steps of variance v differ by 2/3 v block.
     walk = 2.0 / 3.0 * drift**2 * block / count
     return float((line + walk) * block / 2.0)
+
+
+def wanderings(count: int, draws: int = 4) -> tuple[Floats, Floats]:
+    """Return series of a drift and of flicker noise as `drift_of_contrast` and `flicker_of_contrast` have them.
+
+    Returns
+    -------
+    drift : ndarray, shape (time, 1 + draws)
+        A straight line of rms 1 in the record, and random walks that are as far apart at its ends.
+    flicker : ndarray, shape (time, draws)
+        Beside white noise of size 1.
+    """
+    random = np.random.default_rng(5)
+    line = np.sqrt(12.0) * (np.arange(count) / max(count, 1) - 0.5)
+    walks = np.cumsum(random.normal(0.0, 1.0 / np.sqrt(max(count, 1)), (count, draws)), axis=0)
+    frequency = np.fft.rfftfreq(count)
+    spectrum = random.normal(size=(2, frequency.size, draws))
+    shape = np.zeros(frequency.size)
+    shape[1:] = 1.0 / np.sqrt(frequency[1:])
+    flicker = np.fft.irfft((spectrum[0] + 1j * spectrum[1]) * shape[:, None], count, axis=0)
+    size = np.maximum(flicker.std(axis=0), 1e-300)
+    return np.column_stack([line, walks]), np.asarray(FLICKER * flicker / size)
