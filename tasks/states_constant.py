@@ -20,6 +20,7 @@ from inflight.dual.correction import Correction
 from inflight.dual.gradiometer_table import correction_by_gradiometer, gradiometer_of
 from inflight.dual.processing import SURE, process
 from inflight.dual.readings import Readings
+from inflight.dual.slow_part import leaves_slow_alone
 from inflight.dual.table import from_dataset
 from inflight.time import day_of
 
@@ -86,11 +87,12 @@ def constant_of(table: xr.Dataset) -> str:
     Returns
     -------
     str
-        ``as measured`` where nothing is taken off, ``absolute`` where the ambient field was known,
+        ``as measured`` where nothing is taken off, or only what changes quickly; ``absolute`` where the
+        ambient field was known,
         ``relative to state N``, or ``that of the window from DAY alone`` where a gradiometer has no state
         to go by.
     """
-    if str(table.attrs["applied"]) != "yes":
+    if str(table.attrs["applied"]) != "yes" or leaves_slow_alone(table):
         return MEASURED
     if str(table.attrs["method"]) == "gradiometer" and _constant(table) is None:
         return f"that of the window from {day_of(int(table['start']))!s:.10} alone"

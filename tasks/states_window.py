@@ -27,6 +27,7 @@ from inflight.dual.places import Body
 from inflight.dual.processing import process
 from inflight.dual.product import readings_of
 from inflight.dual.readings import Readings
+from inflight.dual.slow_part import Part, partly, slow_in_window, slow_variables
 from inflight.dual.table import from_dataset, to_dataset
 from inflight.errors import InflightError, SamplesError
 from inflight.mission import DualComparison, Mission
@@ -42,7 +43,7 @@ from inflight.time import Int64
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 5
+STATES_VERSION = 6
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -61,7 +62,8 @@ def states_window(
     -------
     Dataset
         Of `inflight.dual.table.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`, `benefit`,
-        `chance_of_harm` over `candidate` say what held-out stretches tell of each correction. Attributes
+        `chance_of_harm` over `candidate` say what held-out stretches tell of each correction, `share` and
+        `slower` which part of it is sure to help. Attributes
         `method`, `applied` (yes or no), `verdict`, `remark`.
     """
     with threadpool_limits(1), kept_readings():
@@ -171,7 +173,8 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         slope_sigma=(one, np.array([each.sigma for each in evidence])),
         benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
         chance_of_harm=(one, np.array([each.chance_of_harm for each in evidence]), {"units": "1"}),
-        share=(one, np.array([each.share for each in evidence]), {"units": "1"}),
+        share=(one, np.array([each.part.share for each in evidence]), {"units": "1"}),
+        slower=(one, np.array([each.part.seconds for each in evidence]), {"units": "s"}),
         share_away=(one, np.array([each.away for each in evidence]), {"units": "1"}),
         helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
         candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
@@ -180,38 +183,48 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
         applied="no" if chosen == "none" else "yes",
         verdict=found.correction.reason,
     )
-    return gradiometer_in_states(told, candidates.readings) if chosen in FORMS else told
+    if chosen in FORMS:
+        told = gradiometer_in_states(told, candidates.readings)
+    seconds = found.evidence[chosen].part.seconds if chosen in found.evidence else 0.0
+    if not seconds:
+        return told
+    whole = whole_correction(told, candidates.readings)
+    return told.merge(slow_variables(whole, candidates.readings, seconds))
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
-    """Return what a table takes off a day's readings, by the method it chose.
+    """Return what a table takes off a day's readings, by the method it chose and as much as is sure to help.
 
-    One that does not help is kept, and not applied. In states that the table does not know a gradiometer
-    stands in when held-out stretches say that it helps by itself.
+    One that does not help is kept, and not applied.
+    """
+    found = whole_correction(table, readings)
+    method = str(table.attrs["method"])
+    told = _told_of(table, str(table.attrs["gradiometer_form"]) if method == "gradiometer" else method)
+    if not found.applied or told is None:
+        return found
+    part = Part(float(told["share"]), float(told["slower"]))
+    slow = slow_in_window(table, found, readings, part.seconds) if part.seconds else None
+    return partly(found, part, float(told["share_away"]), slow)
+
+
+def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
+    """Return the correction by the method that a table chose, all of it.
+
+    In states that the table does not know a gradiometer stands in when held-out stretches say that it helps
+    by itself.
     """
     method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
     if method == "gradiometer":
-        found = _share_of(
-            table, str(table.attrs["gradiometer_form"]), gradiometer_with_states(table, readings)
-        )
-        return replace(found, reason=verdict)
+        return replace(gradiometer_with_states(table, readings), reason=verdict)
     training = from_dataset(table)
     if not len(training):
         return no_correction(len(readings), verdict)
     if method == "combined":
         found = correction_by_both(readings, training, gradiometer_of(table))
-        return replace(_share_of(table, method, found), reason=verdict)
+        return replace(found, reason=verdict)
     fallback = correction_by_gradiometer(table, readings) if gradiometer_helps(table) else None
-    correction = process(readings, training, fallback=fallback)
-    if str(table.attrs["applied"]) != "yes":
-        return correction.withheld(verdict)
-    return replace(_share_of(table, method, correction), reason=verdict)
-
-
-def _share_of(table: xr.Dataset, candidate: str, correction: Correction) -> Correction:
-    """Return as much of a candidate's correction as is sure to help."""
-    told = _told_of(table, candidate)
-    return correction if told is None else correction.partly(float(told["share"]), float(told["share_away"]))
+    found = process(readings, training, fallback=fallback)
+    return replace(found, reason=verdict) if str(table.attrs["applied"]) == "yes" else found.withheld(verdict)
 
 
 def _told_of(table: xr.Dataset, candidate: str) -> xr.Dataset | None:

@@ -15,8 +15,6 @@ from inflight.arrays import Floats
 from inflight.dual.correction import UNKNOWN, Correction
 from inflight.dual.gradiometer import Gradiometer
 from inflight.dual.readings import Readings
-from inflight.dual.wander import drift_in, flicker_of_octave
-from inflight.time import SECOND
 
 #: Power over that of the noise below which nothing is kept of a band.
 _ABOVE = 2.0
@@ -24,10 +22,6 @@ _ABOVE = 2.0
 _AROUND = 4
 #: The slowest band is of this part of the record; what is slower is kept.
 _SLOWEST = 8
-#: What is slower than all bands are so many octaves.
-_SLOW = 3.0
-#: Power of flicker noise and drift that is allowed for beside the usual: twice as large.
-_WARY = 4.0
 
 
 def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Correction:
@@ -47,7 +41,7 @@ def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Corr
     covariance = np.full((count, 3, 3), np.nan)
     if good.any():
         stray = gradiometer.stray(readings)[good]
-        kept, variance = without_noise(stray, gradiometer.noise, drift_left(gradiometer, readings))
+        kept, variance = without_noise(stray, gradiometer.noise)
         kept -= np.median(kept, axis=0)
         field[good] = kept @ gradiometer.matrix.T
         covariance[good] = _error(gradiometer, kept, variance, readings.outboard[good])
@@ -62,14 +56,7 @@ def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Corr
     )
 
 
-def drift_left(gradiometer: Gradiometer, readings: Readings) -> float | None:
-    """Return the drift that a careful gradiometer leaves alone, nT; None for the others."""
-    if not gradiometer.careful:
-        return None
-    return drift_in((readings.stamps[-1] - readings.stamps[0]) / SECOND)
-
-
-def without_noise(series: Floats, noise: Floats, drift: float | None = None) -> tuple[Floats, Floats]:
+def without_noise(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
     """Return a series less what is no more than white noise in each band, and the rest's error.
 
     Parameters
@@ -78,8 +65,6 @@ def without_noise(series: Floats, noise: Floats, drift: float | None = None) -> 
         nT, finite.
     noise : ndarray, shape (axis, axis)
         Covariance of its white noise, nT^2.
-    drift : float, optional
-        Of the sensors in the record, nT: what is no more than that or their flicker noise is left, too.
 
     Returns
     -------
@@ -89,7 +74,6 @@ def without_noise(series: Floats, noise: Floats, drift: float | None = None) -> 
     """
     # Rows of white noise of size one.
     whiten = np.linalg.pinv(np.linalg.cholesky(noise + 1e-9 * max(float(np.trace(noise)), 1e-18) * np.eye(3)))
-    flicker = 0.0 if drift is None else _WARY * flicker_of_octave(len(series))
     smooth, width = series, 1
     kept, variance = np.zeros_like(series), np.zeros(len(series))
     while 2 * width + 1 <= max(len(series) // _SLOWEST, 1):
@@ -99,23 +83,11 @@ def without_noise(series: Floats, noise: Floats, drift: float | None = None) -> 
         level = 1.0 / width - 1.0 / wider
         power = np.mean((band @ whiten.T) ** 2, axis=1)
         around = ndimage.uniform_filter1d(power, min(_AROUND * wider, len(series)), mode="nearest") / level
-        share = np.clip(1.0 - _ABOVE * (1.0 + flicker / level) / np.maximum(around, 1e-12), 0.0, 1.0)
+        share = np.clip(1.0 - _ABOVE / np.maximum(around, 1e-12), 0.0, 1.0)
         kept += share[:, None] * band
         variance += level * (share + (1.0 - share) ** 2 * np.clip(around - 1.0, 0.0, None))
         smooth, width = slower, wider
-    middle = np.median(smooth, axis=0)
-    rest, left = smooth - middle, 0.0
-    if drift is not None:
-        rest, left = _less_wander(rest, whiten, _SLOW * flicker, drift)
-    return kept + middle + rest, variance + 1.0 / width + left
-
-
-def _less_wander(slow: Floats, whiten: Floats, flicker: float, drift: float) -> tuple[Floats, float]:
-    """Return what stands above flicker noise and drift of the slowest part, and the error's power."""
-    power = max(float(np.mean((slow @ whiten.T) ** 2)), 1e-12)
-    level = flicker + _WARY * drift**2 * float(np.sum(whiten**2)) / 3.0
-    share = float(np.clip(1.0 - _ABOVE * level / power, 0.0, 1.0))
-    return share * slow, share * level + (1.0 - share) ** 2 * power
+    return kept + smooth, variance + 1.0 / width
 
 
 def _error(gradiometer: Gradiometer, kept: Floats, variance: Floats, outboard: Floats) -> Floats:

@@ -103,7 +103,7 @@ class Candidates:
         else:
             places = {"all units in the body": self.body.matrices, nearer: matrices_near(self.body)}
         return [
-            Expectation(matrices, stray, noise, full.mixing.leak_covariance, units)
+            Expectation(self.readings, matrices, stray, noise, full.mixing.leak_covariance, units)
             for units, matrices in places.items()
         ]
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual.bands import drift_left, quadratic, without_noise
+from inflight.dual.bands import quadratic, without_noise
 from inflight.dual.correction import Correction
 from inflight.dual.gradiometer import Gradiometer
 from inflight.dual.readings import Readings
@@ -49,7 +49,7 @@ def combined_correction(
         stray += np.median(readings.difference[good] - stray, axis=0)
         base, reference = _reference(training)
         here = np.where(place[:, None] >= 0, training.centre[place], base)
-        kept, variance = without_noise(stray - here, gradiometer.noise, drift_left(gradiometer, readings))
+        kept, variance = without_noise(stray - here, gradiometer.noise)
         matrix = gradiometer.matrix
         field[good] = np.where(place[:, None] >= 0, value[place], reference) + kept @ matrix.T
         noise = matrix @ gradiometer.noise @ matrix.T

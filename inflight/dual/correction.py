@@ -6,38 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from inflight.arrays import Floats
 
 #: Numbers of samples that are in no known state.
 UNKNOWN, TRANSIENT = -1, -2
 METHODS = ("states", "gradiometer", "combined", "none")
-
-
-@dataclass(frozen=True)
-class Part:
-    """What of a correction is taken off.
-
-    Attributes
-    ----------
-    share : float
-        1 for all of it.
-    width : int
-        What changes more slowly than means over so many samples is left alone; 0 where it is not.
-    """
-
-    share: float = 1.0
-    width: int = 0
-
-
-WHOLE = Part()
-
-
-def slow_part(values: Floats, width: int) -> Floats:
-    """Return what of values (time, column) changes more slowly than means over so many samples."""
-    once = ndimage.uniform_filter1d(values, width, axis=0, mode="nearest")
-    return np.asarray(ndimage.uniform_filter1d(once, width, axis=0, mode="nearest"))
 
 
 @dataclass(frozen=True)
@@ -100,34 +74,6 @@ class Correction:
         if not self.applied:
             return outboard.copy()
         return np.asarray(outboard - np.nan_to_num(self.field, nan=0.0))
-
-    def partly(self, part: Part, away: float) -> Correction:
-        """Return the correction of which only a part is taken off.
-
-        Parameters
-        ----------
-        part : Part
-            `WHOLE` for the whole, which is returned as it is.
-        away : float
-            How far the share is from that of the stray field, rms: it widens the error of what changes. What
-            is left alone because it is slow is an error as a whole.
-        """
-        known = self.known
-        if part == WHOLE or not known.any():
-            return self
-        field = self.field[known]
-        changes, slow = field - np.median(field, axis=0), np.zeros_like(field)
-        if part.width:
-            slow = slow_part(changes, part.width)
-            field = changes = changes - slow
-        taken, covariance = np.full_like(self.field, np.nan), np.full_like(self.covariance, np.nan)
-        taken[known] = part.share * field
-        covariance[known] = (
-            self.covariance[known] * part.share**2
-            + away**2 * changes[:, :, None] * changes[:, None, :]
-            + slow[:, :, None] * slow[:, None, :]
-        )
-        return replace(self, field=taken, covariance=covariance)
 
     def withheld(self, reason: str) -> Correction:
         """Return the same correction, not applied for a reason."""

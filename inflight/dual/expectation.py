@@ -9,18 +9,20 @@ the sensors wander by themselves, and ambient field that leaks in.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
 from inflight.arrays import Floats
-from inflight.dual.correction import WHOLE, Correction, Part, slow_part
+from inflight.dual.correction import Correction
 from inflight.dual.moments import Noise
 from inflight.dual.readings import Readings
-from inflight.dual.scales import Cells, cells_of, contrasts
-from inflight.dual.wander import DRIFT, drift_in, drift_of_contrast, flicker_of_contrast, wanderings
+from inflight.dual.scales import Cells, cells_of, contrasts, running_sums, scales_of
+from inflight.dual.slow_part import WHOLE, Part, slow_part
+from inflight.dual.wander import DRIFT, TAIL, drift_in, wanderings
 from inflight.time import SECOND
 
 #: The longest blocks are this part of the record; cells that tell the quiet level of a scale.
@@ -35,8 +37,6 @@ _TURNS = 5
 #: Part of the drift of both sensors that is the outboard one's: two straight lines, each as likely to rise as
 #: to fall; mean and standard deviation.
 _OUTBOARD = (0.5, 0.5)
-#: Sensors differ in how far they drift: the size is Student's t of so many degrees of freedom.
-_TAIL = 3.0
 #: Parts of the record that corrections are cut at, and the narrowest such width, samples.
 CUTS, _NARROWEST = (4, 8, 16, 32, 64, 128, 256), 8
 #: Chance below which held-out readings are not of units in the body.
@@ -70,14 +70,14 @@ class Expected:
     slope : ndarray, shape (scale, draw)
         Of the stray field on the correction.
     kept : mapping
-        By the width in samples that a correction is cut at, see `Correction.quicker`: its product with the
-        whole correction on each scale, and its square, beside `power`; each (scale,).
+        By the seconds of a `Part`: the product of the part with the whole correction on each scale, and its
+        square, beside `power`; each (scale,).
     """
 
     scale: npt.NDArray[np.int64]
     power: Floats
     slope: Floats
-    kept: Mapping[int, tuple[Floats, Floats]]
+    kept: Mapping[float, tuple[Floats, Floats]] = field(default_factory=dict)
 
     @property
     def whole(self) -> Floats:
@@ -96,8 +96,8 @@ class Expected:
         return bool(seen.scale.size) and float(chi2.sf(self.misfit(seen).min(), seen.scale.size)) < _REFUTED
 
     def benefit(self, part: Part) -> Floats:
-        """Return the fall of the mean square error on each scale by a part of the correction; (scale, draw)."""
-        product, square = self.kept[part.width] if part.width else (1.0, 1.0)
+        """Return the fall of the mean square error by a part of the correction, nT^2; (scale, draw)."""
+        product, square = self.kept[part.seconds] if part.seconds else (1.0, 1.0)
         fall = 2.0 * part.share * np.multiply(product, self.power)[:, None] * self.slope
         return np.asarray(fall - part.share**2 * np.multiply(square, self.power)[:, None])
 
@@ -117,9 +117,12 @@ class Expected:
         own = np.isin(self.scale, seen.scale)
         return float(self.benefit(part)[own].sum(axis=0) @ self.weights(seen))
 
-    def away(self, seen: Seen, share: float) -> float:
-        """Return how far the slope is from a share, rms, after held-out readings."""
-        return float(np.sqrt(self.weights(seen) @ (self.whole - share) ** 2))
+    def away(self, seen: Seen, part: Part = WHOLE) -> float:
+        """Return how far the slope of a part is from its share, rms, after held-out readings."""
+        product, square = self.kept[part.seconds] if part.seconds else (1.0, 1.0)
+        total = max(float(np.sum(np.multiply(square, self.power))), 1e-300)
+        slope = np.multiply(product, self.power) @ self.slope / total
+        return float(np.sqrt(self.weights(seen) @ (slope - part.share) ** 2))
 
     def weights(self, seen: Seen) -> Floats:
         """Return how likely each draw is after held-out readings; (draw,)."""
@@ -129,11 +132,37 @@ class Expected:
 
 
 @dataclass(frozen=True)
+class Lost:
+    """What of the difference is no stray field: flicker noise, drift, ambient field that leaks in.
+
+    Attributes
+    ----------
+    part : ndarray, shape (place, turn)
+        Of the difference's power.
+    added : ndarray, shape (place, turn)
+        What the outboard sensor's own noise n adds to the error: the difference holds -n, and a correction
+        M d of power P adds <n M n> / P.
+    """
+
+    part: Floats
+    added: Floats
+
+    def less(self, slope: Floats) -> Floats:
+        """Return what is left of slopes (place, 1); (place, turn).
+
+        Where the correction is against the units' field, it is no merit that it is for a sensor's noise: that
+        would be the inboard reading in the outboard one's place.
+        """
+        return np.asarray(slope * (1.0 - self.part) - np.abs(slope) * self.added)
+
+
+@dataclass(frozen=True)
 class Expectation:
     """What is known before the outboard reading is asked.
 
     Attributes
     ----------
+    readings : Readings
     matrices : ndarray, shape (place, 3, 3)
         What takes the difference to the outboard sensor, for places all over the body.
     stray : ndarray, shape (time, axis)
@@ -149,6 +178,7 @@ class Expectation:
         How far the sensors drift apart by themselves in an hour, nT.
     """
 
+    readings: Readings
     matrices: Floats
     stray: Floats
     noise: Noise
@@ -156,79 +186,103 @@ class Expectation:
     units: str = "all units in the body"
     drift: float = DRIFT
 
-    def of(self, readings: Readings, correction: Correction) -> Expected:
-        """Return what to expect of a correction of the same readings.
+    def of(self, correction: Correction) -> Expected:
+        """Return what to expect of a correction of the readings.
 
-        What comes and goes with the states is stray field: its slope is that of the switchings on all scales,
-        because what the sensors wander between two of them is in neither. The rest may be the sensors' own.
+        What comes and goes with the states has the slope of the switchings on all scales: of what the
+        sensors wander by themselves it holds as much as comes into means over each state.
         """
-        good = readings.good
-        field = np.nan_to_num(correction.field[good], nan=0.0)
-        stepped = _by_state(field, correction.state[good])
-        cells = cells_of(
-            readings.outboard[good], self.stray[good], stepped, field - stepped, longest=_LONGEST
-        )
-        number = int(good.sum())
-        # How large noise, drift and leak are beside what is usual of them, in power.
-        random = np.random.default_rng(2)
-        shape = (len(self.matrices), _TURNS)
-        turns = random.normal(size=(4, *shape))
-        turns[1] = random.standard_t(_TAIL, shape)
-        turns[:3] **= 2
-        turns[3] = _OUTBOARD[0] + _OUTBOARD[1] * turns[3]
+        good = self.readings.good
+        taken, state = np.nan_to_num(correction.field[good], nan=0.0), correction.state[good]
+        stray, both = self.stray[good], self._difference
+        stepped, both_stepped = by_state(state, taken), by_state(state, both)
+        cells = cells_of(self.readings.outboard[good], stray, stepped, taken - stepped, longest=_LONGEST)
+        quick = cells.part(cells.scale <= max(len(taken) // _QUICK, 1))
+        switched = self._slopes(quick, slice(6, 9))[:, None]
+        if np.any(state >= 0):
+            lost_stepped = self._lost(both_stepped)
+            lost = self._lost(both - both_stepped, most=self._quiet)
+        else:
+            lost = lost_stepped = self._lost_without_states
         scales = np.unique(cells.scale)
-        quick = self._slopes(cells.part(cells.scale <= max(number // _QUICK, 1)), slice(6, 9))[:, None]
-        follow = self._in_states(readings, correction.state[good])
-        power, slope = np.zeros(scales.size), np.zeros((scales.size, len(self.matrices), _TURNS))
+        power, slope = np.zeros(scales.size), []
         for place, scale in enumerate(scales.tolist()):
             here = cells.part(cells.scale == scale)
-            taken = here.covariance[:, 6:, 6:].reshape(-1, 2, 3, 2, 3)
-            total, *parts = (
-                max(float(np.einsum("c,cii->", here.count, one)), 1e-300)
-                for one in (taken.sum(axis=(1, 3)), taken[:, 0, :, 0], taken[:, 1, :, 1])
-            )
-            power[place] = total / here.count.sum() / (2.0 * float(scale))
-            others = self._slopes(here, slice(9, 12))[:, None]
-            lost = self._lost(self._usual(here, readings), turns, self._size(here.covariance[:, 3:6, 3:6]), here)
-            rest = _without(others, *lost)
-            by_state = quick
-            if follow is not None:
-                wander = follow(scale) * here.count.sum()
-                part = np.clip(np.einsum("k,kpt->pt", wander, turns[:3]) / parts[0], 0.0, 1.0)
-                share = (wander[0] * turns[0] * self.noise.share + wander[1] * turns[1] * turns[3]) / parts[0]
-                share = np.clip(share, -1, 1)
-                by_state = _without(quick, part, share / self._factor)
-            slope[place] = (by_state * parts[0] + rest * parts[1]) / total
+            total, *parts = _powers(here)
+            power[place] = total / (2.0 * float(scale))
+            rest = lost[scale].less(self._slopes(here, slice(9, 12))[:, None])
+            slope.append((lost_stepped[scale].less(switched) * parts[0] + rest * parts[1]) / total)
         # What changes more slowly than any contrast.
-        power[-1] += max(float(np.var(field, axis=0).sum() - power.sum()), 0.0)
-        return Expected(scales, power, slope.reshape(scales.size, -1), _kept(field, scales))
+        power[-1] += max(float(np.var(taken, axis=0).sum() - power.sum()), 0.0)
+        drawn = np.reshape(slope, (scales.size, -1))
+        return Expected(scales, power, drawn, _kept(taken, scales, self.readings))
 
-    @property
-    def _factor(self) -> float:
-        """Size of the mean matrix."""
-        return float(np.sqrt(np.sum(self.matrices.mean(axis=0) ** 2) / 3.0))
+    @cached_property
+    def _difference(self) -> Floats:
+        """The stray part of the difference, and what else may be in it; (time, column), nT.
 
-    def _in_states(self, readings: Readings, state):
-        """Return what of the sensors' wandering and the leak comes into means of the states."""
-        if not np.any(state >= 0):
-            return None
-        good = readings.good
-        count = int(good.sum())
-        drift_size = drift_in((readings.stamps[-1] - readings.stamps[0]) / SECOND, self.drift)
-        drift, flicker = wanderings(count)
-        made = _by_state(np.column_stack([flicker, drift, readings.outboard[good]]), state)
-        noise, one = self._size(self.noise.covariance[None])[0], self._size(np.eye(3)[None])[0]
-        leak = self.leak_covariance.reshape(3, 3, 3, 3)
+        Columns: three axes, the size at the outboard sensor of flicker noise and of drift, four draws of
+        each, and three axes of the ambient field.
+        """
+        readings, good = self.readings, self.readings.good
+        flicker, drift = wanderings(int(good.sum()))
+        far = drift_in((readings.stamps[-1] - readings.stamps[0]) / SECOND, self.drift)
+        noise, one = (np.sqrt(self._size(each)) for each in (self.noise.covariance, np.eye(3)))
+        return np.column_stack(
+            [self.stray[good], noise * flicker, one * far * drift, readings.outboard[good]]
+        )
 
-        def follow(scale: int):
-            values = contrasts(made, scale)[0]
-            square = np.mean(values**2, axis=0)
-            line_and_walk = square[4] + square[5:9].mean()
-            ambient = values[:, 9:].T @ values[:, 9:] / len(values)
-            through = self._size(np.einsum("iajb,ab->ij", leak, ambient)[None])[0]
-            return np.array([noise * square[:4].mean(), one * drift_size**2 * line_and_walk, through])
+    @cached_property
+    def _turns(self) -> Floats:
+        """How large flicker noise, drift and leak are beside what is usual of them, in power.
 
-        return follow
+        (4, place, turn): the last is the outboard sensor's part of the drift.
+        """
+        random = np.random.default_rng(2)
+        turns = random.normal(size=(4, len(self.matrices), _TURNS))
+        turns[1] = random.standard_t(TAIL, turns.shape[1:])
+        turns[:3] **= 2
+        turns[3] = _OUTBOARD[0] + _OUTBOARD[1] * turns[3]
+        return turns
+
+    @cached_property
+    def _lost_without_states(self) -> dict[int, Lost]:
+        return self._lost(self._difference, most=self._quiet)
+
+    def _lost(self, both: Floats, most: Mapping[int, float] | None = None) -> dict[int, Lost]:
+        """Return by scale what of the difference is no stray field.
+
+        Parameters
+        ----------
+        both : ndarray, shape (time, column)
+            As `_difference`, or a part of it.
+        most : mapping, optional
+            The largest power of noise and of drift by scale, nT^2.
+        """
+        sums, found = running_sums(both), {}
+        for scale in scales_of(len(both), _LONGEST):
+            values = contrasts(sums, scale)[0]
+            flicker, drift = np.mean(values[:, 3:11] ** 2, axis=0).reshape(2, -1).mean(axis=1)
+            stray, ambient = (one.T @ one / len(values) for one in (values[:, :3], values[:, 11:]))
+            leak = np.einsum("iajb,ab->ij", self.leak_covariance.reshape(3, 3, 3, 3), ambient)
+            own = np.array([flicker, drift])[:, None, None] * self._turns[:2]
+            own = own if most is None else np.minimum(own, most[scale])
+            lost = np.concatenate([own, self._size(leak) * self._turns[2:3]])
+            lost /= max(self._size(stray), 1e-300)
+            lost /= np.maximum(lost.sum(axis=0), 1.0)
+            outboard = self.noise.share * lost[0] + self._turns[3] * lost[1]
+            found[scale] = Lost(lost.sum(axis=0), outboard / self._factor)
+        return found
+
+    @cached_property
+    def _quiet(self) -> dict[int, float]:
+        """Power of the difference in quiet stretches, by scale: sensors wander all the time. nT^2."""
+        cells = cells_of(self._difference[:, :3], longest=_LONGEST)
+        found = {}
+        for scale in np.unique(cells.scale).tolist():
+            size = [self._size(one) for one in cells.covariance[cells.scale == scale]]
+            found[scale] = float(np.quantile(size, _QUIET)) if len(size) >= _QUIET_CELLS else np.inf
+        return found
 
     def _slopes(self, cells: Cells, part: slice) -> Floats:
         """Return the slopes of what matrices make of the difference on a part of the correction; (place,)."""
@@ -236,71 +290,47 @@ class Expectation:
         total = float(np.einsum("c,cii->", cells.count, cells.covariance[:, part, part]))
         return np.asarray(np.einsum("pji,ij->p", self.matrices, across) / max(total, 1e-300))
 
-    def _usual(self, cells: Cells, readings: Readings) -> Floats:
-        """Return the usual power of flicker noise, drift, and ambient field that leaks in; (3,)."""
-        power = self._size(cells.covariance[:, 3:6, 3:6])
-        count, block = int(readings.good.sum()), int(cells.scale[0])
-        drift = drift_in((readings.stamps[-1] - readings.stamps[0]) / SECOND, self.drift)
-        leak = self.leak_covariance.reshape(3, 3, 3, 3)
-        through = self._size(np.einsum("iajb,cab->cij", leak, cells.covariance[:, :3, :3]))
-        return np.array([
-            self._size(self.noise.covariance[None])[0] * flicker_of_contrast(block, count),
-            self._size(np.eye(3)[None])[0] * drift_of_contrast(block, count, drift),
-            float(cells.count @ through) / cells.count.sum(),
-        ])
+    @cached_property
+    def _middle(self) -> Floats:
+        """The mean matrix."""
+        return np.asarray(self.matrices.mean(axis=0))
 
-    def _lost(self, usual: Floats, turns: Floats, power, cells: Cells) -> tuple[Floats, Floats]:
-        """Return which part of the difference is no stray field, and what that adds; each (place, turn).
+    @property
+    def _factor(self) -> float:
+        """Size of the mean matrix."""
+        return float(np.sqrt(np.sum(self._middle**2) / 3.0))
 
-        Flicker noise, drift of the offsets, and ambient field that leaks in: `turns` (4, place, turn) times
-        what is usual of them, and the outboard sensor's part of the drift. Of that sensor's own noise n the
-        difference holds -n: the correction M d of power P adds to the error by <n M n> / P, a part of the
-        lost power over M.
-        """
-        total = max(float(cells.count @ power), 1e-300)
-        # Sensors wander all the time: no more than in a quiet stretch.
-        most = float(np.quantile(power, _QUIET)) if len(cells) >= _QUIET_CELLS else np.inf
-        here = cells.count.sum()
-        parts = [np.minimum(one * turn, most) * here for one, turn in zip(usual[:2], turns[:2], strict=True)]
-        parts.append(turns[2] * usual[2] * here)
-        lost = np.array(parts) / total
-        lost /= np.maximum(lost.sum(axis=0), 1.0)
-        outboard = self.noise.share * lost[0] + turns[3] * lost[1]
-        return np.asarray(lost.sum(axis=0)), np.asarray(outboard / self._factor)
-
-    def _size(self, covariance: Floats) -> Floats:
-        """Return the power at the outboard sensor of covariances of the difference (cell, 3, 3)."""
-        middle = self.matrices.mean(axis=0)
-        return np.asarray(np.einsum("ki,cij,kj->c", middle, covariance, middle))
+    def _size(self, covariance: Floats) -> float:
+        """Return the power at the outboard sensor of a covariance of the difference (3, 3)."""
+        return float(np.einsum("ki,ij,kj->", self._middle, covariance, self._middle))
 
 
-def _without(slope: Floats, lost: Floats, added: Floats) -> Floats:
-    """Return the slope of a part of which something is lost.
-
-    Where the correction is against the units' field, it is no merit that it is for a sensor's noise: that
-    would be the inboard reading in the outboard one's place.
-    """
-    return np.asarray(slope * (1.0 - lost) - np.abs(slope) * added)
+def _powers(cells: Cells) -> list[float]:
+    """Return the power of a correction in contrasts, and of its parts with states and without, nT^2."""
+    taken = cells.covariance[:, 6:, 6:].reshape(-1, 2, 3, 2, 3)
+    parts = taken.sum(axis=(1, 3)), taken[:, 0, :, 0], taken[:, 1, :, 1]
+    return [max(float(np.einsum("c,cii->", cells.count, one) / cells.count.sum()), 1e-300) for one in parts]
 
 
-def _kept(field: Floats, scales: npt.NDArray[np.int64]) -> dict[int, tuple[Floats, Floats]]:
-    """Return what is left of a correction on each scale when it is cut at each of the widths."""
-    widths = [len(field) // part for part in CUTS if len(field) // part >= _NARROWEST]
-    cut = np.stack([field, *(field - slow_part(field, width) for width in widths)], axis=2)
-    product, square = np.ones((2, scales.size, len(widths) + 1))
+def _kept(
+    taken: Floats, scales: npt.NDArray[np.int64], readings: Readings
+) -> dict[float, tuple[Floats, Floats]]:
+    """Return what is left on each scale of a correction's good rows when slow parts are left alone."""
+    widths = [len(taken) // part for part in CUTS if len(taken) // part >= _NARROWEST]
+    cut = [taken, *(taken - slow_part(taken, width) for width in widths)]
+    sums = running_sums(np.concatenate(cut, axis=1))
+    product, square = np.ones((2, scales.size, len(cut)))
     for place, scale in enumerate(scales.tolist()):
-        values = contrasts(cut.reshape(len(cut), -1), scale)[0].reshape(-1, *cut.shape[1:])
-        power = max(float(np.sum(values[:, :, 0] ** 2)), 1e-300)
-        product[place] = np.einsum("tak,ta->k", values, values[:, :, 0]) / power
-        square[place] = np.sum(values**2, axis=(0, 1)) / power
-    return {width: (product[:, k + 1], square[:, k + 1]) for k, width in enumerate(widths)}
+        values = contrasts(sums, scale)[0].reshape(-1, len(cut), 3)
+        power = max(float(np.sum(values[:, 0] ** 2)), 1e-300)
+        product[place] = np.einsum("tka,ta->k", values, values[:, 0]) / power
+        square[place] = np.sum(values**2, axis=(0, 2)) / power
+    seconds = [width * readings.step / SECOND for width in widths]
+    return {one: (product[:, k], square[:, k]) for k, one in enumerate(seconds, start=1)}
 
 
-def _by_state(values: Floats, state: npt.NDArray[np.int64]) -> Floats:
-    """Return the part of values (time, column) that is the same whenever a state comes again.
-
-    What sensors do by themselves does not come and go with a state: only the rest may be that.
-    """
+def by_state(state: npt.NDArray[np.int64], values: Floats) -> Floats:
+    """Return the part of values (time, column) that is the same whenever a state comes again."""
     told = np.flatnonzero(state >= 0)
     if not told.size:
         return np.zeros_like(values)
@@ -308,6 +338,5 @@ def _by_state(values: Floats, state: npt.NDArray[np.int64]) -> Floats:
     last = np.maximum(np.searchsorted(told, np.arange(state.size), side="right") - 1, 0)
     _, place = np.unique(state[told], return_inverse=True)
     count = np.bincount(place)
-    columns = range(values.shape[1])
-    mean = np.stack([np.bincount(place, values[told, column]) / count for column in columns], axis=1)
-    return np.asarray(mean[place[last]])
+    mean = [np.bincount(place, column[told]) / count for column in values.T]
+    return np.asarray(np.stack(mean, axis=1)[place[last]])

@@ -4,8 +4,7 @@ A dipole on the boom's axis makes ``k`` times its inboard field at the outboard 
 field is ``B = (B_out - k B_in) / (1 - k)`` and the stray field at the outboard sensor ``k / (1 - k) d`` with
 ``d = B_in - B_out``. Units off the axis have other factors: in general the stray field is a matrix times
 ``d``. Its forms are one ratio, one for each axis, the strongest directions of ``d`` (`principal`), the
-matrix of a dipole whose place is fitted, and the full matrix; the careful form leaves alone, in each time
-scale, what may be flicker noise and drift of the sensors.
+matrix of a dipole whose place is fitted, and the full matrix.
 
 What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the
 matrix (`mixing`) and taken out before: otherwise the field that is measured would be changed in proportion
@@ -36,12 +35,10 @@ from inflight.dual.scales import cells_of, quietest
 from inflight.errors import CalibrationError, SettingsError
 
 #: Forms of the matrix, from the fewest numbers to the most.
-FORMS = ("ratio", "axes", "dipole", "principal", "matrix", "careful")
+FORMS = ("ratio", "axes", "dipole", "principal", "matrix")
 #: Standard deviation of an element of the leak before anything is seen: a percent is a poor calibration.
 LEAK_SIGMA = 0.01
 _FEWEST = 256
-#: Those with the full matrix.
-_FULL = ("matrix", "careful")
 #: Part of the units' spread that one matrix leaves and no regression shows, where all three axes of the
 #: difference are in use: six units are taken for usual, of which a matrix fits three.
 _UNSEEN = 0.5
@@ -78,11 +75,6 @@ class Gradiometer:
     value_covariance: Floats
     noise: Floats
     facts: Mapping[str, float | list[float]] = field(default_factory=dict)
-
-    @property
-    def careful(self) -> bool:
-        """Whether what the sensors may do by themselves is left alone, see `wander`."""
-        return self.form == "careful"
 
     @property
     def matrix(self) -> Floats:
@@ -167,10 +159,7 @@ def fit_forms(
     mixing = replace(mixing, matrix=value.reshape(3, 3))
     scatter = told.scatter(mixing.matrix) * np.eye(9)
     full = Gradiometer("matrix", mixing, covariance + scatter, value, covariance, noise.covariance)
-    made = {
-        form: replace(full, form=form) if form in _FULL else as_form(full, told, form, prior, body)
-        for form in forms
-    }
+    made = {form: full if form == full.form else as_form(full, told, form, prior, body) for form in forms}
     unseen = _unseen(full, told, body)
     return {form: replace(one, covariance=one.covariance + unseen) for form, one in made.items()}
 

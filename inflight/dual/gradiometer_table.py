@@ -46,16 +46,15 @@ def has_gradiometer(table: xr.Dataset) -> bool:
 
 
 def gradiometer_of(table: xr.Dataset) -> Gradiometer:
-    """Return the gradiometer of a table; of form ``matrix``, or ``careful`` if it was fitted as that."""
+    """Return the gradiometer of a table, of form ``matrix``."""
     told = {
         name: np.asarray(table[_NAME + name].values)
         for name in ("matrix", "leak", "noise", "leak_covariance", "covariance")
     }
     share = float(table.attrs[f"{_NAME}share"])
     mixing = Mixing(told["matrix"], told["leak"], told["leak_covariance"], share)
-    form = "careful" if table.attrs.get(f"{_NAME}form") == "careful" else "matrix"
     return Gradiometer(
-        form, mixing, told["covariance"], told["matrix"].ravel(), told["covariance"], told["noise"]
+        "matrix", mixing, told["covariance"], told["matrix"].ravel(), told["covariance"], told["noise"]
     )
 
 

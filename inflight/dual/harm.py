@@ -17,15 +17,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from inflight.dual.correction import WHOLE, Correction, Part, no_correction
+from inflight.dual.correction import Correction, no_correction
 from inflight.dual.expectation import Expectation, Expected, Seen
 from inflight.dual.readings import Readings
 from inflight.dual.scales import Cells, cells_of, joined_cells
+from inflight.dual.slow_part import WHOLE, Part, partly, slow_of
 
 #: Parts that the record is held out in, one after the other.
 FOLDS = 4
 #: A correction may do harm with this probability.
-CHANCE = 0.005
+CHANCE = 0.001
 #: Parts of a correction that are tried: half of it does no harm where the stray field is a fourth of it.
 SHARES = (1.0, 0.85, 0.7, 0.5)
 #: A correction that is expected to be so many times smaller than the stray field is refuted by itself: the
@@ -153,9 +154,11 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
         return Judgement(
             no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence
         )
-    # The careful form where no other is sure to help; what changes is judged, the constant comes on top.
-    best = max(helping, key=lambda one: (one.name != "careful", one.constant_known, one.quick))
-    correction = whole[best.name](readings).partly(best.part, best.away)
+    # What changes is judged; the constant comes on top.
+    best = max(helping, key=lambda one: (one.constant_known, one.quick))
+    correction = whole[best.name](readings)
+    slow = slow_of(correction, readings, best.part.seconds) if best.part.seconds else None
+    correction = partly(correction, best.part, best.away, slow)
     return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
 
 
@@ -197,22 +200,22 @@ def evidence_of(
     slope, sigma, seen = slopes_of(readings, parts)
     units = expectations[-1].units if expectations else "units"
     for one in expectations:
-        expected = one.of(readings, correction)
+        expected = one.of(correction)
         if not expected.refuted_by(seen):
             noise = one.noise.share * float(np.trace(one.noise.covariance))
             part = best_part(expected, seen, correction.constant_known)
             benefit, chance = expected.mean_benefit(seen, part), expected.chance_of_harm(seen, part)
-            trivial, away = benefit < _TRIVIAL * noise, expected.away(seen, part.share)
+            trivial, away = benefit < _TRIVIAL * noise, expected.away(seen, part)
             told = (correction.constant_known, expected.quick_benefit(seen, part))
             return Evidence(name, slope, sigma, chance, benefit, trivial, one.units, part, away, *told)
     return Evidence(name, slope, sigma, float("nan"), 0.0, False, units)
 
 
 def best_part(expected: Expected, seen: Seen, constant_known: bool) -> Part:
-    """Return what of a correction lowers the error most among what is sure to; the whole if nothing is."""
+    """Return what of a correction lowers the error most, of all that is sure to; the whole if nothing is."""
     if constant_known:
         return WHOLE
-    parts = [Part(share, width) for width in (0, *expected.kept) for share in SHARES]
+    parts = [Part(share, seconds) for seconds in (0.0, *expected.kept) for share in SHARES]
     sure = [part for part in parts if expected.chance_of_harm(seen, part) < CHANCE]
     return max(sure, key=lambda part: expected.mean_benefit(seen, part), default=WHOLE)
 

@@ -74,6 +74,10 @@ class Readings:
         """Usual distance of neighbouring stamps, ns."""
         return usual_step(self.stamps, SECOND)
 
+    def samples_in(self, seconds: float) -> int:
+        """Return how many samples there are in a time, at least one."""
+        return max(round(seconds * SECOND / self.step), 1)
+
     @cached_property
     def noise(self) -> Floats:
         """Covariance of the white noise of the difference; (axis, axis), nT^2."""

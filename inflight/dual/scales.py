@@ -64,16 +64,22 @@ def cells_of(*series: Floats, longest: int = _LONGEST) -> Cells:
     longest : int
         The longest blocks are this part of the record.
     """
-    joined = np.concatenate(series, axis=1)
-    parts, block = [], 1
-    while block <= max(len(joined) // longest, 1) and len(joined) >= 4 * block:
-        values, middle, share = contrasts(joined, block)
+    sums = running_sums(np.concatenate(series, axis=1))
+    count, columns = len(series[0]), sums.shape[1]
+    parts = []
+    for block in scales_of(count, longest):
+        values, middle, share = contrasts(sums, block)
         parts.append(_cells(values, middle, block, share))
-        block *= 2
     if not parts:
         none = np.zeros(0, dtype=np.int64)
-        return Cells(np.zeros((0, joined.shape[1], joined.shape[1])), np.zeros(0), none, none)
+        return Cells(np.zeros((0, columns, columns)), np.zeros(0), none, none)
     return joined_cells(parts)
+
+
+def scales_of(count: int, longest: int = _LONGEST) -> list[int]:
+    """Return the lengths of blocks in a record of `count` samples, the longest that part of it."""
+    most = min(max(count // longest, 1), count // 2)
+    return [1 << power for power in range(most.bit_length())]
 
 
 def joined_cells(parts: Sequence[Cells]) -> Cells:
@@ -108,8 +114,14 @@ def quietest(cells: Cells, noise: Floats) -> Floats:
     return np.asarray(best)
 
 
-def contrasts(series: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], float]:
-    """Return contrasts of a series (time, column) over blocks of samples.
+def running_sums(series: Floats) -> Floats:
+    """Return the sums of the first samples of a series (time, column), less its mean; (time + 1, column)."""
+    # Sums of many large numbers would lose the noise: the mean says nothing in a contrast.
+    return np.concatenate([np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)])
+
+
+def contrasts(sums: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], float]:
+    """Return contrasts of a series over blocks of samples, from its `running_sums`.
 
     Returns
     -------
@@ -119,10 +131,8 @@ def contrasts(series: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64]
     share : float
         What one contrast is worth of one that does not overlap.
     """
-    # Sums of many large numbers would lose the noise: the mean says nothing here.
-    sums = np.concatenate([np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)])
     stride = max(block // 2, 1)
-    middle = np.arange(block, len(series) - block + 1, stride)
+    middle = np.arange(block, len(sums) - block, stride)
     values = (sums[middle + block] - 2.0 * sums[middle] + sums[middle - block]) / np.sqrt(2.0 * block)
     return values, middle.astype(np.int64), stride / (2.0 * block)
 

@@ -57,7 +57,7 @@ def test_the_stray_field_itself_has_the_slope_one_and_is_applied():
     assert abs(evidence.slope - 1.0) < 4.0 * evidence.sigma
     assert found.chosen == "truth"
     assert found.correction.applied
-    assert "helps" in found.correction.reason
+    assert "help" in found.correction.reason
 
 
 def test_a_field_of_the_wrong_sign_is_told_to_do_harm():

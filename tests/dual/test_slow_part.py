@@ -1,0 +1,111 @@
+"""Parts of a correction: a share of it, and what of it is quick."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from inflight.dual.correction import UNKNOWN, Correction
+from inflight.dual.readings import Readings
+from inflight.dual.slow_part import (
+    WHOLE,
+    Part,
+    leaves_slow_alone,
+    partly,
+    slow_in_window,
+    slow_of,
+    slow_part,
+    slow_variables,
+)
+from inflight.time import SECOND
+
+
+def correction(field, constant_known=False):
+    count = len(field)
+    return Correction(
+        np.asarray(field, dtype=np.float64),
+        np.full((count, 3, 3), 1e-4) * np.eye(3),
+        np.full(count, UNKNOWN),
+        np.full(count, np.nan),
+        np.zeros(count, dtype=np.uint32),
+        "gradiometer",
+        constant_known=constant_known,
+    )
+
+
+def readings_of(count, first=0):
+    random = np.random.default_rng(1)
+    fields = random.normal(size=(2, count, 3))
+    return Readings((np.arange(count) + first) * 2 * SECOND, *fields)
+
+
+def test_a_share_has_an_error_that_holds_the_rest():
+    field = np.zeros((3, 3))
+    field[1, 0] = 2.0
+    part = partly(correction(field), Part(0.7), away=0.3)
+    assert part.field[1, 0] == pytest.approx(1.4)
+    assert part.sigma[1, 0] == pytest.approx(np.hypot(0.6, 0.007))
+    assert part.sigma[0, 0] == pytest.approx(0.007)
+
+
+def test_the_whole_is_returned_as_it_is():
+    whole = correction(np.ones((3, 3)))
+    assert partly(whole, WHOLE, away=0.3) is whole
+
+
+def test_what_is_left_alone_is_an_error_and_the_constant_is_no_longer_known():
+    count = 400
+    slow = np.linspace(-1.0, 1.0, count)[:, None] * np.ones(3)
+    quick = np.where(np.arange(count) % 20 < 10, 0.5, -0.5)[:, None] * np.ones(3)
+    whole, readings = correction(5.0 + slow + quick, constant_known=True), readings_of(count)
+    part = Part(1.0, 80.0)
+    found = partly(whole, part, 0.0, slow_of(whole, readings, part.seconds))
+    inside = slice(60, -60)
+    assert found.field[inside] == pytest.approx(quick[inside], abs=0.05)
+    assert found.sigma[inside] == pytest.approx(np.hypot(0.01, np.abs(slow[inside])), abs=0.03)
+    assert not found.constant_known
+
+
+def test_no_frequency_is_left_with_more_than_it_had():
+    impulse = np.zeros((4097, 1))
+    impulse[2048] = 1.0
+    response = np.abs(np.fft.rfft((impulse - slow_part(impulse, 64))[:, 0]))
+    assert response.max() < 1.0 + 1e-9
+
+
+def test_samples_that_are_not_known_stay_so():
+    field = np.ones((50, 3))
+    field[10:20] = np.nan
+    whole, readings = correction(field), readings_of(50)
+    found = partly(whole, Part(0.5, 20.0), 0.0, slow_of(whole, readings, 20.0))
+    assert np.array_equal(found.known, whole.known)
+    assert np.isnan(found.sigma[10:20]).all()
+
+
+def test_days_find_the_slow_part_of_their_window_and_do_not_step_between_them():
+    count = 8000
+    random = np.random.default_rng(2)
+    field = np.cumsum(random.normal(0.0, 0.02, (count, 3)), axis=0)
+    whole, readings = correction(field), readings_of(count)
+    table = xr.Dataset().merge(slow_variables(whole, readings, 2000.0))
+    assert leaves_slow_alone(table)
+    parts = []
+    for rows in (slice(0, 4000), slice(4000, count)):
+        parts.append(slow_in_window(table, correction(field[rows]), readings.part(rows), 2000.0))
+    expected = slow_of(whole, readings, 2000.0)
+    assert np.concatenate(parts) == pytest.approx(expected, abs=0.02 * expected.std())
+    # By itself each day would step at midnight.
+    alone = slow_of(correction(field[:4000]), readings.part(slice(0, 4000)), 2000.0)
+    assert np.abs(alone[-1] - expected[3999]).max() > 0.05
+
+
+def test_a_day_outside_of_the_window_goes_by_itself():
+    whole, readings = correction(np.random.default_rng(3).normal(size=(500, 3))), readings_of(500)
+    table = xr.Dataset().merge(slow_variables(whole, readings, 100.0))
+    later = readings_of(500, first=100_000)
+    assert slow_in_window(table, whole, later, 100.0) == pytest.approx(slow_of(whole, later, 100.0))
+
+
+def test_parts_are_told_in_words():
+    assert str(Part(0.7)) == "0.70 of it"
+    assert str(Part(1.0, 7200.0)) == "all of what changes within 2.0 h"
+    assert str(Part(0.5, 90.0)) == "0.50 of what changes within 90 s"
