@@ -22,7 +22,7 @@ from inflight.dual.moments import Noise
 from inflight.dual.readings import Readings
 from inflight.dual.scales import Cells, cells_of, contrasts, running_sums, scales_of
 from inflight.dual.slow_part import WHOLE, Part, slow_part
-from inflight.dual.wander import DRIFT, TAIL, drift_in, wanderings
+from inflight.dual.wander import DRAWS, DRIFT, TAIL, drift_in, wanderings
 from inflight.time import SECOND
 
 #: The longest blocks are this part of the record; cells that tell the quiet level of a scale.
@@ -221,8 +221,8 @@ class Expectation:
     def _difference(self) -> Floats:
         """The stray part of the difference, and what else may be in it; (time, column), nT.
 
-        Columns: three axes, the size at the outboard sensor of flicker noise and of drift, four draws of
-        each, and three axes of the ambient field.
+        Columns: three axes, the size at the outboard sensor of flicker noise and of drift, `DRAWS` of each,
+        and three axes of the ambient field.
         """
         readings, good = self.readings, self.readings.good
         flicker, drift = wanderings(int(good.sum()))
@@ -262,8 +262,8 @@ class Expectation:
         sums, found = running_sums(both), {}
         for scale in scales_of(len(both), _LONGEST):
             values = contrasts(sums, scale)[0]
-            flicker, drift = np.mean(values[:, 3:11] ** 2, axis=0).reshape(2, -1).mean(axis=1)
-            stray, ambient = (one.T @ one / len(values) for one in (values[:, :3], values[:, 11:]))
+            flicker, drift = np.mean(values[:, 3:-3] ** 2, axis=0).reshape(2, DRAWS).mean(axis=1)
+            stray, ambient = (one.T @ one / len(values) for one in (values[:, :3], values[:, -3:]))
             leak = np.einsum("iajb,ab->ij", self.leak_covariance.reshape(3, 3, 3, 3), ambient)
             own = np.array([flicker, drift])[:, None, None] * self._turns[:2]
             own = own if most is None else np.minimum(own, most[scale])
@@ -316,17 +316,19 @@ def _kept(
     taken: Floats, scales: npt.NDArray[np.int64], readings: Readings
 ) -> dict[float, tuple[Floats, Floats]]:
     """Return what is left on each scale of a correction's good rows when slow parts are left alone."""
-    widths = [len(taken) // part for part in CUTS if len(taken) // part >= _NARROWEST]
-    cut = [taken, *(taken - slow_part(taken, width) for width in widths)]
-    sums = running_sums(np.concatenate(cut, axis=1))
-    product, square = np.ones((2, scales.size, len(cut)))
-    for place, scale in enumerate(scales.tolist()):
-        values = contrasts(sums, scale)[0].reshape(-1, len(cut), 3)
-        power = max(float(np.sum(values[:, 0] ** 2)), 1e-300)
-        product[place] = np.einsum("tka,ta->k", values, values[:, 0]) / power
-        square[place] = np.sum(values**2, axis=(0, 2)) / power
-    seconds = [width * readings.step / SECOND for width in widths]
-    return {one: (product[:, k], square[:, k]) for k, one in enumerate(seconds, start=1)}
+    found = {}
+    for width in (len(taken) // part for part in CUTS):
+        if width < _NARROWEST:
+            break
+        sums = running_sums(np.concatenate([taken, taken - slow_part(taken, width)], axis=1))
+        product, square = np.ones((2, scales.size))
+        for place, scale in enumerate(scales.tolist()):
+            whole, quick = np.split(contrasts(sums, scale)[0], 2, axis=1)
+            power = max(float(np.sum(whole**2)), 1e-300)
+            product[place] = float(np.sum(quick * whole)) / power
+            square[place] = float(np.sum(quick**2)) / power
+        found[width * readings.step / SECOND] = product, square
+    return found
 
 
 def by_state(state: npt.NDArray[np.int64], values: Floats) -> Floats:

@@ -6,7 +6,8 @@ shows in the outboard reading itself: regressed on c, the reading has the slope 
 with the stray field s, and ``<c s> = <c B_out>`` but for chance: it helps where the slope is above one half.
 Regressed in cells of time and scale, weighted by the quietness of the ambient field there, the slope has an
 error that is known. Where the ambient field is restless it tells little; what dipoles in the spacecraft's
-body can do is known beforehand (`expectation`), and both together say how likely harm is.
+body can do is known beforehand (`expectation`), and both together say how likely harm is. Where it is not
+sure that all of a correction helps, a share of it may be, or what of it is quick (`slow_part`).
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ from inflight.dual.slow_part import WHOLE, Part, partly, slow_of
 #: Parts that the record is held out in, one after the other.
 FOLDS = 4
 #: A correction may do harm with this probability.
-CHANCE = 0.001
+CHANCE = 0.005
+#: Of its parts those are preferred that do harm with no more than this probability.
+SURE = 0.001
 #: Parts of a correction that are tried: half of it does no harm where the stray field is a fourth of it.
 SHARES = (1.0, 0.85, 0.7, 0.5)
 #: A correction that is expected to be so many times smaller than the stray field is refuted by itself: the
@@ -212,11 +215,13 @@ def evidence_of(
 
 
 def best_part(expected: Expected, seen: Seen, constant_known: bool) -> Part:
-    """Return what of a correction lowers the error most, of all that is sure to; the whole if nothing is."""
+    """Return the part of a correction that lowers the error most, of all that are sure to; else the whole."""
     if constant_known:
         return WHOLE
     parts = [Part(share, seconds) for seconds in (0.0, *expected.kept) for share in SHARES]
-    sure = [part for part in parts if expected.chance_of_harm(seen, part) < CHANCE]
+    chance = {part: expected.chance_of_harm(seen, part) for part in parts}
+    most = SURE if min(chance.values()) < SURE else CHANCE
+    sure = [part for part in parts if chance[part] < most]
     return max(sure, key=lambda part: expected.mean_benefit(seen, part), default=WHOLE)
 
 

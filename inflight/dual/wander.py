@@ -18,6 +18,8 @@ AT_ONCE, DRIFT = 0.03, 0.03
 TAIL = 3.0
 #: Flicker noise of the difference in a record beside the white noise of one sample, one standard deviation.
 FLICKER = 0.5
+#: Series that are drawn of each.
+DRAWS = 3
 
 
 def drift_in(seconds: float, hourly: float = DRIFT) -> float:
@@ -25,7 +27,7 @@ def drift_in(seconds: float, hourly: float = DRIFT) -> float:
     return float(np.hypot(AT_ONCE, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
 
 
-def wanderings(count: int, draws: int = 4) -> tuple[Floats, Floats]:
+def wanderings(count: int, draws: int = DRAWS) -> tuple[Floats, Floats]:
     """Return how sensors wander in a record of `count` samples.
 
     Returns
