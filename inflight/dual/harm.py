@@ -215,14 +215,20 @@ def evidence_of(
 
 
 def best_part(expected: Expected, seen: Seen, constant_known: bool) -> Part:
-    """Return the part of a correction that lowers the error most, of all that are sure to; else the whole."""
+    """Return the part of a correction that lowers the error most, of all that are sure to; else the whole.
+
+    Whatever is left alone because it is slow, of the rest as large a share is taken as is sure.
+    """
     if constant_known:
         return WHOLE
     parts = [Part(share, seconds) for seconds in (0.0, *expected.kept) for share in SHARES]
     chance = {part: expected.chance_of_harm(seen, part) for part in parts}
     most = SURE if min(chance.values()) < SURE else CHANCE
-    sure = [part for part in parts if chance[part] < most]
-    return max(sure, key=lambda part: expected.mean_benefit(seen, part), default=WHOLE)
+    largest: dict[float, Part] = {}
+    for part in parts:
+        if chance[part] < most:
+            largest.setdefault(part.seconds, part)
+    return max(largest.values(), key=lambda part: expected.mean_benefit(seen, part), default=WHOLE)
 
 
 def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:
