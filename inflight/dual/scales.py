@@ -116,8 +116,11 @@ def quietest(cells: Cells, noise: Floats) -> Floats:
 
 def running_sums(series: Floats) -> Floats:
     """Return the sums of the first samples of a series (time, column), less its mean; (time + 1, column)."""
+    zero = np.zeros((1, series.shape[1]))
+    if not len(series):
+        return zero
     # Sums of many large numbers would lose the noise: the mean says nothing in a contrast.
-    return np.concatenate([np.zeros((1, series.shape[1])), np.cumsum(series - series.mean(axis=0), axis=0)])
+    return np.concatenate([zero, np.cumsum(series - series.mean(axis=0), axis=0)])
 
 
 def contrasts(sums: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], float]:
