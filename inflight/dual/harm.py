@@ -12,7 +12,7 @@ sure that all of a correction helps, a share of it may be, or what of it is quic
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,16 +99,26 @@ class Evidence:
 
     @property
     def told(self) -> str:
-        """Return the sentence that is stored with the correction."""
-        seen = f"slope of the outboard reading on it {self.slope:.2f} +- {self.sigma:.2f}, held out"
-        if np.isfinite(self.chance_of_harm):
-            seen = f"chance of harm {self.chance_of_harm:.2g} with {self.units}, {seen}"
-        if not self.helps:
-            return f"left alone, {self._against}: {seen}"
-        return f"helps: {seen}" if self.part == WHOLE else f"{self.part} is sure to help: {seen}"
+        """Return the sentence that is stored with a correction that helps."""
+        what = "helps" if self.part == WHOLE else f"{self.part} is sure to help"
+        return (
+            f"{self.name}: {what}: chance of harm {self.chance_of_harm:.2g} with {self.units}, slope of the "
+            f"outboard reading on it {self.slope:.2f} +- {self.sigma:.2f}, held out"
+        )
 
     @property
-    def _against(self) -> str:
+    def numbers(self) -> str:
+        """Return slope and chance of harm in words."""
+        slope = f"held-out slope {self.slope:.2f} +- {self.sigma:.2f}"
+        return (
+            f"{slope}, chance of harm {self.chance_of_harm:.2g}"
+            if np.isfinite(self.chance_of_harm)
+            else slope
+        )
+
+    @property
+    def against(self) -> str:
+        """Return what speaks against a correction that does not help."""
         if not np.isfinite(self.chance_of_harm):
             return f"no field of {self.units} is like that, so it holds ambient field or another error"
         if self.chance_of_harm > 0.5:
@@ -153,16 +163,24 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
     evidence = _none_where_the_general_form_is_refuted(evidence)
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
-        told = "; ".join(f"{name}: {one.told}" for name, one in evidence.items())
-        return Judgement(
-            no_correction(len(readings), told or "no candidate could be fitted"), "none", evidence
-        )
+        return Judgement(no_correction(len(readings), _why_none(evidence.values())), "none", evidence)
     # What changes is judged; the constant comes on top.
     best = max(helping, key=lambda one: (one.constant_known, one.quick))
     correction = whole[best.name](readings)
     slow = slow_of(correction, readings, best.part.seconds) if best.part.seconds else None
     correction = partly(correction, best.part, best.away, slow)
-    return Judgement(replace(correction, reason=f"{best.name}: {best.told}"), best.name, evidence)
+    return Judgement(replace(correction, reason=best.told), best.name, evidence)
+
+
+def _why_none(evidence: Iterable[Evidence]) -> str:
+    """Return why no correction is applied, candidates of the same fault together."""
+    faults: dict[str, list[str]] = {}
+    for one in evidence:
+        faults.setdefault(one.against, []).append(f"{one.name} ({one.numbers})")
+    told = [f"left alone, {fault}: {', '.join(names)}" for fault, names in faults.items()]
+    return (
+        "; ".join([*told, "slopes of held-out outboard readings"]) if told else "no candidate could be fitted"
+    )
 
 
 def _none_where_the_general_form_is_refuted(evidence: Mapping[str, Evidence]) -> dict[str, Evidence]:
