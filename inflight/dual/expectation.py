@@ -17,12 +17,13 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from inflight.arrays import Floats
+from inflight.dual.bands import without_noise
 from inflight.dual.correction import Correction
 from inflight.dual.moments import Noise
 from inflight.dual.readings import Readings
 from inflight.dual.scales import Cells, cells_of, contrasts, running_sums, scales_of
 from inflight.dual.slow_part import WHOLE, Part, slow_part
-from inflight.dual.wander import DRAWS, DRIFT, TAIL, drift_in, wanderings
+from inflight.dual.wander import DRAWS, DRIFT, TAIL, drift_in, wandering
 from inflight.time import SECOND
 
 #: The longest blocks are this part of the record; cells that tell the quiet level of a scale.
@@ -221,29 +222,41 @@ class Expectation:
     def _difference(self) -> Floats:
         """The stray part of the difference, and what else may be in it; (time, column), nT.
 
-        Columns: three axes, the size at the outboard sensor of flicker noise and of drift, `DRAWS` of each,
-        and three axes of the ambient field.
+        Columns: three axes of the stray part, three of white noise that was left in it, three of the ambient
+        field, and the size at the outboard sensor of a line and of draws of a walk and of flicker noise.
         """
         readings, good = self.readings, self.readings.good
-        flicker, drift = wanderings(int(good.sum()))
+        count = int(good.sum())
+        noise = self.noise.covariance
+        white = np.random.default_rng(6).multivariate_normal(np.zeros(3), noise, count)
         far = drift_in((readings.stamps[-1] - readings.stamps[0]) / SECOND, self.drift)
-        noise, one = (np.sqrt(self._size(each)) for each in (self.noise.covariance, np.eye(3)))
-        return np.column_stack(
-            [self.stray[good], noise * flicker, one * far * drift, readings.outboard[good]]
-        )
+        own = wandering(count)
+        drift, flicker = (np.sqrt(self._size(one)) for one in (far**2 * np.eye(3), noise))
+        wander = drift * own.line, drift * own.walk, flicker * own.flicker
+        left = without_noise(white, noise)[0]
+        return np.column_stack([self.stray[good], left, readings.outboard[good], *wander])
 
     @cached_property
     def _turns(self) -> Floats:
-        """How large flicker noise, drift and leak are beside what is usual of them, in power.
+        """How large white noise, line, walk, flicker noise and leak are beside what is usual, in power.
 
-        (4, place, turn): the last is the outboard sensor's part of the drift.
+        (5, place, turn).
         """
         random = np.random.default_rng(2)
-        turns = random.normal(size=(4, len(self.matrices), _TURNS))
-        turns[1] = random.standard_t(TAIL, turns.shape[1:])
-        turns[:3] **= 2
-        turns[3] = _OUTBOARD[0] + _OUTBOARD[1] * turns[3]
-        return turns
+        shape = (5, len(self.matrices), _TURNS)
+        turns = random.normal(size=shape)
+        turns[:3] = random.standard_t(TAIL, (3, *shape[1:]))
+        return turns**2
+
+    @cached_property
+    def _outboard(self) -> Floats:
+        """Parts of white noise, line, walk and flicker noise that are the outboard sensor's.
+
+        (4, place, turn).
+        """
+        drawn = np.random.default_rng(3).normal(*_OUTBOARD, size=(4, *self._turns.shape[1:]))
+        drawn[[0, 3]] = self.noise.share
+        return drawn
 
     @cached_property
     def _lost_without_states(self) -> dict[int, Lost]:
@@ -257,21 +270,28 @@ class Expectation:
         both : ndarray, shape (time, column)
             As `_difference`, or a part of it.
         most : mapping, optional
-            The largest power of noise and of drift by scale, nT^2.
+            The largest power of drift and of flicker noise by scale, nT^2.
         """
         sums, found = running_sums(both), {}
+        leak = self.leak_covariance.reshape(3, 3, 3, 3)
         for scale in scales_of(len(both), _LONGEST):
             values = contrasts(sums, scale)[0]
-            flicker, drift = np.mean(values[:, 3:-3] ** 2, axis=0).reshape(2, DRAWS).mean(axis=1)
-            stray, ambient = (one.T @ one / len(values) for one in (values[:, :3], values[:, -3:]))
-            leak = np.einsum("iajb,ab->ij", self.leak_covariance.reshape(3, 3, 3, 3), ambient)
-            own = np.array([flicker, drift])[:, None, None] * self._turns[:2]
-            own = own if most is None else np.minimum(own, most[scale])
-            lost = np.concatenate([own, self._size(leak) * self._turns[2:3]])
-            lost /= max(self._size(stray), 1e-300)
+            stray, white, ambient = (
+                values[:, rows].T @ values[:, rows] / len(values)
+                for rows in (slice(0, 3), slice(3, 6), slice(6, 9))
+            )
+            line, *others = np.mean(values[:, 9:] ** 2, axis=0)
+            walk, flicker = np.reshape(others, (2, DRAWS)).mean(axis=1)
+            usual = np.array([self._size(white), line, walk, flicker])
+            own = usual[:, None, None] * self._turns[:4]
+            if most is not None:
+                # What is left of white noise comes in bursts; the rest goes on all the time.
+                own[1:] = np.minimum(own[1:], most[scale])
+            through = self._size(np.einsum("iajb,ab->ij", leak, ambient)) * self._turns[4:]
+            lost = np.concatenate([own, through]) / max(self._size(stray), 1e-300)
             lost /= np.maximum(lost.sum(axis=0), 1.0)
-            outboard = self.noise.share * lost[0] + self._turns[3] * lost[1]
-            found[scale] = Lost(lost.sum(axis=0), outboard / self._factor)
+            added = np.sum(self._outboard * lost[:4], axis=0) / self._factor
+            found[scale] = Lost(lost.sum(axis=0), added)
         return found
 
     @cached_property

@@ -6,6 +6,8 @@ the difference alone. So much is therefore allowed for, and no correction is mad
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from inflight.arrays import Floats
@@ -27,17 +29,27 @@ def drift_in(seconds: float, hourly: float = DRIFT) -> float:
     return float(np.hypot(AT_ONCE, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
 
 
-def wanderings(count: int, draws: int = DRAWS) -> tuple[Floats, Floats]:
-    """Return how sensors wander in a record of `count` samples.
+@dataclass(frozen=True)
+class Wandering:
+    """How sensors wander in a record: draws of flicker noise and of a walk, and a line; each (time, draw).
 
-    Returns
-    -------
-    flicker : ndarray, shape (time, draws)
-        Flicker noise beside white noise of size one.
-    drift : ndarray, shape (time, draws)
-        A straight line of rms one and a random walk that goes as far from one end to the other, together: on
-        short scales the walk is larger, on long ones the line.
+    Attributes
+    ----------
+    flicker : ndarray
+        Beside white noise of size one.
+    walk : ndarray
+        A random walk whose ends are as far apart as the rms of the line.
+    line : ndarray, shape (time, 1)
+        A straight line of rms one. A pair that drifts steadily does not walk, and the other way round.
     """
+
+    flicker: Floats
+    walk: Floats
+    line: Floats
+
+
+def wandering(count: int, draws: int = DRAWS) -> Wandering:
+    """Return how sensors wander in a record of `count` samples."""
     random = np.random.default_rng(5)
     frequency = np.fft.rfftfreq(count)
     spectrum = random.normal(size=(draws, frequency.size)) + 1j * random.normal(size=(draws, frequency.size))
@@ -46,4 +58,4 @@ def wanderings(count: int, draws: int = DRAWS) -> tuple[Floats, Floats]:
     flicker = np.fft.irfft(spectrum, count, axis=1).T
     walk = np.cumsum(random.normal(0.0, 1.0 / np.sqrt(count), (count, draws)), axis=0)
     line = np.sqrt(12.0) * (np.arange(count) / count - 0.5)
-    return np.asarray(FLICKER * flicker / flicker.std(axis=0)), line[:, None] + walk
+    return Wandering(np.asarray(FLICKER * flicker / flicker.std(axis=0)), walk, line[:, None])

@@ -6,7 +6,7 @@ import pytest
 from inflight.dual.gradiometer import fit_forms
 from inflight.dual.places import Body, matrices_near
 from inflight.dual.scales import contrasts, running_sums
-from inflight.dual.wander import FLICKER, wanderings
+from inflight.dual.wander import FLICKER, wandering
 from tests.dual.hard_cases import HARM, body, case, inside, make, outcome, units
 
 #: Not among them, since two sensors cannot tell: an offset that jumps like a unit, one that follows the day
@@ -44,16 +44,17 @@ def test_around_the_body_more_is_possible_than_in_it_and_less_than_on_any_boom()
     assert matrices_near(small).std(axis=0).min() > small.matrices.std(axis=0).max()
 
 
-def test_sensors_wander_as_flicker_noise_and_as_a_line_with_a_walk():
+def test_sensors_wander_as_flicker_noise_along_a_line_and_as_a_walk():
     count = 4096
-    flicker, drift = wanderings(count, 200)
-    assert flicker.std() == pytest.approx(FLICKER, rel=0.01)
-    octaves = [np.mean(contrasts(running_sums(flicker), block)[0] ** 2) / block for block in (4, 16, 64, 256)]
+    own = wandering(count, 200)
+    assert own.flicker.std() == pytest.approx(FLICKER, rel=0.01)
+    octaves = [
+        np.mean(contrasts(running_sums(own.flicker), block)[0] ** 2) / block for block in (4, 16, 64, 256)
+    ]
     # One over frequency: the means over neighbouring blocks differ alike on all scales.
     assert max(octaves) < 1.3 * min(octaves)
-    ends = drift[-1] - drift[0]
-    assert ends.mean() == pytest.approx(np.sqrt(12.0), abs=0.3)
-    assert ends.std() == pytest.approx(1.0, abs=0.2)
-    short = np.mean(contrasts(running_sums(drift), 8)[0] ** 2)
+    assert own.line.std() == pytest.approx(1.0, rel=1e-3)
+    assert (own.walk[-1] - own.walk[0]).std() == pytest.approx(1.0, abs=0.2)
+    short = np.mean(contrasts(running_sums(own.walk), 8)[0] ** 2)
     # Means over neighbouring blocks of a walk with steps of variance v differ by 2/3 v block.
     assert short == pytest.approx(2.0 / 3.0 / count * 8 * 4.0, rel=0.1)
