@@ -81,6 +81,19 @@ def gradiometer_with_states(table: xr.Dataset, readings: Readings) -> Correction
     )
 
 
+def constant_part(table: xr.Dataset) -> Floats:
+    """Return the constant that a table's correction has, nT, but for one that is always the same; (axis,).
+
+    It moves when the window is joined to those before it.
+    """
+    if str(table.attrs["method"]) == "gradiometer":
+        constant = _constant(table)
+        return np.zeros(3) if constant is None else constant[0]
+    training = from_dataset(table)
+    # All states move alike.
+    return training.correction[0] if len(training) else np.zeros(3)
+
+
 def constant_of(table: xr.Dataset) -> str:
     """Return what the constant part of the field is that a table makes: where it changes the field may step.
 

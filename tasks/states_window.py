@@ -27,7 +27,7 @@ from inflight.dual.places import Body
 from inflight.dual.processing import process
 from inflight.dual.product import readings_of
 from inflight.dual.readings import Readings
-from inflight.dual.slow_part import Part, partly, slow_in_window, slow_variables
+from inflight.dual.slow_part import WHOLE, Part, part_of_day, part_variables, partly
 from inflight.dual.table import from_dataset, to_dataset
 from inflight.errors import InflightError, SamplesError
 from inflight.mission import DualComparison, Mission
@@ -37,13 +37,13 @@ from inflight.tasks.boom_readings import boom_samples
 from inflight.tasks.calibrate import Failure, failure_of
 from inflight.tasks.channel_series import kept_readings
 from inflight.tasks.needs import AMBIENT, Need, ambient_of
-from inflight.tasks.states_constant import gradiometer_in_states, gradiometer_with_states
+from inflight.tasks.states_constant import constant_part, gradiometer_in_states, gradiometer_with_states
 from inflight.tasks.states_remarks import with_remark
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 6
+STATES_VERSION = 7
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -185,11 +185,11 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
     )
     if chosen in FORMS:
         told = gradiometer_in_states(told, candidates.readings)
-    seconds = found.evidence[chosen].part.seconds if chosen in found.evidence else 0.0
-    if not seconds:
+    part = found.evidence[chosen].part if chosen in found.evidence else WHOLE
+    if part == WHOLE:
         return told
     whole = whole_correction(told, candidates.readings)
-    return told.merge(slow_variables(whole, candidates.readings, seconds))
+    return told.merge(part_variables(whole, candidates.readings, part, constant_part(told)))
 
 
 def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
@@ -203,8 +203,8 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     if not found.applied or told is None:
         return found
     part = Part(float(told["share"]), float(told["slower"]))
-    slow = slow_in_window(table, found, readings, part.seconds) if part.seconds else None
-    return partly(found, part, float(told["share_away"]), slow)
+    slow, middle = part_of_day(table, found, readings, part, constant_part(table))
+    return partly(found, part, float(told["share_away"]), slow, middle)
 
 
 def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:

@@ -114,6 +114,8 @@ class Candidates:
         return no_states(self.readings, self._without or _LOST) if training is None else training
 
     def _gradiometers(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Gradiometer]:
+        if self.readings.broken:
+            return {}
         forms = [form for form in FORMS if form != "dipole" or self.body is not None]
         try:
             return fit_forms(self.readings.part(use), forms, self.body, self.leak_sigma)
@@ -127,6 +129,8 @@ class Candidates:
     @property
     def _without(self) -> str:
         """Why no states are looked for; empty where they are."""
+        if self.readings.broken:
+            return self.readings.broken
         steady = 0 if self._segments is None else int(np.count_nonzero(~self._segments.transient))
         if not steady:
             return "no stretch is long enough for a state"

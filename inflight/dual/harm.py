@@ -163,7 +163,8 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
     evidence = _none_where_the_general_form_is_refuted(evidence)
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
-        return Judgement(no_correction(len(readings), _why_none(evidence.values())), "none", evidence)
+        reason = readings.broken or _why_none(evidence.values())
+        return Judgement(no_correction(len(readings), reason), "none", evidence)
     # What changes is judged; the constant comes on top.
     best = max(helping, key=lambda one: (one.constant_known, one.quick))
     correction = whole[best.name](readings)

@@ -19,6 +19,10 @@ _NOISE_SAMPLES = 200_000
 _STRETCH = 2_000
 #: Standard deviation of a Gaussian over the size that three quarters of its values stay below.
 _THREE_QUARTERS = 0.86930
+#: Changes along one direction, beside those along another, below which a sensor does not see it; power.
+_BLIND = 1e-10
+#: Samples that tell so.
+_FEWEST = 16
 #: Squared distance of the 99 % ellipsoid in three axes, and the part of the variance that is left inside.
 _INSIDE, _KEPT = 11.345, 0.9647
 
@@ -82,6 +86,26 @@ class Readings:
     def noise(self) -> Floats:
         """Covariance of the white noise of the difference; (axis, axis), nT^2."""
         return white_covariance(self.difference[self.good])
+
+    @cached_property
+    def broken(self) -> str:
+        """Why these are no readings of two sensors; empty where they may be.
+
+        Noise alone moves all axes: one that stands still is stuck, turned into whatever axes.
+        """
+        if np.count_nonzero(self.good) < _FEWEST:
+            return ""
+        moves = [
+            np.linalg.eigvalsh(change.T @ change)
+            for change in (
+                np.diff(one[self.good], axis=0) for one in (self.inboard, self.outboard, self.difference)
+            )
+        ]
+        for name, power in zip(("inboard", "outboard"), moves, strict=False):
+            if power[0] <= _BLIND * power[-1]:
+                return f"the {name} sensor reads one value along an axis"
+        alike = moves[2][-1] <= _BLIND**2 * moves[1][-1]
+        return "the difference of both sensors never changes" if alike else ""
 
     def span(self, start: int, end: int) -> Readings:
         """Return the readings of the half-open TT2000 span ``[start, end)``."""

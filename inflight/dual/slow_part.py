@@ -19,6 +19,8 @@ from inflight.dual.readings import Readings
 
 #: The variable of a table, and its times.
 _NAME, _TIMES = "left_alone", "left_time"
+#: Medians in the window of what is taken off and of what is left alone, and the constant they are told with.
+_MIDDLE, _CONSTANT = "part_middle", "part_constant"
 #: Values of the slow part in one width.
 _DENSE = 16
 
@@ -74,21 +76,65 @@ def slow_of(correction: Correction, readings: Readings, seconds: float) -> Float
     return slow
 
 
-def slow_variables(correction: Correction, readings: Readings, seconds: float) -> xr.Dataset:
-    """Return the slow part of a window's correction as variables of a table.
+def part_variables(correction: Correction, readings: Readings, part: Part, constant: Floats) -> xr.Dataset:
+    """Return what the days of a window share of its part of a correction, as variables of a table.
+
+    Parameters
+    ----------
+    correction : Correction
+        All of it, of the whole window.
+    readings : Readings
+    part : Part
+    constant : ndarray, shape (axis,)
+        The constant that the correction has, nT: windows that are joined later have another.
 
     Returns
     -------
     Dataset
-        With variable `left_alone` (left_time, axis), nT, and `left_time`, TT2000.
+        With variables `part_middle` (kind, axis), nT, of what is taken off and of what is left alone, and
+        `part_constant` (axis), nT; where the part leaves alone what is slow `left_alone` (left_time, axis),
+        nT, and `left_time`, TT2000. Empty for `WHOLE`.
     """
-    slow = slow_of(correction, readings, seconds)
-    known = np.flatnonzero(np.isfinite(slow).all(axis=1))
-    every = max(readings.samples_in(seconds) // _DENSE, 1)
-    rows = known[np.unique(np.append(np.arange(0, known.size, every), known.size - 1))]
-    return xr.Dataset(
-        {_NAME: ((_TIMES, "axis"), slow[rows], {"units": "nT"})}, {_TIMES: readings.stamps[rows]}
+    if part == WHOLE or not correction.known.any():
+        return xr.Dataset()
+    slow = slow_of(correction, readings, part.seconds) if part.seconds else None
+    units = {"units": "nT"}
+    told = xr.Dataset(
+        {
+            _MIDDLE: (("kind", "axis"), middle_of(correction, slow), units),
+            _CONSTANT: (("axis",), np.asarray(constant), units),
+        }
     )
+    if slow is None:
+        return told
+    known = np.flatnonzero(correction.known)
+    every = max(readings.samples_in(part.seconds) // _DENSE, 1)
+    rows = known[np.unique(np.append(np.arange(0, known.size, every), known.size - 1))]
+    return told.assign({_NAME: ((_TIMES, "axis"), slow[rows], units)}).assign_coords(
+        {_TIMES: readings.stamps[rows]}
+    )
+
+
+def part_of_day(
+    table: xr.Dataset, correction: Correction, readings: Readings, part: Part, constant: Floats
+) -> tuple[Floats | None, Floats | None]:
+    """Return the slow part and the medians of a window for `partly`, for the correction of one of its days.
+
+    Parameters
+    ----------
+    table : Dataset
+        With the variables of `part_variables`; without them a day goes by itself.
+    correction, readings, part
+        Of the day.
+    constant : ndarray, shape (axis,)
+        As in `part_variables`, but as the table has it by now.
+    """
+    moved = constant - np.asarray(table[_CONSTANT].values) if _CONSTANT in table else np.zeros(3)
+    slow = slow_in_window(table, correction, readings, part.seconds, moved) if part.seconds else None
+    if _MIDDLE not in table:
+        return slow, None
+    # What is quick has no constant.
+    return slow, np.asarray(table[_MIDDLE].values) + np.stack([moved * (not part.seconds), moved])
 
 
 def leaves_slow_alone(table: xr.Dataset) -> bool:
@@ -96,10 +142,13 @@ def leaves_slow_alone(table: xr.Dataset) -> bool:
     return _NAME in table
 
 
-def slow_in_window(table: xr.Dataset, correction: Correction, readings: Readings, seconds: float) -> Floats:
+def slow_in_window(
+    table: xr.Dataset, correction: Correction, readings: Readings, seconds: float, moved: Floats
+) -> Floats:
     """Return the slow part of a day's correction, (time, axis) nT, by the table of its window.
 
-    A day outside of the window has that of its own correction.
+    A day outside of the window has that of its own correction; `moved` (axis,) nT is by how much the constant
+    of the window's has moved since.
     """
     times = (
         np.asarray(table[_TIMES].values, dtype=np.int64)
@@ -111,10 +160,23 @@ def slow_in_window(table: xr.Dataset, correction: Correction, readings: Readings
     since = (readings.stamps - times[0]).astype(np.float64)
     known = (times - times[0]).astype(np.float64)
     values = np.asarray(table[_NAME].values)
-    return np.stack([np.interp(since, known, one) for one in values.T], axis=1)
+    return np.stack([np.interp(since, known, one) for one in values.T], axis=1) + moved
 
 
-def partly(correction: Correction, part: Part, away: float, slow: Floats | None = None) -> Correction:
+def middle_of(correction: Correction, slow: Floats | None) -> Floats:
+    """Return the medians of what is taken off and of what is left alone; (kind, axis), nT."""
+    left = np.zeros_like(correction.field) if slow is None else slow
+    known = correction.known
+    return np.stack([np.median(one[known], axis=0) for one in (correction.field - left, left)])
+
+
+def partly(
+    correction: Correction,
+    part: Part,
+    away: float,
+    slow: Floats | None = None,
+    middle: Floats | None = None,
+) -> Correction:
     """Return the correction of which only a part is taken off.
 
     Parameters
@@ -127,19 +189,25 @@ def partly(correction: Correction, part: Part, away: float, slow: Floats | None 
     slow : ndarray, shape (time, axis), optional
         What of the field is left alone where the part says so, nT, the constant part with it: all that
         changes of it is an error.
+    middle : ndarray, shape (kind, axis), optional
+        What changes are told from, as `middle_of`: that of a window, of which this is a day; else of its own.
     """
     known, share = correction.known, part.share
     if part == WHOLE or not known.any():
         return correction
     left = np.zeros_like(correction.field) if slow is None or not part.seconds else slow
     taken = correction.field - left
-    changes = taken - np.median(taken[known], axis=0)
-    left = left - np.median(left[known], axis=0)
+    taken_middle, left_middle = middle_of(correction, left) if middle is None else middle
+    changes, stays = taken - taken_middle, left - left_middle
+    constant_known = correction.constant_known and not part.seconds
+    # A constant that is known is no matter of the share.
     return replace(
         correction,
-        field=share * taken,
-        covariance=correction.covariance * share**2 + away**2 * _squares(changes) + _squares(left),
-        constant_known=correction.constant_known and not part.seconds,
+        field=share * changes + taken_middle if constant_known else share * taken,
+        covariance=correction.covariance * (1.0 if constant_known else share**2)
+        + away**2 * _squares(changes)
+        + _squares(stays),
+        constant_known=constant_known,
     )
 
 

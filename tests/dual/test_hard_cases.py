@@ -1,5 +1,7 @@
 """Two sensors in trouble: what the judge takes for granted fails, and it does no harm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,24 @@ TROUBLE = ["gain", "crosstalk", "half a sample late", "storm", "turning", "walki
 @pytest.mark.parametrize("name", ["dead inboard", "slow inboard", "dead outboard"])
 def test_a_broken_sensor_makes_nothing_worse(name):
     assert max(outcome(make(name, seed)).ratio for seed in (200, 5)) < HARM
+
+
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.6, 0.0, -0.8]])
+@pytest.mark.parametrize("stuck", ["inboard", "outboard"])
+def test_a_sensor_that_stands_still_along_an_axis_is_refused(stuck, axis):
+    made = make("ordinary", 410)
+    seen = np.eye(3) - np.outer(axis, axis)
+    found = outcome(replace(made, **{stuck: getattr(made, stuck) @ seen + 7.0}))
+    assert not found.applied
+    assert f"the {stuck} sensor reads one value along an axis" in found.judgement.correction.reason
+    assert not make("coarse", 410).readings.broken
+
+
+def test_two_sensors_that_read_the_same_are_left_alone():
+    made = make("ordinary", 410)
+    found = outcome(replace(made, inboard=made.outboard + 1.0))
+    assert not found.applied
+    assert "never changes" in found.judgement.correction.reason
 
 
 @pytest.mark.slow

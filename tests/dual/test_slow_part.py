@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from inflight.dual.correction import UNKNOWN, Correction
 from inflight.dual.readings import Readings
@@ -10,11 +9,12 @@ from inflight.dual.slow_part import (
     WHOLE,
     Part,
     leaves_slow_alone,
+    part_of_day,
+    part_variables,
     partly,
     slow_in_window,
     slow_of,
     slow_part,
-    slow_variables,
 )
 from inflight.time import SECOND
 
@@ -86,11 +86,11 @@ def test_days_find_the_slow_part_of_their_window_and_do_not_step_between_them():
     random = np.random.default_rng(2)
     field = np.cumsum(random.normal(0.0, 0.02, (count, 3)), axis=0)
     whole, readings = correction(field), readings_of(count)
-    table = xr.Dataset().merge(slow_variables(whole, readings, 2000.0))
+    table = part_variables(whole, readings, Part(1.0, 2000.0), np.zeros(3))
     assert leaves_slow_alone(table)
     parts = []
     for rows in (slice(0, 4000), slice(4000, count)):
-        parts.append(slow_in_window(table, correction(field[rows]), readings.part(rows), 2000.0))
+        parts.append(slow_in_window(table, correction(field[rows]), readings.part(rows), 2000.0, np.zeros(3)))
     expected = slow_of(whole, readings, 2000.0)
     assert np.concatenate(parts) == pytest.approx(expected, abs=0.02 * expected.std())
     # By itself each day would step at midnight.
@@ -98,11 +98,37 @@ def test_days_find_the_slow_part_of_their_window_and_do_not_step_between_them():
     assert np.abs(alone[-1] - expected[3999]).max() > 0.05
 
 
+@pytest.mark.parametrize("part", [Part(0.7), Part(1.0, 400.0)])
+def test_a_day_has_the_error_that_it_has_in_its_window(part):
+    # A unit that is on for the whole second day is no constant.
+    field = np.repeat([0.0, 1.0, 0.0, 0.0], 1000)[:, None] * np.ones(3)
+    whole, readings, nothing = correction(field), readings_of(4000), np.zeros(3)
+    table = part_variables(whole, readings, part, nothing)
+    of_window = partly(whole, part, 0.3, slow_of(whole, readings, part.seconds))
+    rows = slice(1000, 2000)
+    day, of_day = correction(field[rows]), readings.part(rows)
+    found = partly(day, part, 0.3, *part_of_day(table, day, of_day, part, nothing))
+    assert found.field == pytest.approx(of_window.field[rows], abs=0.01)
+    assert found.sigma == pytest.approx(of_window.sigma[rows], abs=0.01)
+    assert np.median(found.sigma) > 0.25
+
+
+def test_a_constant_that_a_window_took_over_is_no_matter_of_the_share():
+    field = np.repeat([5.0, 7.0, 5.0], 100)[:, None] * np.ones(3)
+    found = partly(correction(field, constant_known=True), Part(0.5), away=0.5)
+    assert found.field[0] == pytest.approx(5.0 * np.ones(3))
+    assert found.field[150] == pytest.approx(6.0 * np.ones(3))
+    assert found.sigma[150] == pytest.approx(np.ones(3), rel=0.01)
+    assert found.constant_known
+
+
 def test_a_day_outside_of_the_window_goes_by_itself():
     whole, readings = correction(np.random.default_rng(3).normal(size=(500, 3))), readings_of(500)
-    table = xr.Dataset().merge(slow_variables(whole, readings, 100.0))
+    table = part_variables(whole, readings, Part(1.0, 100.0), np.zeros(3))
     later = readings_of(500, first=100_000)
-    assert slow_in_window(table, whole, later, 100.0) == pytest.approx(slow_of(whole, later, 100.0))
+    assert slow_in_window(table, whole, later, 100.0, np.zeros(3)) == pytest.approx(
+        slow_of(whole, later, 100.0)
+    )
 
 
 def test_parts_are_told_in_words():

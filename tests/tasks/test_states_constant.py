@@ -12,6 +12,7 @@ from inflight.catalog.workspace import Workspace
 from inflight.dual.candidates import Candidates
 from inflight.dual.gradiometer_table import correction_by_gradiometer
 from inflight.dual.harm import judge
+from inflight.dual.slow_part import Part
 from inflight.dual.table import from_dataset, to_dataset
 from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
@@ -49,6 +50,10 @@ def forced(cat, mission, planned, day):
         method: table_of(candidates, replace(found, chosen=method, correction=applied))
         for method in ("states", "matrix")
     }
+    for method in ("states", "matrix"):
+        quick = found.evidence | {method: replace(found.evidence[method], part=Part(1.0, 20_000.0))}
+        told = replace(found, chosen=method, correction=applied, evidence=quick)
+        tables[f"quick {method}"] = table_of(candidates, told)
     return readings, tables
 
 
@@ -91,6 +96,21 @@ def test_a_window_by_a_gradiometer_goes_on_from_one_by_states(days):
     both = one.known & other.known
     apart = (other.field - one.field)[both].mean(axis=0)
     assert np.all(np.abs(apart) < 2.0 * np.median(other.sigma[both], axis=0))
+
+
+@pytest.mark.parametrize("method", ["states", "matrix"])
+def test_a_window_that_leaves_alone_what_is_slow_has_no_constant_however_it_is_joined(days, method):
+    readings, tables = days[0]
+    table = tables[f"quick {method}"]
+    found = correction_of(table, readings)
+    for number in table["number"].values[:4].tolist():
+        later = joined([relative(table, number)], table)
+        assert later.attrs["reference"] == number
+        moved = (later["correction"] - table["correction"]).values[0]
+        again = correction_of(later, readings)
+        assert constant_of(later) == "as measured"
+        np.testing.assert_allclose(again.field, found.field, atol=1e-6)
+    assert np.abs(moved).max() > 0.1
 
 
 def test_a_window_that_was_left_alone_does_not_end_the_chain(days):
