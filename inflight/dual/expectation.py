@@ -214,7 +214,7 @@ class Expectation:
             rest = lost[scale].less(self._slopes(here, slice(9, 12))[:, None])
             slope.append((lost_stepped[scale].less(switched) * parts[0] + rest * parts[1]) / total)
         # What changes more slowly than any contrast.
-        power[-1] += max(float(np.var(taken, axis=0).sum() - power.sum()), 0.0)
+        power[-1] = max(float(np.var(taken, axis=0).sum() - power[:-1].sum()), 0.0)
         drawn = np.reshape(slope, (scales.size, -1))
         return Expected(scales, power, drawn, _kept(taken, scales, self.readings))
 

@@ -77,9 +77,13 @@ def cells_of(*series: Floats, longest: int = _LONGEST) -> Cells:
 
 
 def scales_of(count: int, longest: int = _LONGEST) -> list[int]:
-    """Return the lengths of blocks in a record of `count` samples, the longest that part of it."""
+    """Return the lengths of blocks in a record of `count` samples: powers of two up to that part of it.
+
+    Half the record is always among them where they go so far: else half of it could be slower than all.
+    """
     most = min(max(count // longest, 1), count // 2)
-    return [1 << power for power in range(most.bit_length())]
+    powers = [1 << power for power in range(most.bit_length())]
+    return [*powers, most] if longest == 2 and powers and most > powers[-1] else powers
 
 
 def joined_cells(parts: Sequence[Cells]) -> Cells:

@@ -37,8 +37,9 @@ def test_a_constant_and_an_empty_series_have_no_contrasts():
     assert len(cells_of(np.zeros((0, 3)))) == 0
 
 
-def test_scales_are_powers_of_two_up_to_a_part_of_the_record():
+def test_scales_are_powers_of_two_up_to_a_part_of_the_record_and_half_of_it():
     assert scales_of(1000, 16) == [1, 2, 4, 8, 16, 32]
-    assert scales_of(1000, 2) == [1, 2, 4, 8, 16, 32, 64, 128, 256]
+    assert scales_of(1000, 2) == [1, 2, 4, 8, 16, 32, 64, 128, 256, 500]
+    assert scales_of(1024, 2)[-2:] == [256, 512]
     assert scales_of(3, 16) == [1]
     assert scales_of(1, 2) == []

@@ -12,7 +12,7 @@ from inflight.catalog.workspace import Workspace
 from inflight.dual.candidates import Candidates
 from inflight.dual.gradiometer_table import correction_by_gradiometer
 from inflight.dual.harm import judge
-from inflight.dual.slow_part import Part
+from inflight.dual.slow_part import WHOLE, Part
 from inflight.dual.table import from_dataset, to_dataset
 from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
@@ -46,14 +46,12 @@ def forced(cat, mission, planned, day):
     candidates = Candidates(readings, body_of(mission, "main"))
     found = judge(readings, candidates.fit, candidates.expectations)
     applied = replace(found.correction, applied=True, reason="forced")
-    tables = {
-        method: table_of(candidates, replace(found, chosen=method, correction=applied))
-        for method in ("states", "matrix")
-    }
+    tables = {}
     for method in ("states", "matrix"):
-        quick = found.evidence | {method: replace(found.evidence[method], part=Part(1.0, 20_000.0))}
-        told = replace(found, chosen=method, correction=applied, evidence=quick)
-        tables[f"quick {method}"] = table_of(candidates, told)
+        for name, part in ((method, WHOLE), (f"quick {method}", Part(1.0, 20_000.0))):
+            evidence = found.evidence | {method: replace(found.evidence[method], part=part)}
+            told = replace(found, chosen=method, correction=applied, evidence=evidence)
+            tables[name] = table_of(candidates, told)
     return readings, tables
 
 
