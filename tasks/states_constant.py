@@ -61,7 +61,8 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
 def gradiometer_with_states(table: xr.Dataset, readings: Readings) -> Correction:
     """Return the correction by a table's gradiometer, with the constant part and the numbers of its states.
 
-    The field is the gradiometer's; flags about states do not concern it.
+    The field is the gradiometer's; flags about states do not concern it. Where only what is quick will be
+    taken off, the error of the constant is none of its own.
     """
     found = correction_by_gradiometer(table, readings)
     training = from_dataset(table)
@@ -76,7 +77,7 @@ def gradiometer_with_states(table: xr.Dataset, readings: Readings) -> Correction
     return replace(
         told,
         field=told.field + value,
-        covariance=told.covariance + np.diag(sigma**2),
+        covariance=told.covariance + (not leaves_slow_alone(table)) * np.diag(sigma**2),
         constant_known=training.constant_known,
     )
 

@@ -13,8 +13,8 @@ import numpy as np
 from inflight.arrays import Floats
 
 #: How far two sensors drift apart within minutes, by their temperatures, and in an hour, which grows with the
-#: root of time; nT, one standard deviation. Offsets of space fluxgates move by some 0.1 nT in a day, and by
-#: about 1 nT in a month.
+#: root of time; nT, rms about the mean of the time. Offsets of space fluxgates move by some 0.1 nT in a day,
+#: and by about 1 nT in a month.
 AT_ONCE, DRIFT = 0.03, 0.03
 #: Sensors are not alike: how far one pair drifts has Student's distribution with so many degrees of freedom.
 TAIL = 3.0
@@ -25,7 +25,7 @@ DRAWS = 3
 
 
 def drift_in(seconds: float, hourly: float = DRIFT) -> float:
-    """Return how far two sensors drift apart in a time, nT, one standard deviation."""
+    """Return how far two sensors drift apart in a time, nT, rms about its mean."""
     return float(np.hypot(AT_ONCE, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
 
 

@@ -20,7 +20,12 @@ from inflight.tasks.ingest import ingest
 from inflight.tasks.planning import ReprocessSettings, plan
 from inflight.tasks.simulate_dual import simulate_dual
 from inflight.tasks.states_chain import joined
-from inflight.tasks.states_constant import constant_changes, constant_of, constant_sentences
+from inflight.tasks.states_constant import (
+    constant_changes,
+    constant_of,
+    constant_sentences,
+    gradiometer_with_states,
+)
 from inflight.tasks.states_window import body_of, correction_of, table_of, window_readings
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
@@ -141,3 +146,11 @@ def test_a_gradiometer_without_states_stands_alone_and_that_is_told(days):
 
 def test_what_is_left_as_measured_is_told_as_such():
     assert constant_of(xr.Dataset(attrs={"applied": "no"})) == "as measured"
+
+
+def test_the_error_of_the_constant_is_not_in_what_is_quick(days):
+    readings, tables = days[0]
+    whole, quick = (gradiometer_with_states(tables[name], readings) for name in ("matrix", "quick matrix"))
+    more = np.einsum("tii->ti", whole.covariance - quick.covariance)[whole.known]
+    assert more.min() > 0.0
+    assert more == pytest.approx(np.broadcast_to(more[0], more.shape))
