@@ -178,10 +178,8 @@ def _why_none(evidence: Iterable[Evidence]) -> str:
     faults: dict[str, list[str]] = {}
     for one in evidence:
         faults.setdefault(one.against, []).append(f"{one.name} ({one.numbers})")
-    told = [f"left alone, {fault}: {', '.join(names)}" for fault, names in faults.items()]
-    return (
-        "; ".join([*told, "slopes of held-out outboard readings"]) if told else "no candidate could be fitted"
-    )
+    told = (f"{fault}: {', '.join(names)}" for fault, names in faults.items())
+    return "; ".join(told) or "no candidate could be fitted"
 
 
 def _none_where_the_general_form_is_refuted(evidence: Mapping[str, Evidence]) -> dict[str, Evidence]:
