@@ -51,12 +51,12 @@ class Flag(IntFlag):
     TRANSIENT = 1 << 15
     #: A flipper holds the sensors in the position that the day is not calibrated for.
     FLIPPED = 1 << 16
-    #: The reading of a turning sensor stands at an end of the range the mission YAML states.
+    #: The reading of a sensor stands at an end of the range the mission YAML states.
     SATURATED = 1 << 17
     #: Nothing is taken off the outboard reading of two sensors: no correction is known here, or the one that
     #: was learnt does not help.
     NOT_CORRECTED = 1 << 18
-    #: The reading stays the very same for long while that of the boom's other sensor changes.
+    #: An axis reads the very same for long while that of the boom's other sensor changes.
     STILL = 1 << 19
 
 

@@ -1,8 +1,8 @@
 """What two sensors on one boom deliver, looked through before anything is learnt from it.
 
-A sensor that is dead or not plugged in reads one value. Its difference to the other is then the ambient field
-itself, and a gradiometer would take that off: readings that stay the same while the other sensor's change are
-no measurements.
+A sensor that is dead or not plugged in reads one value, and so does an axis that is stuck or full. The
+difference to the other sensor is then the ambient field itself, and a gradiometer would take that off:
+readings that stay the same while the other sensor's change are no measurements.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
@@ -23,11 +24,15 @@ from inflight.model import Model
 from inflight.tasks.archive_index import ArchiveIndex
 from inflight.tasks.needs import Need
 from inflight.tasks.samples import load_samples
+from inflight.tasks.spinning import saturated
 
-#: So many samples in which all axes read the very same: noise does not do that.
+#: So many samples in which an axis reads the very same: noise does not do that.
 _STILL = 100
-#: The other sensor moves by so many of the smallest steps that the still one takes.
-_MOVES = 5.0
+#: The other sensor moves by so many of the smallest steps that the still axis takes, noise averaged over so
+#: many parts of the time.
+_MOVES, _PARTS = 5.0, 10
+#: Readings that are nearer than this part of the largest are the same: those between two stamps are computed.
+_SAME = 1e-12
 #: nT; no sensor on a boom reads this: a fill value that nobody declared.
 _IMPOSSIBLE = 1e7
 _ROLES = ("inboard", "outboard")
@@ -46,7 +51,7 @@ def boom_samples(
     Raises
     ------
     SamplesError
-        When a sensor's day is not in the archive, or it reads one and the same value all day.
+        When a sensor's day is not in the archive, or an axis of it reads one and the same value all day.
     """
     samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
     values = {role: np.asarray(samples[role].values, dtype=np.float64) for role in _ROLES}
@@ -56,48 +61,63 @@ def boom_samples(
             wild = np.asarray((np.abs(values[role]) > _IMPOSSIBLE).any(axis=1))
         flag[wild] |= np.uint32(Flag.OUT_OF_RANGE)
         values[role] = np.where(wild[:, None], np.nan, values[role])
+    turns = {role: Rotation.from_quat(samples[role].attrs["orientation"]) for role in _ROLES}
     for role, other in (_ROLES, _ROLES[::-1]):
-        still = still_rows(values[role], values[other])
-        read = np.asarray(np.isfinite(values[role]).all(axis=1))
-        if read.any() and still[read].all():
-            name = mission.comparisons[model.comparison].instruments()[role]
-            raise SamplesError(
-                f"'{name}', the {role} sensor, reads one and the same value while the other one's change",
-                day=str(day),
-                remedy="its readings are no measurements: leave the day's file out, or flag it ('good_when')",
-            )
-        flag[still] |= np.uint32(Flag.STILL)
+        need = next(one for one in needs if one.name == role)
+        flag |= saturated(values[role], mission.instruments[need.instrument].channels[need.channel])
+        # In the axes of the sensor: one of those is what sticks.
+        still = still_axes(values[role], turns[role].inv().apply(turns[other].apply(values[other])))
+        _refuse_stuck(still, values[role], role, need.instrument, day)
+        flag[still.any(axis=1)] |= np.uint32(Flag.STILL)
     samples["flag"] = samples["flag"].copy(data=flag)
     return samples
 
 
-def still_rows(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
-    """Return where a sensor's reading stays the very same for long while another one's changes.
+def _refuse_stuck(
+    still: npt.NDArray[np.bool_], values: Floats, role: str, name: str, day: np.datetime64
+) -> None:
+    read = np.isfinite(values).all(axis=1)
+    stuck = still[read].all(axis=0) if read.any() else np.zeros(3, dtype=bool)
+    if stuck.any():
+        along = "" if stuck.all() else f" along {'xyz'[int(np.argmax(stuck))]}, an axis of its own,"
+        raise SamplesError(
+            f"'{name}', the {role} sensor, reads one and the same value{along} while the other one's change",
+            day=str(day),
+            remedy="its readings are no measurements: leave the day's file out, or flag it ('good_when')",
+        )
+
+
+def still_axes(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
+    """Return where an axis of a sensor reads the very same for long while another sensor's changes.
 
     Parameters
     ----------
     values, other : ndarray, shape (time, axis)
-        nT, at the same times; NaN where missing.
+        nT, at the same times and in the same axes; NaN where missing.
 
     Returns
     -------
-    ndarray of bool, shape (time,)
+    ndarray of bool, shape (time, axis)
     """
-    out = np.zeros(len(values), dtype=bool)
+    out = np.zeros(values.shape, dtype=bool)
     rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     if rows.size < _STILL:
         return out
-    steps = np.abs(np.diff(values[rows], axis=0))
-    edges = np.concatenate([[0], np.flatnonzero(steps.any(axis=1)) + 1, [rows.size]])
-    smallest = float(steps[steps > 0.0].min(initial=np.inf))
-    least = _MOVES * smallest if np.isfinite(smallest) else 0.0
-    for first, last in pairwise(edges.tolist()):
-        if last - first >= _STILL and _moved(other[rows[first:last]]) > least:
-            out[rows[first:last]] = True
+    for axis in range(values.shape[1]):
+        own = values[rows, axis]
+        steps = np.abs(np.diff(own))
+        moved = steps > _SAME * float(np.abs(own).max())
+        least = _MOVES * float(steps[moved].min(initial=np.inf)) if moved.any() else 0.0
+        edges = np.concatenate([[0], np.flatnonzero(moved) + 1, [rows.size]])
+        for first, last in pairwise(edges.tolist()):
+            if last - first >= _STILL and _moved(other[rows[first:last], axis]) > least:
+                out[rows[first:last], axis] = True
     return out
 
 
 def _moved(values: Floats) -> float:
-    """Return the largest range of an axis, nT; 0 without readings."""
-    known = values[np.isfinite(values).all(axis=1)]
-    return float(np.ptp(known, axis=0).max()) if len(known) else 0.0
+    """Return how far a component moves, nT: the range of means over parts of the time; 0 without readings."""
+    known = values[np.isfinite(values)]
+    return (
+        float(np.ptp([one.mean() for one in np.array_split(known, _PARTS)])) if known.size >= _PARTS else 0.0
+    )
