@@ -52,11 +52,14 @@ class Seen:
     ----------
     scale : ndarray of int64, shape (scale,)
     slope, variance : ndarray, shape (scale,)
+    ambient : ndarray, shape (scale, axis, axis)
+        How much the slope changes with ambient field in the correction: the first axis is the correction's.
     """
 
     scale: npt.NDArray[np.int64]
     slope: Floats
     variance: Floats
+    ambient: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
 
 @dataclass(frozen=True)
@@ -73,12 +76,18 @@ class Expected:
     kept : mapping
         By the seconds of a `Part`: the product of the part with the whole correction on each scale, and its
         square, beside `power`; each (scale,).
+    leak : ndarray, shape (draw, axis, axis)
+        Ambient field that is in the correction because its fitted leak is not right; empty where none is.
+    passed : ndarray, shape (scale,)
+        Part of it that is not taken for noise on each scale.
     """
 
     scale: npt.NDArray[np.int64]
     power: Floats
     slope: Floats
     kept: Mapping[float, tuple[Floats, Floats]] = field(default_factory=dict)
+    leak: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    passed: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def whole(self) -> Floats:
@@ -90,6 +99,10 @@ class Expected:
         _, own, other = np.intersect1d(self.scale, seen.scale, return_indices=True)
         variance = seen.variance[other] + SCATTER**2
         away = self.slope[own] - seen.slope[other, None]
+        if len(self.leak) and len(seen.ambient):
+            # The outboard reading goes with its own ambient field: that looks like stray field.
+            shift = np.einsum("dij,sij->sd", self.leak, seen.ambient[other])
+            away = away + self.passed[own, None] * shift
         return np.asarray(np.sum(away**2 / variance[:, None], axis=0))
 
     def refuted_by(self, seen: Seen) -> bool:
@@ -216,7 +229,10 @@ class Expectation:
         # What changes more slowly than any contrast.
         power[-1] = max(float(np.var(taken, axis=0).sum() - power[:-1].sum()), 0.0)
         drawn = np.reshape(slope, (scales.size, -1))
-        return Expected(scales, power, drawn, _kept(taken, scales, self.readings))
+        held = power * 2.0 * scales
+        passed = held / (held + self._size(self.noise.covariance))
+        leak = np.zeros((0, 3, 3)) if correction.method == "states" else self._leaks
+        return Expected(scales, power, drawn, _kept(taken, scales, self.readings), leak, passed)
 
     @cached_property
     def _difference(self) -> Floats:
@@ -257,6 +273,14 @@ class Expectation:
         drawn = np.random.default_rng(3).normal(*_OUTBOARD, size=(4, *self._turns.shape[1:]))
         drawn[[0, 3]] = self.noise.share
         return drawn
+
+    @cached_property
+    def _leaks(self) -> Floats:
+        """Ambient field in a correction by an error of the leak, by place and turn; (draw, axis, axis)."""
+        random = np.random.default_rng(7)
+        shape = self._turns.shape[1:]
+        drawn = random.multivariate_normal(np.zeros(9), self.leak_covariance, shape, method="eigh")
+        return np.asarray(np.einsum("ki,dij->dkj", self._middle, drawn.reshape(-1, 3, 3)))
 
     @cached_property
     def _lost_without_states(self) -> dict[int, Lost]:

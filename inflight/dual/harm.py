@@ -270,7 +270,9 @@ def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:
     wider = max(1.0, scatter / total)
     scales, place = np.unique(cells.scale, return_inverse=True)
     own = np.maximum(np.bincount(place, of_square), 1e-300)
-    seen = Seen(scales, np.bincount(place, of_cross) / own, wider / own)
+    ambient = np.zeros((scales.size, 3, 3))
+    np.add.at(ambient, place, weight[:, :, None] * cells.covariance[:, :3, :3])
+    seen = Seen(scales, np.bincount(place, of_cross) / own, wider / own, ambient / own[:, None, None])
     return slope, float(np.sqrt(wider / total)), seen
 
 
