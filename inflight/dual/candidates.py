@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.bands import gradiometer_correction, without_noise
+from inflight.dual.bands import gradiometer_correction
 from inflight.dual.combined import combined_correction
 from inflight.dual.correction import Correction
 from inflight.dual.expectation import Expectation
@@ -93,9 +93,7 @@ class Candidates:
         full = self.gradiometers.get("matrix")
         if full is None:
             return []
-        good = self.readings.good
-        stray = np.full((len(self.readings), 3), np.nan)
-        stray[good] = without_noise(full.stray(self.readings)[good], full.noise)[0]
+        stray = full.stray(self.readings)
         noise = Noise(full.noise, full.mixing.share, 0.0)
         nearer = "units nearer to the inboard sensor"
         if self.body is None:

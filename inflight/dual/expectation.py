@@ -33,8 +33,9 @@ _QUICK = 64
 _QUIET = 0.25
 #: Slopes of several units on one scale differ by so much from those of one.
 SCATTER = 0.2
-#: Draws of the sensors' wandering for each place.
-_TURNS = 5
+#: Draws of the sensors' wandering for each place: chances of one in a thousand are told from some hundreds of
+#: draws that held-out readings leave.
+_TURNS = 30
 #: Part of the drift of both sensors that is the outboard one's: two straight lines, each as likely to rise as
 #: to fall; mean and standard deviation.
 _OUTBOARD = (0.5, 0.5)
@@ -180,8 +181,7 @@ class Expectation:
     matrices : ndarray, shape (place, 3, 3)
         What takes the difference to the outboard sensor, for places all over the body.
     stray : ndarray, shape (time, axis)
-        The difference without white noise and what it holds of the ambient field, nT; NaN where a sensor is
-        missing. Less noise is left in it than was taken out of the stray field: slopes are rather larger.
+        The difference without what it holds of the ambient field, nT; NaN where a sensor is missing.
     noise : Noise
         Its white noise, and how much of that is the outboard sensor's.
     leak_covariance : ndarray, shape (9, 9)
@@ -208,7 +208,7 @@ class Expectation:
         """
         good = self.readings.good
         taken, state = np.nan_to_num(correction.field[good], nan=0.0), correction.state[good]
-        stray, both = self.stray[good], self._difference
+        stray, both = self._clear, self._difference
         stepped, both_stepped = by_state(state, taken), by_state(state, both)
         cells = cells_of(self.readings.outboard[good], stray, stepped, taken - stepped, longest=_LONGEST)
         quick = cells.part(cells.scale <= max(len(taken) // _QUICK, 1))
@@ -229,10 +229,27 @@ class Expectation:
         # What changes more slowly than any contrast.
         power[-1] = max(float(np.var(taken, axis=0).sum() - power[:-1].sum()), 0.0)
         drawn = np.reshape(slope, (scales.size, -1))
-        held = power * 2.0 * scales
-        passed = held / (held + self._size(self.noise.covariance))
-        leak = np.zeros((0, 3, 3)) if correction.method == "states" else self._leaks
+        passed = np.array([self._passed[scale] for scale in scales.tolist()])
+        leak = np.zeros((0, 3, 3)) if correction.method == "states" else self._leaks.reshape(-1, 3, 3)
         return Expected(scales, power, drawn, _kept(taken, scales, self.readings), leak, passed)
+
+    @cached_property
+    def _clear(self) -> Floats:
+        """The stray part of the difference without white noise where both sensors are; (time, axis), nT.
+
+        Less noise is left in it than was taken out of the stray field: slopes are rather larger.
+        """
+        return without_noise(self.stray[self.readings.good], self.noise.covariance)[0]
+
+    @cached_property
+    def _passed(self) -> dict[int, float]:
+        """Part of the difference's changes that is not taken for noise, by scale."""
+        sums = running_sums(np.concatenate([self.stray[self.readings.good], self._clear], axis=1))
+        found = {}
+        for scale in scales_of(len(sums) - 1, _LONGEST):
+            whole, clear = np.split(contrasts(sums, scale)[0], 2, axis=1)
+            found[scale] = float(np.sum(whole * clear)) / max(float(np.sum(whole**2)), 1e-300)
+        return found
 
     @cached_property
     def _difference(self) -> Floats:
@@ -250,19 +267,16 @@ class Expectation:
         drift, flicker = (np.sqrt(self._size(one)) for one in (far**2 * np.eye(3), noise))
         wander = drift * own.line, drift * own.walk, flicker * own.flicker
         left = without_noise(white, noise)[0]
-        return np.column_stack([self.stray[good], left, readings.outboard[good], *wander])
+        return np.column_stack([self._clear, left, readings.outboard[good], *wander])
 
     @cached_property
     def _turns(self) -> Floats:
-        """How large white noise, line, walk, flicker noise and leak are beside what is usual, in power.
+        """How large white noise, line, walk and flicker noise are beside what is usual, in power.
 
-        (5, place, turn).
+        (4, place, turn).
         """
-        random = np.random.default_rng(2)
-        shape = (5, len(self.matrices), _TURNS)
-        turns = random.normal(size=shape)
-        turns[:3] = random.standard_t(TAIL, (3, *shape[1:]))
-        return turns**2
+        shape = (4, len(self.matrices), _TURNS)
+        return np.asarray(np.random.default_rng(2).standard_t(TAIL, shape) ** 2)
 
     @cached_property
     def _outboard(self) -> Floats:
@@ -276,11 +290,11 @@ class Expectation:
 
     @cached_property
     def _leaks(self) -> Floats:
-        """Ambient field in a correction by an error of the leak, by place and turn; (draw, axis, axis)."""
+        """Ambient field in a correction by an error of the leak; (place, turn, axis, axis)."""
         random = np.random.default_rng(7)
         shape = self._turns.shape[1:]
         drawn = random.multivariate_normal(np.zeros(9), self.leak_covariance, shape, method="eigh")
-        return np.asarray(np.einsum("ki,dij->dkj", self._middle, drawn.reshape(-1, 3, 3)))
+        return np.asarray(np.einsum("ki,...ij->...kj", self._middle, drawn.reshape(*shape, 3, 3)))
 
     @cached_property
     def _lost_without_states(self) -> dict[int, Lost]:
@@ -297,7 +311,6 @@ class Expectation:
             The largest power of drift and of flicker noise by scale, nT^2.
         """
         sums, found = running_sums(both), {}
-        leak = self.leak_covariance.reshape(3, 3, 3, 3)
         for scale in scales_of(len(both), _LONGEST):
             values = contrasts(sums, scale)[0]
             stray, white, ambient = (
@@ -307,12 +320,13 @@ class Expectation:
             line, *others = np.mean(values[:, 9:] ** 2, axis=0)
             walk, flicker = np.reshape(others, (2, DRAWS)).mean(axis=1)
             usual = np.array([self._size(white), line, walk, flicker])
-            own = usual[:, None, None] * self._turns[:4]
+            own = usual[:, None, None] * self._turns
             if most is not None:
                 # What is left of white noise comes in bursts; the rest goes on all the time.
                 own[1:] = np.minimum(own[1:], most[scale])
-            through = self._size(np.einsum("iajb,ab->ij", leak, ambient)) * self._turns[4:]
-            lost = np.concatenate([own, through]) / max(self._size(stray), 1e-300)
+            leaks = self._passed[scale] * self._leaks
+            through = np.einsum("ptki,ij,ptkj->pt", leaks, ambient, leaks)
+            lost = np.concatenate([own, through[None]]) / max(self._size(stray), 1e-300)
             lost /= np.maximum(lost.sum(axis=0), 1.0)
             added = np.sum(self._outboard * lost[:4], axis=0) / self._factor
             found[scale] = Lost(lost.sum(axis=0), added)

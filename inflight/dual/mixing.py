@@ -34,6 +34,8 @@ _ELEMENTS = np.eye(9).reshape(9, 3, 3)
 _FAR = 3.0
 #: Contrasts that a cell's variances are taken to have beside its own, of the size of the noise.
 _OWN = 1.0
+#: Parts of the record whose scatter tells how far the leak's likelihood can be believed.
+_PARTS = 6
 #: How often the cells are weighed anew.
 _TURNS = 6
 
@@ -177,12 +179,40 @@ def _most_likely(cells: Cells, floor: Floats, prior: tuple[Floats, Floats], leak
 
 
 def _leak_covariance(restful: Cells, prior: tuple[Floats, Floats], leak: Floats, sigma: float) -> Floats:
-    """Return the covariance of the leak's elements, the matrix being known as little as before."""
-    information = _information(restful, prior[0].reshape(3, 3), leak)
+    """Return the covariance of the leak's elements, the matrix being known as little as before.
+
+    It is widened by what long parts of the record disagree: slow noise is in many cells at once.
+    """
+    matrix = prior[0].reshape(3, 3)
+    information = _information(restful, matrix, leak)
+    information /= _excess(restful, matrix, leak, information[9:, 9:])
     information[:9, :9] += np.linalg.inv(prior[1])
     information[9:, 9:] += np.eye(9) / sigma**2
     value, vector = np.linalg.eigh(information)
     return np.asarray((vector / np.maximum(value, 1e-3 / sigma**2)) @ vector.T)[9:, 9:]
+
+
+def _excess(cells: Cells, matrix: Floats, leak: Floats, information: Floats) -> float:
+    """Return the variance of the leak's score between parts of the record beside what is stated; at least 1.
+
+    Parameters
+    ----------
+    information : ndarray, shape (9, 9)
+        On the elements of the leak.
+    """
+    if not len(cells):
+        return 1.0
+    unmix = np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
+    own = unmix @ cells.covariance @ unmix.T
+    variance = np.maximum(np.einsum("cii->ci", own)[:, 3:], 1e-300)
+    score = (cells.count[:, None] / variance)[:, :, None] * own[:, 3:, :3]
+    part = np.minimum(cells.row * _PARTS // (int(cells.row.max()) + 1), _PARTS - 1)
+    sums = np.zeros((_PARTS, 9))
+    np.add.at(sums, part, score.reshape(-1, 9))
+    sums -= sums.mean(axis=0)
+    stated = np.linalg.pinv(information, hermitian=True)
+    scatter = float(np.einsum("pi,ij,pj->", sums, stated, sums)) / 9.0 * _PARTS / (_PARTS - 1)
+    return max(scatter, 1.0)
 
 
 def _variance(values: Floats, cells: Cells, floor: Floats) -> Floats:
