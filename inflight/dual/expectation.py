@@ -9,20 +9,20 @@ the sensors wander by themselves, and ambient field that leaks in.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
 
 from inflight.arrays import Floats
 from inflight.dual.bands import without_noise
 from inflight.dual.correction import Correction
+from inflight.dual.expected import Expected
 from inflight.dual.moments import Noise
 from inflight.dual.readings import Readings
 from inflight.dual.scales import Cells, cells_of, contrasts, running_sums, scales_of
-from inflight.dual.slow_part import WHOLE, Part, slow_part
+from inflight.dual.slow_part import slow_part
 from inflight.dual.wander import DRAWS, DRIFT, TAIL, drift_in, wandering
 from inflight.time import SECOND
 
@@ -31,8 +31,6 @@ _LONGEST, _QUIET_CELLS = 2, 6
 #: Blocks of switchings are at most this part of the record.
 _QUICK = 64
 _QUIET = 0.25
-#: Slopes of several units on one scale differ by so much from those of one.
-SCATTER = 0.2
 #: Draws of the sensors' wandering for each place: chances of one in a thousand are told from some hundreds of
 #: draws that held-out readings leave.
 _TURNS = 30
@@ -41,109 +39,6 @@ _TURNS = 30
 _OUTBOARD = (0.5, 0.5)
 #: Parts of the record that corrections are cut at, and the narrowest such width, samples.
 CUTS, _NARROWEST = (4, 8, 16, 32, 64, 128, 256), 8
-#: Chance below which held-out readings are not of units in the body.
-_REFUTED = 1e-6
-
-
-@dataclass(frozen=True)
-class Seen:
-    """Slopes of held-out outboard readings on a correction, scale by scale.
-
-    Attributes
-    ----------
-    scale : ndarray of int64, shape (scale,)
-    slope, variance : ndarray, shape (scale,)
-    ambient : ndarray, shape (scale, axis, axis)
-        How much the slope changes with ambient field in the correction: the first axis is the correction's.
-    """
-
-    scale: npt.NDArray[np.int64]
-    slope: Floats
-    variance: Floats
-    ambient: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-
-
-@dataclass(frozen=True)
-class Expected:
-    """What geometry lets expect of one correction, for units at many places and sensors that wander.
-
-    Attributes
-    ----------
-    scale : ndarray of int64, shape (scale,)
-    power : ndarray, shape (scale,)
-        Mean square that the correction has there, nT^2 summed over axes.
-    slope : ndarray, shape (scale, draw)
-        Of the stray field on the correction.
-    kept : mapping
-        By the seconds of a `Part`: the product of the part with the whole correction on each scale, and its
-        square, beside `power`; each (scale,).
-    leak : ndarray, shape (draw, axis, axis)
-        Ambient field that is in the correction because its fitted leak is not right; empty where none is.
-    passed : ndarray, shape (scale,)
-        Part of it that is not taken for noise on each scale.
-    """
-
-    scale: npt.NDArray[np.int64]
-    power: Floats
-    slope: Floats
-    kept: Mapping[float, tuple[Floats, Floats]] = field(default_factory=dict)
-    leak: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    passed: Floats = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def whole(self) -> Floats:
-        """Slope over all scales in each draw; (draw,)."""
-        return np.asarray(self.power @ self.slope / max(float(self.power.sum()), 1e-300))
-
-    def misfit(self, seen: Seen) -> Floats:
-        """Return the sum of squares of what held-out readings say less what is expected, (draw,)."""
-        _, own, other = np.intersect1d(self.scale, seen.scale, return_indices=True)
-        variance = seen.variance[other] + SCATTER**2
-        away = self.slope[own] - seen.slope[other, None]
-        if len(self.leak) and len(seen.ambient):
-            # The outboard reading goes with its own ambient field: that looks like stray field.
-            shift = np.einsum("dij,sij->sd", self.leak, seen.ambient[other])
-            away = away + self.passed[own, None] * shift
-        return np.asarray(np.sum(away**2 / variance[:, None], axis=0))
-
-    def refuted_by(self, seen: Seen) -> bool:
-        """Whether no place in the body makes what held-out readings say."""
-        return bool(seen.scale.size) and float(chi2.sf(self.misfit(seen).min(), seen.scale.size)) < _REFUTED
-
-    def benefit(self, part: Part) -> Floats:
-        """Return the fall of the mean square error by a part of the correction, nT^2; (scale, draw)."""
-        product, square = self.kept[part.seconds] if part.seconds else (1.0, 1.0)
-        fall = 2.0 * part.share * np.multiply(product, self.power)[:, None] * self.slope
-        return np.asarray(fall - part.share**2 * np.multiply(square, self.power)[:, None])
-
-    def chance_of_harm(self, seen: Seen, part: Part = WHOLE) -> float:
-        """Return the probability that taking off a part makes the error larger, after held-out readings."""
-        return float(self.weights(seen) @ (self.benefit(part).sum(axis=0) <= 0.0))
-
-    def mean_benefit(self, seen: Seen, part: Part = WHOLE) -> float:
-        """Return the fall of the mean square error by taking off a part, after held-out readings, nT^2."""
-        return float(self.benefit(part).sum(axis=0) @ self.weights(seen))
-
-    def quick_benefit(self, seen: Seen, part: Part = WHOLE) -> float:
-        """Return the part of `mean_benefit` on the scales that are seen, nT^2.
-
-        On slower ones it is not told how much of a correction is the sensors' own.
-        """
-        own = np.isin(self.scale, seen.scale)
-        return float(self.benefit(part)[own].sum(axis=0) @ self.weights(seen))
-
-    def away(self, seen: Seen, part: Part = WHOLE) -> float:
-        """Return how far the slope of a part is from its share, rms, after held-out readings."""
-        product, square = self.kept[part.seconds] if part.seconds else (1.0, 1.0)
-        total = max(float(np.sum(np.multiply(square, self.power))), 1e-300)
-        slope = np.multiply(product, self.power) @ self.slope / total
-        return float(np.sqrt(self.weights(seen) @ (slope - part.share) ** 2))
-
-    def weights(self, seen: Seen) -> Floats:
-        """Return how likely each draw is after held-out readings; (draw,)."""
-        misfit = self.misfit(seen)
-        weight = np.exp(-0.5 * (misfit - misfit.min()))
-        return np.asarray(weight / weight.sum())
 
 
 @dataclass(frozen=True)
@@ -230,7 +125,8 @@ class Expectation:
         power[-1] = max(float(np.var(taken, axis=0).sum() - power[:-1].sum()), 0.0)
         drawn = np.reshape(slope, (scales.size, -1))
         passed = np.array([self._passed[scale] for scale in scales.tolist()])
-        leak = np.zeros((0, 3, 3)) if correction.method == "states" else self._leaks.reshape(-1, 3, 3)
+        # States follow the outboard reading's own steps.
+        leak = None if correction.method == "states" else self._leaks.reshape(-1, 3, 3)
         return Expected(scales, power, drawn, _kept(taken, scales, self.readings), leak, passed)
 
     @cached_property

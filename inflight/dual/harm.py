@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.dual.correction import Correction, no_correction
-from inflight.dual.expectation import Expectation, Expected, Seen
+from inflight.dual.expectation import Expectation
+from inflight.dual.expected import Posterior, Seen
 from inflight.dual.readings import Readings
 from inflight.dual.scales import Cells, cells_of, joined_cells
 from inflight.dual.slow_part import WHOLE, Part, partly, slow_of
@@ -168,7 +169,7 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
     # What changes is judged; the constant comes on top.
     best = max(helping, key=lambda one: (one.constant_known, one.quick))
     correction = whole[best.name](readings)
-    slow = slow_of(correction, readings, best.part.seconds) if best.part.seconds else None
+    slow = slow_of(correction, readings, best.part.seconds)
     correction = partly(correction, best.part, best.away, slow)
     return Judgement(replace(correction, reason=best.told), best.name, evidence)
 
@@ -220,32 +221,32 @@ def evidence_of(
     slope, sigma, seen = slopes_of(readings, parts)
     units = expectations[-1].units if expectations else "units"
     for one in expectations:
-        expected = one.of(correction)
-        if not expected.refuted_by(seen):
+        after = one.of(correction).after(seen)
+        if not after.refuted:
             noise = one.noise.share * float(np.trace(one.noise.covariance))
-            part = best_part(expected, seen, correction.constant_known)
-            benefit, chance = expected.mean_benefit(seen, part), expected.chance_of_harm(seen, part)
-            trivial, away = benefit < _TRIVIAL * noise, expected.away(seen, part)
-            told = (correction.constant_known, expected.quick_benefit(seen, part))
-            return Evidence(name, slope, sigma, chance, benefit, trivial, one.units, part, away, *told)
+            part = best_part(after, correction.constant_known)
+            trivial = after.benefit(part) < _TRIVIAL * noise
+            told = (after.chance_of_harm(part), after.benefit(part), trivial, one.units, part)
+            rest = (after.away(part), correction.constant_known, after.quick_benefit(part))
+            return Evidence(name, slope, sigma, *told, *rest)
     return Evidence(name, slope, sigma, float("nan"), 0.0, False, units)
 
 
-def best_part(expected: Expected, seen: Seen, constant_known: bool) -> Part:
+def best_part(after: Posterior, constant_known: bool) -> Part:
     """Return the part of a correction that lowers the error most, of all that are sure to; else the whole.
 
     Whatever is left alone because it is slow, of the rest as large a share is taken as is sure.
     """
     if constant_known:
         return WHOLE
-    parts = [Part(share, seconds) for seconds in (0.0, *expected.kept) for share in SHARES]
-    chance = {part: expected.chance_of_harm(seen, part) for part in parts}
+    parts = [Part(share, seconds) for seconds in (0.0, *after.expected.kept) for share in SHARES]
+    chance = {part: after.chance_of_harm(part) for part in parts}
     most = SURE if min(chance.values()) < SURE else CHANCE
     largest: dict[float, Part] = {}
     for part in parts:
         if chance[part] < most:
             largest.setdefault(part.seconds, part)
-    return max(largest.values(), key=lambda part: expected.mean_benefit(seen, part), default=WHOLE)
+    return max(largest.values(), key=after.benefit, default=WHOLE)
 
 
 def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:
@@ -262,7 +263,7 @@ def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:
     of_square, of_cross = (weight * square).sum(axis=1), (weight * cross).sum(axis=1)
     total = float(of_square.sum())
     if not total > 0:
-        return 0.0, np.inf, Seen(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+        return 0.0, np.inf, Seen.nothing()
     slope = float(of_cross.sum()) / total
     score = np.bincount(block, of_cross - slope * of_square)
     score = score[np.bincount(block) > 0]

@@ -62,7 +62,7 @@ def slow_part(values: Floats, width: int) -> Floats:
 
 
 def slow_of(correction: Correction, readings: Readings, seconds: float) -> Floats:
-    """Return what of a correction changes more slowly than means over some seconds.
+    """Return what of a correction changes more slowly than means over some seconds; nothing for 0.
 
     Returns
     -------
@@ -70,8 +70,8 @@ def slow_of(correction: Correction, readings: Readings, seconds: float) -> Float
         nT; NaN where the correction is not known.
     """
     known = correction.known
-    slow = np.full_like(correction.field, np.nan)
-    if known.any():
+    slow = np.where(known[:, None], 0.0, np.nan) * np.ones(3)
+    if seconds and known.any():
         slow[known] = slow_part(correction.field[known], readings.samples_in(seconds))
     return slow
 
@@ -97,7 +97,7 @@ def part_variables(correction: Correction, readings: Readings, part: Part, const
     """
     if part == WHOLE or not correction.known.any():
         return xr.Dataset()
-    slow = slow_of(correction, readings, part.seconds) if part.seconds else None
+    slow = slow_of(correction, readings, part.seconds)
     units = {"units": "nT"}
     told = xr.Dataset(
         {
@@ -105,7 +105,7 @@ def part_variables(correction: Correction, readings: Readings, part: Part, const
             _CONSTANT: (("axis",), np.asarray(constant), units),
         }
     )
-    if slow is None:
+    if not part.seconds:
         return told
     known = np.flatnonzero(correction.known)
     every = max(readings.samples_in(part.seconds) // _DENSE, 1)
@@ -117,7 +117,7 @@ def part_variables(correction: Correction, readings: Readings, part: Part, const
 
 def part_of_day(
     table: xr.Dataset, correction: Correction, readings: Readings, part: Part, constant: Floats
-) -> tuple[Floats | None, Floats | None]:
+) -> tuple[Floats, Floats | None]:
     """Return the slow part and the medians of a window for `partly`, for the correction of one of its days.
 
     Parameters
@@ -130,7 +130,7 @@ def part_of_day(
         As in `part_variables`, but as the table has it by now.
     """
     moved = constant - np.asarray(table[_CONSTANT].values) if _CONSTANT in table else np.zeros(3)
-    slow = slow_in_window(table, correction, readings, part.seconds, moved) if part.seconds else None
+    slow = slow_in_window(table, correction, readings, part.seconds, moved)
     if _MIDDLE not in table:
         return slow, None
     # What is quick has no constant.
@@ -163,11 +163,10 @@ def slow_in_window(
     return np.stack([np.interp(since, known, one) for one in values.T], axis=1) + moved
 
 
-def middle_of(correction: Correction, slow: Floats | None) -> Floats:
+def middle_of(correction: Correction, slow: Floats) -> Floats:
     """Return the medians of what is taken off and of what is left alone; (kind, axis), nT."""
-    left = np.zeros_like(correction.field) if slow is None else slow
     known = correction.known
-    return np.stack([np.median(one[known], axis=0) for one in (correction.field - left, left)])
+    return np.stack([np.median(one[known], axis=0) for one in (correction.field - slow, slow)])
 
 
 def partly(
@@ -187,15 +186,15 @@ def partly(
     away : float
         How far the share is from that of the stray field, rms: it widens the error of what changes.
     slow : ndarray, shape (time, axis), optional
-        What of the field is left alone where the part says so, nT, the constant part with it: all that
-        changes of it is an error.
+        What of the field is left alone, as `slow_of`, nT, the constant part with it: all that changes of it
+        is an error. Without it nothing is.
     middle : ndarray, shape (kind, axis), optional
         What changes are told from, as `middle_of`: that of a window, of which this is a day; else of its own.
     """
     known, share = correction.known, part.share
     if part == WHOLE or not known.any():
         return correction
-    left = np.zeros_like(correction.field) if slow is None or not part.seconds else slow
+    left = np.zeros_like(correction.field) if slow is None else slow
     taken = correction.field - left
     taken_middle, left_middle = middle_of(correction, left) if middle is None else middle
     changes, stays = taken - taken_middle, left - left_middle

@@ -7,7 +7,7 @@ import pytest
 
 from inflight.dual.candidates import Candidates
 from inflight.dual.correction import Correction
-from inflight.dual.expectation import Expected, Seen
+from inflight.dual.expected import Expected, Seen
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
 from inflight.dual.harm import CHANCE, best_part, judge
 from inflight.dual.moments import Moments
@@ -19,7 +19,6 @@ from inflight.time import SECOND
 COUNT = 6000
 BODY = Body(np.array([[1.0, 0.0, 0.0], [1.8, 0.0, 0.0]]), np.zeros(3), np.full(3, 0.3))
 PLACE = np.array([0.1, -0.15, 0.05])
-NOTHING_SEEN = Seen(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 
 def coloured(random, size):
@@ -167,13 +166,13 @@ def test_units_outside_of_the_body_that_is_told_refute_it():
 
 def test_less_is_taken_off_where_the_whole_might_do_harm():
     draws = np.random.default_rng(9).normal(0.75, 0.15, 4000)
-    expected = Expected(np.array([1]), np.array([2.0]), draws[None])
-    chances = [expected.chance_of_harm(NOTHING_SEEN, Part(share)) for share in (1.0, 0.7, 0.5)]
+    after = Expected(np.array([1]), np.array([2.0]), draws[None]).after(Seen.nothing())
+    chances = [after.chance_of_harm(Part(share)) for share in (1.0, 0.7, 0.5)]
     assert chances[0] > chances[1] > chances[2]
     # 2 share <c s> - share^2 <c^2>
-    likely = expected.mean_benefit(NOTHING_SEEN, Part(0.7))
+    likely = after.benefit(Part(0.7))
     assert likely == pytest.approx(2.0 * 0.7 * (2 * draws.mean() - 0.7))
-    assert likely > expected.mean_benefit(NOTHING_SEEN) - 0.1
+    assert likely > after.benefit() - 0.1
 
 
 def test_slow_scales_that_may_do_harm_are_left_alone():
@@ -181,20 +180,40 @@ def test_slow_scales_that_may_do_harm_are_left_alone():
     # On the slow scale most of the correction may be something else.
     slopes = np.stack([random.normal(1.0, 0.1, 4000), random.normal(0.5, 0.6, 4000)])
     kept = {100.0: (np.array([1.0, 0.05]), np.array([1.0, 0.005]))}
-    expected = Expected(np.array([1, 1024]), np.array([1.0, 2.0]), slopes, kept)
-    assert best_part(expected, NOTHING_SEEN, constant_known=False).seconds == 100.0
-    whole, quick = (expected.chance_of_harm(NOTHING_SEEN, part) for part in (WHOLE, Part(1.0, 100.0)))
+    after = Expected(np.array([1, 1024]), np.array([1.0, 2.0]), slopes, kept).after(Seen.nothing())
+    assert best_part(after, constant_known=False).seconds == 100.0
+    whole, quick = (after.chance_of_harm(part) for part in (WHOLE, Part(1.0, 100.0)))
     assert quick < CHANCE < whole
-    assert best_part(expected, NOTHING_SEEN, constant_known=True) == WHOLE
+    assert best_part(after, constant_known=True) == WHOLE
 
 
 def test_readings_move_the_expected_slope_to_what_they_say():
     draws = np.random.default_rng(10).uniform(0.2, 2.0, 4000)
     expected = Expected(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
-    seen = Seen(np.array([1, 2]), np.array([1.0, 1.0]), np.array([0.01, 0.01]))
-    assert expected.weights(seen) @ expected.whole == pytest.approx(1.0, abs=0.05)
-    assert not expected.refuted_by(seen)
-    assert expected.refuted_by(replace(seen, slope=np.array([9.0, 9.0])))
+    seen = Seen(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
+    assert expected.after(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
+    assert not expected.after(seen).refuted
+    assert expected.after(replace(seen, slope=np.array([9.0, 9.0]))).refuted
+
+
+def test_readings_that_an_error_of_the_leak_explains_tell_less():
+    random = np.random.default_rng(11)
+    draws = random.uniform(0.2, 2.0, 40_000)
+    leak = np.zeros((draws.size, 3, 3))
+    leak[:, 0, 0] = random.normal(0.0, 0.01, draws.size)
+    # Where ambient field is strong a small leak makes a slope.
+    ambient = np.zeros((2, 3, 3))
+    ambient[:, 0, 0] = 100.0
+    seen = Seen(np.array([1, 2]), np.full(2, 1.8), np.full(2, 0.01), ambient)
+    plain = Expected(seen.scale, np.ones(2), np.stack([draws, draws]))
+    known = plain.after(seen).weights @ draws
+    told = replace(plain, leak=leak).after(seen).weights @ draws
+    noise = replace(plain, leak=leak, passed=np.zeros(2)).after(seen).weights @ draws
+    assert known == pytest.approx(1.8, abs=0.05)
+    assert told == pytest.approx(draws.mean(), abs=0.4)
+    assert told < known - 0.2
+    # What is taken for noise does not count.
+    assert noise == pytest.approx(known)
 
 
 def test_every_form_starts_from_geometry():
