@@ -21,6 +21,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.dual.mixing import Mixing, fit_mixing, moments_of, noise_of, usable_cells
 from inflight.dual.moments import Moments
+from inflight.dual.noise_floor import noise_floor
 from inflight.dual.places import (
     Body,
     dipole_matrix,
@@ -31,7 +32,7 @@ from inflight.dual.places import (
 )
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
-from inflight.dual.scales import cells_of, quietest
+from inflight.dual.scales import cells_of
 from inflight.errors import CalibrationError, SettingsError
 
 #: Forms of the matrix, from the fewest numbers to the most.
@@ -150,7 +151,7 @@ def fit_forms(
             remedy="take a longer span",
         )
     every = cells_of(readings.outboard[good], readings.difference[good])
-    noise = noise_of(every, quietest(every, readings.noise), leak_sigma)
+    noise = noise_of(every, noise_floor(every, readings.difference[good], readings.noise), leak_sigma)
     cells = usable_cells(every, noise)
     prior = known_from(matrices_of_any_boom() if body is None else body.matrices)
     mixing = fit_mixing(cells, noise, prior, leak_sigma)

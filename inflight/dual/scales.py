@@ -20,8 +20,6 @@ from inflight.arrays import Floats
 _LONGEST = 16
 #: Contrasts of one cell.
 _CELL = 31
-#: Cells of a scale that tell the noise.
-_FEWEST_CELLS = 12
 
 
 @dataclass(frozen=True)
@@ -94,28 +92,6 @@ def joined_cells(parts: Sequence[Cells]) -> Cells:
         np.concatenate([one.scale for one in parts]),
         np.concatenate([one.row for one in parts]),
     )
-
-
-def quietest(cells: Cells, noise: Floats) -> Floats:
-    """Return the covariance of white noise of the difference: no scale has less.
-
-    Parameters
-    ----------
-    cells : Cells
-    noise : ndarray, shape (axis, axis)
-        From the shortest times, nT^2. A tone at a high frequency raises it; on other scales it is not seen.
-    """
-    best = noise
-    for scale in np.unique(cells.scale):
-        own = cells.covariance[cells.scale == scale, 3:, 3:]
-        size = np.einsum("cii->c", own)
-        if size.size >= _FEWEST_CELLS:
-            # The cells around the median, in all elements at once.
-            usual = np.abs(np.argsort(np.argsort(size)) - size.size // 2) <= size.size // 8
-            found = own[usual].mean(axis=0)
-            if np.trace(found) < np.trace(best):
-                best = found
-    return np.asarray(best)
 
 
 def running_sums(series: Floats) -> Floats:
