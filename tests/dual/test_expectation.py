@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain_correction import plain
 
 from inflight.dual.candidates import Candidates
-from inflight.dual.correction import Correction
 from inflight.dual.expected import Expected, Seen
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
 from inflight.dual.harm import CHANCE, best_part, judge
@@ -141,17 +141,10 @@ def test_what_states_prove_is_as_much_as_drift_does_not_come_into_their_means():
     for state in (np.arange(COUNT) * 4 // COUNT, np.arange(COUNT) // 50 % 2):
         field = 0.1 * state[:, None] * np.ones(3)
         readings, _ = boom(13, rise + field, restless=0.001)
-        made = field_correction(field, state)
+        made = plain(field, state, method="states")
         expected = Candidates(readings, BODY).expectations[0].of(made)
         lost.append(np.std(expected.slope[-1]) / np.mean(expected.slope[0]))
     assert lost[0] > 3.0 * lost[1]
-
-
-def field_correction(field, state):
-    nothing = np.zeros(len(field))
-    return Correction(
-        field, np.zeros((len(field), 3, 3)), state, nothing, nothing.astype(np.uint32), "states"
-    )
 
 
 def test_units_outside_of_the_body_that_is_told_refute_it():

@@ -3,9 +3,9 @@
 from functools import partial
 
 import numpy as np
+from plain_correction import plain
 
 from inflight.dual.candidates import Candidates
-from inflight.dual.correction import UNKNOWN, Correction
 from inflight.dual.harm import judge
 from inflight.dual.readings import Readings
 from inflight.time import SECOND
@@ -15,16 +15,7 @@ COUNT = 8000
 
 def field_correction(readings, field):
     """A correction that knows its field for every stamp."""
-    rows = readings.stamps // SECOND
-    count = len(readings)
-    return Correction(
-        field[rows],
-        np.zeros((count, 3, 3)),
-        np.full(count, UNKNOWN),
-        np.full(count, np.nan),
-        np.zeros(count, dtype=np.uint32),
-        "gradiometer",
-    )
+    return plain(field[readings.stamps // SECOND])
 
 
 def world(seed):
