@@ -57,6 +57,10 @@ class Lost:
     part: Floats
     added: Floats
 
+    def apart(self) -> Lost:
+        """Return the same with other turns: what it is tells nothing of those that had them."""
+        return Lost(np.roll(self.part, 1, axis=1), np.roll(self.added, 1, axis=1))
+
     def less(self, slope: Floats) -> Floats:
         """Return what is left of slopes (place, 1); (place, turn).
 
@@ -109,7 +113,8 @@ class Expectation:
         quick = cells.part(cells.scale <= max(len(taken) // _QUICK, 1))
         switched = self._slopes(quick, slice(6, 9))[:, None]
         if np.any(state >= 0):
-            lost_stepped = self._lost(both_stepped)
+            # How much of it comes into the states' means, their quick scales do not tell of the slow rest.
+            lost_stepped = {scale: one.apart() for scale, one in self._lost(both_stepped).items()}
             lost = self._lost(both - both_stepped, most=self._quiet)
         else:
             lost = lost_stepped = self._lost_without_states
