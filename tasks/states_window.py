@@ -43,7 +43,7 @@ from inflight.time import Int64
 from inflight.units import factor_and_offset
 
 #: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 7
+STATES_VERSION = 8
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
