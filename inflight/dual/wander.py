@@ -16,7 +16,7 @@ from inflight.arrays import Floats
 #: root of time; nT, rms about the mean of the time. Offsets of space fluxgates move by some 0.1 nT in a day,
 #: and by about 1 nT in a month.
 AT_ONCE, DRIFT = 0.03, 0.03
-#: Sensors are not alike: how much one pair wanders has Student's distribution with so many degrees of freedom.
+#: Sensors are not alike: how much a pair wanders has Student's distribution with so many degrees of freedom.
 TAIL = 3.0
 #: Flicker noise of the difference in a record beside the white noise of one sample, one standard deviation.
 FLICKER = 0.5
