@@ -134,7 +134,10 @@ class Posterior:
         return float(self.expected.benefit(part)[own].sum(axis=0) @ self.weights)
 
     def away(self, part: Part = WHOLE) -> float:
-        """Return how far the slope of a part is from its share, rms."""
-        product, square = self.expected.parts(part)
-        slope = product @ self.expected.slope / max(float(square.sum()), 1e-300)
-        return float(part.share * np.sqrt(self.weights @ (slope - 1.0) ** 2))
+        """Return how far a part's share is from the slope of the stray field on it, rms.
+
+        Both without what is slow: that of the stray field is left alone, too.
+        """
+        _, square = self.expected.parts(part)
+        slope = square @ self.expected.slope / max(float(square.sum()), 1e-300)
+        return float(np.sqrt(self.weights @ (slope - part.share) ** 2))

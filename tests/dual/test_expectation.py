@@ -215,3 +215,12 @@ def test_every_form_starts_from_geometry():
     for one in fit_forms(readings, ("ratio", "axes", "dipole", "principal", "matrix"), BODY).values():
         if one.form != "principal":
             assert np.trace(one.matrix) == pytest.approx(np.trace(mean.reshape(3, 3)), rel=0.3), one.form
+
+
+def test_what_is_left_alone_is_no_error_of_the_part_that_is_taken_off():
+    slopes = np.ones((2, 100))
+    # Of the slow scale a tenth is left in the part; its slope on that is one, as of the whole.
+    kept = {100.0: (np.array([1.0, 0.1]), np.array([1.0, 0.01]))}
+    after = Expected(np.array([1, 1024]), np.array([1.0, 200.0]), slopes, kept).after(Seen.nothing())
+    assert after.away(Part(1.0, 100.0)) == pytest.approx(0.0)
+    assert after.away(Part(0.5, 100.0)) == pytest.approx(0.5)
