@@ -1,7 +1,9 @@
 """The white noise of the difference where a spacecraft hardly rests: in the quiet scales and frequencies.
 
 Second differences hold the tone of a wheel as well as noise, and each scale holds the tones of an octave.
-White noise is the same everywhere: no scale and no band of frequency has less.
+White noise is the same everywhere: no scale and no band of frequency has less. Digital filters, means of
+samples, and readings between two stamps have less near half the sampling frequency, though: the upper half
+of the frequencies is left out, lest all the noise below be taken for stray field.
 """
 
 from __future__ import annotations
@@ -19,8 +21,10 @@ _FEWEST_CELLS = 12
 _SEGMENT, _FEWEST, _MOST, _BANDS = 256, 8, 400, 16
 #: The noise is the mean of these bands, the quietest first: not of it alone, which is quiet by chance.
 _QUIET = slice(1, 5)
-#: Frequencies below which a segment shows its trend.
-_TREND = 3
+#: Frequencies of a segment: its trend is below, what filters take away above.
+_USED = slice(3, _SEGMENT // 4 + 1)
+#: The shortest scale whose contrasts are of those frequencies.
+_SHORTEST = 2
 
 
 def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
@@ -33,18 +37,19 @@ def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
     difference : ndarray, shape (time, axis)
         nT, finite.
     noise : ndarray, shape (axis, axis)
-        From the shortest times, nT^2. A tone at a high frequency raises it.
+        From the shortest times, nT^2, for records that are too short for more. A tone at a high frequency
+        raises it, a filter lowers it.
     """
-    found = [noise, *_of_scales(cells)]
+    found = _of_scales(cells)
     spectrum = noise_of_bands(difference)
     if spectrum is not None:
         found.append(spectrum)
-    return min(found, key=np.trace)
+    return min(found, key=np.trace, default=noise)
 
 
 def _of_scales(cells: Cells) -> list[Floats]:
     found = []
-    for scale in np.unique(cells.scale):
+    for scale in np.unique(cells.scale[cells.scale >= _SHORTEST]):
         own = cells.covariance[cells.scale == scale, 3:, 3:]
         size = np.einsum("cii->c", own)
         if size.size >= _FEWEST_CELLS:
@@ -55,7 +60,7 @@ def _of_scales(cells: Cells) -> list[Floats]:
 
 
 def noise_of_bands(series: Floats) -> Floats | None:
-    """Return the covariance of white noise in the quiet bands of frequency, (axis, axis), nT^2.
+    """Return the covariance of white noise in the quiet bands of low frequency, (axis, axis), nT^2.
 
     Tones stand in a few bands, and jumps in a few segments, which robust covariances over segments leave out.
 
@@ -73,7 +78,7 @@ def noise_of_bands(series: Floats) -> Floats | None:
     segments = signal.detrend(series[starts[:, None] + np.arange(_SEGMENT)], axis=1)
     # White noise of variance v: real and imaginary part of each coefficient have the variance v.
     size = np.sqrt(2.0 / np.sum(window**2))
-    spectrum = size * np.fft.rfft(segments * window[:, None], axis=1)[:, _TREND:-1]
+    spectrum = size * np.fft.rfft(segments * window[:, None], axis=1)[:, _USED]
     found = [
         robust_covariance(np.concatenate([band.real, band.imag], axis=1).reshape(-1, series.shape[1]))
         for band in np.array_split(spectrum, _BANDS, axis=1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from inflight.dual.noise_floor import noise_floor, noise_of_bands
 from inflight.dual.readings import white_covariance
@@ -52,3 +53,8 @@ def test_the_quietest_bands_are_not_quiet_by_chance():
 def test_a_short_series_has_no_bands():
     assert noise_of_bands(white()[:1000]) is None
     assert np.trace(floor(white()[:300])) == pytest.approx(np.trace(NOISE), rel=0.3)
+
+
+@pytest.mark.parametrize("filtered", [signal.butter(4, 0.5), signal.butter(4, 0.8), ([0.5, 0.5], [1.0])])
+def test_noise_that_a_filter_takes_away_at_high_frequencies_is_still_there_below(filtered):
+    assert np.trace(floor(signal.lfilter(*filtered, white(), axis=0))) > 0.5 * np.trace(NOISE)
