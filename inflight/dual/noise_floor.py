@@ -2,8 +2,8 @@
 
 Second differences hold the tone of a wheel as well as noise, and each scale holds the tones of an octave.
 White noise is the same everywhere: no scale and no band of frequency has less. Digital filters, means of
-samples, and readings between two stamps have less near half the sampling frequency, though: the upper half
-of the frequencies is left out, lest all the noise below be taken for stray field.
+samples, and readings between two stamps take it away near half the sampling frequency, though: the quiet
+bands must agree with each other, lest all the noise that a filter passes be taken for stray field.
 """
 
 from __future__ import annotations
@@ -19,12 +19,16 @@ from inflight.dual.scales import Cells
 _FEWEST_CELLS = 12
 #: Samples of a spectrum's segment, segments that there are at least and at most, and bands of frequency.
 _SEGMENT, _FEWEST, _MOST, _BANDS = 256, 8, 400, 16
-#: The noise is the mean of these bands, the quietest first: not of it alone, which is quiet by chance.
-_QUIET = slice(1, 5)
-#: Frequencies of a segment: its trend is below, what filters take away above.
-_USED = slice(3, _SEGMENT // 4 + 1)
-#: The shortest scale whose contrasts are of those frequencies.
+#: The noise is the mean of so many bands, from this one on: the quietest of all may be quiet by chance.
+_QUIET, _FIRST = 4, 1
+#: Their variances differ by no more than this factor: in the edge of a filter neighbours differ by more.
+_ALIKE = 2.0
+#: Frequencies below which a segment shows its trend.
+_TREND = 3
+#: The shortest scale that a filter leaves its noise.
 _SHORTEST = 2
+#: nT^2
+_LEAST = 1e-300
 
 
 def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
@@ -37,19 +41,23 @@ def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
     difference : ndarray, shape (time, axis)
         nT, finite.
     noise : ndarray, shape (axis, axis)
-        From the shortest times, nT^2, for records that are too short for more. A tone at a high frequency
-        raises it, a filter lowers it.
+        From the shortest times, nT^2. A tone at a high frequency raises it, a filter lowers it.
     """
-    found = _of_scales(cells)
-    spectrum = noise_of_bands(difference)
-    if spectrum is not None:
-        found.append(spectrum)
+    bands = _bands(difference)
+    agreeing = _agreeing(bands)
+    if bands and agreeing != _FIRST:
+        # The highest frequencies are a filter's: so are the shortest times.
+        found = _of_scales(cells.part(cells.scale >= _SHORTEST))
+    else:
+        found = [noise, *_of_scales(cells)]
+    if agreeing is not None:
+        found.append(_mean(bands, agreeing))
     return min(found, key=np.trace, default=noise)
 
 
 def _of_scales(cells: Cells) -> list[Floats]:
     found = []
-    for scale in np.unique(cells.scale[cells.scale >= _SHORTEST]):
+    for scale in np.unique(cells.scale):
         own = cells.covariance[cells.scale == scale, 3:, 3:]
         size = np.einsum("cii->c", own)
         if size.size >= _FEWEST_CELLS:
@@ -60,28 +68,62 @@ def _of_scales(cells: Cells) -> list[Floats]:
 
 
 def noise_of_bands(series: Floats) -> Floats | None:
-    """Return the covariance of white noise in the quiet bands of low frequency, (axis, axis), nT^2.
+    """Return the covariance of white noise in the quiet bands of frequency, (axis, axis), nT^2.
 
     Tones stand in a few bands, and jumps in a few segments, which robust covariances over segments leave out.
 
     Parameters
     ----------
     series : ndarray, shape (time, axis)
-        Finite. None for fewer than some thousand samples.
+        Finite.
+
+    Returns
+    -------
+    ndarray, shape (axis, axis), or None
+        None for fewer than some thousand samples, and where no bands agree: that is no white noise.
+    """
+    bands = _bands(series)
+    agreeing = _agreeing(bands)
+    return None if agreeing is None else _mean(bands, agreeing)
+
+
+def _mean(bands: list[Floats], first: int) -> Floats:
+    return np.asarray(np.mean(bands[first : first + _QUIET], axis=0))
+
+
+def _agreeing(bands: list[Floats]) -> int | None:
+    """Return the place of the first of the quietest bands that agree with each other; None for none."""
+    for first in range(_FIRST, len(bands) - _QUIET + 1):
+        if _size(bands[first + _QUIET - 1]) <= _ALIKE * _size(bands[first]):
+            return first
+    return None
+
+
+def _size(covariance: Floats) -> float:
+    """Return the geometric mean of the axes' variances, nT^2."""
+    return float(np.exp(np.mean(np.log(np.maximum(np.diag(covariance), _LEAST)))))
+
+
+def _bands(series: Floats) -> list[Floats]:
+    """Return the covariance of white noise as each band of frequency has it, the quietest first; or nothing.
+
+    Parameters
+    ----------
+    series : ndarray, shape (time, axis)
+        nT, finite. Too short for bands where it has fewer than some thousand samples.
     """
     starts = np.arange(0, len(series) - _SEGMENT + 1, _SEGMENT // 2)
     if starts.size < 2 * _FEWEST:
-        return None
+        return []
     if starts.size > _MOST:
         starts = starts[np.linspace(0, starts.size - 1, _MOST).astype(np.int64)]
     window = signal.windows.hann(_SEGMENT, sym=False)
     segments = signal.detrend(series[starts[:, None] + np.arange(_SEGMENT)], axis=1)
     # White noise of variance v: real and imaginary part of each coefficient have the variance v.
-    size = np.sqrt(2.0 / np.sum(window**2))
-    spectrum = size * np.fft.rfft(segments * window[:, None], axis=1)[:, _USED]
+    unit = np.sqrt(2.0 / np.sum(window**2))
+    spectrum = unit * np.fft.rfft(segments * window[:, None], axis=1)[:, _TREND:-1]
     found = [
         robust_covariance(np.concatenate([band.real, band.imag], axis=1).reshape(-1, series.shape[1]))
         for band in np.array_split(spectrum, _BANDS, axis=1)
     ]
-    found.sort(key=lambda one: float(np.sum(np.log(np.maximum(np.diag(one), 1e-300)))))
-    return np.asarray(np.mean(found[_QUIET], axis=0))
+    return sorted(found, key=_size)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plain_correction import plain
+from scipy import signal
 
 from inflight.dual.candidates import Candidates
 from inflight.dual.expected import Expected, Seen
@@ -108,6 +109,14 @@ def test_an_inboard_sensor_that_only_makes_noise_is_refused():
         found = judged(Readings(np.arange(COUNT) * SECOND, inboard, outboard), body)
         assert found.chosen == "none"
         assert "matrix (held-out slope" in found.correction.reason
+
+
+def test_filtered_noise_of_sensors_without_a_stray_field_is_refused():
+    random = np.random.default_rng(15)
+    ambient = coloured(random, 0.01)
+    filtered = signal.lfilter(*signal.butter(4, 0.5), random.normal(size=(2, COUNT, 3)), axis=1)
+    inboard, outboard = ambient + np.array([0.07, 0.05])[:, None, None] * filtered
+    assert judged(Readings(np.arange(COUNT) * SECOND, inboard, outboard), BODY).chosen == "none"
 
 
 def test_a_drift_of_the_size_that_sensors_have_is_left_alone_and_a_large_one_is_not():
