@@ -104,8 +104,10 @@ class Readings:
         for name, power in zip(("inboard", "outboard"), moves, strict=False):
             if power[0] <= _BLIND * power[-1]:
                 return f"the {name} sensor reads one value along an axis"
-        alike = moves[2][-1] <= _BLIND**2 * moves[1][-1]
-        return "the difference of both sensors never changes" if alike else ""
+        alike = moves[2] <= _BLIND**2 * moves[1][-1]
+        if alike.all():
+            return "the difference of both sensors never changes"
+        return "the difference of both sensors never changes along an axis" if alike.any() else ""
 
     def span(self, start: int, end: int) -> Readings:
         """Return the readings of the half-open TT2000 span ``[start, end)``."""

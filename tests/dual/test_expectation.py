@@ -111,6 +111,13 @@ def test_an_inboard_sensor_that_only_makes_noise_is_refused():
         assert "matrix (held-out slope" in found.correction.reason
 
 
+def test_one_sensors_axis_in_both_readings_is_refused():
+    readings, _ = boom(14, switching(14), restless=0.1)
+    inboard = np.column_stack([readings.outboard[:, 0], readings.inboard[:, 1:]])
+    found = judged(Readings(readings.stamps, inboard, readings.outboard), BODY)
+    assert found.correction.reason == "the difference of both sensors never changes along an axis"
+
+
 def test_filtered_noise_of_sensors_without_a_stray_field_is_refused():
     random = np.random.default_rng(15)
     ambient = coloured(random, 0.01)
