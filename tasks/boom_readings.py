@@ -28,9 +28,13 @@ from inflight.tasks.spinning import saturated
 
 #: So many samples in which an axis reads the very same: noise does not do that.
 _STILL = 100
-#: The other sensor moves by so many of the smallest steps that the still axis takes, noise averaged over so
-#: many parts of the time.
+#: The other sensor moves by so many of the smallest steps that the still axis takes before and after, noise
+#: averaged over so many parts of the time.
 _MOVES, _PARTS = 5.0, 10
+#: Part of the inboard sensor's moves that the outboard one makes at least: units are nearer to the former.
+_SEEN_OUTBOARD = 0.05
+#: Steps before and after that tell how small steps are: a sensor may change its range.
+_NEARBY = 1000
 #: Readings that are nearer than this part of the largest are the same: those between two stamps are computed.
 _SAME = 1e-12
 #: nT; no sensor on a boom reads this: a fill value that nobody declared.
@@ -66,7 +70,8 @@ def boom_samples(
         need = next(one for one in needs if one.name == role)
         flag |= saturated(values[role], mission.instruments[need.instrument].channels[need.channel])
         # In the axes of the sensor: one of those is what sticks.
-        still = still_axes(values[role], turns[role].inv().apply(turns[other].apply(values[other])))
+        seen = turns[role].inv().apply(turns[other].apply(values[other]))
+        still = still_axes(values[role], seen * (_SEEN_OUTBOARD if role == "outboard" else 1.0))
         _refuse_stuck(still, values[role], role, need.instrument, day)
         flag[still.any(axis=1)] |= np.uint32(Flag.STILL)
     samples["flag"] = samples["flag"].copy(data=flag)
@@ -93,7 +98,7 @@ def still_axes(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
     Parameters
     ----------
     values, other : ndarray, shape (time, axis)
-        nT, at the same times and in the same axes; NaN where missing.
+        nT, at the same times and in the same axes, NaN where missing; of the other what both must see.
 
     Returns
     -------
@@ -106,18 +111,27 @@ def still_axes(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
     for axis in range(values.shape[1]):
         own = values[rows, axis]
         steps = np.abs(np.diff(own))
-        moved = steps > _SAME * float(np.abs(own).max())
-        least = _MOVES * float(steps[moved].min(initial=np.inf)) if moved.any() else 0.0
-        edges = np.concatenate([[0], np.flatnonzero(moved) + 1, [rows.size]])
+        steps[steps <= _SAME * float(np.abs(own).max())] = 0.0
+        edges = np.concatenate([[0], np.flatnonzero(steps) + 1, [rows.size]])
         for first, last in pairwise(edges.tolist()):
-            if last - first >= _STILL and _moved(other[rows[first:last], axis]) > least:
+            if last - first < _STILL:
+                continue
+            before, after = steps[max(first - _NEARBY, 0) : first], steps[last - 1 : last - 1 + _NEARBY]
+            least = _MOVES * max(_smallest(before), _smallest(after))
+            if _moved(other[rows[first:last], axis]) > least:
                 out[rows[first:last], axis] = True
     return out
+
+
+def _smallest(steps: Floats) -> float:
+    """Return the smallest step that is one, nT; 0 for none."""
+    taken = steps[steps > 0.0]
+    return float(taken.min()) if taken.size else 0.0
 
 
 def _moved(values: Floats) -> float:
     """Return how far a component moves, nT: the range of means over parts of the time; 0 without readings."""
     known = values[np.isfinite(values)]
-    return (
-        float(np.ptp([one.mean() for one in np.array_split(known, _PARTS)])) if known.size >= _PARTS else 0.0
-    )
+    if known.size < _PARTS:
+        return 0.0
+    return float(np.ptp([one.mean() for one in np.array_split(known, _PARTS)]))

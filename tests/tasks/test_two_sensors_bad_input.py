@@ -205,3 +205,11 @@ def test_still_readings_are_told_from_a_quiet_field_on_coarse_steps():
     assert np.flatnonzero(found[:, 1]).tolist() == list(range(300, 700))
     assert not found[:, [0, 2]].any()
     assert not still_axes(moving, stuck).any()
+
+
+def test_a_sensor_that_changes_its_range_is_not_still():
+    rng = np.random.default_rng(6)
+    field = np.cumsum(rng.normal(0.0, 0.02, (20_000, 3)), axis=0) + rng.normal(0.0, 0.01, (20_000, 3))
+    coarse = np.round(field / 0.01) * 0.01
+    coarse[10_000:] = np.round(field[10_000:] / 2.0) * 2.0
+    assert not still_axes(coarse, field).any()
