@@ -132,3 +132,23 @@ def test_first_principal_direction_is_that_of_the_strongest_unit():
         np.linalg.norm(directions[0]) * np.linalg.norm(unit), rel=1e-3
     )
     assert directions @ (0.01 * np.eye(3)) @ directions.T == pytest.approx(np.eye(3), rel=1e-3, abs=1e-6)
+
+
+def test_a_leak_that_parts_of_a_record_disagree_on_is_less_sure():
+    random = np.random.default_rng(12)
+    count = 6000
+    ambient = 5.0 * np.cumsum(random.normal(0.0, 0.02, (count, 3)), axis=0)
+    noise = random.normal(0.0, 0.02, (2, count, 3))
+    sure, unsure = (
+        fit_gradiometer(
+            Readings(
+                np.arange(count) * SECOND,
+                ambient * (1.0 + leak[:, None]) + noise[0],
+                ambient + noise[1],
+            )
+        ).mixing
+        for leak in (np.full(count, 0.004), np.where(np.arange(count) < count // 2, 0.008, 0.0))
+    )
+    off = np.diag(sure.leak) - 0.004
+    assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(sure.leak_covariance)[[0, 4, 8]]))
+    assert np.trace(unsure.leak_covariance) > 4.0 * np.trace(sure.leak_covariance)
