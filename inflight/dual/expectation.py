@@ -33,7 +33,7 @@ _QUICK = 64
 _QUIET = 0.25
 #: Draws of the sensors' wandering for each place: chances of one in a thousand are told from some hundreds of
 #: draws that held-out readings leave.
-_TURNS = 30
+_TURNS = 60
 #: Part of the drift of both sensors that is the outboard one's: two straight lines, each as likely to rise as
 #: to fall; mean and standard deviation.
 _OUTBOARD = (0.5, 0.5)

@@ -17,6 +17,8 @@ from inflight.dual.slow_part import WHOLE, Part
 SCATTER = 0.2
 #: Chance below which held-out readings are not of units in the body.
 _REFUTED = 1e-6
+#: Least part of a scale that passes as no noise.
+_PASSED = 0.01
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ class Expected:
     leak : ndarray, shape (draw, axis, axis), optional
         Ambient field that is in the correction because its fitted leak is not right.
     passed : ndarray, shape (scale,), optional
-        Part of that which is not taken for noise on each scale.
+        Part g of the difference that is not taken for noise on each scale. By James and Stein's rule signal P
+        in noise N leaves g = (P - N) / (P + N), and P / (g (P + N)) = (1 + g) / 2 g is the signal's slope.
     """
 
     scale: npt.NDArray[np.int64]
@@ -98,11 +101,14 @@ class Posterior:
         expected, seen = self.expected, self.seen
         _, own, other = np.intersect1d(expected.scale, seen.scale, return_indices=True)
         variance = seen.variance[other] + SCATTER**2
-        away = expected.slope[own] - seen.slope[other, None]
+        passed = np.broadcast_to(expected.passed, expected.scale.shape)[own, None]
+        slope, found = expected.slope[own], seen.slope[other, None]
         if expected.leak is not None:
             # The outboard reading goes with its own ambient field: that looks like stray field.
-            shift = np.einsum("dij,sij->sd", expected.leak, seen.ambient[other])
-            away += np.broadcast_to(expected.passed, expected.scale.shape)[own, None] * shift
+            found = found - passed * np.einsum("dij,sij->sd", expected.leak, seen.ambient[other])
+        # What was taken for noise may be stray field: the correction is then too small by so much.
+        most = slope * (1.0 + passed) / (2.0 * np.maximum(passed, _PASSED))
+        away = found - np.clip(found, np.minimum(slope, most), np.maximum(slope, most))
         return np.asarray(np.sum(away**2 / variance[:, None], axis=0))
 
     @cached_property
@@ -117,9 +123,18 @@ class Posterior:
         count = self.seen.scale.size
         return bool(count) and float(chi2.sf(self.misfit.min(), count)) < _REFUTED
 
+    @cached_property
+    def draws(self) -> float:
+        """How many draws of the same weight tell as much."""
+        return 1.0 / float(np.sum(self.weights**2))
+
     def chance_of_harm(self, part: Part = WHOLE) -> float:
-        """Return the probability that taking off a part makes the error larger."""
-        return float(self.weights @ (self.expected.benefit(part).sum(axis=0) <= 0.0))
+        """Return the probability that taking off a part makes the error larger.
+
+        It is not less than one in so many draws as are left: where hardly one is, nothing is sure.
+        """
+        harm = float(self.weights @ (self.expected.benefit(part).sum(axis=0) <= 0.0))
+        return min(harm + 1.0 / self.draws, 1.0)
 
     def benefit(self, part: Part = WHOLE) -> float:
         """Return the mean fall of the mean square error by taking off a part, nT^2."""

@@ -23,8 +23,6 @@ from inflight.dual.scales import Cells
 #: A cell whose difference is not this many times its noise (nor its outboard reading that many times)
 #: knows of no matrix.
 _LOUD_DIFFERENCE, _LOUD_OUTBOARD = 6.0, 10.0
-#: The leak is seen where the difference is less than this part of the outboard reading, in power.
-_RESTFUL = 0.05
 #: The sensors' shares of the noise are seen where the difference is less than this many times its noise.
 _QUIET = 1.5
 #: Standard deviation of the outboard sensor's part of the noise about a half, before anything is seen.
@@ -135,7 +133,10 @@ def fit_mixing(cells: Cells, noise: Noise, prior: tuple[Floats, Floats], leak_si
         Standard deviation of the elements of L before anything is seen; 0 when there is none.
     """
     size = np.einsum("cii->ci", cells.covariance)
-    restful = cells.part(size[:, 3:].sum(axis=1) < _RESTFUL * size[:, :3].sum(axis=1))
+    # Where the difference holds more than a leak can make, the units' field would be taken for one: it stands
+    # in the outboard reading, too.
+    most = 3.0 * (_FAR * leak_sigma) ** 2
+    restful = cells.part(size[:, 3:].sum(axis=1) < most * size[:, :3].sum(axis=1))
     floor = np.maximum(np.concatenate([noise.floor, np.diag(noise.covariance)]), 1e-12)
     leak, of_leak = np.zeros((3, 3)), np.zeros((9, 9))
     if leak_sigma > 0:
@@ -247,11 +248,13 @@ def _information(cells: Cells, matrix: Floats, leak: Floats) -> Floats:
     own = unmix @ cells.covariance @ unmix.T
     out = np.zeros((18, 18))
     variance = np.maximum(np.einsum("cii->ci", own), 1e-300)
+    # The mean of one over a variance that n contrasts tell is larger than one over its mean, by n / (n - 2).
+    told = np.maximum(cells.count - 2.0, 0.0)
     for axis in range(3):
         rows = slice(3 * axis, 3 * axis + 3)
-        out[rows, rows] = np.einsum("c,cij->ij", cells.count / variance[:, axis], own[:, 3:, 3:])
+        out[rows, rows] = np.einsum("c,cij->ij", told / variance[:, axis], own[:, 3:, 3:])
         rows = slice(9 + 3 * axis, 12 + 3 * axis)
-        out[rows, rows] = np.einsum("c,cij->ij", cells.count / variance[:, 3 + axis], own[:, :3, :3])
+        out[rows, rows] = np.einsum("c,cij->ij", told / variance[:, 3 + axis], own[:, :3, :3])
         for other in range(3):
             out[3 * axis + other, 9 + 3 * other + axis] = cells.count.sum()
             out[9 + 3 * other + axis, 3 * axis + other] = cells.count.sum()

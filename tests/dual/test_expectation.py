@@ -217,12 +217,32 @@ def test_readings_that_an_error_of_the_leak_explains_tell_less():
     plain = Expected(seen.scale, np.ones(2), np.stack([draws, draws]))
     known = plain.after(seen).weights @ draws
     told = replace(plain, leak=leak).after(seen).weights @ draws
-    noise = replace(plain, leak=leak, passed=np.zeros(2)).after(seen).weights @ draws
     assert known == pytest.approx(1.8, abs=0.05)
     assert told == pytest.approx(draws.mean(), abs=0.4)
     assert told < known - 0.2
-    # What is taken for noise does not count.
-    assert noise == pytest.approx(known)
+
+
+def test_what_was_taken_for_noise_may_be_stray_field():
+    draws = np.random.default_rng(12).uniform(0.2, 1.2, 40_000)
+    seen = Seen(np.array([1, 2]), np.full(2, 3.0), np.full(2, 0.01), np.zeros((2, 3, 3)))
+    clear = Expected(seen.scale, np.ones(2), np.stack([draws, draws]))
+    assert clear.after(seen).refuted
+    # A correction that lost four fifths to the noise is three times too small.
+    noisy = replace(clear, passed=np.full(2, 0.2)).after(seen)
+    assert not noisy.refuted
+    assert noisy.weights @ draws == pytest.approx(1.1, abs=0.1)
+
+
+def test_nothing_is_sure_by_a_single_draw():
+    draws = np.random.default_rng(13).normal(1.0, 0.1, 4000)
+    expected = Expected(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
+    usual, odd = (
+        Seen(np.array([1, 2]), np.full(2, slope), np.full(2, 1e-4), np.zeros((2, 3, 3)))
+        for slope in (1.0, 2.0)
+    )
+    assert expected.after(usual).chance_of_harm() < 0.001
+    assert not expected.after(odd).refuted
+    assert expected.after(odd).chance_of_harm() > 0.001
 
 
 def test_every_form_starts_from_geometry():

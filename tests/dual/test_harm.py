@@ -69,7 +69,8 @@ def test_ambient_field_in_disguise_is_left_alone():
     readings, ambient, _, _ = world(4)
     found = judged(readings, leak=0.02 * ambient)
     assert found.chosen == "none"
-    assert "ambient field" in found.correction.reason
+    # Where the leak is known the readings refute it; where it is not, a leak is what they are like.
+    assert any(told in found.correction.reason for told in ("ambient field", "it would do harm"))
 
 
 def test_noise_is_left_alone_and_the_better_of_two_is_chosen():
