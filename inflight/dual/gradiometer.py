@@ -20,7 +20,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.dual.mixing import Mixing, fit_mixing, moments_of, noise_of, usable_cells
-from inflight.dual.moments import Moments
+from inflight.dual.moments import Moments, Noise
 from inflight.dual.noise_floor import noise_floor
 from inflight.dual.places import (
     Body,
@@ -32,7 +32,7 @@ from inflight.dual.places import (
 )
 from inflight.dual.principal import principal_directions
 from inflight.dual.readings import Readings
-from inflight.dual.scales import cells_of
+from inflight.dual.scales import Cells, cells_of
 from inflight.errors import CalibrationError, SettingsError
 
 #: Forms of the matrix, from the fewest numbers to the most.
@@ -43,6 +43,9 @@ _FEWEST = 256
 #: Part of the units' spread that one matrix leaves and no regression shows, where all three axes of the
 #: difference are in use: six units are taken for usual, of which a matrix fits three.
 _UNSEEN = 0.5
+#: Scales, an octave each, of a band that is asked for a matrix of its own.
+_BAND = 2
+_ELEMENTS = np.eye(9).reshape(9, 3, 3)
 #: Part of the weighted variance of the difference that the principal directions must hold.
 _HELD = 0.99
 
@@ -156,12 +159,12 @@ def fit_forms(
     prior = known_from(matrices_of_any_boom() if body is None else body.matrices)
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
     told = moments_of(cells, mixing, noise)
-    value, covariance = told.solve(np.eye(9).reshape(9, 3, 3), prior)
+    value, covariance = told.solve(_ELEMENTS, prior)
     mixing = replace(mixing, matrix=value.reshape(3, 3))
     scatter = told.scatter(mixing.matrix) * np.eye(9)
     full = Gradiometer("matrix", mixing, covariance + scatter, value, covariance, noise.covariance)
     made = {form: full if form == full.form else as_form(full, told, form, prior, body) for form in forms}
-    unseen = _unseen(full, told, body)
+    unseen = _unseen(full, told, body) + _between_scales(full, every, cells, noise, prior)
     return {form: replace(one, covariance=one.covariance + unseen) for form, one in made.items()}
 
 
@@ -176,6 +179,31 @@ def _unseen(full: Gradiometer, told: Moments, body: Body | None) -> Floats:
     if body is None:
         return _UNSEEN * spread_at(full.matrix)
     return np.asarray(_UNSEEN * np.cov(body.matrices.reshape(-1, 9).T))
+
+
+def _between_scales(
+    full: Gradiometer, every: Cells, cells: Cells, noise: Noise, prior: tuple[Floats, Floats]
+) -> Floats:
+    """Return what matrices of single bands of scale scatter by, as a covariance of its elements; (9, 9).
+
+    The matrix is that of the units whose scales the ambient field leaves alone; those that change slowly may
+    stand elsewhere. Each band's own matrix tells so, beyond its error, where that is small enough; bands
+    count as the difference has power in them. An element's variance is a third of that of a row's.
+    """
+    scatter = total = 0.0
+    scales = np.unique(cells.scale)
+    for band in np.array_split(scales, max(len(scales) // _BAND, 1)):
+        here = every.part(np.isin(every.scale, band))
+        share = np.unique(here.scale).size * here.count / here.count.sum() / (2.0 * here.scale)
+        power = np.einsum("c,cij->ij", share, here.covariance[:, 3:, 3:])
+        own = moments_of(cells.part(np.isin(cells.scale, band)), full.mixing, noise)
+        value, covariance = own.solve(_ELEMENTS, prior)
+        away = (value - full.matrix.ravel()).reshape(3, 3)
+        found = float(np.einsum("ki,ij,kj->", away, power, away))
+        stated = float(np.einsum("kikj,ij->", covariance.reshape(3, 3, 3, 3), power))
+        scatter += max(found - stated, 0.0)
+        total += float(np.trace(power))
+    return np.asarray(scatter / (3.0 * max(total, 1e-300)) * np.eye(9))
 
 
 def as_form(

@@ -152,3 +152,22 @@ def test_a_leak_that_parts_of_a_record_disagree_on_is_less_sure():
     off = np.diag(sure.leak) - 0.004
     assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(sure.leak_covariance)[[0, 4, 8]]))
     assert np.trace(unsure.leak_covariance) > 4.0 * np.trace(sure.leak_covariance)
+
+
+def test_units_of_other_scales_at_other_places_are_in_the_sigma():
+    random = np.random.default_rng(14)
+    count, directions = 12_000, np.array([[0.8, 0.5, -0.3], [-0.2, 0.7, 0.7]])
+    time = np.arange(count)
+    quick = np.sin(2.0 * np.pi * time / 7.0)
+    slow = (np.searchsorted(np.cumsum(random.exponential(300.0, 200)), time) % 2).astype(float)
+    difference = quick[:, None] * directions[0] + slow[:, None] * directions[1]
+    matrices = 0.2 * np.eye(3), 0.5 * np.eye(3)
+    stray = quick[:, None] * (matrices[0] @ directions[0]) + slow[:, None] * (matrices[1] @ directions[1])
+    ambient = np.cumsum(random.normal(0.0, 0.02, (count, 3)), axis=0)
+    noise = random.normal(0.0, 0.01, (2, count, 3))
+    readings = Readings(time * SECOND, ambient + stray + difference + noise[0], ambient + stray + noise[1])
+    for form in ("ratio", "matrix"):
+        found = gradiometer_correction(fit_gradiometer(readings, form), readings)
+        error = found.field - stray
+        error -= error.mean(axis=0)
+        assert np.sqrt(np.mean(error**2) / np.mean(found.sigma**2)) < 2.0, form
