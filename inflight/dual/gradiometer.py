@@ -188,7 +188,7 @@ def _between_scales(
 
     The matrix is that of the units whose scales the ambient field leaves alone; those that change slowly may
     stand elsewhere. Each band's own matrix tells so, beyond its error, where that is small enough; bands
-    count as the difference has power in them. An element's variance is a third of that of a row's.
+    count as the difference has power in them. A variance of every element makes three times as much power.
     """
     scatter = total = 0.0
     scales = np.unique(cells.scale)
