@@ -82,10 +82,10 @@ class Expected:
         product, square = self.kept[part.seconds] if part.seconds else (1.0, 1.0)
         return np.asarray(part.share * product * self.power), np.asarray(part.share**2 * square * self.power)
 
-    def benefit(self, part: Part) -> Floats:
-        """Return the fall of the mean square error by a part of the correction, nT^2; (scale, draw)."""
+    def benefit(self, part: Part, scales: npt.NDArray[np.bool_] | slice = slice(None)) -> Floats:
+        """Return the fall of the mean square error by a part of the correction; (draw,), nT^2."""
         product, square = self.parts(part)
-        return np.asarray(2.0 * product[:, None] * self.slope - square[:, None])
+        return np.asarray(2.0 * product[scales] @ self.slope[scales] - square[scales].sum())
 
 
 @dataclass(frozen=True)
@@ -133,12 +133,12 @@ class Posterior:
 
         It is not less than one in so many draws as are left: where hardly one is, nothing is sure.
         """
-        harm = float(self.weights @ (self.expected.benefit(part).sum(axis=0) <= 0.0))
+        harm = float(self.weights @ (self.expected.benefit(part) <= 0.0))
         return min(harm + 1.0 / self.draws, 1.0)
 
     def benefit(self, part: Part = WHOLE) -> float:
         """Return the mean fall of the mean square error by taking off a part, nT^2."""
-        return float(self.expected.benefit(part).sum(axis=0) @ self.weights)
+        return float(self.expected.benefit(part) @ self.weights)
 
     def quick_benefit(self, part: Part = WHOLE) -> float:
         """Return the part of `benefit` on the scales that are seen, nT^2.
@@ -146,7 +146,7 @@ class Posterior:
         On slower ones it is not told how much of a correction is the sensors' own.
         """
         own = np.isin(self.expected.scale, self.seen.scale)
-        return float(self.expected.benefit(part)[own].sum(axis=0) @ self.weights)
+        return float(self.expected.benefit(part, own) @ self.weights)
 
     def away(self, part: Part = WHOLE) -> float:
         """Return how far a part's share is from the slope of the stray field on it, rms.

@@ -20,7 +20,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.dual.mixing import Mixing, fit_mixing, moments_of, noise_of, usable_cells
-from inflight.dual.moments import Moments, Noise
+from inflight.dual.moments import ELEMENTS, Moments, Noise
 from inflight.dual.noise_floor import noise_floor
 from inflight.dual.places import (
     Body,
@@ -45,7 +45,6 @@ _FEWEST = 256
 _UNSEEN = 0.5
 #: Scales, an octave each, of a band that is asked for a matrix of its own.
 _BAND = 2
-_ELEMENTS = np.eye(9).reshape(9, 3, 3)
 #: Part of the weighted variance of the difference that the principal directions must hold.
 _HELD = 0.99
 
@@ -159,7 +158,7 @@ def fit_forms(
     prior = known_from(matrices_of_any_boom() if body is None else body.matrices)
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
     told = moments_of(cells, mixing, noise)
-    value, covariance = told.solve(_ELEMENTS, prior)
+    value, covariance = told.solve(ELEMENTS, prior)
     mixing = replace(mixing, matrix=value.reshape(3, 3))
     scatter = told.scatter(mixing.matrix) * np.eye(9)
     full = Gradiometer("matrix", mixing, covariance + scatter, value, covariance, noise.covariance)
@@ -197,7 +196,7 @@ def _between_scales(
         share = np.unique(here.scale).size * here.count / here.count.sum() / (2.0 * here.scale)
         power = np.einsum("c,cij->ij", share, here.covariance[:, 3:, 3:])
         own = moments_of(cells.part(np.isin(cells.scale, band)), full.mixing, noise)
-        value, covariance = own.solve(_ELEMENTS, prior)
+        value, covariance = own.solve(ELEMENTS, prior)
         away = (value - full.matrix.ravel()).reshape(3, 3)
         found = float(np.einsum("ki,ij,kj->", away, power, away))
         stated = float(np.einsum("kikj,ij->", covariance.reshape(3, 3, 3, 3), power))

@@ -225,8 +225,8 @@ def evidence_of(
         if not after.refuted:
             noise = one.noise.share * float(np.trace(one.noise.covariance))
             part = best_part(after, correction.constant_known)
-            trivial = after.benefit(part) < _TRIVIAL * noise
-            told = (after.chance_of_harm(part), after.benefit(part), trivial, one.units, part)
+            benefit = after.benefit(part)
+            told = (after.chance_of_harm(part), benefit, benefit < _TRIVIAL * noise, one.units, part)
             rest = (after.away(part), correction.constant_known, after.quick_benefit(part))
             return Evidence(name, slope, sigma, *told, *rest)
     return Evidence(name, slope, sigma, float("nan"), 0.0, False, units)

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from inflight.arrays import Floats
-from inflight.dual.moments import Moments, Noise, moments
+from inflight.dual.moments import ELEMENTS, Moments, Noise, moments
 from inflight.dual.scales import Cells
 
 #: A cell whose difference is not this many times its noise (nor its outboard reading that many times)
@@ -27,7 +27,6 @@ _LOUD_DIFFERENCE, _LOUD_OUTBOARD = 6.0, 10.0
 _QUIET = 1.5
 #: Standard deviation of the outboard sensor's part of the noise about a half, before anything is seen.
 _SHARE = 0.3
-_ELEMENTS = np.eye(9).reshape(9, 3, 3)
 #: Standard deviations of what is known before that a fit may go.
 _FAR = 3.0
 #: Contrasts that a cell's variances are taken to have beside its own, of the size of the noise.
@@ -144,7 +143,7 @@ def fit_mixing(cells: Cells, noise: Noise, prior: tuple[Floats, Floats], leak_si
         of_leak = _leak_covariance(restful, prior, leak, leak_sigma)
     now = Mixing(prior[0].reshape(3, 3), leak, of_leak, noise.share)
     for _ in range(_TURNS):
-        value, _ = moments_of(cells, now, noise).solve(_ELEMENTS, prior)
+        value, _ = moments_of(cells, now, noise).solve(ELEMENTS, prior)
         now = replace(now, matrix=value.reshape(3, 3))
     return now
 
@@ -201,19 +200,21 @@ def _excess(cells: Cells, matrix: Floats, leak: Floats, information: Floats) -> 
     information : ndarray, shape (9, 9)
         On the elements of the leak.
     """
-    if not len(cells):
-        return 1.0
-    unmix = np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
+    unmix = _unmixing(matrix, leak)
     own = unmix @ cells.covariance @ unmix.T
     variance = np.maximum(np.einsum("cii->ci", own)[:, 3:], 1e-300)
     score = (cells.count[:, None] / variance)[:, :, None] * own[:, 3:, :3]
-    part = np.minimum(cells.row * _PARTS // (int(cells.row.max()) + 1), _PARTS - 1)
     sums = np.zeros((_PARTS, 9))
-    np.add.at(sums, part, score.reshape(-1, 9))
+    np.add.at(sums, cells.blocks(_PARTS), score.reshape(-1, 9))
     sums -= sums.mean(axis=0)
     stated = np.linalg.pinv(information, hermitian=True)
     scatter = float(np.einsum("pi,ij,pj->", sums, stated, sums)) / 9.0 * _PARTS / (_PARTS - 1)
     return max(scatter, 1.0)
+
+
+def _unmixing(matrix: Floats, leak: Floats) -> Floats:
+    """Return the rows that make ``B_out - M d`` and ``d - L B_out`` of [B_out, d]; (6, 6)."""
+    return np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
 
 
 def _variance(values: Floats, cells: Cells, floor: Floats) -> Floats:
@@ -228,7 +229,7 @@ def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tu
     Sum over cells and axes of the logarithms of the variances of ``B_out - M d`` and ``d - L B_out``, less
     that of the determinant of both rows together.
     """
-    unmix = np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
+    unmix = _unmixing(matrix, leak)
     weight = cells.count + _OWN
     count = float(weight.sum())
     bent = cells.covariance @ unmix.T
@@ -244,7 +245,7 @@ def _likelihood(cells: Cells, floor: Floats, matrix: Floats, leak: Floats) -> tu
 
 def _information(cells: Cells, matrix: Floats, leak: Floats) -> Floats:
     """Return Fisher's information on the elements of M and L, small products of both left out."""
-    unmix = np.block([[np.eye(3), -matrix], [-leak, np.eye(3)]])
+    unmix = _unmixing(matrix, leak)
     own = unmix @ cells.covariance @ unmix.T
     out = np.zeros((18, 18))
     variance = np.maximum(np.einsum("cii->ci", own), 1e-300)

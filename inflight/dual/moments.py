@@ -27,6 +27,8 @@ _BLOCKS = 24
 #: Neighbouring cells of a scale whose ambient field is about as lively.
 _ALIKE = 5
 _LEAST = 1e-12
+#: A basis of all matrices, row by row.
+ELEMENTS = np.eye(9).reshape(9, 3, 3)
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,7 @@ def moments(cells: Cells, rows: tuple[Floats, Floats], noise: Noise, leak: Float
     both = np.diag(ambient[:, :3] @ (noise.share * noise.covariance) @ ambient[:, 3:].T)
     variance = np.maximum(np.einsum("ckk->ck", field) - 2.0 * both, noise.floor)
     weight = cells.count[:, None] / _usual(variance, cells)
-    block = np.minimum(cells.row * _BLOCKS // (int(cells.row.max(initial=0)) + 1), _BLOCKS - 1)
+    block = cells.blocks(_BLOCKS)
     sums, crosses = np.zeros((_BLOCKS, 3, 3, 3)), np.zeros((_BLOCKS, 3, 3))
     weights = np.zeros((_BLOCKS, 3))
     np.add.at(sums, block, weight[:, :, None, None] * square[:, None])

@@ -43,15 +43,10 @@ def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
     noise : ndarray, shape (axis, axis)
         From the shortest times, nT^2. A tone at a high frequency raises it, a filter lowers it.
     """
-    bands = _bands(difference)
-    agreeing = _agreeing(bands)
-    if bands and agreeing != _FIRST:
-        # The highest frequencies are a filter's: so are the shortest times.
-        found = _of_scales(cells.part(cells.scale >= _SHORTEST))
-    else:
-        found = [noise, *_of_scales(cells)]
-    if agreeing is not None:
-        found.append(_mean(bands, agreeing))
+    spectrum, filtered = noise_of_bands(difference)
+    found = _of_scales(cells.part(cells.scale >= _SHORTEST)) if filtered else [noise, *_of_scales(cells)]
+    if spectrum is not None:
+        found.append(spectrum)
     return min(found, key=np.trace, default=noise)
 
 
@@ -67,8 +62,8 @@ def _of_scales(cells: Cells) -> list[Floats]:
     return found
 
 
-def noise_of_bands(series: Floats) -> Floats | None:
-    """Return the covariance of white noise in the quiet bands of frequency, (axis, axis), nT^2.
+def noise_of_bands(series: Floats) -> tuple[Floats | None, bool]:
+    """Return the covariance of white noise in quiet bands of frequency, and whether a filter emptied others.
 
     Tones stand in a few bands, and jumps in a few segments, which robust covariances over segments leave out.
 
@@ -80,15 +75,14 @@ def noise_of_bands(series: Floats) -> Floats | None:
     Returns
     -------
     ndarray, shape (axis, axis), or None
-        None for fewer than some thousand samples, and where no bands agree: that is no white noise.
+        nT^2; None for fewer than some thousand samples, and where no bands agree: that is no white noise.
+    bool
+        The highest frequencies are a filter's: so are the shortest times.
     """
     bands = _bands(series)
-    agreeing = _agreeing(bands)
-    return None if agreeing is None else _mean(bands, agreeing)
-
-
-def _mean(bands: list[Floats], first: int) -> Floats:
-    return np.asarray(np.mean(bands[first : first + _QUIET], axis=0))
+    first = _agreeing(bands)
+    found = None if first is None else np.asarray(np.mean(bands[first : first + _QUIET], axis=0))
+    return found, bool(bands) and first != _FIRST
 
 
 def _agreeing(bands: list[Floats]) -> int | None:

@@ -46,6 +46,10 @@ class Cells:
     def __len__(self) -> int:
         return int(self.count.size)
 
+    def blocks(self, number: int) -> npt.NDArray[np.int64]:
+        """Return in which of so many blocks of time each cell is, from 0; (cell,)."""
+        return np.asarray(self.row * number // (int(self.row.max(initial=0)) + 1), dtype=np.int64)
+
     def part(self, use: npt.NDArray[np.bool_]) -> Cells:
         """Return some of the cells."""
         return Cells(self.covariance[use], self.count[use], self.scale[use], self.row[use])
