@@ -13,6 +13,7 @@ from inflight.arrays import Floats
 from inflight.calibration.robust import robust_sigma
 from inflight.errors import CalibrationError
 from inflight.estimators.readings import SIGNIFICANCE
+from inflight.spin.fine_angle import fine_period, finely_read
 from inflight.time import SECOND, Int64
 
 #: Marks are within a turn's part of whole turns: at least this (0.04 degrees: a finer mark would see the
@@ -115,19 +116,34 @@ def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float
     Raises
     ------
     CalibrationError
-        When the angle is read too slowly to say anything against a stated period that does not fit.
+        When the angle is read too slowly to say anything against a stated period that does not fit, when it
+        falls or stands still, or when none is stated for it.
     """
     apart, part = np.diff(seconds), np.diff(turns)
+    angle = bool(np.any(turns > 0))
+    if angle and (nominal is None or not nominal > 0):
+        raise CalibrationError(
+            "an angle is given without a spin period, and may have made any number of turns between readings",
+            remedy="state the spin period to better than a tenth of a turn between readings",
+        )
+    if angle and nominal is not None:
+        fine = fine_period(seconds, turns, nominal)
+        if fine is not None and 0.0 < fine < np.inf:
+            return fine
+        if fine is not None:
+            raise CalibrationError(
+                f"the angle, read every {np.median(apart):.4g} s, does not grow by turns of {nominal:.6g} s",
+                remedy="see whether it stands still, or is counted from XA to XP",
+            )
     if nominal is not None and nominal > 0:
         advance = np.rint(apart / nominal - part) + part
         left = apart / nominal - advance
         counted = advance > 0.25
         single = np.mean((advance < 1.5) & (np.abs(left) < _NEAR))
-        slow = np.any(turns > 0)
-        if counted.any() and np.median(np.abs(left)) < _NEAR and (slow or single > _SINGLE):
-            near = counted & (np.abs(left) < _NEAR)
+        near = counted & (np.abs(left) < _NEAR)
+        if near.any() and np.median(np.abs(left)) < _NEAR and (angle or single > _SINGLE):
             return float(np.median(apart[near] / advance[near]))
-    if not np.any(turns > 0):
+    if not angle:
         return float(np.median(apart))
     # Read more than twice a turn, an angle moves on by less than half a turn each time.
     step = part % 1.0
@@ -161,8 +177,16 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
     """Return the marks with their turns counted, and where these do not fit.
 
     Across an interval the rate is the mean of those before and after it; half their difference and the
-    scatter of the marks say how sure the count is.
+    scatter of the marks say how sure the count is. A finely read angle must be thinned before: marks
+    nearer than a tenth of a turn repeat one another.
+
+    Raises
+    ------
+    CalibrationError
+        When all marks are of one turn.
     """
+    if times.size < 2:
+        raise CalibrationError("all marks are of one turn", remedy="take a longer span")
     seconds = (times - times[0]) / SECOND
     rate = _local_rate(seconds, turns, period)
     advance = _advance(seconds, turns, rate)
@@ -220,12 +244,15 @@ def _advance(seconds: Floats, turns: Floats, rate: Floats) -> Floats:
 
 
 def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
-    """Return the rate around each mark by the median of the intervals of few turns; turns a second."""
+    """Return the rate around each mark by the median of the intervals of few turns; turns a second.
+
+    The short intervals of a fine angle tell none: those of them above a quarter turn are misread.
+    """
     apart, part = np.diff(seconds), np.diff(turns)
     advance = np.rint(apart / period - part) + part
     usual = max(float(np.median(advance)), 1.0)
     near = (advance > 0.25) & (advance < 3.0 * usual) & (np.abs(apart / period - advance) < _COARSEST)
-    if not near.any():
+    if not near.any() or finely_read(apart, turns, advance):
         return np.full(seconds.size, 1.0 / period)
     middle = 0.5 * (seconds[1:] + seconds[:-1])[near]
     rates = median_filter(advance[near] / apart[near], min(_AROUND, int(near.sum())), mode="nearest")

@@ -18,6 +18,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
+from inflight.spin.fine_angle import thinned
 from inflight.spin.marks import Marks, believed, count_turns, steadied, usual_period
 from inflight.time import SECOND, Int64, utc_text
 
@@ -152,6 +153,8 @@ def phase_from_angle(
 ) -> SpinPhase:
     """Return the spin phase from a delivered angle, read fast or slowly, wrapped or not.
 
+    An angle read more often than about four times a turn is thinned to about three readings a turn.
+
     Parameters
     ----------
     times : ndarray of int64, shape (reading,)
@@ -221,9 +224,20 @@ def _from_marks(
             f"{times.size} {kind}s found, none of them whole turns of {period:.6g} s from its neighbours",
             remedy="see whether the times are those of one Sun sensor",
         )
-    counted = count_turns(times[kept], turns[kept], period)
+    few = np.flatnonzero(kept)
+    some = thinned(seconds[few], turns[few], period)
+    spared, few = times[few[~some]], few[some]
+    if spared.size and few.size > 2:
+        # Neighbours of a fine angle hardly move: that readings agree over a turn they show only now.
+        few = few[believed(seconds[few], turns[few], period)]
+    if few.size < 3:
+        raise CalibrationError(
+            f"{times.size} {kind}s found, of {seconds[-1] / period:.2g} turns or not {period:.6g} s a turn",
+            remedy="take a span of several turns",
+        )
+    counted = count_turns(times[few], turns[few], period)
     marks = steadied(counted)
-    wrong = np.setdiff1d(times, marks.time)
+    wrong = np.setdiff1d(times, np.concatenate([marks.time, spared]))
     spurious = int(np.count_nonzero((wrong >= stamps.min()) & (wrong <= stamps.max()))) if stamps.size else 0
     if spurious:
         found = f"{spurious} spurious {kind}s dropped"

@@ -6,6 +6,7 @@ from farrell_cases import TURN, phase_of, record, sensors, stamps_of
 
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
+from inflight.spin.marks import count_turns
 from inflight.spin.period import check_period
 from inflight.spin.phase import phase_from_angle, phase_from_period, phase_from_pulses
 from inflight.time import SECOND
@@ -35,6 +36,13 @@ class Spin:
 
     def found(self, pulses, **given):
         return phase_from_pulses(ticks(pulses), ticks(self.samples), **given)
+
+
+def finely_read(readings):
+    """A spin of 300 turns with an angle read so many times a turn: spin, times in s, degrees."""
+    spin = Spin(turns=300)
+    at = np.arange(0.0, spin.times[-1], PERIOD / readings)
+    return spin, at, (360.0 * np.interp(at, spin.times, spin.turns)) % 360.0
 
 
 def test_missing_and_spurious_and_repeated_pulses_leave_the_phase_right():
@@ -138,6 +146,81 @@ def test_a_delivered_angle_gives_the_phase_fast_or_slow(cadence, sense):
     found = phase_from_angle(ticks(at), angle, ticks(spin.samples), nominal_period=3.0, sense=sense)
     assert np.abs(spin.error(found)).max() < 0.003
     assert found.good.mean() > 0.99
+
+
+@pytest.mark.parametrize("readings", [5, 12, 100, 1000])
+@pytest.mark.parametrize("nominal", [2.0, 3.0, 3.3])
+def test_an_angle_read_many_times_a_turn_gives_the_phase(readings, nominal):
+    spin, at, angle = finely_read(readings)
+    found = phase_from_angle(ticks(at), angle, ticks(spin.samples), nominal_period=nominal)
+    assert np.abs(spin.error(found)).max() < 1e-5
+    assert found.good.all()
+    assert found.period == pytest.approx(PERIOD, rel=1e-3)
+    assert "spurious" not in found.told()
+    assert 2.4 < np.median(1.0 / np.diff(found.marks.turn)) < 4.0
+
+
+@pytest.mark.parametrize("readings", [5, 12, 100])
+def test_a_fine_angle_may_scatter_have_gaps_and_jump_for_a_reading(readings):
+    spin, at, angle = finely_read(readings)
+    angle += 0.1 * spin.rng.standard_normal(at.size)
+    wrong = spin.rng.integers(0, at.size, at.size // 50)
+    angle[wrong] += spin.rng.uniform(20.0, 340.0, wrong.size)
+    kept = (spin.rng.random(at.size) > 0.2) & ((at < 300.0) | (at > 330.0))
+    rows = np.sort(np.concatenate([np.flatnonzero(kept), np.flatnonzero(kept)[100:120]]))
+    found = phase_from_angle(ticks(at[rows]), angle[rows], ticks(spin.samples), nominal_period=3.0)
+    assert found.good.all()
+    error = spin.error(found)
+    assert np.abs(error).max() < np.deg2rad(1.0)
+    assert np.std(error) < 2.0 * found.sigma.mean()
+    assert "20 repeated angles dropped" in found.told()
+    bridged = spin.samples[(found.flag & Flag.PHASE_BRIDGED) > 0]
+    assert np.mean((bridged > 297.0) & (bridged < 333.0)) > 0.8
+
+
+def test_a_fine_angle_tells_the_samples_up_to_its_gap_and_to_its_end():
+    _, at, angle = finely_read(100)
+    kept = (at < 300.0) | (at > 330.0)
+    samples = np.array([299.9, 300.1, 329.9, 330.1, at[-1] - 0.05])
+    found = phase_from_angle(ticks(at[kept]), angle[kept], ticks(samples), nominal_period=3.0)
+    assert ((found.flag & Flag.PHASE_BRIDGED) > 0).tolist() == [False, True, True, False, False]
+
+
+def test_the_phase_of_a_fine_angle_may_jump():
+    spin, at, angle = finely_read(12)
+    angle[at > 450.0] += 40.0
+    found = phase_from_angle(ticks(at), angle, ticks(spin.samples), nominal_period=3.0)
+    assert np.count_nonzero(found.marks.jumped) == 1
+    assert "the phase jumps by -40" in found.told()
+    assert found.good.mean() > 0.99
+
+
+def test_a_burst_of_fine_readings_among_slow_ones_is_used():
+    spin, at, angle = finely_read(3)
+    burst = np.arange(400.0, 430.0, 0.02)
+    times = np.sort(np.concatenate([at, burst]))
+    angle = 360.0 * np.interp(times, spin.times, spin.turns)
+    found = phase_from_angle(ticks(times), angle, ticks(spin.samples), nominal_period=3.0)
+    assert np.abs(spin.error(found)).max() < 1e-5
+    assert not (found.flag & Flag.PHASE_BRIDGED).any()
+
+
+def test_a_fine_angle_that_stands_falls_or_is_too_short_is_refused():
+    spin, at, angle = finely_read(100)
+    stamps = ticks(spin.samples)
+    for one in (np.full(at.size, 30.0), -angle % 360.0):
+        with pytest.raises(CalibrationError, match="does not grow"):
+            phase_from_angle(ticks(at), one, stamps, nominal_period=3.0)
+    for size in (3, 5, 20):
+        with pytest.raises(CalibrationError, match="angles found, of"):
+            phase_from_angle(ticks(at[:size]), angle[:size] + 1.0, stamps, nominal_period=3.0)
+    with pytest.raises(CalibrationError, match="without a spin period"):
+        phase_from_angle(ticks(at), angle, stamps, nominal_period=None)
+
+
+def test_marks_of_one_turn_are_refused():
+    with pytest.raises(CalibrationError, match="of one turn"):
+        count_turns(ticks([0.0, 0.001, 0.002]), np.zeros(3), 3.0)
 
 
 def test_an_angle_too_slow_for_its_stated_period_is_refused():

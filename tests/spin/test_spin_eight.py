@@ -1,11 +1,14 @@
 """The eight spin-related parameters come back, with errors that hold, by selection and by all together."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from eight_cases import PRESENT, TRUTH, by_joint, by_selection, joined, signed, two_fields
 from orbit_fields import SHEATH, SUN_WIND, orbit, steady
 
 from inflight.spin.equation import SPIN_RELATED, SensorAngles, TwelveParameters
+from inflight.spin.phase import phase_from_angle
 
 SIZE = {"gain_ratio": 2e-3, "azimuth": 5e-3, "offset[1]": 4.0, "offset[2]": 4.0}
 
@@ -66,6 +69,20 @@ def test_two_axial_fields_separate_offset_and_elevation_as_far_as_they_differ():
     expected = lever.mean() / np.sqrt(np.mean(lever**2))
     assert found.correlation("offset[1]", "elevation[1]") == pytest.approx(expected, abs=0.08)
     assert np.all(np.abs(found.value - TRUTH.spin_related()) < 4.5 * found.sigma)
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_a_phase_given_with_every_sample_gives_the_eight_as_the_true_one_does(every):
+    """An angle read 12 times a turn and once a second: without noise both are the true phase."""
+    record = two_fields(3, hours=0.7)
+    readings = TRUTH.disturb(record.field)
+    angle = np.rad2deg(record.phase)[::every] % 360.0
+    told = phase_from_angle(record.stamps[::every], angle, record.stamps, nominal_period=3.0)
+    given = np.isfinite(told.phase)
+    assert np.all(given[: 1 - every or None])
+    found = by_joint(replace(record, phase=told.phase), readings)
+    true = by_joint(record, readings)
+    np.testing.assert_allclose(found.value, true.value, rtol=0, atol=1e-8)
 
 
 def test_offsets_larger_than_the_field_are_found():
