@@ -16,7 +16,8 @@ from benchmarks.pipeline import clone
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.cluster import dask_client
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 #: The model that holds everything the simulator puts in.
 MODEL = "champ-chain.yaml"

@@ -14,24 +14,17 @@ from pathlib import Path
 import numpy as np
 
 from inflight.arrays import Floats
+from inflight.calibration.normal_equations import NINE, joined
 from inflight.catalog import Catalog
-from inflight.comparison import Layout, rows_of
-from inflight.effects.rates import slope
+from inflight.effects.base import slope
 from inflight.errors import CalibrationError
-from inflight.estimators.coil_temperature import (
-    CoilBlock,
-    coil_equations,
-    fit_coil,
-)
-from inflight.estimators.rows import NINE, joined
-from inflight.estimators.temperature_rivals import compare_temperatures
-from inflight.mission import Mission
+from inflight.mission import Mission, sensors_of
+from inflight.mission_fit.temperature import CoilBlock, coil_equations, compare_temperatures, fit_coil
 from inflight.model import Model, make_effect
-from inflight.sensors import sensors_of
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.ingest import ingest
-from inflight.tasks.needs import needs_of
-from inflight.tasks.samples import load_samples
+from inflight.model.rows import Layout, rows_of
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 from inflight.time import SECOND, Int64
 
 ROOT = Path(__file__).parents[1]

@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.thresholds import published_jumps
 from inflight.arrays import Floats
-from inflight.dual.processing import process
+from inflight.dual.assignment import process
 from inflight.dual.readings import Readings
-from inflight.dual.thresholds import published_jumps
 from inflight.dual.training import Training, train
 from inflight.time import SECOND
 

@@ -14,10 +14,9 @@ from inflight.arrays import Floats
 from inflight.calibration import Reference, fit_block, reference_of, split_chain, usable
 from inflight.catalog import Catalog, Day
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive_index import ArchiveIndex
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 from inflight.tasks.models import current_model
-from inflight.tasks.needs import needs_of
-from inflight.tasks.samples import load_samples
 from inflight.time import day_bounds
 
 #: The fits begin so far from the solution: 20 ppm, 7 arcsec, 0.5 nT, as after some weeks of ageing.

@@ -16,27 +16,24 @@ import numpy as np
 
 from benchmarks.coil_temperature import ROOT, real_data
 from inflight.arrays import Floats
+from inflight.calibration.table import table_jumps
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.comparison import rows_of
-from inflight.diagnosis.coarse import bin_means
-from inflight.effects.rates import slope
+from inflight.design.columns import bin_means
+from inflight.effects.base import slope
 from inflight.errors import InflightError
-from inflight.estimators.clock_faults import clock_faults
-from inflight.estimators.clusters import grams_by_cluster, solve_clusters
-from inflight.estimators.coil_temperature import CoilBlock
-from inflight.estimators.days import mjd_of
-from inflight.estimators.event_steps import event_steps
-from inflight.estimators.jumps import table_jumps
-from inflight.geometry import direction_of
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.ingest import ingest
+from inflight.frames import direction_of
+from inflight.lsq.solver import grams_by_cluster, solve_clusters
+from inflight.mission_fit.parameters import clock_faults, event_steps
+from inflight.mission_fit.temperature import CoilBlock
+from inflight.model.rows import rows_of
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 from inflight.tasks.models import preflight_model
-from inflight.tasks.needs import needs_of
-from inflight.tasks.planning import ReprocessSettings
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.samples import load_samples
-from inflight.time import SECOND, Int64, to_tt2000
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.time import SECOND, Int64, mjd_of, to_tt2000
 
 #: Readings faster than this are averaged, s.
 _MEAN_S = 10.0

@@ -18,9 +18,10 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.cluster import dask_client
 from inflight.simulate import SimulationSettings
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.simulate import simulate
+from inflight.tasks.archive.deliveries import simulate
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 
 def clone(source: Path, target: Path) -> Catalog:

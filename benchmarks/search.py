@@ -15,9 +15,8 @@ from threadpoolctl import threadpool_limits
 from benchmarks.nine import timed
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.diagnosis.evidence import Evidence
-from inflight.diagnosis.flips import family_wise, flip_ratios, flip_signs
-from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.diagnosis.scoring import Present, family_wise, flip_ratios, flip_signs, folds_of, score
+from inflight.lsq.gram_blocks import Evidence
 from inflight.time import DAY, SECOND
 
 #: Blocks of a mission of 3000 days, candidates, columns of each, rows that stand for a block's.
@@ -79,11 +78,11 @@ def ranking(draws: int = 2000) -> list[str]:
 
 def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
     """Return the lines to print: the pass of a mission against its floor, a day and core."""
-    from inflight.tasks import diagnose
-    from inflight.tasks.archive_index import ArchiveIndex
-    from inflight.tasks.channels import ChannelReader, DerivedChannels
-    from inflight.tasks.evidence import block_evidence
-    from inflight.tasks.samples import load_samples
+    from inflight.tasks.analysis import diagnosis as diagnose
+    from inflight.tasks.analysis.gram_pass import block_evidence
+    from inflight.tasks.archive.channels import ChannelReader, DerivedChannels
+    from inflight.tasks.archive.inputs import ArchiveIndex
+    from inflight.tasks.archive.samples import load_samples
 
     mission = Workspace.open(cat.workspace).mission()
     made = diagnose.planned(cat, mission, diagnose.DiagnoseSettings())

@@ -22,11 +22,9 @@ from zarr.codecs.numcodecs import Delta
 
 from inflight.arrays import Floats
 from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.estimates import spin_equations
-from inflight.spin.harmonics import spin_tones
-from inflight.spin.joint import joint_estimate
-from inflight.spin.layout import Layout, lay_out
-from inflight.spin.selection import calibrate_by_selection
+from inflight.spin.estimate import calibrate_by_selection, joint_estimate, spin_equations
+from inflight.spin.intervals import Layout, lay_out
+from inflight.spin.tones import spin_tones
 from inflight.time import SECOND, Int64
 
 _CADENCE, _PERIOD, _SAMPLES = 0.25, 3.0, 345_600

@@ -19,17 +19,15 @@ import numpy as np
 import scipy.io
 import xarray as xr
 
+from benchmarks.ridge import Fold, block_folds, cautious_ridge, least_squares, retained
 from inflight.arrays import Floats
-from inflight.calibration.ridge import Fold, block_folds, cautious_ridge, least_squares, retained
 from inflight.catalog import Catalog
-from inflight.comparison import Band, Layout, Rows, filter_rows, rows_of
-from inflight.mission import Mission
+from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
-from inflight.sensors import sensors_of
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.ingest import ingest
-from inflight.tasks.needs import needs_of
-from inflight.tasks.samples import load_samples
+from inflight.model.rows import Band, Layout, ResidualRows, filter_rows, rows_of
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 
 ROOT = Path(__file__).parents[1]
 #: Columns by mechanism, in the order of the effect's parameters.
@@ -57,7 +55,7 @@ class Record:
     """The flight as samples, its band, and the published coefficients in the effect's units; (18,)."""
 
     columns: Floats
-    rows: Rows
+    rows: ResidualRows
     total: Floats
     band: Band
     published: Floats
@@ -108,7 +106,7 @@ def load(workspace: Path, data: Path | None = None) -> Record:
     return Record(columns, rows, total, band, published_coefficients(data))
 
 
-def unit_columns(entry: ModelEffect, rows: Rows, corrected: xr.Dataset) -> Floats:
+def unit_columns(entry: ModelEffect, rows: ResidualRows, corrected: xr.Dataset) -> Floats:
     """Return what one unit of each coefficient adds to the scalar reading; (time, 18), before the band."""
     values = {name: np.zeros(part.size) for name, part in entry.effect.parameters().items()}
     columns = []

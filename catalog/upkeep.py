@@ -17,15 +17,7 @@ from inflight.catalog.days import status_of_days
 from inflight.catalog.lineage import unknown_ids
 from inflight.catalog.manifest import manifest_faults
 from inflight.catalog.records import Day, is_damaged
-from inflight.catalog.schema import (
-    CurrentRow,
-    DatasetRow,
-    DayRow,
-    EdgeRow,
-    RunRow,
-    StoreRow,
-    TableRow,
-)
+from inflight.catalog.schema import CurrentRow, DatasetRow, DayRow, EdgeRow, RunRow, StoreRow, TableRow
 from inflight.catalog.spans import Span
 
 

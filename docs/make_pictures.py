@@ -13,8 +13,8 @@ from pathlib import Path
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.compare import compare
-from inflight.tasks.diagnosis_report import report
+from inflight.tasks.analysis.comparing import compare
+from inflight.tasks.analysis.diagnosis_page import report
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _QUIET = [

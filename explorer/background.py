@@ -9,8 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-from inflight.tasks.complaints import told_error
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, told_error
 
 
 @dataclass

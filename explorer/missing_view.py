@@ -13,13 +13,19 @@ from inflight.explorer import drawing
 from inflight.explorer.offer import Offer
 from inflight.explorer.sitting import Days, Sitting
 from inflight.explorer.watching import Place
-from inflight.figures.candidates import candidate_table, drop_figure, unscorable_list
-from inflight.figures.found import found_effects, rivals_apart
-from inflight.figures.ledger import ledger_table
-from inflight.figures.naming import distinct, short_name
+from inflight.figures.diagnosis import (
+    candidate_table,
+    change_tables,
+    drop_figure,
+    error_figure,
+    found_effects,
+    ledger_table,
+    rivals_apart,
+    unscorable_list,
+    verdict_strip,
+)
 from inflight.figures.page import Inside, Section, html_table
-from inflight.figures.revisions import change_tables, error_figure
-from inflight.figures.verdict import verdict_strip
+from inflight.figures.style import distinct, short_name
 
 Fields = Mapping[str, Any]
 _NOTE = (
@@ -220,7 +226,7 @@ def version_section(versions: Sequence[Fields]) -> Inside:
     Parameters
     ----------
     versions : sequence of mapping
-        As `inflight.tasks.versions.Versions.items`.
+        As `inflight.tasks.models.Versions.items`.
     """
     rows = [
         (

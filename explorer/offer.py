@@ -8,10 +8,9 @@ import numpy as np
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.mission import Mission
-from inflight.tasks.planning import product_of
-from inflight.tasks.states_units import is_told_by_states
-from inflight.tasks.versions import Versions
+from inflight.mission import Mission, is_told_by_states
+from inflight.tasks.models import Versions
+from inflight.tasks.pipelines.planning import product_of
 
 #: Days shown when nobody asked for a span: reading more takes longer than one cares to wait unasked.
 UNASKED_DAYS = 30

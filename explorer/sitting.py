@@ -19,18 +19,16 @@ from inflight.explorer.background import Background
 from inflight.figures.page import Later, Section
 from inflight.flows.cluster import client_when_needed
 from inflight.mission import Mission
-from inflight.model.changes import tree_of
-from inflight.tasks.compare import measured
-from inflight.tasks.compare_page import Compared
-from inflight.tasks.diagnose import DiagnoseSettings
-from inflight.tasks.diagnosing import diagnose_span, last_diagnosis, open_workbench
-from inflight.tasks.diagnosis_report import diagnosis_sections, examine
-from inflight.tasks.models import find_model
-from inflight.tasks.planning import product_of
+from inflight.model.diff import tree_of
+from inflight.tasks.analysis.comparing import measured
+from inflight.tasks.analysis.diagnosis_page import diagnosis_sections, examine
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.analysis.revise import Workbench, diagnose_span, last_diagnosis, open_workbench
+from inflight.tasks.models import Versions, find_model
+from inflight.tasks.pipelines.compared import Compared
+from inflight.tasks.pipelines.planning import product_of
+from inflight.tasks.pipelines.published_tables import table_sections
 from inflight.tasks.report import Progress
-from inflight.tasks.revise import Workbench
-from inflight.tasks.table_sections import table_sections
-from inflight.tasks.versions import Versions
 
 #: Comparisons kept in memory: the aggregates of 3000 days are some hundred megabytes.
 _KEPT = 3
@@ -87,7 +85,7 @@ class Sitting:
         Raises
         ------
         CatalogError, SettingsError
-            As `inflight.tasks.compare.compare`.
+            As `inflight.tasks.analysis.comparing.compare`.
         """
         span = days.bounds()
         published = self.cat.days(product_of(comparison), slice(*span), states=("published",))
@@ -121,7 +119,7 @@ class Sitting:
         Raises
         ------
         SettingsError, InflightError
-            As `inflight.tasks.diagnosing.diagnose_span`.
+            As `inflight.tasks.analysis.revise.diagnose_span`.
         """
         settings, span = _settings(self._asked(comparison), comparison), days.bounds()
         self._bench = None
@@ -174,7 +172,7 @@ class Sitting:
         Raises
         ------
         ModelError, InflightError
-            As `inflight.tasks.revise.Workbench`.
+            As `inflight.tasks.analysis.revise.Workbench`.
         """
         with client_when_needed(self.workers) as client:
             bench = self._workbench(comparison, client, progress)

@@ -12,7 +12,7 @@ from inflight.explorer.offer import Offer
 from inflight.explorer.sitting import Days, Sitting
 from inflight.explorer.watching import Place, later_tabs
 from inflight.figures.page import Section
-from inflight.tasks.reprocess_dual import NO_PRODUCT
+from inflight.tasks.pipelines.relation.reprocess import NO_PRODUCT
 
 
 class View(Protocol):

@@ -14,7 +14,7 @@ from inflight.flows.ingest import take_in
 from inflight.flows.reprocess import DEFAULT_SETTINGS, reprocess_span
 from inflight.flows.span import Span
 from inflight.flows.stages import batch_runner, unsearched
-from inflight.tasks.planning import ReprocessSettings
+from inflight.tasks.pipelines.planning import ReprocessSettings
 
 
 @flow(name="backfill", task_runner=batch_runner(), persist_result=False)

@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from distributed import Client
 
+
 #: Address of a Dask scheduler to use instead of starting processes here.
 SCHEDULER_VARIABLE = "INFLIGHT_DASK_SCHEDULER"
+
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
 #: A day's arrays are made and dropped by the hundred. Dask's own setting gives each back to the system at
 #: once, which then hands out empty pages again: 90 days took twice as long. Workers keep them instead.
 _KEEP_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "536870912", "MALLOC_MMAP_THRESHOLD_": "536870912"}

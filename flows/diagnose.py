@@ -12,8 +12,8 @@ from inflight.flows.cluster import client_when_needed
 from inflight.flows.progress import tell
 from inflight.flows.span import DateOrNone, Span
 from inflight.flows.stages import batch_runner, step, unsearched
-from inflight.tasks.diagnose import DiagnoseSettings
-from inflight.tasks.diagnosing import diagnose_span
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.analysis.revise import diagnose_span
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -14,7 +14,7 @@ from inflight.flows.cluster import dask_client
 from inflight.flows.progress import tell
 from inflight.flows.span import DateOrNone, Span
 from inflight.flows.stages import batch_runner, step, unsearched
-from inflight.tasks import ingest as steps
+from inflight.tasks.archive import ingestion as steps
 from inflight.tasks.report import RunReport
 
 if TYPE_CHECKING:

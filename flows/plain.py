@@ -25,7 +25,7 @@ def ingest(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
     """Take delivered files into the archive."""
-    from inflight.tasks.ingest import ingest as take_in
+    from inflight.tasks.archive.ingestion import ingest as take_in
 
     data = Path(parameters.get("data") or workspace.data)
     names = parameters.get("instruments")
@@ -38,8 +38,8 @@ def reprocess(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
     """Calibrate and write level-2 products of a span."""
-    from inflight.tasks.planning import ReprocessSettings
-    from inflight.tasks.reprocess import reprocess as work
+    from inflight.tasks.pipelines.planning import ReprocessSettings
+    from inflight.tasks.pipelines.reprocessing import reprocess as work
 
     settings = ReprocessSettings.model_validate(parameters.get("settings") or {})
     catalog, mission, span = Catalog(workspace.root), workspace.mission(), _span(parameters)
@@ -72,8 +72,8 @@ def diagnose(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
     """Find which effect is missing from the model of a span."""
-    from inflight.tasks.diagnose import DiagnoseSettings
-    from inflight.tasks.diagnosing import diagnose_span
+    from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+    from inflight.tasks.analysis.revise import diagnose_span
 
     settings = DiagnoseSettings.model_validate(parameters.get("settings") or {})
     save, span = bool(parameters.get("save")), _span(parameters)

@@ -8,9 +8,9 @@ from typing import Any
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flows.span import Span
-from inflight.tasks.planning import ReprocessSettings, plan
-from inflight.tasks.states_plan import days_to_do
-from inflight.tasks.states_units import is_told_by_states
+from inflight.mission import is_told_by_states
+from inflight.tasks.pipelines.planning import ReprocessSettings, plan
+from inflight.tasks.pipelines.states.day import days_to_do
 
 
 def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:

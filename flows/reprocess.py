@@ -13,9 +13,9 @@ from inflight.flows.batches import batch_tasks
 from inflight.flows.cluster import dask_client
 from inflight.flows.span import DateOrNone, Span
 from inflight.flows.stages import batch_runner
-from inflight.tasks.planning import ReprocessSettings
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess as run_chain
 from inflight.tasks.report import RunReport
-from inflight.tasks.reprocess import reprocess as run_chain
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from inflight.alignment import align
     from inflight.calibration import NormalEquations
     from inflight.effects import Effect, Parameter
     from inflight.flags import Flag
-    from inflight.mission import Mission
+    from inflight.mission import Mission, Sensor
     from inflight.model import Model
-    from inflight.sensors import Sensor
+    from inflight.samples.alignment import align
 
 #: Where the public names are defined; they are imported when they are first asked for.
 _HOMES = {

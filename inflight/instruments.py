@@ -13,6 +13,7 @@ from inflight.time import parse_duration, parse_utc, to_tt2000
 from inflight.units import parse_unit
 
 Role = Literal["vector", "scalar", "housekeeping", "attitude", "orbit"]
+
 Kind = Literal[
     "temperature",
     "solar_current",
@@ -33,6 +34,7 @@ Kind = Literal[
     "flag",
     "other",
 ]
+
 Reader = Literal["cdf", "netcdf", "iaga2002", "table", "parquet", "npz", "mat"]
 
 
@@ -50,6 +52,7 @@ def _utc(value: Any) -> int:
 
 
 _FIELD = re.compile(r"\{([^{}:]*):?([^{}]*)\}")
+
 #: strftime directives a file pattern may hold.
 DIRECTIVES = "YymdjHMSbB"
 
@@ -74,11 +77,16 @@ def _expression(text: str) -> str:
 
 #: A duration in the YAML (``10 s``), integer nanoseconds in Python.
 Duration = Annotated[int, BeforeValidator(parse_duration)]
+
 Unit = Annotated[str, BeforeValidator(_unit)]
+
 #: A UTC time in the YAML, TT2000 nanoseconds in Python.
 Instant = Annotated[int, BeforeValidator(_utc)]
+
 Pattern = Annotated[str, AfterValidator(_pattern)]
+
 Vector3 = tuple[float, float, float]
+
 Quaternion = tuple[float, float, float, float]
 
 

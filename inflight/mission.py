@@ -1,7 +1,11 @@
-"""A mission: instruments, channels, files, known periods and events, as one YAML a person writes.
+"""Mission YAML.
+
+A mission: instruments, channels, files, known periods and events, as one YAML a person writes.
 
 `Mission.parse` validates a text and names line and key of whatever is wrong. It opens no file; the
 catalog reads the text. See ``missions/template.yaml`` for every key with a comment.
+
+A sensor as the physics sees it: a place, an orientation, a role.
 """
 
 from __future__ import annotations
@@ -9,11 +13,14 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, ValidationError, model_validator
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
+from scipy.spatial.transform import Rotation
 
 from inflight.errors import MissionError
 from inflight.instruments import (
@@ -378,3 +385,80 @@ def _line_of(tree: Any, path: list[Any]) -> tuple[int, list[str]]:
         walked.append(str(part))
         node = node[part]
     return line, walked
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One magnetometer of a comparison.
+
+    Attributes
+    ----------
+    name : str
+        Instrument in the mission YAML.
+    role : str
+        Its role in the comparison: vector, scalar, inboard, outboard.
+    position : tuple of float, optional
+        Metres from the assumed dipole, spacecraft axes.
+    orientation : tuple of float
+        Quaternion x, y, z, w that turns sensor axes into spacecraft axes.
+    dipole_reduction : float, optional
+        Field of the assumed dipole here relative to its field at the first vector sensor,
+        ``(r_first / r_here) ** 3`` (1 at that sensor; None while a position is unknown).
+    """
+
+    name: str
+    role: str
+    position: tuple[float, float, float] | None = None
+    orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    dipole_reduction: float | None = None
+
+    @property
+    def is_scalar(self) -> bool:
+        """True for an instrument that reads the field strength."""
+        return self.role == "scalar"
+
+    @property
+    def rotation(self) -> Rotation:
+        """Rotation from sensor to spacecraft axes."""
+        return Rotation.from_quat(self.orientation)
+
+
+def sensors_of(mission: Mission, comparison: str = "main") -> dict[str, Sensor]:
+    """Return the sensors of a comparison by instrument name.
+
+    Raises
+    ------
+    KeyError
+        When the mission has no such comparison.
+    """
+    roles = mission.comparisons[comparison].instruments()
+    first = mission.instruments[next(iter(roles.values()))]
+    sensors = {}
+    for role, name in roles.items():
+        instrument = mission.instruments[name]
+        reduction = None
+        if first.position is not None and instrument.position is not None:
+            here, there = np.linalg.norm(instrument.position), np.linalg.norm(first.position)
+            reduction = float((there / here) ** 3) if here > 0 else None
+        sensors[name] = Sensor(name, role, instrument.position, instrument.orientation, reduction)
+    return sensors
+
+
+def is_told_by_states(mission: Mission, comparison: str) -> bool:
+    """Return True for two sensors on one boom that no scalar sensor calibrates."""
+    return comparison in dual_comparisons(mission) and not is_calibrated_apart(mission, comparison)
+
+
+def is_calibrated_apart(mission: Mission, comparison: str) -> bool:
+    """Return True when scalar or spin comparisons calibrate sensors of a dual one.
+
+    Where one sensor is left without, `Pair.of` says which.
+    """
+    own = set(mission.comparisons[comparison].instruments().values())
+    others = [entry for entry in mission.comparisons.values() if entry.kind in ("scalar", "spin")]
+    return any(entry.instruments()["vector"] in own for entry in others)
+
+
+def dual_comparisons(mission: Mission) -> list[str]:
+    """Return the names of a mission's comparisons of two vector sensors."""
+    return [name for name, entry in mission.comparisons.items() if entry.kind == "dual"]

@@ -1,4 +1,6 @@
-"""TT2000: integer nanoseconds since 2000-01-01T12:00:00 TT, the one time of stores and mathematics.
+"""TT2000, UTC, days, MJD2000.
+
+TT2000: integer nanoseconds since 2000-01-01T12:00:00 TT, the one time of stores and mathematics.
 
 TT2000 counts SI seconds, so leap seconds are ordinary seconds in it. UTC is what people see: as
 ``datetime64[ns]``, which has no stamp for an inserted second; such a sample carries the stamp of
@@ -6,6 +8,8 @@ the second before it and the flag ``LEAP_SECOND``. A *day* is a UTC day and has 
 ends with a leap second. All intervals are half-open.
 
 Leap-second dates: IERS Bulletin C (TAI - UTC since 1972); CDF's TT2000 definition: TT = TAI + 32.184 s.
+
+The thesis' day number (MJD 0 is 2000-01-01T00:00 UTC) and back.
 """
 
 from __future__ import annotations
@@ -19,12 +23,18 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from inflight.arrays import Floats
+
 SECOND = 1_000_000_000
+
 DAY = 86_400 * SECOND
+
 #: Neighbouring samples further apart than this many cadences have a gap between them.
 GAP = 1.5
+
 #: "No time": CDF's fill value and pad value of CDF_TIME_TT2000.
 TT2000_FILL = np.int64(-(2**63))
+
 TT2000_PAD = np.int64(-(2**63) + 1)
 
 #: UTC dates on which TAI - UTC became 10, 11, ... seconds.
@@ -41,15 +51,20 @@ _LEAP_DATES = (
     .ravel()
     .astype("datetime64[ns]")
 )
+
 _TAI_MINUS_UTC = np.arange(10, 10 + _LEAP_DATES.size, dtype=np.int64)
+
 _J2000_UTC_LABEL = np.datetime64("2000-01-01T12:00:00", "ns")
+
 _TT_MINUS_TAI = 32_184_000_000
 
 #: TT2000 at which each offset begins: the first instant after the inserted second.
 _LEAP_TT2000 = (_LEAP_DATES - _J2000_UTC_LABEL).astype(np.int64) + _TAI_MINUS_UTC * SECOND + _TT_MINUS_TAI
 
 Int64 = npt.NDArray[np.int64]
+
 Datetimes = npt.NDArray[np.datetime64]
+
 DayLike = str | dt.date | np.datetime64
 
 
@@ -177,6 +192,7 @@ def day_range(start: DayLike, end: DayLike) -> list[np.datetime64]:
 
 
 _DURATION = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(ns|us|ms|s|min|h|d)\s*$")
+
 _UNIT_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": SECOND, "min": 60 * SECOND, "h": 3600 * SECOND, "d": DAY}
 
 
@@ -194,3 +210,19 @@ def parse_duration(text: str) -> int:
             f"{text!r} is no duration; write a number and one of {', '.join(_UNIT_NS)}, as in '10 s'"
         )
     return round(Fraction(match[1]) * _UNIT_NS[match[2]])
+
+
+_EPOCH = np.datetime64("2000-01-01T00:00:00", "ns")
+
+_DAY_NS = 86_400_000_000_000
+
+
+def mjd_of(tt2000: npt.ArrayLike) -> Floats:
+    """Return days of UTC since 2000-01-01T00:00 of TT2000 times, as Yin (2010) counts them; same shape."""
+    return np.asarray((to_utc(tt2000) - _EPOCH) / np.timedelta64(1, "D"), dtype=np.float64)
+
+
+def tt2000_of(mjd: npt.ArrayLike) -> Int64:
+    """Return the TT2000 of day numbers since 2000-01-01T00:00 UTC; same shape."""
+    ticks = np.rint(np.asarray(mjd, dtype=np.float64) * _DAY_NS).astype(np.int64)
+    return to_tt2000(_EPOCH + ticks.astype("timedelta64[ns]"))

@@ -1,19 +1,29 @@
-"""Which model a workspace uses: the newest in the catalog, begun from the mission's pre-flight file."""
+"""Models, versions, history.
+
+Which model a workspace uses: the newest in the catalog, begun from the mission's pre-flight file.
+
+The versions of a workspace's models: found by name, listed with the one in use.
+
+The history of a model: which version its evidence was made at, and which one came before the last change.
+
+History only grows. Going back is a version like any other, whose text is an older one's.
+"""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from inflight.catalog import Catalog
-from inflight.comparison import Layout
+from inflight.catalog import Catalog, ModelRecord
 from inflight.effects import EffectSource
+from inflight.effects.base import did_you_mean
 from inflight.effects.spinning_sensor import SpinningSensor
-from inflight.errors import MissionError
-from inflight.mission import Mission
+from inflight.errors import CatalogError, MissionError, ModelError, SettingsError
+from inflight.mission import Mission, sensors_of
 from inflight.model import Model, make_effect
-from inflight.sensors import sensors_of
+from inflight.model.rows import Layout
 
 #: What a model's text says of the files its effects come from.
 _SOURCE = re.compile(r"^\s*source: (\S+)\n", re.MULTILINE)
@@ -153,3 +163,167 @@ def _text(cat: Catalog, name: str, version: int) -> str:
 
 def _sources(text: str) -> list[str]:
     return _SOURCE.findall(text)
+
+
+def comparison_of(mission: Mission, named: str | None) -> str:
+    """Return the comparison that is named, else ``main``, else the mission's first.
+
+    Raises
+    ------
+    SettingsError
+        When the mission has no such comparison.
+    """
+    name = named or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons), "main"))
+    if name not in mission.comparisons:
+        raise SettingsError(
+            f"comparison: the mission has no {name!r}{did_you_mean(name, mission.comparisons)}",
+            remedy=f"it has {', '.join(mission.comparisons) or 'none'}",
+        )
+    return name
+
+
+@dataclass(frozen=True)
+class Version:
+    """A text of a model, and what the catalog knows of it."""
+
+    name: str
+    version: int
+    text: str
+    record: ModelRecord | None = None
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Name, version and parent; version and parent are None for a model not used yet."""
+        parent = self.record.parent if self.record else None
+        return {"name": self.name, "version": self.version or None, "parent": parent}
+
+    @property
+    def told(self) -> str:
+        """How a person calls it."""
+        return f"{self.name} version {self.version}" if self.version else f"{self.name}, not used yet"
+
+
+class Versions:
+    """The models of a workspace; nothing is saved by looking at them."""
+
+    def __init__(self, cat: Catalog, mission: Mission, comparison: str = "main") -> None:
+        self._cat = cat
+        used = find_model(cat, mission, comparison)
+        self._records = {(record.name, record.version): record for record in self._cat.models()}
+        self.used = self._version(used.model.name, used.version, used.text)
+
+    def _version(self, name: str, version: int, text: str) -> Version:
+        return Version(name, version, text, self._records.get((name, version)))
+
+    def named(self, text: str | None) -> Version:
+        """Return the version a person names: its number, a name's newest, or ``name:number``."""
+        if text is None:
+            return self.used
+        name, _, number = text.rpartition(":") if ":" in text else ("", "", text)
+        if not number.isdigit():
+            name, number = text, ""
+        name = name or self.used.name
+        known = [key for key in self._records if key[0] == name and number in ("", str(key[1]))]
+        if not known:
+            listed = [f"{one}:{version}" for one, version in self._records]
+            names = [one for one, _ in self._records]
+            raise CatalogError(
+                f"there is no model {text!r}{did_you_mean(text, [*listed, *names])}",
+                remedy=f"the catalog has {', '.join(listed) or 'none yet; reprocess saves the first'}",
+            )
+        return self._version(*self._cat.model_text(*known[-1]))
+
+    def items(self) -> list[dict[str, Any]]:
+        """Return every version, oldest first, with a mark at the one in use."""
+        return [
+            {
+                "name": record.name,
+                "version": record.version,
+                "parent": record.parent,
+                "message": record.message,
+                "created": record.created,
+                "sha256": record.sha256,
+                "used": key == (self.used.name, self.used.version),
+            }
+            for key, record in self._records.items()
+        ]
+
+
+#: How the message of a version begins that is an older one again.
+UNDO = "undo"
+
+
+def version_of(cat: Catalog, mission: Mission, like: UsedModel, version: int) -> UsedModel:
+    """Return another version of a model, made with the effects' files as they are now."""
+    name = like.model.name
+    text = cat.model_text(name, version)[2]
+    return UsedModel(Model.parse(text, mission, f"{name} version {version}", like.model.own), version, text)
+
+
+def evidence_root(cat: Catalog, mission: Mission, current: UsedModel) -> tuple[UsedModel, Mission] | None:
+    """Return the nearest version with evidence, the present one or one it came from, and its mission.
+
+    The mission is the text the evidence was made with: naming another file with effects changes
+    nothing of what was made before. None when no version has evidence.
+    """
+    dataset = f"equations/{current.model.comparison}/library"
+    contexts = {day.context for day in cat.days(dataset, states=("published",))} - {None}
+    versions = {}
+    for record in (cat.context(str(one)) for one in contexts):
+        before = mission if record.mission_text == mission.text else Mission.parse(record.mission_text)
+        if record.model_name == current.model.name and _measures_as(before, mission):
+            versions[record.model_version] = before
+    records = _records(cat, current)
+    at: int | None = current.version
+    while at is not None:
+        if at in versions:
+            used = current if at == current.version else version_of(cat, mission, current, at)
+            return used, versions[at]
+        at = records[at].parent
+    return None
+
+
+def _measures_as(one: Mission, other: Mission) -> bool:
+    """Return True when two missions differ in nothing but words and the files of a user's own effects."""
+    words = {"effects", "description", "acknowledgement"}
+    return one is other or one.model_dump(exclude=words) == other.model_dump(exclude=words)
+
+
+def before_last(cat: Catalog, mission: Mission, current: UsedModel) -> UsedModel:
+    """Return the version before the last change; one that was taken back does not count.
+
+    Raises
+    ------
+    ModelError
+        When nothing was changed.
+    """
+    records = _records(cat, current)
+    parent = _before(records, current.version)
+    if parent is None:
+        raise ModelError(
+            f"version {current.version} of model '{current.model.name}' is where it began",
+            remedy="'inflight model history' lists the versions; there is nothing to take back",
+        )
+    return version_of(cat, mission, current, parent)
+
+
+def _before(records: dict[int, ModelRecord], version: int) -> int | None:
+    return records[_meant(records, version)].parent
+
+
+def _meant(records: dict[int, ModelRecord], version: int) -> int:
+    """Return the version that a version is again: itself, unless it takes something back."""
+    record = records[version]
+    if record.parent is None or not record.message.startswith(UNDO):
+        return version
+    found = _before(records, record.parent)
+    if found is None:
+        raise CatalogError(
+            f"version {version} takes back version {record.parent}, before which there is none",
+            remedy="the history of the model is damaged: 'inflight catalog verify'",
+        )
+    return _meant(records, found)
+
+
+def _records(cat: Catalog, current: UsedModel) -> dict[int, ModelRecord]:
+    return {one.version: one for one in cat.models() if one.name == current.model.name}

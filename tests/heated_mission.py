@@ -8,7 +8,7 @@ from tiny_mission import TINY_START, TINY_YAML, deliver_tiny_day
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.ingest import ingest
+from inflight.tasks.archive.ingestion import ingest
 
 #: What a sensor reads beside what the tiny mission knows: (day, reading (time, component) nT) -> nT.
 Hidden = Callable[[str, np.ndarray], np.ndarray]

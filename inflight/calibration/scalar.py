@@ -1,41 +1,378 @@
-"""Scalar calibration of one block: exact robust Gauss-Newton on scaled normal equations.
+"""Nine-parameter fit.
+
+The hot loop: rows of the nine-parameter residual and their weighted Gram matrix.
+
+Residual ``r = |B| - F`` with ``B = K (E - E0) - S`` (Yin 2010, eqs. 2.5, 2.6); S holds the additive
+fields corrected after the sensor's equation. Its derivatives with respect to the entries of K are
+``e_i (E - E0)_j`` and to E0 ``-K^T e``, with e = B/|B|.
+
+Parameters in this module are the nine numbers (K_xx, K_yy, K_zz, K_xy, K_xz, K_yz, E0_x, E0_y, E0_z).
+
+The nine parameters of a model's vector sensor: their reference and prior, and the chain around them.
+
+Scalar calibration of one block: exact robust Gauss-Newton on scaled normal equations.
 
 The nine parameters are those of the effect ``vector_sensor``. Everything else the model holds is
-taken out of the readings first, see `inflight.calibration.sensor.split_chain`.
+taken out of the readings first, see `inflight.calibration.scalar.split_chain`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
+import numba
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.nine import WIDTH, compress, gram_elsewhere, grams, residuals
-from inflight.calibration.robust import BIWEIGHT_WIDTH, WEIGHTED_RMS, robust_sigma
-from inflight.calibration.sensor import SCALE, Reference, bend, kernel_parameters, kernel_scale
-from inflight.calibration.solution import MIN_INFORMATION, Solution, posterior, solve
-from inflight.errors import CalibrationError
+from inflight.effects.base import with_field
+from inflight.effects.sensors import VectorSensor
+from inflight.errors import CalibrationError, ModelError
+from inflight.flags import UNUSABLE
+from inflight.lsq.robust import BIWEIGHT_WIDTH, WEIGHTED_RMS, robust_sigma
+from inflight.lsq.solver import MIN_INFORMATION, Solution, posterior, solve
+from inflight.model import Model, ModelEffect
+from inflight.model.apply import corrected
+from inflight.model.time_dependence import component_names
+from inflight.samples.alignment import PlainSamples
+from inflight.time import Int64
+
+#: Rows handled at once: the block of columns stays in the cache and BLAS forms its Gram matrix.
+_ROWS = 2048
+
+#: Columns: nine parameters and the residual.
+WIDTH = 10
+
+
+@numba.njit(cache=True, nogil=True)
+def residuals(theta: Floats, e: Floats, s: Floats, f: Floats) -> Floats:  # pragma: no cover
+    """Return |K (E - E0) - S| - F; (time,) nT.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (9,)
+        K entries and offsets.
+    e, s : ndarray, shape (time, 3)
+        Raw readings and additive fields, nT; `s` may have one row for all.
+    f : ndarray, shape (time,)
+        Corrected scalar field, nT.
+    """
+    out = np.empty(f.size)
+    many = s.shape[0] > 1
+    for i in range(f.size):
+        x, y, z = e[i, 0] - theta[6], e[i, 1] - theta[7], e[i, 2] - theta[8]
+        q = i if many else 0
+        bx = theta[0] * x + theta[3] * y + theta[4] * z - s[q, 0]
+        by = theta[1] * y + theta[5] * z - s[q, 1]
+        bz = theta[2] * z - s[q, 2]
+        out[i] = np.sqrt(bx * bx + by * by + bz * bz) - f[i]
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fill(
+    rows: Floats, theta: Floats, e: Floats, s: Floats, f: Floats, width: float, scale: Floats, first: int
+) -> tuple[float, float]:  # pragma: no cover
+    """Fill a block of weighted, scaled rows [nine columns | residual].
+
+    The weight is Tukey's biweight ``(1 - (r / width)^2)^2``; its root multiplies the row. Returns
+    the sums of the weights and of the slopes of r w(r).
+    """
+    last = s.shape[0] - 1
+    weights, slopes = 0.0, 0.0
+    for k in range(rows.shape[0]):
+        i = first + k
+        x, y, z = e[i, 0] - theta[6], e[i, 1] - theta[7], e[i, 2] - theta[8]
+        q = min(i, last)
+        bx = theta[0] * x + theta[3] * y + theta[4] * z - s[q, 0]
+        by = theta[1] * y + theta[5] * z - s[q, 1]
+        bz = theta[2] * z - s[q, 2]
+        norm = np.sqrt(bx * bx + by * by + bz * bz)
+        r = norm - f[i]
+        u = min((r / width) ** 2, 1.0)
+        root = 1.0 - u
+        weights += root * root
+        slopes += root * (1.0 - 5.0 * u)
+        part = root / norm
+        ux, uy, uz = part * bx, part * by, part * bz
+        rows[k, 0] = ux * x * scale[0]
+        rows[k, 1] = uy * y * scale[1]
+        rows[k, 2] = uz * z * scale[2]
+        rows[k, 3] = ux * y * scale[3]
+        rows[k, 4] = ux * z * scale[4]
+        rows[k, 5] = uy * z * scale[5]
+        rows[k, 6] = -theta[0] * ux * scale[6]
+        rows[k, 7] = -(theta[3] * ux + theta[1] * uy) * scale[7]
+        rows[k, 8] = -(theta[4] * ux + theta[5] * uy + theta[2] * uz) * scale[8]
+        rows[k, 9] = root * r
+    return weights, slopes
+
+
+@numba.njit(cache=True, nogil=True)
+def gram_elsewhere(
+    theta: Floats, e: Floats, s: Floats, f: Floats, root: Floats, scale: Floats
+) -> Floats:  # pragma: no cover
+    """Return the Gram matrix linearised at `theta` with weights ``root^2`` found elsewhere; (10, 10) nT^2."""
+    out = np.zeros((WIDTH, WIDTH))
+    rows = np.empty((_ROWS, WIDTH))
+    for at in range(0, f.size, _ROWS):
+        part = rows[: min(_ROWS, f.size - at)]
+        _fill(part, theta, e, s, f, np.inf, scale, at)
+        for k in range(part.shape[0]):
+            for column in range(WIDTH):
+                part[k, column] *= root[at + k]
+        out += np.dot(part.T, part)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def compress(
+    e: Floats, s: Floats, f: Floats, good: npt.NDArray[np.bool_]
+) -> tuple[Floats, Floats, Floats]:  # pragma: no cover
+    """Return the rows where `good` is True; several times faster than indexing by a mask."""
+    many = good.sum()
+    held = s.shape[0] > 1
+    e_out, f_out = np.empty((many, 3)), np.empty(many)
+    s_out = np.empty((many, 3)) if held else s.copy()
+    k = 0
+    for i in range(good.size):
+        if good[i]:
+            for axis in range(3):
+                e_out[k, axis] = e[i, axis]
+                if held:
+                    s_out[k, axis] = s[i, axis]
+            f_out[k] = f[i]
+            k += 1
+    return e_out, s_out, f_out
+
+
+@numba.njit(cache=True, nogil=True)
+def grams(
+    theta: Floats, e: Floats, s: Floats, f: Floats, width: float, scale: Floats, edges: Int64
+) -> tuple[Floats, float, float]:  # pragma: no cover
+    """Return the weighted Gram matrices of [nine columns | residual] of consecutive sub-blocks.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (9,)
+        Point of linearisation.
+    e, s, f : ndarray
+        Readings (time, 3), additive fields (time, 3) or (1, 3), scalar field (time,); finite, nT.
+    width : float
+        Where the biweight ends, nT; infinite for plain least squares.
+    scale : ndarray, shape (9,)
+        Units of the columns: a column holds the change of the residual by ``scale`` of its parameter.
+    edges : ndarray of int64, shape (block + 1,)
+        Row indices that bound the sub-blocks.
+
+    Returns
+    -------
+    gram : ndarray, shape (block, 10, 10)
+        nT^2.
+    weights, slopes : float
+        Sums of the biweight and of the slope of its influence function.
+    """
+    out = np.zeros((edges.size - 1, WIDTH, WIDTH))
+    rows = np.empty((_ROWS, WIDTH))
+    weights, slopes = 0.0, 0.0
+    for b in range(edges.size - 1):
+        at = edges[b]
+        while at < edges[b + 1]:
+            many = min(_ROWS, edges[b + 1] - at)
+            part = rows[:many]
+            w, d = _fill(part, theta, e, s, f, width, scale, at)
+            weights += w
+            slopes += d
+            out[b] += np.dot(part.T, part)
+            at += many
+    return out, weights, slopes
+
+
+#: Physical size of one scaled unit: 10 ppm, a thousandth of a degree, 1 nT.
+SCALE = np.array([1e-5] * 3 + [1e-3] * 3 + [1.0] * 3)
+
+PARTS = ("scale_factor", "misalignment", "offset")
+
+UNITS = ("1",) * 3 + ("deg",) * 3 + ("nT",) * 3
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the fit starts and what is known beforehand, physical units; shape (9,) each."""
+
+    value: Floats
+    sigma: Floats
+    name: str = "vector_sensor"
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the nine columns, ``vector_sensor.scale_factor[x]`` and so on."""
+        parameters = VectorSensor.parameters()
+        return [name for part in PARTS for name in component_names(f"{self.name}.{part}", parameters[part])]
+
+
+def vector_sensor_of(model: Model) -> ModelEffect:
+    """Return the model's nine-parameter effect.
+
+    Raises
+    ------
+    ModelError
+        When the model has none, or more than one.
+    """
+    found = [entry for entry in model.effects if isinstance(entry.effect, VectorSensor)]
+    if len(found) != 1:
+        raise ModelError(
+            f"model '{model.name}' has {len(found)} effects 'vector_sensor', a scalar calibration needs one",
+            remedy="add one to the model YAML",
+        )
+    return found[0]
+
+
+def reference_of(model: Model, tt2000: int) -> Reference:
+    """Return values and prior sigmas of the nine parameters at a time; those no block fits get sigma 0.
+
+    A parameter that is free but constant, or a function of time, is refined over the whole span (see
+    `inflight.diagnosis`); a block's own fit leaves it alone.
+
+    Raises
+    ------
+    ModelError
+        When a block's own parameter has an infinite sigma.
+    """
+    entry = vector_sensor_of(model)
+    timed = [entry.parameters[part] for part in PARTS]
+    own = [part.free and part.time == "block" for part in timed]
+    for part, is_own in zip(timed, own, strict=True):
+        if is_own and not np.all(np.isfinite(part.sigma)):
+            raise ModelError(
+                f"'{part.key}' is fitted once a block and its sigma is {part.sigma[:, 0].tolist()}",
+                remedy="give a finite sigma, however wide",
+            )
+    value = np.concatenate([part.at(tt2000) for part in timed])
+    sigma = np.concatenate(
+        [part.sigma[:, 0] if is_own else np.zeros(3) for part, is_own in zip(timed, own, strict=True)]
+    )
+    return Reference(value, sigma, entry.name)
+
+
+def split_chain(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats, Floats]:
+    """Take everything but the nine parameters out of the readings.
+
+    Returns
+    -------
+    reading : ndarray, shape (time, 3)
+        What enters the sensor's equation, nT.
+    additive : ndarray, shape (time, 3) or (1, 3)
+        Fields to be subtracted behind it, nT, orthogonal sensor axes.
+    scalar : ndarray, shape (time,)
+        Corrected scalar field at the reference parameters, nT.
+
+    Raises
+    ------
+    ModelError
+        When an effect behind ``vector_sensor`` is not additive.
+    """
+    own = vector_sensor_of(model)
+    known = PlainSamples.of(samples)
+    light, times = cast("xr.Dataset", known), known["tt2000"].values
+    reading = sensor_reading(model, samples)
+    additive = np.zeros((1, 3))
+    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
+    for entry in entries[entries.index(own) + 1 :]:
+        if not entry.effect.is_additive:
+            raise ModelError(
+                f"effect '{entry.name}' stands behind '{own.name}' but does not only add a field",
+                remedy="list it before the vector_sensor",
+            )
+        additive = additive + entry.effect.field(light, entry.values(times), entry.sensor)
+    field = own.effect.correct(reading, light, own.values(times), own.sensor) - additive
+    # With the field given, and no vector reading to make it from, the scalar sensor's chain is left.
+    seen = with_field(cast("xr.Dataset", known.drop_vars(["vector"])), field)
+    scalar = corrected(
+        [entry for entry in model.effects if entry.sensor.role == "scalar"], cast("PlainSamples", seen)
+    )
+    return reading, additive, np.asarray(scalar["scalar"].values, dtype=np.float64)
+
+
+def sensor_reading(model: Model, samples: xr.Dataset) -> Floats:
+    """Return what enters the equation of the model's vector sensor; (time, 3) nT."""
+    own = vector_sensor_of(model)
+    known = PlainSamples.of(samples)
+    light, times = cast("xr.Dataset", known), known["tt2000"].values
+    reading = np.asarray(known["vector"].values, dtype=np.float64)
+    entries = [entry for entry in model.effects if entry.sensor.role == "vector"]
+    for entry in entries[: entries.index(own)]:
+        reading = entry.effect.correct(reading, light, entry.values(times), entry.sensor)
+    return reading
+
+
+def usable(samples: xr.Dataset, reading: Floats, additive: Floats, scalar: Floats) -> npt.NDArray[np.bool_]:
+    """Return which samples may enter a fit; (time,)."""
+    good = (samples["flag"].values & np.uint32(UNUSABLE)) == 0
+    finite = np.isfinite(reading.sum(axis=1)) & np.isfinite(scalar) & np.isfinite(additive.sum(axis=1))
+    return np.asarray(good & finite & (scalar > 0))
+
+
+def kernel_parameters(value: Floats) -> Floats:
+    """Return the kernel's parameters (9,) of physical ones (9,): angles in degrees become entries of K."""
+    return np.concatenate([value[:3], np.cos(np.deg2rad(value[3:6])), value[6:]])
+
+
+def kernel_scale(value: Floats) -> Floats:
+    """Return the change of the kernel's parameters (9,) by one scaled unit, at physical ones (9,)."""
+    scale = SCALE.copy()
+    scale[3:6] *= -np.sin(np.deg2rad(value[3:6])) * np.pi / 180.0
+    return scale
+
+
+def bend(value: Floats, reference: Floats, strength: float) -> float:
+    """Return by how much the residual bends between two sets of parameters; nT.
+
+    A change dB of the corrected field across the field's direction lengthens it by dB^2 / 2 B; a
+    change of all scale factors alike is along the field and bends nothing.
+
+    Parameters
+    ----------
+    value, reference : ndarray, shape (9,)
+        Physical units.
+    strength : float
+        Field strength, nT.
+    """
+    change = kernel_parameters(value) - kernel_parameters(reference)
+    change[:3] -= change[:3].mean()
+    across = float(np.hypot(np.linalg.norm(change[:6]) * strength, np.linalg.norm(change[6:])))
+    return across**2 / (2.0 * strength)
+
 
 #: Sub-blocks of a block, for the covariance: 20 minutes of a day.
 SUB_BLOCKS = 72
+
 #: Fewest sub-blocks of a shorter block: more would be too short to show correlation over minutes.
 FEWEST_SUB_BLOCKS = 12
+
 _SUB_BLOCK_S = 1200.0
+
 #: Residuals are taken as correlated over this many sub-blocks.
 BARTLETT = 3
+
 #: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
 BEND = 1e-4
+
 _MAX_PASSES = 25
+
 #: A direction at the edge of what the data determine could come and go for ever: from this turn on the
 #: edge rises by this factor a turn, until the direction stays at its prior.
 _EDGE_TURN, _EDGE_RISE = 5, 1.5
+
 #: The iteration ends when no parameter moves by more than this many of its sigmas: a lengthened step
 #: leaves a thousandth of itself to the next, also with outliers (measured).
 _SETTLED = 10.0
+
 #: Data that know every direction so many times better than the prior are solved without ado.
 _PLAIN = 1e3
+
 #: Longer blocks begin with every `_THIN`-th sample; the residual's scale is taken from so many.
 _LONG, _THIN, _SCALE_SAMPLES = 20_000, 8, 10_000
 

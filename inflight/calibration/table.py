@@ -1,16 +1,24 @@
-"""Calibration tables: how much and when, with covariance and what is behind each number."""
+"""Calibration tables and their jumps.
+
+Calibration tables: how much and when, with covariance and what is behind each number.
+
+The step a calibration makes in the calibrated field where one interval ends and the next begins.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.sensor import UNITS, Reference
-from inflight.calibration.solution import Solution
+from inflight.calibration.scalar import PARTS, UNITS, Reference
+from inflight.errors import CalibrationError
+from inflight.lsq.solver import Solution
+from inflight.time import Int64
 
 #: Where a value comes from: codes of the variable `source`.
 SOURCES = ("prior", "combination", "data")
@@ -105,3 +113,153 @@ def describe_directions(solution: Solution, names: Sequence[str], smallest: floa
         ]
         sentences.append(" ".join(parts))
     return sentences
+
+
+#: Field strength of the steps unless another is asked for, nT: that of the thesis' figures.
+STRENGTH = 50_000.0
+
+_AXES = ("x", "y", "z"), ("xy", "xz", "yz"), ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Steps of the calibrated field at boundaries between intervals; nT.
+
+    Attributes
+    ----------
+    at : ndarray of int64, shape (boundary,)
+        TT2000.
+    mean, rms : ndarray, shape (boundary,)
+        Step of |B| (after less before), mean and rms over directions of the field.
+    sigma : ndarray, shape (boundary,)
+        Standard deviation of the mean from those of both intervals; 0 where it was not given.
+    strength : float
+        nT.
+    """
+
+    at: Int64
+    mean: Floats
+    rms: Floats
+    sigma: Floats
+    strength: float
+
+    def table(self) -> xr.Dataset:
+        """Return the steps: dim boundary; `value` is the mean over directions."""
+        return xr.Dataset(
+            {
+                "value": ("boundary", self.mean),
+                "sigma": ("boundary", self.sigma),
+                "rms": ("boundary", self.rms),
+                "units": ("boundary", np.full(self.at.size, "nT")),
+                "at": ("boundary", self.at, {"scale": "TT2000"}),
+            },
+            attrs={"strength_nT": self.strength},
+        )
+
+
+def sphere() -> tuple[Floats, Floats]:
+    """Return 14 directions (direction, 3) and weights that average polynomials of degree 5 exactly."""
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    corners = np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)
+    return np.concatenate([axes, corners]), np.repeat([1 / 15, 3 / 40], [6, 8])
+
+
+def table_jumps(table: xr.Dataset, strength: float = STRENGTH, directions: Floats | None = None) -> Jumps:
+    """Return the steps at the boundaries of a table of nine parameters.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+        dims interval, parameter(, other): `value`, `start`; `covariance` or `sigma` for the steps' errors.
+    strength : float
+        Field strength, nT.
+    directions : ndarray, shape (direction, 3), optional
+        Unit vectors, such as those of an orbit; all directions alike when absent.
+
+    Raises
+    ------
+    CalibrationError
+        When the table has not the nine parameters of a vector sensor, or fewer than two intervals.
+    """
+    order = nine_columns([str(name) for name in table["parameter"].values])
+    value = table["value"].values[:, order]
+    if len(value) < 2:
+        raise CalibrationError("one interval has no boundary", remedy="use a table of two or more")
+    mean, rms = _steps(value[:-1], value[1:], strength, directions)
+    slope = _slopes(value[0], strength, directions)
+    variance = np.einsum("i,tij,j->t", slope, _covariances(table, order), slope)
+    sigma = np.sqrt(variance[1:] + variance[:-1])
+    return Jumps(np.asarray(table["start"].values[1:], dtype=np.int64), mean, rms, sigma, strength)
+
+
+def trend_jumps(
+    at: Callable[[Int64], Floats],
+    boundaries: Int64,
+    strength: float = STRENGTH,
+    directions: Floats | None = None,
+) -> Jumps:
+    """Return the steps of continuous parameters: from one nanosecond before each boundary to it.
+
+    Parameters
+    ----------
+    at : callable
+        From TT2000 (time,) to nine parameters (time, 9): scale factors, angles (deg), offsets (nT).
+    """
+    mean, rms = _steps(at(boundaries - 1), at(boundaries), strength, directions)
+    return Jumps(boundaries, mean, rms, np.zeros(boundaries.size), strength)
+
+
+def nine_columns(names: list[str]) -> list[int]:
+    """Return where the nine parameters of a vector sensor stand among names.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    wanted = [f".{part}[{axis}]" for part, axes in zip(PARTS, _AXES, strict=True) for axis in axes]
+    found = [[index for index, name in enumerate(names) if name.endswith(end)] for end in wanted]
+    if any(len(one) != 1 for one in found):
+        raise CalibrationError(
+            f"{len(names)} parameters, not the nine of a vector sensor", remedy="give a calibration table"
+        )
+    return [one[0] for one in found]
+
+
+def _strengths(value: Floats, field: Floats) -> Floats:
+    """Return |K (E - E0)| of nine parameters (time, 9) for readings E (direction, 3); (time, direction)."""
+    cosine = np.cos(np.deg2rad(value[:, 3:6]))
+    k = np.zeros((len(value), 3, 3))
+    k[:, [0, 1, 2], [0, 1, 2]] = value[:, :3]
+    k[:, [0, 0, 1], [1, 2, 2]] = cosine
+    free = field[None] - value[:, None, 6:]
+    return np.asarray(np.linalg.norm(np.einsum("tij,tdj->tdi", k, free), axis=2))
+
+
+def _directions(directions: Floats | None) -> tuple[Floats, Floats]:
+    if directions is None:
+        return sphere()
+    return directions, np.full(len(directions), 1.0 / len(directions))
+
+
+def _steps(
+    before: Floats, after: Floats, strength: float, directions: Floats | None
+) -> tuple[Floats, Floats]:
+    unit, share = _directions(directions)
+    step = _strengths(after, strength * unit) - _strengths(before, strength * unit)
+    return step @ share, np.sqrt(step**2 @ share)
+
+
+def _slopes(value: Floats, strength: float, directions: Floats | None) -> Floats:
+    """Return the change of the mean strength for one unit of each parameter; (9,)."""
+    small = np.array([1e-6] * 3 + [1e-3] * 3 + [1e-1] * 3)
+    changed = value + np.diag(small)
+    mean, _ = _steps(np.broadcast_to(value, changed.shape), changed, strength, directions)
+    return np.asarray(mean / small)
+
+
+def _covariances(table: xr.Dataset, order: list[int]) -> Floats:
+    if "covariance" in table:
+        return np.asarray(table["covariance"].values[:, order][:, :, order])
+    if "sigma" in table:
+        return np.asarray(np.einsum("ti,ij->tij", table["sigma"].values[:, order] ** 2, np.eye(9)))
+    return np.zeros((table.sizes["interval"], 9, 9))

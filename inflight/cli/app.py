@@ -21,13 +21,7 @@ from inflight.cli import (
     results,
     start,
 )
-from inflight.cli.session import (
-    EXIT_USAGE,
-    DebugOption,
-    JsonOption,
-    Session,
-    WorkspaceOption,
-)
+from inflight.cli.session import EXIT_USAGE, DebugOption, JsonOption, Session, WorkspaceOption
 
 app = typer.Typer(
     name="inflight",

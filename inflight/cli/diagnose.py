@@ -8,21 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from inflight.cli.pipeline import (
-    EndOption,
-    NoPrefectOption,
-    StartOption,
-    WorkersOption,
-    run_flow,
-)
+from inflight.cli.pipeline import EndOption, NoPrefectOption, StartOption, WorkersOption, run_flow
 from inflight.cli.session import Session, verb
 from inflight.errors import SettingsError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.tasks.revise import Workbench
-    from inflight.tasks.revision import Revision
+    from inflight.tasks.analysis.revise import Revision, Workbench
 
 ComparisonOption = Annotated[
     str | None, typer.Option("--comparison", help="What is held against what (default: main).")
@@ -98,7 +91,7 @@ def _search(
 
 def _comparison(session: Session, named: str | None) -> str:
     """Return the comparison to work on: the one named, ``main``, or the only one; wrong ones are refused."""
-    from inflight.tasks.diagnosing import require_sampled
+    from inflight.tasks.analysis.revise import require_sampled
 
     mission = session.open_workspace().mission()
     only = next(iter(mission.comparisons)) if len(mission.comparisons) == 1 else "main"
@@ -158,7 +151,7 @@ def _revise(
 ) -> None:
     from inflight.cli.telling import print_revision
     from inflight.flows.cluster import client_when_needed
-    from inflight.tasks.diagnosing import open_workbench
+    from inflight.tasks.analysis.revise import open_workbench
 
     name = _comparison(session, comparison)
     workspace = session.open_workspace()

@@ -193,7 +193,7 @@ def _not_made(report: RunReport) -> Iterator[str]:
 
 def _left_alone(report: RunReport) -> Iterator[str]:
     """Yield which windows of two sensors are left as measured and why, and where their field may step."""
-    from inflight.tasks.states_constant import constant_sentences
+    from inflight.tasks.pipelines.states.tables import constant_sentences
 
     for one in report.extra.get("windows", []):
         if one["applied"] != "yes":

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from inflight.catalog.workspace import Workspace
-    from inflight.tasks.diagnose import DiagnoseSettings
-    from inflight.tasks.diagnosis_report import DiagnosisReport
+    from inflight.tasks.analysis.diagnosis_page import DiagnosisReport
+    from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 
 
 def register(app: typer.Typer) -> None:
@@ -67,11 +67,11 @@ def report_span(
     StorageError
         When the page cannot be written.
     SettingsError, InflightError
-        As `inflight.tasks.diagnosis_report.report`.
+        As `inflight.tasks.analysis.diagnosis_page.report`.
     """
     from inflight.flows.cluster import client_when_needed
     from inflight.flows.span import Span
-    from inflight.tasks.diagnosis_report import report as write_report
+    from inflight.tasks.analysis.diagnosis_page import report as write_report
 
     mission = workspace.mission()
     name = comparison or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons)))
@@ -87,8 +87,8 @@ def _asked(
     workspace: Workspace, comparison: str, span: tuple[str | None, str | None]
 ) -> tuple[tuple[str | None, str | None], DiagnoseSettings]:
     """Return span and settings: those of the last diagnosis where nothing else is said."""
-    from inflight.tasks.diagnose import DiagnoseSettings
-    from inflight.tasks.diagnosing import last_diagnosis, require_sampled
+    from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+    from inflight.tasks.analysis.revise import last_diagnosis, require_sampled
 
     require_sampled(workspace.mission(), comparison)
     asked: Mapping[str, Any] = (last_diagnosis(workspace, comparison) or {}).get("asked") or {}

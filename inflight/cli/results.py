@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from inflight.catalog.workspace import Workspace
-    from inflight.tasks.compare_dual import DualCompareReport
-    from inflight.tasks.compare_page import CompareReport
+    from inflight.tasks.pipelines.scalar.compare_page import CompareReport
+    from inflight.tasks.pipelines.states.compare import DualCompareReport
 
 
 def register(app: typer.Typer) -> None:
@@ -67,7 +67,7 @@ def compare_span(
         When the page cannot be written to `output`.
     """
     from inflight.flows.span import Span
-    from inflight.tasks.compare import compare as measure
+    from inflight.tasks.analysis.comparing import compare as measure
 
     mission = workspace.mission()
     if comparison not in mission.comparisons:

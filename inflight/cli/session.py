@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.errors import SettingsError, WorkspaceError
-from inflight.tasks.complaints import as_settings_error, place_of, told_error
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, as_settings_error, place_of, told_error
 
 if TYPE_CHECKING:
     from rich.console import Console

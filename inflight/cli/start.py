@@ -105,8 +105,8 @@ def simulate(
     spinning spacecraft, and one of venus-express those of two sensors on one boom.
     """
     from inflight.catalog.workspace import Workspace
+    from inflight.tasks.archive.deliveries import SECOND_FLUXGATE
     from inflight.tasks.report import RunReport
-    from inflight.tasks.simulate import SECOND_FLUXGATE
 
     workspace = Workspace(session.workspace)
     if not workspace.mission_file.exists():
@@ -166,15 +166,15 @@ def _simulator(mission: str) -> tuple[type[MissionSettings], Callable[..., list[
     """Return the settings of a simulated mission, and what writes its days."""
     if mission in SPINNING:
         from inflight.simulate.spinning import SpinningSettings
-        from inflight.tasks.simulate_spinning import simulate_spinning
+        from inflight.tasks.archive.deliveries import simulate_spinning
 
         return SpinningSettings, simulate_spinning
     if mission == TWO_SENSORS:
         from inflight.simulate.dual import DualSettings
-        from inflight.tasks.simulate_dual import simulate_dual
+        from inflight.tasks.archive.deliveries import simulate_dual
 
         return DualSettings, simulate_dual
     from inflight.simulate import SimulationSettings
-    from inflight.tasks.simulate import simulate as simulate_champ
+    from inflight.tasks.archive.deliveries import simulate as simulate_champ
 
     return SimulationSettings, simulate_champ

@@ -1,7 +1,17 @@
-"""What is put into a model: its columns of the evidence, and its entries in the model's file.
+"""Additions to a model, joint refit.
+
+A model fitted anew from the evidence: what it holds free, was given, and has lost, all at once.
+
+Only the columns that the model has are looked at, so that it takes milliseconds whatever the
+library's size. A column of the model may be a combination of the library's: a lag between two of the
+bank, or a parameter times a function of the block.
+
+What is put into a model: its columns of the evidence, and its entries in the model's file.
 
 An addition's columns are called as the model will call its values, so that a fit's result goes into
 the model by name.
+
+Additions bound to a time: drifts, steps and episodes of a sensor's parameters, a bias or a clock.
 """
 
 from __future__ import annotations
@@ -13,16 +23,245 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.derived import parse
-from inflight.diagnosis.changes import Carriers
-from inflight.diagnosis.columns import EQUATIONS
-from inflight.diagnosis.evidence import Evidence
-from inflight.diagnosis.lags import mixture
-from inflight.diagnosis.library import Candidate, Library, Term
-from inflight.diagnosis.refit import Column
-from inflight.mission import Mission
+from inflight.design.columns import EQUATIONS, turns_of
+from inflight.design.terms import Candidate, Library, Term
+from inflight.diagnosis.refine import dated_columns, dated_term, mixture
+from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.diagnosis.search import Option
+from inflight.diagnosis.stepwise import sandwich
+from inflight.diagnosis.time_changes import Carriers, moment_text
+from inflight.effects.sensors import ANGLES
+from inflight.errors import ModelError
+from inflight.lsq.gram_blocks import Evidence, solve_scaled
+from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
-from inflight.sensors import sensors_of
+from inflight.samples.derived import parse
+from inflight.time import DAY, to_utc
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the model made from those of the evidence.
+
+    Attributes
+    ----------
+    name : str
+    parts : tuple of (str, float)
+        Columns of the evidence, of one scale, and their weights.
+    factor : ndarray, shape (block,), optional
+        Function of the block it is multiplied by.
+    """
+
+    name: str
+    parts: tuple[tuple[str, float], ...]
+    factor: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Values of everything a model lets data move, in one fit.
+
+    Attributes
+    ----------
+    value, sigma : dict of str to float
+        Change of each column from where the evidence is linearised, physical units. The sigma knows
+        how the residual is correlated between blocks, and is the prior's where data tell nothing.
+    base_value, base_sigma : dict of str to float
+        The same of the calibration's own columns, mean over its intervals.
+    in_sample, held_out : float
+        Sum of squares that is left over the sum of the weights, nT^2.
+    """
+
+    value: Mapping[str, float]
+    sigma: Mapping[str, float]
+    base_value: Mapping[str, float]
+    base_sigma: Mapping[str, float]
+    in_sample: float
+    held_out: float
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What a fit stands on: the evidence as the library has it, and what the calibration absorbs.
+
+    Attributes
+    ----------
+    raw : Evidence
+    base, refined : tuple of Term
+        What each interval fits anew; what the model lets data refine.
+    intervals : sequence of sequence of int
+        Blocks of each calibration interval.
+    variance : float
+        Of a row, nT^2; it weighs data against what is known beforehand.
+    """
+
+    raw: Evidence
+    base: tuple[Term, ...]
+    refined: tuple[Term, ...]
+    intervals: Sequence[Sequence[int]]
+    variance: float
+
+    def fit(
+        self,
+        columns: Sequence[Column],
+        fixed: Mapping[str, float] | None = None,
+        *,
+        interleaved: bool = False,
+    ) -> Fitted:
+        """Fit the model's own columns and more, all together.
+
+        Parameters
+        ----------
+        columns : sequence of Column
+            What was put into the model.
+        fixed : mapping of str to float
+            Columns of refined terms that are held at a change from where they are, physical units: an
+            effect taken out of the model is one whose parameters are held at nothing.
+        interleaved : bool
+            Hold out every k-th block instead of runs: for effects that lie in few blocks.
+        """
+        whole, names, sigma = self._model_of(columns, fixed or {})
+        evidence, present = self._beside(whole, names, sigma)
+        value, covariance = self._solved(evidence, present)
+        base = self._base(whole, names, value, covariance)
+        y = evidence.residuals[0]
+        scale = evidence.scale[present.columns]
+        found = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
+        # A column of which nothing is left beside the calibration is known as well as beforehand.
+        found = np.where(np.diagonal(evidence.total)[present.columns] > 0, found, np.asarray(sigma))
+        left = evidence.total[y, y] + 2.0 * evidence.total[y, present.columns] @ value
+        left += value @ evidence.total[np.ix_(present.columns, present.columns)] @ value
+        rows = max(float(evidence.count.sum()), 1.0)
+        held = score(evidence, present, [], y, folds_of(len(evidence), interleaved)).loss0.sum()
+        return Fitted(
+            dict(zip(names, (value * scale).tolist(), strict=True)),
+            dict(zip(names, found.tolist(), strict=True)),
+            *base,
+            max(float(left), 0.0) / rows,
+            max(float(held), 0.0) / rows,
+        )
+
+    def absorbed(self, columns: Sequence[Column], fixed: Mapping[str, float]) -> tuple[Evidence, Present]:
+        """Return what the calibration leaves of the model's columns, and which they are with their priors.
+
+        Those of `columns` come last.
+        """
+        return self._beside(*self._model_of(columns, fixed))
+
+    def _model_of(
+        self, columns: Sequence[Column], fixed: Mapping[str, float]
+    ) -> tuple[Evidence, list[str], list[float]]:
+        """Return the evidence of calibration and model, names of the model's columns, and their priors."""
+        free = [
+            (name, sigma)
+            for term in self.refined
+            for name, sigma in zip(term.columns, term.sigma, strict=True)
+            if name not in fixed
+        ]
+        names = [name for name, _ in free] + [one.name for one in columns]
+        sigma = [sigma for _, sigma in free] + [np.inf] * len(columns)
+        return combined(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed), names, sigma
+
+    def _beside(
+        self, whole: Evidence, names: Sequence[str], sigma: Sequence[float]
+    ) -> tuple[Evidence, Present]:
+        gone = self._base_names
+        evidence = whole.absorbed(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
+        return evidence, Present(evidence.index(names), self._precision(evidence, names, np.array(sigma)))
+
+    @property
+    def _base_names(self) -> list[str]:
+        return [name for term in self.base for name in term.columns]
+
+    @property
+    def _base_sigma(self) -> Floats:
+        return np.array([sigma for term in self.base for sigma in term.sigma])
+
+    def _precision(self, evidence: Evidence, names: Sequence[str], sigma: Floats) -> Floats:
+        scale = evidence.scale[evidence.index(names)]
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
+
+    def _solved(self, evidence: Evidence, present: Present) -> tuple[Floats, Floats]:
+        """Return values and covariance of the model's columns, scaled."""
+        p = present.columns
+        if not p.size:
+            return np.zeros(0), np.zeros((0, 0))
+        value, covariance = sandwich(evidence, present, evidence.residuals[0])
+        # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
+        inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
+        inverse = solve_scaled(inner, np.eye(p.size))
+        return value, covariance + self.variance * (inverse * present.precision) @ inverse
+
+    def _base(
+        self, whole: Evidence, names: Sequence[str], value: Floats, covariance: Floats
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        """Return the calibration's mean shift over its intervals and its error, physical units."""
+        gone = self._base_names
+        if not gone:
+            return {}, {}
+        at, others, y = whole.index(gone), whole.index(names), whole.residuals[0]
+        prior = np.diag(self._precision(whole, gone, self._base_sigma))
+        shift, turn = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
+        error = np.zeros((len(gone), len(gone)))
+        count = len(self.intervals)
+        for group in self.intervals:
+            total = whole.gram[np.asarray(group)].sum(axis=0)
+            inverse = solve_scaled(total[np.ix_(at, at)] + prior, np.eye(len(gone)))
+            cross = inverse @ total[np.ix_(at, others)]
+            shift -= (inverse @ total[at, y] + cross @ value) / count
+            turn += cross / count
+            error += self.variance * inverse / count**2
+        sigma = np.sqrt(np.clip(np.diag(error + turn @ covariance @ turn.T), 0.0, None))
+        scale = whole.scale[at]
+        return (
+            dict(zip(gone, (shift * scale).tolist(), strict=True)),
+            dict(zip(gone, (sigma * scale).tolist(), strict=True)),
+        )
+
+
+def variance_of(white: Evidence, base: Sequence[Term]) -> float:
+    """Return the variance of a row the calibration alone leaves, as the search weighs priors by; nT^2."""
+    names = [name for term in base for name in term.columns]
+    free = white.select(names).absorbed(names, [range(len(white))], np.zeros(len(names)))
+    y = free.residuals[0]
+    each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
+    return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
+
+
+def combined(
+    evidence: Evidence, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
+) -> Evidence:
+    """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
+
+    Parameters
+    ----------
+    plain : sequence of str
+        Columns taken over.
+    columns : sequence of Column
+        Columns made.
+    fixed : mapping of str to float
+        Changes that join the residual, physical units.
+    """
+    wanted = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
+    small = evidence.select(list(dict.fromkeys(wanted)))
+    names = [*plain, *(one.name for one in columns), "residual"]
+    turn = np.zeros((len(small), len(small.names), len(names)))
+    scale = np.ones(len(names))
+    origin = small.index(plain)
+    turn[:, origin, np.arange(len(plain))] = 1.0
+    scale[: len(plain)] = small.scale[origin]
+    for place, one in enumerate(columns, start=len(plain)):
+        for name, weight in one.parts:
+            index = int(small.index([name])[0])
+            turn[:, index, place] += weight * (1.0 if one.factor is None else one.factor)
+            scale[place] = small.scale[index]
+    turn[:, small.residuals[0], -1] = 1.0
+    for name, change in fixed.items():
+        index = int(small.index([name])[0])
+        turn[:, index, -1] += change / small.scale[index]
+    gram = turn.transpose(0, 2, 1) @ small.gram @ turn
+    return replace(small, names=tuple(names), gram=gram, scale=scale)
 
 
 @dataclass(frozen=True)
@@ -230,3 +469,182 @@ def held_at_nothing(entry: ModelEffect, term: Term) -> dict[str, float] | None:
     start = [term.entry.parameters[key].value[:, 0] for key in term.parameters]
     changes = np.concatenate(nothing) - np.concatenate(start)
     return dict(zip(term.columns, changes.tolist(), strict=True))
+
+
+#: Effect and parameter of a drift, its neutral values and unit, by what drifts.
+_DRIFTING: dict[str, tuple[str, str, list[float], str]] = {
+    "scale": ("affine", "matrix", np.eye(3).ravel().tolist(), "1/d"),
+    "angle": ("affine", "matrix", np.eye(3).ravel().tolist(), "deg/d"),
+    "offset": ("affine", "shift", [0.0, 0.0, 0.0], "nT/d"),
+    "clock": ("time_shift", "seconds", [0.0], "s/d"),
+    "bias": ("scalar_bias", "bias", [0.0], "nT/d"),
+}
+
+
+def addition_of(maker: Maker, option: Option) -> Addition:
+    """Return the addition of what a search took."""
+    if option.change is not None:
+        if not option.change.at:
+            return drift_of(maker, option.name)
+        return step_of(maker, option.name.split("_")[0], option.change.at)
+    candidates = {one.name: one for one in maker.library.candidates}
+    if option.name in candidates:
+        return maker.of_candidate(candidates[option.name])
+    return maker.of_terms(option.name, [maker.library.terms[key] for key in option.terms])
+
+
+def drift_of(maker: Maker, kind: str, name: str = "") -> Addition:
+    """Return a drift straight in time: of scale factors, angles or offsets, of the scalar's clock or bias.
+
+    It grows from nothing at the middle of the span; calibration intervals still have their own nine. Of
+    the vector sensor's parameters it is an affine change of the reading before them.
+
+    Raises
+    ------
+    ModelError
+        When the comparison has no such parameters.
+    """
+    what = kind.removesuffix("_drift")
+    columns = getattr(maker.carriers, what)
+    if not columns:
+        raise ModelError(f"this comparison has nothing that '{kind}' could be of", remedy="try another")
+    middle = maker.raw.start / 2 + maker.raw.end / 2
+    origin = float(middle.mean())
+    days = (middle - origin) / DAY
+    term = maker.carrier(columns[0])
+    entry = _drifting(maker, what, name or maker.free_name(kind), term, int(origin))
+    _, part, _, unit = _DRIFTING[what]
+    if len(columns) == 1:
+        titles, turn, values = [f"{entry.name}.{what}"], np.eye(1), [f"{entry.name}.{part}*b"]
+    else:
+        axes = ANGLES if what == "angle" else tuple("xyz")
+        titles = [f"{entry.name}.{what}[{axis}]" for axis in axes]
+        turn = _before_the_nine(maker, what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
+        values = [f"{entry.name}.{part}[{2 * axis if what == 'scale' else axis}]*b" for axis in axes]
+    made = tuple(Column(title, ((column, 1.0),), days) for title, column in zip(titles, columns, strict=True))
+    gains = {value: _weighted(titles, row) for value, row in zip(values, turn, strict=True)}
+    return Addition(kind, made, (entry,), (term,), gains=gains, unit=unit)
+
+
+def _drifting(maker: Maker, what: str, name: str, term: Term, origin: int) -> ModelEffect:
+    effect, part, neutral, _ = _DRIFTING[what]
+    timed = {
+        "time": "linear",
+        "t0": f"{to_utc(origin)}Z",
+        "per": "1 d",
+        "value": [[one, 0.0] for one in neutral],
+        "free": False,
+    }
+    told = {"effect": effect, "name": name, "sensor": term.entry.sensor.name, part: timed}
+    return make_effect(told, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
+
+
+def _before_the_nine(maker: Maker, what: str, term: Term) -> Floats:
+    """Return what changes of the sensor's own parameters are as changes of its reading; (3, 3).
+
+    Rows are those of the reading: relative ones of its axes, or of angles of its own next to 90 deg. A
+    change D of K (Yin 2010, eq. 2.5) is the reading's own change S before it, with ``K S = D``.
+    """
+    if what == "offset":
+        return np.eye(3) * (1.0 if term.entry.effect.label() == "affine" else -1.0)
+    own = term.entry.parameters
+    kx, ky, _ = own["scale_factor"].value[:, 0]
+    if what == "scale":
+        return np.diag(1.0 / own["scale_factor"].value[:, 0])
+    angles = np.deg2rad(own["misalignment"].value[:, 0])
+    xy, xz, yz = np.sin(angles)
+    across = -np.cos(angles[0]) * yz / (kx * ky)
+    return np.array([[xy / kx, 0.0, 0.0], [0.0, xz / kx, across], [0.0, 0.0, yz / ky]])
+
+
+def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addition:
+    """Return a step of a sensor's parameter, or an episode between two moments.
+
+    At edges of blocks its columns are the sensor's own times a function of the block, else columns of
+    their own.
+
+    Parameters
+    ----------
+    kind : str
+        ``offset``, ``scale``, ``angle``, ``bias`` or ``clock``.
+    at : sequence of int
+        TT2000: when it begins, and when it ends if it does.
+
+    Raises
+    ------
+    ModelError
+        When the comparison has no such parameter.
+    """
+    found = tuple(getattr(maker.carriers, kind))
+    if not found:
+        raise ModelError(f"this comparison has no {kind} that could change", remedy="try another")
+    inside = maker.raw.start >= at[0]
+    if len(at) == 2:
+        inside = inside & (maker.raw.start < at[1])
+    label = f"{kind}_{'episode' if len(at) == 2 else 'step'}"
+    title = name or maker.free_name(f"{label}_{_stamp(at[0])}")
+    entries = _dated(maker, kind, title, at, maker.carrier(found[0]))
+    values = [names_of(entry, (_only(entry),)) for entry in entries]
+    source, factor = maker.carrier(found[0]), inside.astype(np.float64)
+    gains = _gains(maker, kind, values, source)
+    told = f"{label}@{'/'.join(moment_text(when) for when in at)}"
+    if set(at) <= {*maker.raw.start.tolist(), int(maker.raw.end[-1])}:
+        parts = zip(values[0], found, strict=True)
+        made = tuple(Column(one, ((column, 1.0),), factor) for one, column in parts)
+        return Addition(told, made, entries, (source,), True, gains)
+    parts = zip(values[0], dated_columns(source, found, told), strict=True)
+    made = tuple(Column(one, ((column, 1.0),)) for one, column in parts)
+    return Addition(told, made, entries, (dated_term(source, found, told, tuple(at)),), True, gains)
+
+
+def _dated(maker: Maker, kind: str, title: str, at: Sequence[int], term: Term) -> tuple[ModelEffect, ...]:
+    """Return the effects that say it; a bias that comes and goes is two steps."""
+    sensors = sensors_of(maker.mission, maker.model.comparison)
+    when = [f"{to_utc(one)}Z" for one in at]
+    if kind != "bias" and len(at) == 2:
+        told = [{"effect": f"{kind}_episode", "name": title, "from": when[0], "to": when[1]}]
+    else:
+        names = [title, f"{title}_end"]
+        told = [
+            {"effect": f"{kind}_step", "name": name, "at": one}
+            for name, one in zip(names, when, strict=False)
+        ]
+    given: dict[str, Any] = {"sensor": term.entry.sensor.name}
+    if kind in ("scale", "angle"):
+        # The sensor's equation takes the offset off before it scales and turns.
+        offset = term.entry.parameters["offset"].value[:, 0].tolist()
+        given["about"] = {"value": offset, "free": False}
+    return tuple(make_effect(one | given, sensors, mission=maker.mission) for one in told)
+
+
+def _gains(
+    maker: Maker, kind: str, values: Sequence[Sequence[str]], term: Term
+) -> dict[str, tuple[tuple[str, float], ...]]:
+    """Return how the model's values follow from those of the carrier's columns."""
+    first = values[0]
+    turn = np.eye(len(first))
+    if kind == "offset":
+        turns = turns_of(maker.model, int(maker.raw.start[0]))
+        # Behind the sensor's equation a step of its offset is that step through K.
+        affine = term.entry.effect.label() == "affine"
+        turn = -np.eye(3) if affine else np.reshape(turns.get(term.entry.sensor.name, np.eye(3)), (3, 3))
+    elif kind in ("scale", "angle"):
+        turn = _before_the_nine(maker, kind, term)
+    gains = {}
+    for sign, names in zip((1.0, -1.0), values, strict=False):
+        for row, name in enumerate(names):
+            gains[name] = _weighted(first, sign * turn[row])
+    return gains
+
+
+def _weighted(names: Sequence[str], weights: Floats) -> tuple[tuple[str, float], ...]:
+    return tuple((name, float(weight)) for name, weight in zip(names, weights, strict=True))
+
+
+def _only(entry: ModelEffect) -> str:
+    return next(iter(type(entry.effect).parameters()))
+
+
+def _stamp(when: int) -> str:
+    """Return a moment as a part of a name."""
+    return "".join(c for c in str(to_utc(when))[:16] if c.isalnum())

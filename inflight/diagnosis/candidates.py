@@ -8,28 +8,33 @@ from typing import Any
 
 import numpy as np
 
-from inflight.derived import base_channels
-from inflight.diagnosis.library import Candidate, Library, Term, Told, term_of
+from inflight.design.terms import Candidate, Library, Term, Told, term_of
 from inflight.effects import Effect, known_effects
 from inflight.effects.families import family_of
 from inflight.errors import InflightError
-from inflight.mission import Mission
+from inflight.mission import Mission, Sensor, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
-from inflight.sensors import Sensor, sensors_of
+from inflight.samples.derived import base_channels
 from inflight.time import SECOND, parse_duration
 
 #: First-order responses tried of every channel, s; combinations of neighbours reach what lies between.
 LAGS = (0.0, 60.0, 240.0, 1000.0, 4000.0)
+
 #: Widths of the play operator tried, as parts of the channel's range.
 WIDTHS = (0.15, 0.4)
+
 #: Lags of placebos.
 FEW_LAGS = (0.0, 240.0)
+
 #: Kinds of channels that may act on a sensor's scale or by hysteresis; currents do neither.
 THERMAL = frozenset({"temperature", "other", "voltage"})
+
 #: Effects that only such channels are tried with.
 OF_THERMAL = frozenset({"channel_scale", "channel_angle", "hysteresis"})
+
 #: Effects that are tried with every lag: a field behind its channel, a body that warms after an eclipse.
 SLOW = frozenset({"channel_field", "day_night"})
+
 #: Effects that describe a shape in some coordinate and name no cause: taken when nothing else explains.
 AGNOSTIC = frozenset(
     {
@@ -41,11 +46,13 @@ AGNOSTIC = frozenset(
         "function_of_channel",
     }
 )
+
 #: Effects that the pass does not try by themselves: they need a time, which the search over blocks finds.
 TIMED = frozenset(
     {"bias_step"}
     | {f"{kind}_{form}" for kind in ("offset", "scale", "angle", "clock") for form in ("step", "episode")}
 )
+
 #: Effects of so many columns that a single channel would outweigh all others; a user adds them by name.
 WIDE = frozenset({"function_of_channel", "function_of_two", "tolles_lawson"})
 

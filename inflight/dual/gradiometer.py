@@ -1,4 +1,14 @@
-"""The outboard sensor's stray field from the difference of both sensors: Ness et al. (1971), and beyond it.
+"""Difference-to-outboard matrix.
+
+Principal directions of the difference of two sensors: one source after the other.
+
+A unit that switches, whatever its current does, moves the difference along one direction. The direction in
+which the difference varies most (beyond its noise) is that of the strongest unit when it stands out; what
+moves along it is regressed out of the outboard sensor, and the next direction is sought in what is left. The
+idea is Constantinescu et al. (2020); here the variances are of weighted contrasts, with the sensors' white
+noise taken out, so that slow ambient field and noise choose no direction.
+
+The outboard sensor's stray field from the difference of both sensors: Ness et al. (1971), and beyond it.
 
 A dipole on the boom's axis makes ``k`` times its inboard field at the outboard sensor, so that the ambient
 field is ``B = (B_out - k B_in) / (1 - k)`` and the stray field at the outboard sensor ``k / (1 - k) d`` with
@@ -9,6 +19,15 @@ matrix of a dipole whose place is fitted, and the full matrix.
 What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the
 matrix (`mixing`) and taken out before: otherwise the field that is measured would be changed in proportion
 to itself. What of ``d`` is the sensors' noise is not taken over: `bands` weighs it on each time scale.
+
+A gradiometer's correction of readings, without the noise of the difference.
+
+A matrix takes the difference's noise to the outboard sensor with the stray field. The difference is
+therefore cut into bands of time scale, and in each of them, stretch by stretch, as much is kept as stands
+above the noise (James and Stein's shrinkage by ``1 - c N / P``): a step keeps its edge, a quiet hour adds no
+noise.
+
+A gradiometer beside the states of a table, and its correction with a constant that days share.
 """
 
 from __future__ import annotations
@@ -17,34 +36,67 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import xarray as xr
+from scipy import ndimage
 
 from inflight.arrays import Floats
-from inflight.dual.mixing import Mixing, fit_mixing, moments_of, noise_of, usable_cells
-from inflight.dual.moments import ELEMENTS, Moments, Noise
-from inflight.dual.noise_floor import noise_floor
-from inflight.dual.places import (
-    Body,
-    dipole_matrix,
-    fit_place,
-    known_from,
-    matrices_of_any_boom,
-    spread_at,
+from inflight.dual.correction import UNKNOWN, Correction
+from inflight.dual.geometry import Body, dipole_matrix, fit_place, known_from, matrices_of_any_boom, spread_at
+from inflight.dual.mixing import (
+    ELEMENTS,
+    Mixing,
+    Moments,
+    Noise,
+    fit_mixing,
+    moments_of,
+    noise_of,
+    usable_cells,
 )
-from inflight.dual.principal import principal_directions
-from inflight.dual.readings import Readings
-from inflight.dual.scales import Cells, cells_of
+from inflight.dual.noise import noise_floor
+from inflight.dual.readings import Cells, Readings, cells_of
 from inflight.errors import CalibrationError, SettingsError
+
+
+def principal_directions(square: Floats, noise: Floats) -> Floats:
+    """Return the directions of the difference in the order of their variance over that of the noise.
+
+    Parameters
+    ----------
+    square : ndarray, shape (3, 3)
+        Sum of squares of the difference, its noise taken out.
+    noise : ndarray, shape (3, 3)
+        Covariance of the difference's noise, nT^2.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Row r is what the difference is projected on for source r. Projections on different rows are
+        uncorrelated in stray field and in noise.
+    """
+    level = np.trace(noise) / 3.0
+    root = np.linalg.cholesky(noise + 1e-6 * max(level, 1e-12) * np.eye(3))
+    inverse = np.linalg.inv(root)
+    whitened = inverse @ square @ inverse.T
+    _, vector = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    # Projection of the whitened difference: v^T root^-1 d.
+    return np.asarray(vector[:, ::-1].T @ inverse)
+
 
 #: Forms of the matrix, from the fewest numbers to the most.
 FORMS = ("ratio", "axes", "dipole", "principal", "matrix")
+
 #: Standard deviation of an element of the leak before anything is seen: a percent is a poor calibration.
 LEAK_SIGMA = 0.01
+
 _FEWEST = 256
+
 #: Part of the units' spread that one matrix leaves and no regression shows, where all three axes of the
 #: difference are in use: six units are taken for usual, of which a matrix fits three.
 _UNSEEN = 0.5
+
 #: Scales, an octave each, of a band that is asked for a matrix of its own.
 _BAND = 2
+
 #: Part of the weighted variance of the difference that the principal directions must hold.
 _HELD = 0.99
 
@@ -269,3 +321,167 @@ def _as_dipole(full: Gradiometer, told: Moments, body: Body) -> Gradiometer:
     sigma = np.sqrt(np.diag(covariance))
     facts: dict[str, float | list[float]] = {"place_m": place.tolist(), "sigma_m": sigma.tolist()}
     return _with_matrix(full, told, "dipole", matrix, (slope, place, covariance), facts)
+
+
+#: Power over that of the noise below which nothing is kept of a band.
+_ABOVE = 2.0
+
+#: A stretch of a band is so many of its own lengths.
+_AROUND = 4
+
+#: The slowest band is of this part of the record; what is slower is kept.
+_SLOWEST = 8
+
+
+def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Correction:
+    """Return what a gradiometer takes off the outboard sensor, with its error.
+
+    The median of the correction is zero: what is constant in the difference may be offsets of the sensors.
+
+    Parameters
+    ----------
+    gradiometer : Gradiometer
+    readings : Readings
+        Other ones than it was fitted to, or the same.
+    """
+    good = readings.good
+    count = len(readings)
+    field = np.full((count, 3), np.nan)
+    covariance = np.full((count, 3, 3), np.nan)
+    if good.any():
+        stray = gradiometer.stray(readings)[good]
+        kept, variance = without_noise(stray, gradiometer.noise)
+        kept -= np.median(kept, axis=0)
+        field[good] = kept @ gradiometer.matrix.T
+        covariance[good] = _error(gradiometer, kept, variance, readings.outboard[good])
+    return Correction(
+        field,
+        covariance,
+        np.full(count, UNKNOWN, dtype=np.int64),
+        np.full(count, np.nan),
+        np.zeros(count, dtype=np.uint32),
+        "gradiometer",
+        reason=f"gradiometer of form '{gradiometer.form}'",
+    )
+
+
+def without_noise(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
+    """Return a series less what is no more than white noise in each band, and the rest's error.
+
+    Parameters
+    ----------
+    series : ndarray, shape (time, axis)
+        nT, finite.
+    noise : ndarray, shape (axis, axis)
+        Covariance of its white noise, nT^2.
+
+    Returns
+    -------
+    kept : ndarray, shape (time, axis)
+    variance : ndarray, shape (time,)
+        Of the error of `kept`, in units of `noise`.
+    """
+    # Rows of white noise of size one.
+    whiten = np.linalg.pinv(np.linalg.cholesky(noise + 1e-9 * max(float(np.trace(noise)), 1e-18) * np.eye(3)))
+    smooth, width = series, 1
+    kept, variance = np.zeros_like(series), np.zeros(len(series))
+    while 2 * width + 1 <= max(len(series) // _SLOWEST, 1):
+        wider = 2 * width + 1
+        slower = ndimage.uniform_filter1d(series, wider, axis=0, mode="nearest")
+        band = smooth - slower
+        level = 1.0 / width - 1.0 / wider
+        power = np.mean((band @ whiten.T) ** 2, axis=1)
+        around = ndimage.uniform_filter1d(power, min(_AROUND * wider, len(series)), mode="nearest") / level
+        share = np.clip(1.0 - _ABOVE / np.maximum(around, 1e-12), 0.0, 1.0)
+        kept += share[:, None] * band
+        variance += level * (share + (1.0 - share) ** 2 * np.clip(around - 1.0, 0.0, None))
+        smooth, width = slower, wider
+    return kept + smooth, variance + 1.0 / width
+
+
+def _error(gradiometer: Gradiometer, kept: Floats, variance: Floats, outboard: Floats) -> Floats:
+    """Return the covariance of a correction's error; (time, axis, axis), nT^2.
+
+    Noise that was kept, the matrix's error on the difference, and the leak's on the ambient field.
+    """
+    matrix = gradiometer.matrix
+    noise = matrix @ gradiometer.noise @ matrix.T
+    total = variance[:, None, None] * noise + quadratic(gradiometer.covariance, kept)
+    return np.asarray(total + quadratic(gradiometer.leak_effect, outboard - np.median(outboard, axis=0)))
+
+
+def quadratic(covariance: Floats, vectors: Floats) -> Floats:
+    """Return the covariance of a matrix times vectors, from that of its elements.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (9, 9)
+        Of the elements, row by row.
+    vectors : ndarray, shape (time, 3)
+
+    Returns
+    -------
+    ndarray, shape (time, 3, 3)
+    """
+    by_element = covariance.reshape(3, 3, 3, 3).transpose(0, 2, 1, 3).reshape(9, 9)
+    products = (vectors[:, :, None] * vectors[:, None, :]).reshape(-1, 9)
+    return np.asarray(products @ by_element.T).reshape(-1, 3, 3)
+
+
+#: What the variables' names begin with.
+_NAME = "gradiometer_"
+
+_MATRIX, _ELEMENTS = ("axis", "other"), ("element", "other_element")
+
+
+def gradiometer_variables(gradiometer: Gradiometer, readings: Readings) -> xr.Dataset:
+    """Return a gradiometer as variables of a table.
+
+    Parameters
+    ----------
+    readings : Readings
+        Those it was fitted to: their median is where its correction is zero.
+    """
+    mixing = gradiometer.mixing
+    arrays = {
+        "matrix": (_MATRIX, mixing.matrix, {"units": "1"}),
+        "leak": (_MATRIX, mixing.leak, {"units": "1"}),
+        "noise": (_MATRIX, gradiometer.noise, {"units": "nT2"}),
+        "leak_covariance": (_ELEMENTS, mixing.leak_covariance, {"units": "1"}),
+        "covariance": (_ELEMENTS, gradiometer.covariance, {"units": "1"}),
+        "middle": (("axis",), _middle(gradiometer, readings), {"units": "nT"}),
+    }
+    attrs = {f"{_NAME}share": float(mixing.share), f"{_NAME}form": gradiometer.form}
+    return xr.Dataset({_NAME + name: one for name, one in arrays.items()}, attrs=attrs)
+
+
+def has_gradiometer(table: xr.Dataset) -> bool:
+    """Return True when a table holds a gradiometer."""
+    return f"{_NAME}matrix" in table
+
+
+def gradiometer_of(table: xr.Dataset) -> Gradiometer:
+    """Return the gradiometer of a table, of form ``matrix``."""
+    told = {
+        name: np.asarray(table[_NAME + name].values)
+        for name in ("matrix", "leak", "noise", "leak_covariance", "covariance")
+    }
+    share = float(table.attrs[f"{_NAME}share"])
+    mixing = Mixing(told["matrix"], told["leak"], told["leak_covariance"], share)
+    return Gradiometer(
+        "matrix", mixing, told["covariance"], told["matrix"].ravel(), told["covariance"], told["noise"]
+    )
+
+
+def correction_by_gradiometer(table: xr.Dataset, readings: Readings) -> Correction:
+    """Return the correction of a table's gradiometer; its constant is that of the whole table."""
+    gradiometer = gradiometer_of(table)
+    found = gradiometer_correction(gradiometer, readings)
+    if not readings.good.any():
+        return found
+    away = _middle(gradiometer, readings) - np.asarray(table[f"{_NAME}middle"].values)
+    return replace(found, field=found.field + gradiometer.matrix @ away)
+
+
+def _middle(gradiometer: Gradiometer, readings: Readings) -> Floats:
+    return np.asarray(np.median(gradiometer.stray(readings)[readings.good], axis=0))

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from inflight.comparison import Layout
 from inflight.dual.correction import Correction
 from inflight.dual.readings import Readings, white_covariance
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag, meanings
 from inflight.model import Model
+from inflight.model.rows import Layout
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 

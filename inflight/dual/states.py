@@ -1,4 +1,15 @@
-"""The spacecraft's states: which stretches of the difference have the same level, drift aside.
+"""Clustering of segments, units.
+
+Vectors by which the difference changes, up to their sign, and which of them are sums of others.
+
+States told by the sequence of steps alone, whatever the difference drifts in between.
+
+A step is known to the noise of short stretches however far the level has moved since a state was last seen.
+Where all steps of a record are sums of a few vectors, and each vector is added and taken off in turn, the
+accumulated steps name the states. That a wrong reading of the steps passes this test halves in likelihood
+with every step beyond one for each vector, so that a record of some length proves itself.
+
+The spacecraft's states: which stretches of the difference have the same level, drift aside.
 
 Every segment is a point in the space of the difference (Venus Express paper, section 2). All points share a
 slow drift c(t), of the sensors' offsets or of units that warm up: within a segment it is seen, between two
@@ -7,33 +18,300 @@ days although its point has moved. How many states there are is chosen by the pr
 which a state of its own could lie anywhere, and so is a scatter of the states' points beyond noise.
 
 A step common to all later segments, of an offset for instance, cannot be told from new states.
+
+Units that switch separately: vectors whose sums make the spacecraft's states.
+
+Every change from one state to the next is a sum of switched units (Venus Express paper, section 2: linear
+superposition). A change seen often is taken for one unit; one that is the sum or difference of two or three
+others, within its uncertainty and not by chance, is taken for several that switched together. So states
+that were never seen can be predicted. What two sensors cannot tell: which of a unit's two states is "on",
+and whether a vector is one unit or several that always switch together.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, pairwise, product
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.dual.changes import Occupancy
 from inflight.dual.correction import TRANSIENT
-from inflight.dual.drift import DriftRate, Track, drift_rate, own_drift
-from inflight.dual.segments import Segments
-from inflight.dual.switching import Proven, labels_by_steps
+from inflight.dual.segments import DriftRate, Segments, Track, drift_rate, own_drift
 from inflight.time import SECOND
+
+Occupancy = npt.NDArray[np.int64]
+
+#: Chance that a change is not recognised as a unit's, or a sum's, by its noise.
+_MISSED = 1e-3
+
+#: A sum is believed when fewer than this many agree by accident.
+_ACCIDENTS = 0.05
+
+#: Most units that are taken to switch at once.
+_TOGETHER = 3
+
+
+@dataclass(frozen=True)
+class Change:
+    """A vector by which states change, up to its sign."""
+
+    vector: Floats
+    covariance: Floats
+    count: int
+
+
+def limit_of(tests: int) -> float:
+    """Return the squared distance that one of so many right changes exceeds once in a thousand times."""
+    return float(stats.chi2.isf(_MISSED / max(tests, 1), 3))
+
+
+def _squared(vector: Floats, covariance: Floats) -> float:
+    return float(vector @ np.linalg.solve(covariance, vector))
+
+
+def joined(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
+    """Return place and sign of the known change that a new one is; it is added where it is none.
+
+    Parameters
+    ----------
+    changes : list of Change
+        Known so far; the one that the new one is becomes surer by it.
+    new : Change
+    limit : float
+        Squared distance, in errors, up to which both are one.
+    """
+    best = (np.inf, 0, 1)
+    for index, known in enumerate(changes):
+        for sign in (1, -1):
+            far = _squared(new.vector - sign * known.vector, new.covariance + known.covariance)
+            best = min(best, (far, index, sign))
+    far, index, sign = best
+    if far > limit:
+        changes.append(new)
+        return len(changes) - 1, 1
+    known = changes[index]
+    gain = known.covariance @ np.linalg.inv(new.covariance + known.covariance)
+    changes[index] = Change(
+        known.vector + gain @ (sign * new.vector - known.vector),
+        known.covariance - gain @ known.covariance,
+        known.count + new.count,
+    )
+    return index, sign
+
+
+def reduced(changes: list[Change]) -> tuple[list[int], dict[int, dict[int, int]]]:
+    """Return which changes are units, and each change as signed units (by place among the units)."""
+    # Rare and large changes are the sums; frequent and small ones the units.
+    order = sorted(
+        range(len(changes)), key=lambda one: (changes[one].count, -float(np.linalg.norm(changes[one].vector)))
+    )
+    kept = set(order)
+    made: dict[int, dict[int, int]] = {}
+    for one in order:
+        sum_of = _as_sum(changes, one, sorted(kept - {one}))
+        if sum_of is not None:
+            kept.discard(one)
+            made[one] = sum_of
+    units = sorted(kept)
+    place = {one: index for index, one in enumerate(units)}
+    parts: dict[int, dict[int, int]] = {one: {place[one]: 1} for one in units}
+    for one in reversed([one for one in order if one in made]):
+        total: dict[int, int] = {}
+        for part, sign in made[one].items():
+            for unit, value in parts[part].items():
+                total[unit] = total.get(unit, 0) + sign * value
+        parts[one] = {unit: value for unit, value in total.items() if value}
+    return units, parts
+
+
+def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int] | None:
+    """Return a change as a signed sum of two or three others; None when it is none."""
+    wanted = changes[one]
+    size = float(np.sqrt(np.mean([np.sum(change.vector**2) for change in changes])))
+    for number in range(2, min(_TOGETHER, len(others)) + 1):
+        choices = list(combinations(others, number))
+        signs = list(product((1, -1), repeat=number))
+        limit = limit_of(1)
+        best: tuple[float, dict[int, int]] | None = None
+        for choice in choices:
+            spread = wanted.covariance + sum(changes[part].covariance for part in choice)
+            # The sphere that sums of so many vectors fill, beside what one would accept.
+            volume = (
+                limit**1.5
+                * np.sqrt(max(float(np.linalg.det(spread)), 0.0))
+                / (size**2 * number / 3.0 * limit) ** 1.5
+            )
+            if len(choices) * len(signs) * volume > _ACCIDENTS:
+                continue
+            for sign in signs:
+                total = sum(s * changes[part].vector for s, part in zip(sign, choice, strict=True))
+                far = _squared(wanted.vector - total, spread)
+                if far < limit and (best is None or far < best[0]):
+                    best = far, dict(zip(choice, sign, strict=True))
+        if best is not None:
+            return best[1]
+    return None
+
+
+def simplest(table: Occupancy) -> Occupancy:
+    """Return occupancies of units combined anew, so that as many as possible are on or off and no more.
+
+    Two that often switch together may have been taken for one unit: with the sum ``a + b`` and ``a`` as units
+    b alone is "minus one" of them.
+    """
+    while True:
+        span = np.ptp(table, axis=0)
+        best: tuple[int, int, int, int] | None = None
+        for one, other, sign in product(range(table.shape[1]), range(table.shape[1]), (1, -1)):
+            if one == other:
+                continue
+            gain = int(span[other] - np.ptp(table[:, other] - sign * table[:, one]))
+            if gain > 0 and (best is None or gain > best[0]):
+                best = gain, one, other, sign
+        if best is None:
+            return np.asarray(table - table.min(axis=0))
+        _, one, other, sign = best
+        table[:, other] -= sign * table[:, one]
+
 
 Labels = npt.NDArray[np.int64]
 
+#: Steps beyond one for each vector that prove a reading: one in a thousand passes by accident.
+_PROOF = 10
+
+#: Each vector must be seen so often, and be no nearer to another than this part of its size: else errors may
+#: have made two of one.
+_TURNS, _ALIKE = 3, 0.1
+
+#: With more distinct steps than this they are no sums of a few vectors.
+_MOST = 24
+
+
+class Proven(NamedTuple):
+    """States that the steps prove.
+
+    Attributes
+    ----------
+    label : ndarray of int64, shape (segment,)
+        State of each segment, numbered as they appear; `TRANSIENT` for those too short.
+    occupancy : ndarray of int64, shape (state, unit)
+        0 or 1.
+    """
+
+    label: Labels
+    occupancy: Occupancy
+
+
+def labels_by_steps(
+    segments: Segments, rates: Sequence[DriftRate], scatters: Sequence[float]
+) -> Proven | None:
+    """Return the states that the steps between segments prove; None where they prove none.
+
+    Parameters
+    ----------
+    segments : Segments
+    rates : sequence of DriftRate
+        How fast the difference may drift, the likeliest first.
+    scatters : sequence of float
+        By how much a state's point may vary beside noise and drift, nT; the likeliest first.
+    """
+    if np.count_nonzero(~segments.transient) < _PROOF + 2:
+        return None
+    for rate in rates:
+        step, covariance = steps_between(segments, rate)
+        for scatter in scatters:
+            found = _read(segments, step, covariance + 2.0 * scatter**2 * np.eye(3))
+            if found is not None:
+                return found
+    return None
+
+
+def _read(segments: Segments, step: Floats, covariance: Floats) -> Proven | None:
+    steady = np.flatnonzero(~segments.transient)
+    limit = limit_of(len(step))
+    size = np.einsum("si,sij,sj->s", step, np.linalg.inv(covariance), step)
+    real = np.flatnonzero(size > limit)
+    # The surest steps first: others are recognised by them.
+    order = real[np.argsort(np.einsum("sii->s", covariance[real]), kind="stable")]
+    changes: list[Change] = []
+    which: dict[int, tuple[int, int]] = {}
+    for one in order.tolist():
+        which[one] = joined(changes, Change(step[one], covariance[one], 1), limit)
+        if len(changes) > _MOST:
+            return None
+    kept, parts = reduced(changes)
+    if len(real) - len(kept) < _PROOF or _alike(np.array([changes[one].vector for one in kept])):
+        return None
+    toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
+    for one, (change, sign) in which.items():
+        for unit, value in parts[change].items():
+            toggled[one + 1, unit] = sign * value
+    table = simplest(np.cumsum(toggled, axis=0))
+    seldom = np.abs(np.diff(table, axis=0)).sum(axis=0).min(initial=_TURNS) < _TURNS
+    if seldom or np.ptp(table, axis=0).max(initial=0) > 1:
+        return None
+    _, first, found = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    label = np.full(len(segments), TRANSIENT, dtype=np.int64)
+    label[steady] = np.argsort(np.argsort(first))[found.ravel()]
+    return Proven(label, table[np.sort(first)])
+
+
+def _alike(vectors: Floats) -> bool:
+    """Return whether two of the vectors (vector, axis) hardly differ, up to their sign."""
+    size = np.linalg.norm(vectors, axis=1)
+    apart = np.minimum(
+        np.linalg.norm(vectors[:, None] - vectors[None], axis=2),
+        np.linalg.norm(vectors[:, None] + vectors[None], axis=2),
+    )
+    np.fill_diagonal(apart, np.inf)
+    return bool(np.any(apart < _ALIKE * np.minimum(size[:, None], size[None])))
+
+
+def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:
+    """Return steps from each steady segment to the next, the drift in between taken off, and covariances.
+
+    Parameters
+    ----------
+    segments : Segments
+    rate : DriftRate
+
+    Returns
+    -------
+    step, covariance : ndarray, shape (steady segment - 1, axis) and (..., axis, axis)
+        nT and nT^2.
+    """
+    steady = np.flatnonzero(~segments.transient)
+    track = Track.start(rate)
+    step, covariance = np.empty((steady.size - 1, 3)), np.empty((steady.size - 1, 3, 3))
+    track.sloping(segments.begin.slope[steady[0]], segments.slope_variance[steady[0]])
+    for place, (one, after) in enumerate(pairwise(steady.tolist())):
+        track.through(segments, one)
+        seconds = float(segments.begin.middle[after] - segments.finish.middle[one]) / SECOND
+        value = track.value.copy()
+        track.covariance[:, 0, :] = track.covariance[:, :, 0] = 0.0
+        track.forward(seconds)
+        track.sloping(segments.begin.slope[after], segments.slope_variance[after])
+        step[place] = segments.begin.mean[after] - segments.finish.mean[one] - (track.value - value)
+        covariance[place] = segments.covariance[one] + segments.covariance[after] + track.spread
+    return step, covariance
+
+
 #: Chance that one segment of all is taken for a new state by its noise.
 _FALSE_STATES = 1e-3
+
 #: Scatters of the states' points that are tried, in standard deviations of one sample.
 _SCATTERS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
+
 #: Drifts over the whole record that are tried beside what segments show, in the same unit.
 _WANDERS = (1.0, 3.0, 10.0, 30.0)
-_TURNS = 6
+
+_ASSIGNMENT_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -234,7 +512,7 @@ def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[
             np.empty((0, 3)), np.empty((0, 3, 3)), nothing, found.label, zero, zero, rate, scatter
         )
     found.run(may_add=True)
-    for _ in range(_TURNS):
+    for _ in range(_ASSIGNMENT_ROUNDS):
         found.centres()
         while found.merge():
             pass
@@ -266,3 +544,174 @@ def _told(found: _Clustering, scatter: float) -> tuple[float, States]:
     return cost, States(
         found.centre, found.covariance, count, found.label, found.drift, found.drift_end, found.rate, scatter
     )
+
+
+#: With more units than this only states near to one that was seen are predicted.
+_MOST_ALL, _NEAR = 8, 2
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units and which of them are switched in each state.
+
+    Attributes
+    ----------
+    vector : ndarray, shape (unit, axis)
+        What switching adds to the difference, nT.
+    base : ndarray, shape (axis,)
+        Difference with no unit switched, nT.
+    covariance : ndarray, shape (unit + 1, axis, unit + 1, axis)
+        Of the vectors and, last, of the base, nT^2.
+    occupancy : ndarray of int64, shape (state, unit)
+        0 or 1; more for units that cannot be told from several alike.
+    consistent : bool
+        All states are sums of the units within their uncertainties, and fewer units than changes make them.
+    reason : str
+    """
+
+    vector: Floats
+    base: Floats
+    covariance: Floats
+    occupancy: Occupancy
+    consistent: bool
+    reason: str
+
+    def __len__(self) -> int:
+        return len(self.vector)
+
+    def centre(self, occupancy: Occupancy) -> tuple[Floats, Floats]:
+        """Return difference (state, axis) and covariance (state, axis, axis) of any combination of units."""
+        design = np.column_stack([occupancy, np.ones(len(occupancy))])
+        values = design @ np.vstack([self.vector, self.base])
+        return values, np.einsum("sp,piqj,sq->sij", design, self.covariance, design)
+
+    def unseen(self) -> Occupancy:
+        """Return the combinations (state, unit) that no state has: those near to one when units are many."""
+        count = len(self)
+        seen = {tuple(row) for row in self.occupancy.tolist()}
+        if count <= _MOST_ALL:
+            every = set(product((0, 1), repeat=count))
+        else:
+            every = set()
+            for row in seen:
+                for number in range(1, _NEAR + 1):
+                    for flipped in combinations(range(count), number):
+                        every.add(tuple(1 - min(v, 1) if i in flipped else v for i, v in enumerate(row)))
+        rows = sorted(every - seen)
+        return np.array(rows, dtype=np.int64).reshape(len(rows), count)
+
+
+def find_units(states: States) -> Units:
+    """Return the units that make the states, from the changes between states that follow each other."""
+    label = states.label[states.label >= 0]
+    edges = _edges(label)
+    if len(states) < 2 or not edges:
+        return _no_units(states, "one state only")
+    if states.occupancy is not None:
+        return _fitted(states, states.occupancy)
+    changes, which = _distinct(states, edges)
+    kept, parts = reduced(changes)
+    occupancy = _occupancy(len(states), edges, which, parts, len(kept))
+    if occupancy is None:
+        return _no_units(states, "the changes between states contradict each other as sums of units")
+    return _fitted(states, occupancy)
+
+
+def _edges(label: npt.NDArray[np.int64]) -> dict[tuple[int, int], int]:
+    """Return how often two states, the lower number first, follow each other."""
+    found: dict[tuple[int, int], int] = {}
+    for one, other in zip(label[:-1].tolist(), label[1:].tolist(), strict=True):
+        if one != other:
+            pair = (min(one, other), max(one, other))
+            found[pair] = found.get(pair, 0) + 1
+    return found
+
+
+def _distinct(
+    states: States, edges: dict[tuple[int, int], int]
+) -> tuple[list[Change], dict[tuple[int, int], tuple[int, int]]]:
+    """Return the distinct changes, and for each pair of states its change and sign."""
+    changes: list[Change] = []
+    which = {}
+    limit = limit_of(len(edges))
+    scatter = 2.0 * states.scatter**2 * np.eye(3)
+    for (one, other), count in sorted(edges.items(), key=lambda item: -item[1]):
+        vector = states.centre[other] - states.centre[one]
+        spread = states.covariance[other] + states.covariance[one] + scatter
+        which[one, other] = joined(changes, Change(vector, spread, count), limit)
+    return changes, which
+
+
+def _occupancy(
+    states: int,
+    edges: dict[tuple[int, int], int],
+    which: dict[tuple[int, int], tuple[int, int]],
+    parts: dict[int, dict[int, int]],
+    units: int,
+) -> Occupancy | None:
+    """Return how often each unit is switched in each state, 0 at least; None for a contradiction."""
+    near: dict[int, list[tuple[int, npt.NDArray[np.int64]]]] = {state: [] for state in range(states)}
+    for one, other in edges:
+        change, sign = which[one, other]
+        step = np.zeros(units, dtype=np.int64)
+        for unit, value in parts[change].items():
+            step[unit] = sign * value
+        near[one].append((other, step))
+        near[other].append((one, -step))
+    found: dict[int, npt.NDArray[np.int64]] = {0: np.zeros(units, dtype=np.int64)}
+    waiting = deque([0])
+    while waiting:
+        state = waiting.popleft()
+        for other, step in near[state]:
+            expected = found[state] + step
+            if other not in found:
+                found[other] = expected
+                waiting.append(other)
+            elif not np.array_equal(found[other], expected):
+                return None
+    if len(found) < states:
+        return None
+    return simplest(np.array([found[state] for state in range(states)]))
+
+
+def _fitted(states: States, occupancy: Occupancy) -> Units:
+    """Return the vectors that fit all states best, and whether all fit."""
+    count, units = occupancy.shape
+    design = np.column_stack([occupancy, np.ones(count)])
+    if np.linalg.matrix_rank(design) < units + 1:
+        return _no_units(states, "some units never switch without others: they cannot be separated")
+    spread = states.covariance + states.scatter**2 * np.eye(3) / np.maximum(states.count, 1)[:, None, None]
+    weight = np.linalg.inv(spread)
+    width = 3 * (units + 1)
+    normal = np.einsum("sp,sij,sq->piqj", design, weight, design).reshape(width, width)
+    right = np.einsum("sp,sij,sj->pi", design, weight, states.centre).ravel()
+    covariance = np.linalg.inv(normal)
+    value = (covariance @ right).reshape(units + 1, 3)
+    left = states.centre - design @ value
+    far = np.einsum("si,sij,sj->s", left, weight, left)
+    freedom = 3 * (count - units - 1)
+    proven = states.occupancy is not None
+    if proven and freedom > 0:
+        # What is proven does not become doubtful by levels that wandered farther than they say.
+        covariance = covariance * max(1.0, float(far.sum()) / freedom)
+    consistent = proven or (bool(far.max() < limit_of(count)) and freedom > 0)
+    if consistent:
+        reason = f"{count} states are sums of {units} units"
+    elif freedom <= 0:
+        reason = f"{count} states show no sum that would prove separate units"
+    else:
+        reason = f"state {int(far.argmax())} is no sum of the units that make the others"
+    return Units(
+        value[:-1],
+        value[-1],
+        covariance.reshape(units + 1, 3, units + 1, 3),
+        occupancy,
+        consistent,
+        reason,
+    )
+
+
+def _no_units(states: States, reason: str) -> Units:
+    nothing = np.zeros((len(states), 0), dtype=np.int64)
+    base = states.centre[0] if len(states) else np.full(3, np.nan)
+    return Units(np.empty((0, 3)), base, np.zeros((1, 3, 1, 3)), nothing, False, reason)

@@ -1,28 +1,133 @@
-"""What an effect is: parameters with units, the channels it needs, the field it adds at a sensor."""
+"""Effect, Parameter, units of coefficients.
+
+Names people write: registered names of classes, names of slowed channels, and what was perhaps meant.
+
+A number of an effect, with its unit and what is known of it beforehand.
+
+What an effect is: parameters with units, the channels it needs, the field it adds at a sensor.
+
+Rates of change of sampled series, gaps respected.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.coefficients import product_factor
-from inflight.effects.naming import did_you_mean, slowed, snake_case
-from inflight.effects.parameter import Parameter
+from inflight.effects.families import product_factor
 from inflight.errors import ModelError, SamplesError
-from inflight.geometry import direction_of
-from inflight.sensors import Sensor
-from inflight.time import parse_duration, parse_utc, to_tt2000, to_utc
+from inflight.frames import direction_of
+from inflight.mission import Sensor
+from inflight.samples.derived import parse
+from inflight.time import GAP, SECOND, parse_duration, parse_utc, to_tt2000, to_utc, usual_step
 from inflight.units import factor_and_offset
 
 if TYPE_CHECKING:
     from inflight.effects.sources import EffectSource
     from inflight.mission import Mission
+
+
+def snake_case(name: str) -> str:
+    """Return ``ScalarBias`` as ``scalar_bias``."""
+    return "".join(f"_{c.lower()}" if c.isupper() else c for c in name).lstrip("_")
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``": did you mean 'x'?"`` with the known name most like a wrong one, else nothing."""
+    alike = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f"; did you mean '{alike[0]}'?" if alike else ""
+
+
+def slowed(channel: str, lag: Any = None, width: Any = None) -> str:
+    """Return the name of a channel's slow response or play, as `inflight.samples.derived` reads it.
+
+    Parameters
+    ----------
+    channel : str
+        A channel, or a derived one without the option that is added.
+    lag : duration text, optional
+        Time constant, such as ``600 s``.
+    width : float, optional
+        Full width of the play, in the channel's unit.
+
+    Raises
+    ------
+    ModelError
+        When it makes no channel's name.
+    """
+    name = channel
+    if lag is not None:
+        try:
+            seconds = parse_duration(str(lag)) / SECOND
+        except ValueError as error:
+            raise ModelError(f"lag: {error}", channel=channel, remedy="write such as lag: 600 s") from None
+        name += f"@lag={seconds:.12g}s" if seconds else ""
+    if width is not None:
+        try:
+            name += f"@width={float(width):.12g}"
+        except (TypeError, ValueError):
+            raise ModelError(
+                f"width: {width!r} is no number", channel=channel, remedy="give it in the channel's unit"
+            ) from None
+    return parse(name).name if name else name
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an effect.
+
+    Attributes
+    ----------
+    unit : str
+        Unit of the value.
+    axes : tuple of str, optional
+        Names of the components; None for a single number.
+    default : float or tuple of float
+        Value that does nothing, or the nominal one.
+    sigma : float
+        What is known beforehand: standard deviation of the prior around `default`.
+    bounds : tuple of float, optional
+        Physical limits.
+    step : float
+        Typical size, the unit of finite differences and of scaled columns.
+    linear : bool
+        False when the residual bends within a typical step.
+    bank : tuple of float, optional
+        Grid of a parameter that is searched, not solved for (a lag, a width).
+    per_channel : int
+        Power of the first channel that the value is per: 1 for nT per unit of the channel. A model
+        may then state the whole unit (``nT/A``), whatever unit the channel comes in.
+    """
+
+    unit: str
+    axes: tuple[str, ...] | None = None
+    default: float | tuple[float, ...] = 0.0
+    sigma: float = float("inf")
+    bounds: tuple[float, float] | None = None
+    step: float = 1.0
+    linear: bool = True
+    bank: tuple[float, ...] | None = None
+    per_channel: int = 0
+
+    @property
+    def size(self) -> int:
+        """Number of components."""
+        return len(self.axes) if self.axes else 1
+
+    @property
+    def default_values(self) -> Floats:
+        """Default as an array over the axes."""
+        return np.broadcast_to(np.asarray(self.default, dtype=np.float64), (self.size,)).copy()
+
 
 __all__ = [
     "AXES",
@@ -36,14 +141,20 @@ __all__ = [
     "strength",
     "with_field",
 ]
+
 #: Values of an effect's parameters: each an array over the parameter's axes, or (time, axes).
 Values = Mapping[str, Floats]
+
 AXES = ("x", "y", "z")
+
 #: Options of every effect with a channel: which one, and its slow response or play.
 CHANNEL_OPTIONS = ("channel", "lag", "width")
+
 #: An effect that follows the field is solved for at a vector sensor until nothing larger than this moves.
 _SETTLED_NT = 1e-9
+
 _MOST_STEPS = 80
+
 _RUN_AWAY_NT = 1e9
 
 
@@ -390,3 +501,48 @@ def strength(samples: xr.Dataset) -> Floats:
     """Return |B| of the best present field estimate; (time,) nT."""
     field = best_field(samples)
     return np.asarray(np.sqrt(np.einsum("ta,ta->t", field, field)))
+
+
+#: Steps are equal when they differ by less than this part of the usual one.
+_EVEN = 1e-3
+
+
+def slope(values: Floats, tt2000: npt.NDArray[np.int64], order: int = 4) -> Floats:
+    """Return the rate of change, a second; NaN where a sample has no neighbour.
+
+    Of fourth order where two neighbours on either side are equally far, else central, one-sided at the
+    ends of gap-free runs: a field that swings within some samples must not seem to change too slowly.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time,) or (time, axis)
+        NaN where missing.
+    tt2000 : ndarray, shape (time,)
+        Stamps, nanoseconds.
+    order : int
+        4, or 2 for the plain form throughout.
+    """
+    if len(values) < 2:
+        return np.full_like(values, np.nan)
+    step = np.diff(tt2000) / SECOND
+    usual = usual_step(tt2000) / SECOND
+    apart = step > GAP * usual
+    shape = (-1,) + (1,) * (values.ndim - 1)
+    change = np.diff(values, axis=0) / step.reshape(shape)
+    change[apart] = np.nan
+    missing = np.full_like(values[:1], np.nan)
+    before, after = np.concatenate([missing, change]), np.concatenate([change, missing])
+    both = 0.5 * (before + after)
+    sides = np.where(np.isfinite(both), both, np.where(np.isfinite(before), before, after))
+    if len(values) < 5 or order < 4:
+        return sides
+    outer = change[:-3] + change[3:]
+    inner = change[1:-2] + change[2:-1]
+    fine = (7.0 * inner - outer) / 12.0
+    # Uneven steps, by more than a stamp's rounding, keep the plain form.
+    if np.ptp(step) >= _EVEN * usual:
+        fours = [step[first : step.size - 3 + first] for first in range(4)]
+        uneven = np.maximum.reduce(fours) - np.minimum.reduce(fours) >= _EVEN * usual
+        fine[uneven] = np.nan
+    sides[2:-2] = np.where(np.isfinite(fine), fine, sides[2:-2])
+    return sides

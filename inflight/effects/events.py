@@ -15,11 +15,17 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
-from inflight.effects.scalar_sensor import ScalarBias, TimeShift
-from inflight.effects.vector_sensor import ANGLES, VECTOR_ROLES, ScaledReading, sheared, unsheared
+from inflight.effects.sensors import (
+    ANGLES,
+    VECTOR_ROLES,
+    ScalarBias,
+    ScaledReading,
+    TimeShift,
+    sheared,
+    unsheared,
+)
 from inflight.errors import ModelError
-from inflight.mission import Mission
-from inflight.sensors import Sensor
+from inflight.mission import Mission, Sensor
 from inflight.time import to_utc
 
 

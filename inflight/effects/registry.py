@@ -10,13 +10,21 @@ from collections.abc import Iterable
 from functools import lru_cache
 from importlib.metadata import entry_points
 
-from inflight.effects import channels, events, magnetic, periodic, sensor_channels, spacecraft, sunlight
-from inflight.effects.base import Effect
-from inflight.effects.naming import did_you_mean
-from inflight.effects.scalar_sensor import Heading, Oscillator, ScalarBias, ScalarResponse, TimeShift
+from inflight.effects import channels, environment, events, sensors, spacecraft
+from inflight.effects.base import Effect, did_you_mean
+from inflight.effects.sensors import (
+    Affine,
+    Heading,
+    Nonlinearity,
+    Oscillator,
+    ScalarBias,
+    ScalarResponse,
+    Temperature,
+    TimeShift,
+    VectorSensor,
+)
 from inflight.effects.sources import EffectSource, own_effects
 from inflight.effects.spinning_sensor import SpinningSensor
-from inflight.effects.vector_sensor import Affine, Nonlinearity, Temperature, VectorSensor
 from inflight.errors import ModelError
 
 _LIBRARY: tuple[type[Effect], ...] = (
@@ -25,19 +33,19 @@ _LIBRARY: tuple[type[Effect], ...] = (
     Affine,
     Nonlinearity,
     Temperature,
-    sensor_channels.ChannelScale,
-    sensor_channels.ChannelAngle,
-    sensor_channels.AdcTemperature,
-    magnetic.CrossTalk,
+    sensors.ChannelScale,
+    sensors.ChannelAngle,
+    sensors.AdcTemperature,
+    channels.CrossTalk,
     ScalarResponse,
     TimeShift,
     Oscillator,
     ScalarBias,
     Heading,
-    magnetic.Induced,
-    magnetic.SoftIron,
-    magnetic.Eddy,
-    magnetic.TollesLawson,
+    channels.Induced,
+    channels.SoftIron,
+    channels.Eddy,
+    channels.TollesLawson,
     spacecraft.Torquer,
     spacecraft.Remanent,
     spacecraft.SolarArray,
@@ -48,13 +56,13 @@ _LIBRARY: tuple[type[Effect], ...] = (
     channels.Hysteresis,
     channels.FunctionOfChannel,
     channels.FunctionOfTwo,
-    sunlight.DayNight,
-    sunlight.SunDirectionField,
-    periodic.OrbitPeriodic,
-    periodic.SunPeriodic,
-    periodic.DayNightSeries,
-    periodic.LocalTimePeriodic,
-    periodic.Tone,
+    environment.DayNight,
+    environment.SunDirectionField,
+    environment.OrbitPeriodic,
+    environment.SunPeriodic,
+    environment.DayNightSeries,
+    environment.LocalTimePeriodic,
+    environment.Tone,
     events.OffsetStep,
     events.OffsetEpisode,
     events.ScaleStep,
@@ -65,6 +73,7 @@ _LIBRARY: tuple[type[Effect], ...] = (
     events.ClockStep,
     events.ClockEpisode,
 )
+
 _registered: dict[str, type[Effect]] = {}
 
 

@@ -19,6 +19,7 @@ from inflight.effects.base import Effect
 from inflight.errors import ModelError
 
 _made: dict[tuple[str, str], dict[str, type[Effect]]] = {}
+
 #: Keys of a model's entry that no parameter may be called.
 _RESERVED = {"effect", "name", "sensor", "source"}
 

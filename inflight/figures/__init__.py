@@ -5,14 +5,9 @@ They draw aggregates, never raw samples.
 
 from inflight.figures.dependence import axis_figure, dependence_figure
 from inflight.figures.page import html_page
-from inflight.figures.parameters import parameter_figures
-from inflight.figures.residual import (
-    daily_figure,
-    histogram_figure,
-    series_figure,
-)
+from inflight.figures.parameters import parameter_figures, wander_figure
+from inflight.figures.residual import daily_figure, histogram_figure, series_figure
 from inflight.figures.spectra import spectrum_figure
-from inflight.figures.wander import wander_figure
 
 __all__ = [
     "axis_figure",

@@ -1,20 +1,36 @@
-"""Figures of what a residual follows: means in bins with error bars, branches, and the axis behind them."""
+"""Residual against coordinates.
+
+Figures of what a residual follows: means in bins with error bars, branches, and the axis behind them.
+
+Figures of what the residual follows: along the field, along each sensor axis, around an event.
+
+How well each lag of a response explains the residual.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.dependence import AxisResponse, Dependence
+from inflight.diagnosis.refine import LagProfile
+from inflight.diagnosis.views import Curve, Response
 from inflight.figures.style import (
     AFTER,
     BEFORE,
     COMPONENTS,
+    NEW,
+    REFERENCE,
     band,
     error_bars,
     legend_below,
+    place_legend,
     plain_figure,
+    short_name,
 )
+from inflight.residual.dependence import AxisResponse, Dependence
 
 
 def dependence_figure(found: Dependence) -> figure:
@@ -62,3 +78,187 @@ def axis_figure(found: AxisResponse) -> figure:
 
 def _axis(name: str, unit: str) -> str:
     return f"{name} ({unit})" if unit not in ("", "1") else name
+
+
+#: Day and night, and their marks, for those who tell the colours badly.
+_SIDES = {"day": ("#c98a00", "circle"), "night": ("#3b3f8f", "square"), "all": (AFTER, "circle")}
+
+_BRANCHES = {
+    "rising": (BEFORE, "triangle"),
+    "falling": (AFTER, "inverted_triangle"),
+    "all": (AFTER, "circle"),
+}
+
+_CHANCE = "#9a9a94"
+
+
+def along_field_figures(found: Mapping[str, Sequence[Curve]], axis: str = "z") -> list[figure]:
+    """Draw the residual against a component of the field's direction, by day and by night."""
+    plots = []
+    reach = _reach([curve for curves in found.values() for curve in curves])
+    for which, curves in found.items():
+        plot = plain_figure(
+            f"Residual against B_{axis} / |B|, {which}",
+            f"B_{axis} / |B|",
+            "mean residual (nT)",
+            width=560,
+            height=290,
+            x_range=(-1.05, 1.05),
+            y_range=reach,
+        )
+        for curve in curves:
+            colour, marker = _SIDES[curve.label]
+            _draw(plot, curve, colour, marker, curve.label)
+        legend_below(plot)
+        plots.append(plot)
+    return plots
+
+
+def response_figures(found: Response) -> list[figure]:
+    """Draw what a field along x, y and z would have to be to make the residual follow a channel.
+
+    Bars are one sigma between blocks, the grey band is what the same channel at other times explains,
+    the dotted line is what is left after the found effects; `response_key` says so on the page.
+    """
+    plots = []
+    curves = [curve for branch in found.branches.values() for curve in branch]
+    reach = _reach(curves, [*found.low, *found.high])
+    label = f"{found.channel} ({found.unit})" if found.unit not in ("", "1") else found.channel
+    for axis, name in enumerate(found.axes):
+        plot = plain_figure(
+            f"{found.channel}: field along {name}", label, "nT", height=205, width=384, y_range=reach
+        )
+        plot.toolbar.autohide = True
+        _envelope(plot, found, axis)
+        for branch, parts in found.branches.items():
+            if branch == "after":
+                continue
+            colour, marker = _BRANCHES[branch]
+            _draw(plot, parts[axis], colour, marker)
+        if "after" in found.branches:
+            left = found.branches["after"][axis]
+            known = np.isfinite(left.mean)
+            style = {"color": "#111111", "line_dash": "dotted", "line_width": 2}
+            plot.line(left.centre[known], left.mean[known], **style)
+        plots.append(plot)
+    return plots
+
+
+def response_key() -> str:
+    """Return the key of all response figures as HTML: one for the page leaves the small ones their room."""
+    marks = (
+        (_BRANCHES["rising"][0], "&#9650;", "before, channel rising"),
+        (_BRANCHES["falling"][0], "&#9660;", "before, channel falling"),
+        (_BRANCHES["all"][0], "&#9679;", "before, a channel without branches"),
+        ("#111111", "&#8943;", "after"),
+        (_CHANCE, "&#9632;", "chance"),
+    )
+    said = "".join(
+        f'<span style="margin-right:1.4rem"><span style="color:{colour}">{mark}</span> {text}</span>'
+        for colour, mark, text in marks
+    )
+    return f"<p>{said}</p>"
+
+
+def _envelope(plot: figure, found: Response, axis: int) -> None:
+    known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
+    if known.sum() < 2:
+        return
+    source = ColumnDataSource(
+        {"x": found.centre[known], "low": found.low[axis][known], "high": found.high[axis][known]}
+    )
+    plot.varea(x="x", y1="low", y2="high", source=source, color=_CHANCE, alpha=0.35)
+
+
+def _draw(plot: figure, curve: Curve, colour: str, marker: str, label: str = "") -> None:
+    known = np.isfinite(curve.mean) & np.isfinite(curve.centre)
+    x, mean, sigma = curve.centre[known], curve.mean[known], np.nan_to_num(curve.sigma[known])
+    # Plain segments: whiskers are many models, and a page has many of these.
+    plot.segment(x, mean - sigma, x, mean + sigma, color=colour, alpha=0.6)
+    named = {"legend_label": label} if label else {}
+    plot.line(x, mean, color=colour, line_width=1.5, **named)
+    plot.scatter(x, mean, color=colour, marker=marker, size=5, **named)
+
+
+def _reach(curves: Sequence[Curve], more: Sequence[np.ndarray] = ()) -> tuple[float, float]:
+    """Return one range for several figures, wide enough for all that is known to a few sigma."""
+    ends = [curve.mean[_sure(curve)] for curve in curves] + [np.asarray(one) for one in more]
+    values = np.concatenate([*ends, np.zeros(1)])
+    values = values[np.isfinite(values)]
+    low, high = float(values.min()), float(values.max())
+    room = 0.08 * max(high - low, 1e-6)
+    return low - room, high + room
+
+
+def _sure(curve: Curve) -> np.ndarray:
+    """Bins that are not all noise: one lonely bin must not set the scale of all others."""
+    usual = np.nanmedian(curve.sigma) if np.isfinite(curve.sigma).any() else np.inf
+    sigma = np.where(np.isfinite(curve.sigma), curve.sigma, 0.0)
+    return np.asarray(np.isfinite(curve.mean) & (sigma <= 8.0 * usual))
+
+
+def epoch_figure(name: str, found: Mapping[str, Curve]) -> figure:
+    """Draw the mean residual around an event, before and after the found effects."""
+    plot = plain_figure(f"Around {name}", "days from the event", "mean residual (nT)", width=560)
+    for which, colour, marker in (("before", BEFORE, "triangle"), ("after", AFTER, "circle")):
+        _draw(plot, found[which], colour, marker, which)
+    plot.add_layout(Span(location=0.0, dimension="height", line_color=REFERENCE, line_dash="dashed"))
+    legend_below(plot)
+    return plot
+
+
+def fold_figure(period: str, curve: np.ndarray, sigma: np.ndarray) -> figure:
+    """Draw what repeats, along each axis by phase: field (phase, axis) and its errors, nT."""
+    plot = plain_figure(f"What is left, folded at {period}", "phase (periods)", "nT", width=560)
+    phase = (np.arange(len(curve)) + 0.5) / len(curve)
+    for axis, colour in enumerate(COMPONENTS):
+        error_bars(
+            plot,
+            phase,
+            curve[:, axis],
+            np.where(np.isfinite(sigma[:, axis]), sigma[:, axis], 0.0),
+            colour,
+            0.5,
+        )
+        plot.line(phase, curve[:, axis], color=colour, legend_label="xyz"[axis])
+    legend_below(plot)
+    return plot
+
+
+def lag_figure(name: str, found: LagProfile, rows: float) -> figure:
+    """Draw the rms that each lag leaves (in-sample) and the best one with its error.
+
+    Parameters
+    ----------
+    name : str
+        Of the effect.
+    rows : float
+        Rows of the evidence, which turn sums of squares into an rms.
+    """
+    size = np.sqrt(np.maximum(found.left, 0.0) / max(rows, 1.0))
+    drawn = found.lags > 0
+    said = f"lag {found.best:.3g} ± {found.sigma:.2g} s" if found.best > 0 else "no lag is best"
+    plot = plain_figure(
+        f"{short_name(name).split(', lag')[0]}: {said}",
+        "lag (s)",
+        "rms left, in-sample (nT)",
+        x_axis_type="log",
+        width=560,
+    )
+    plot.line(found.lags[drawn], size[drawn], color=AFTER, line_width=2, legend_label="this lag")
+    # No lag at all has no place on a logarithmic axis: it is a level.
+    plot.line(
+        found.lags[drawn][[0, -1]], [size[0], size[0]], color=AFTER, line_dash="dotted", legend_label="no lag"
+    )
+    if found.best > 0:
+        height = float(np.interp(found.best, found.lags, size))
+        plot.scatter([found.best], [height], color=NEW, size=8, legend_label="best")
+        plot.add_layout(Span(location=found.best, dimension="height", line_color=NEW, line_width=1.5))
+        # The axis is logarithmic: an interval that reaches nothing is open to the left.
+        low = found.best - found.sigma
+        left = low if low > 0 else None
+        plot.add_layout(
+            BoxAnnotation(left=left, right=found.best + found.sigma, fill_color=NEW, fill_alpha=0.12)
+        )
+    place_legend(plot, "top_left")
+    return plot

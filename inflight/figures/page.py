@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from bokeh.embed import components
@@ -11,16 +12,20 @@ from bokeh.resources import Resources
 
 #: Heading; paragraphs, which are HTML that is escaped already; figures, which are Bokeh models.
 Section: TypeAlias = tuple[str, Sequence[str], Sequence[Any]]
+
 #: A section without its heading; a heading, and what makes the rest when somebody looks at it.
 Inside: TypeAlias = tuple[Sequence[str], Sequence[Any]]
+
 Later: TypeAlias = tuple[str, Callable[[], Inside]]
 
 #: What figures alone need: widgets, tables of Bokeh's own and formulas would triple the page.
 _RESOURCES = Resources(mode="inline", components=["bokeh"])
+
 _BODY = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1180px; color: #222 }
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
 """
+
 #: How the text of sections looks, wherever it is shown.
 TEXT_STYLE = """
 .row { display: flex; flex-wrap: wrap; gap: 8px }
@@ -71,3 +76,11 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
     lines = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
     return f"<table><tr>{top}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+
+
+def write_page(output: Path, page: str) -> None:
+    """Write a page whole, by one rename."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = output.with_name(f".{output.name}.part")
+    unfinished.write_text(page, encoding="utf-8")
+    unfinished.replace(output)

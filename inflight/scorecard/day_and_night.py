@@ -5,13 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.estimators.day_night import SWITCHED, block_parameters, fit_day_night, switched_columns
-from inflight.estimators.daylight import orbit_period, orbit_plane_sun, sunlit_duty
-from inflight.estimators.rows import NINE, block_equations, joined, nine_columns
+from inflight.calibration.normal_equations import NINE, block_equations, joined, nine_columns
+from inflight.frames import sun_direction
+from inflight.mission_fit.day_night import (
+    SWITCHED,
+    block_parameters,
+    fit_day_night,
+    orbit_period,
+    orbit_plane_sun,
+    sunlit_duty,
+    switched_columns,
+)
 from inflight.scorecard.figure import Figure
 from inflight.scorecard.residual import DAY_NIGHT, SECTION, XZ, ignored_causes
 from inflight.scorecard.scene import DAYS, MIDNIGHT, NOON, Scene
-from inflight.sun import sun_direction
 
 _INCLINATION = 87.3
 #: Seeds over which an injection is repeated, and its noise, nT.

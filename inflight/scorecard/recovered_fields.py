@@ -13,15 +13,20 @@ import xarray as xr
 from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
-from inflight.effects.panel_light import schedule
-from inflight.estimators.current_steps import find_steps
-from inflight.estimators.dipole import dipole_split
-from inflight.estimators.distribution import PERIOD, distribute
-from inflight.estimators.epoch_fits import fit_step
-from inflight.estimators.epochs import epochs_of, join_epochs
-from inflight.estimators.panels import choose_panels
-from inflight.estimators.secular import carried_mean, fit_eta
-from inflight.estimators.torquer_band import band_equations, daily_fits, join_equations, robust_mean
+from inflight.calibration.product import PERIOD, distribute
+from inflight.dipole import dipole_split
+from inflight.effects.spacecraft import schedule
+from inflight.mission_fit.epochs import epochs_of, fit_step, join_epochs
+from inflight.mission_fit.panels import choose_panels
+from inflight.mission_fit.torquers import (
+    band_equations,
+    carried_mean,
+    daily_fits,
+    fit_eta,
+    join_equations,
+    robust_mean,
+)
+from inflight.residual.channel_steps import find_steps
 from inflight.scorecard import continuous_parameters
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.scene import DAYS, MJD_ZERO, Scene

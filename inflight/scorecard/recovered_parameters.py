@@ -13,15 +13,12 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import Reference, fit_block
-from inflight.calibration.equations import NormalEquations
-from inflight.estimators.coil_temperature import CoilBlock, fit_coil_samples
-from inflight.estimators.days import tt2000_of
-from inflight.estimators.jumps import table_jumps, trend_jumps
-from inflight.estimators.rows import block_equations, joined, nine_columns
-from inflight.estimators.trend_equations import make_trend
-from inflight.estimators.trend_origin import fit_origin
-from inflight.estimators.trends import TrendFit, fit_trends
-from inflight.estimators.z_offset import day_statistics, spread_law
+from inflight.calibration.normal_equations import NormalEquations, block_equations, joined, nine_columns
+from inflight.calibration.table import table_jumps, trend_jumps
+from inflight.mission_fit.temperature import CoilBlock, fit_coil_samples
+from inflight.mission_fit.trend_selection import fit_origin
+from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
+from inflight.mission_fit.z_offset import day_statistics, spread_law
 from inflight.scorecard import continuous_parameters
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.scalar_calibration import (
@@ -33,7 +30,7 @@ from inflight.scorecard.scalar_calibration import (
     champ_parameters,
 )
 from inflight.scorecard.scene import DAYS, Scene
-from inflight.time import SECOND
+from inflight.time import SECOND, tt2000_of
 
 #: Times each injection is repeated, and noise of a sample every 30 s, nT.
 SEEDS, NOISE = 4, 0.1

@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.estimators.behaviour import slope_of
-from inflight.estimators.clock_faults import clock_faults
-from inflight.estimators.event_steps import WEEKDAYS, week_pattern
-from inflight.estimators.z_offset import day_statistics
+from inflight.mission_fit.parameters import WEEKDAYS, clock_faults, slope_of, week_pattern
+from inflight.mission_fit.z_offset import day_statistics
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.recovered_parameters import NOISE, SEEDS
 from inflight.scorecard.residual import SECTION

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.estimators.crosstalk import CrossTalkTable, Ignored, correlation, cross_talk
-from inflight.estimators.day_night import SWITCHED
-from inflight.estimators.daylight import orbit_period
-from inflight.estimators.rows import joined
+from inflight.calibration.normal_equations import joined
+from inflight.mission_fit.crosstalk import CrossTalkTable, Ignored, correlation, cross_talk
+from inflight.mission_fit.day_night import SWITCHED, orbit_period
 from inflight.scorecard.figure import Figure, Within
 from inflight.scorecard.scene import DAYS, MJD_ZERO, NOON, Scene
 

@@ -8,11 +8,9 @@ from functools import partial
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration.linear import fit_difference, fit_squares
-from inflight.calibration.nine import grams
-from inflight.calibration.sensor import SCALE, kernel_parameters, kernel_scale
-from inflight.effects.conversions import to_sensor_angles
-from inflight.model.dependence import Dependence
+from inflight.calibration.published import fit_difference, fit_squares, to_sensor_angles
+from inflight.calibration.scalar import SCALE, grams, kernel_parameters, kernel_scale
+from inflight.model.time_dependence import Dependence
 from inflight.scorecard.figure import Figure, Within
 from inflight.scorecard.scene import MJD_ZERO, Scene
 from inflight.time import DAY, day_bounds

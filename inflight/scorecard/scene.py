@@ -10,11 +10,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
-from inflight.calibration.equations import NormalEquations
-from inflight.estimators.day_night import switched_columns
-from inflight.estimators.daylight import orbit_period
-from inflight.estimators.rows import block_equations, nine_columns
-from inflight.geometry import direction_of
+from inflight.calibration.normal_equations import NormalEquations, block_equations, nine_columns
+from inflight.frames import direction_of
+from inflight.mission_fit.day_night import orbit_period, switched_columns
 from inflight.simulate.field import main_field
 from inflight.simulate.grid import STEP, Grid
 from inflight.simulate.orbit import EARTH_RADIUS, geometry, node_local_time, sunlight

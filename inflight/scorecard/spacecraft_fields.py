@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.estimators.dipole import dipole_split
+from inflight.dipole import dipole_split
 from inflight.scorecard.figure import Figure
 from inflight.scorecard.scene import Scene
 

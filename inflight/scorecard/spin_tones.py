@@ -9,10 +9,9 @@ from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
 from inflight.scorecard.themis_orbit import CADENCE, HOURS, SPIN, piece
 from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.estimates import SpinEstimates, estimate_pairs
-from inflight.spin.harmonics import spin_tones
-from inflight.spin.joint import joint_estimate
-from inflight.spin.layout import lay_out
+from inflight.spin.estimate import SpinEstimates, estimate_pairs, joint_estimate
+from inflight.spin.intervals import lay_out
+from inflight.spin.tones import spin_tones
 from inflight.time import SECOND
 
 SECTION = "spin"

@@ -12,14 +12,10 @@ from inflight.scorecard.scene import Scene
 from inflight.simulate.spinning.ambient import wind
 from inflight.simulate.spinning.settings import CRAFT
 from inflight.time import DAY, SECOND
-from inflight.zero_level.averaging import averages, largest_leak
-from inflight.zero_level.davis_smith import davis_smith
 from inflight.zero_level.flipper import separate
-from inflight.zero_level.hedgecock import correlation, pairs_within
 from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.minimum_correlation import minimum_correlation
-from inflight.zero_level.scatter import PUBLISHED
-from inflight.zero_level.sets import SET
+from inflight.zero_level.methods import correlation, davis_smith, minimum_correlation, pairs_within
+from inflight.zero_level.published import PUBLISHED, SET, averages, largest_leak
 
 SECTION = "zero-level"
 #: Spins and sampling times of table 1, s.

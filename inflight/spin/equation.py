@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.coupling import coupling, gains_of, package_to_spin, sensor_axes
+from inflight.effects.spinning_sensor import coupling, gains_of, package_to_spin, sensor_axes
 from inflight.errors import CalibrationError
 
 #: The twelve parameters in the order of tables.
@@ -34,6 +34,7 @@ NAMES = (
     "offset[2]",
     "offset[3]",
 )
+
 #: The eight that disturb the field at the spin frequency or at twice it.
 SPIN_RELATED = (
     "gain_ratio",
@@ -45,6 +46,7 @@ SPIN_RELATED = (
     "offset[1]",
     "offset[2]",
 )
+
 #: Units of the parameters by name.
 UNITS: Mapping[str, str] = MappingProxyType(
     {name: "nT" if name.startswith("offset") else "1" if "gain" in name else "rad" for name in NAMES}

@@ -1,8 +1,12 @@
-"""Spin fits: C0 + C1 sin + C2 cos over one or several spins, all fits of a record at once.
+"""Sine fits per spin, despin.
+
+Spin fits: C0 + C1 sin + C2 cos over one or several spins, all fits of a record at once.
 
 Farrell et al. (1995), eq. (22), against the spin phase instead of the time, so that a spin rate that changes
 and samples that are uneven do no harm. Normal equations of three (with twice the spin five) unknowns are
 summed in one pass; a fit with a wild reading is made again with weights.
+
+From axes that spin to axes that do not (Farrell et al. 1995, eq. 1), and the tone that is left.
 """
 
 from __future__ import annotations
@@ -16,22 +20,26 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration.robust import WEIGHTED_RMS
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin.sine import fill_sine_cosine
-from inflight.spin.spin_sums import fit_plain, fit_weighted
+from inflight.lsq.robust import WEIGHTED_RMS
+from inflight.spin.kernels import fill_sine_cosine, fit_plain, fit_weighted
 from inflight.time import Int64, utc_text
 
 TURN = 2.0 * np.pi
+
 #: Names of the coefficients; those of twice the spin come last.
 COEFFICIENTS = ("C0", "C1", "C2", "S2", "D2")
+
 #: A fit is determined when the determinant of its normal equations is this part of that of evenly spread
 #: phases: readings of half a turn have 0.1, of three quarters 0.65 (without twice the spin).
 LEAST_SPREAD = 0.1
+
 #: A fit is made again when a reading is this many sigmas off: one in 16 000 of Gaussian noise.
 _WILD = 4.0
+
 #: When more than this part of a fit's readings would be left out, the field has changed: all are kept.
 _MOST_OUT = 0.25
+
 #: The scale of a fit is that of the group of this many fits it is in, by the lower quartile of their rms, so
 #: that outliers in two thirds of the fits do not raise it.
 _AROUND, _QUARTILE = 31, 25.0
@@ -52,8 +60,8 @@ class SpinFits:
         where the readings do not determine them.
     covariance : ndarray, shape (fit, component, coefficient, coefficient)
         From the fit's own residual, taken as white: it holds for the instrument's noise. Fluctuations of the
-        field are larger near the spin than far above it; `inflight.spin.farrell` takes them from the scatter
-        between fits.
+        field are larger near the spin than far above it; `inflight.spin.farrell_1995` takes them from the
+        scatter between fits.
     rms : ndarray, shape (fit, component)
         Residual per degree of freedom.
     count, outliers : ndarray of int64, shape (fit, component)
@@ -338,3 +346,98 @@ def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, u
         spins,
         unit,
     )
+
+
+def despin(field: Floats, phase: Floats) -> Floats:
+    """Turn apparent vectors into payload axes: XP towards the Sun in the spin plane, ZP the spin axis.
+
+    Parameters
+    ----------
+    field : ndarray, shape (time, 3)
+        nT, apparent axes (they spin).
+    phase : ndarray, shape (time,)
+        Angle of XA from XP towards YP, radians; NaN gives NaN in the spin plane only.
+
+    Returns
+    -------
+    ndarray, shape (time, 3)
+        nT, payload axes.
+    """
+    return _turned(field, phase)
+
+
+def respin(field: Floats, phase: Floats) -> Floats:
+    """Turn payload vectors (time, 3) into apparent axes: the inverse of `despin`."""
+    return _turned(field, -phase)
+
+
+def _turned(field: Floats, angle: Floats) -> Floats:
+    if field.ndim != 2 or field.shape[1] != 3 or angle.shape != field.shape[:1]:
+        raise SamplesError(
+            f"a field of shape {field.shape} and a phase of shape {angle.shape} found",
+            remedy="give (time, 3) and (time,)",
+        )
+    cosine, sine = np.cos(angle), np.sin(angle)
+    out = np.empty_like(field, dtype=np.float64)
+    out[:, 0] = cosine * field[:, 0] - sine * field[:, 1]
+    out[:, 1] = sine * field[:, 0] + cosine * field[:, 1]
+    out[:, 2] = field[:, 2]
+    return out
+
+
+@dataclass(frozen=True)
+class SpinTones:
+    """Tones that are left at the spin period and at half of it, nT; arrays of shape (component,).
+
+    Attributes
+    ----------
+    once, twice : ndarray
+        Steady amplitude: the mean phasor, which fluctuations of nature do not add up in.
+    once_sigma, twice_sigma : ndarray
+        Standard deviation of either part of the mean phasor, from the scatter between fits.
+    fits : int
+    """
+
+    once: Floats
+    twice: Floats
+    once_sigma: Floats
+    twice_sigma: Floats
+    fits: int
+
+    def table(self) -> xr.Dataset:
+        """Return `value` and `sigma`: dims tone, component."""
+        return xr.Dataset(
+            {
+                "value": (("tone", "component"), np.stack([self.once, self.twice]), {"units": "nT"}),
+                "sigma": (
+                    ("tone", "component"),
+                    np.stack([self.once_sigma, self.twice_sigma]),
+                    {"units": "nT"},
+                ),
+            },
+            coords={"tone": ["spin", "twice the spin"]},
+            attrs={"fits": self.fits},
+        )
+
+
+def spin_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -> SpinTones:
+    """Measure the steady tone at the spin period in a field that should have none.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    field : ndarray, shape (time, component)
+        nT: a despun field, Bz, or the modulus of the spin-plane field.
+    phase : ndarray, shape (time,)
+        Radians.
+    spins : int
+        Turns of one fit.
+    """
+    fits = spin_fits(stamps, field, phase, spins=spins, harmonics=2)
+    whole = fits.whole
+    means, sigmas = [], []
+    for each in (whole.phasor, whole.double):
+        means.append(np.abs(each.mean(axis=0)))
+        sigmas.append(np.sqrt(0.5 * np.mean(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / len(whole)))
+    return SpinTones(means[0], means[1], sigmas[0], sigmas[1], len(whole))

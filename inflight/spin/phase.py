@@ -1,4 +1,16 @@
-"""Spin phase at sample times: from Sun pulses, from a delivered angle, or from a constant period.
+"""Spin phase from pulses and marks.
+
+An angle read many times a turn: its period, and the few readings a turn that count its turns.
+
+Marks of the spin: which of them to believe, and how many turns lie between them.
+
+The spin period that the field itself shows, as a check of the phase that is used.
+
+The spin-plane field seen from a spinning sensor, ``BX + i BY = Bsp exp(-i (w t - psi))``, is one tone of
+negative frequency; a zero level is one at zero. The top of the tone is found in the spectrum, then sharpened
+by how its phase moves from one stretch of the record to the next.
+
+Spin phase at sample times: from Sun pulses, from a delivered angle, or from a constant period.
 
 The phase is the angle of XA from XP, the projection of the Sun into the spin plane, towards YP: ``w t`` in
 eq. (1) of Farrell et al. (1995). A Sun pulse, or an angle read now and then, is a *mark*: a time with a known
@@ -8,34 +20,588 @@ counted where the spin rate is known well enough to leave no other count.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from scipy import fft
+from scipy.ndimage import median_filter, percentile_filter
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
-from inflight.spin.fine_angle import thinned
-from inflight.spin.marks import Marks, believed, count_turns, steadied, usual_period
+from inflight.lsq.robust import TO_SIGMA, robust_sigma
+from inflight.residual.channel_steps import SIGNIFICANCE
 from inflight.time import SECOND, Int64, utc_text
 
+#: Turns between readings below which an angle is finely read: more than four and a half readings a turn.
+FINE = 0.22
+
+#: What is left of a fine angle: readings about this part of a turn apart, far from both 0 and a whole turn.
+_APART = 1.0 / 3.0
+
+#: Turns without a reading that end a stretch of fine ones.
+_BREAK = 0.5
+
+#: Intervals around each reading that say whether it is one of many, and the percentage of them that must be
+#: short: more than two in three, as they are where slow readings come three times.
+_READINGS_AROUND, _MOST = 21, 75
+
+
+def finely_read(apart: Floats, turns: Floats, advance: Floats) -> bool:
+    """Return whether most readings are of an angle that moves on by less than `FINE` from one to the next.
+
+    Parameters
+    ----------
+    apart, advance : ndarray, shape (reading - 1,)
+        From each reading to the next, in s and in turns.
+    turns : ndarray, shape (reading,)
+        Parts of a turn in [0, 1); pulses, all of them 0, are never fine.
+    """
+    usual = float(np.median(apart))
+    moved = abs(float(np.median(advance))) * float(np.percentile(apart, _MOST)) / usual
+    return bool(np.any(turns > 0)) and moved < FINE
+
+
+def fine_period(seconds: Floats, turns: Floats, nominal: float) -> float | None:
+    """Return the period that a finely read angle shows, s; None where it is not finely read.
+
+    From one reading to the next the angle may move less than it scatters. The lag is doubled until it moves
+    by a third of a turn; the rate from each lag counts the turns of the next.
+
+    Parameters
+    ----------
+    seconds, turns : ndarray, shape (reading,)
+        Times in order, and parts of a turn in [0, 1).
+    nominal : float
+        Stated period, s, above 0; it says how many whole turns lie between neighbouring readings.
+
+    Returns
+    -------
+    float or None
+        Not above 0 for an angle that falls, infinite for one that stands still.
+    """
+    apart, part = np.diff(seconds), np.diff(turns)
+    if not np.median(apart) < 0.5 * nominal:
+        return None
+    if not finely_read(apart, turns, np.rint(apart / nominal - part) + part):
+        return None
+    lag, rate = 1, 1.0 / nominal
+    while True:
+        ahead, part = seconds[lag:] - seconds[:-lag], turns[lag:] - turns[:-lag]
+        moved = float(np.median(np.rint(ahead * rate - part) + part))
+        rate = moved / float(np.median(ahead))
+        if abs(moved) >= _APART or 2 * lag >= seconds.size:
+            return 1.0 / rate if rate else float("inf")
+        lag *= 2
+
+
+def thinned(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
+    """Return which readings to count turns with: of finely read stretches about three a turn, all others.
+
+    They are chosen by their times, not by their angles, which scatter. Both ends of a fine stretch are kept,
+    so that no sample between readings comes to lie outside them. Pulses are never thinned.
+
+    Parameters
+    ----------
+    seconds, turns : ndarray, shape (reading,)
+        Times in order, and parts of a turn in [0, 1), of readings that are believed; two at least.
+    period : float
+        Usual period, s.
+    """
+    everything = np.ones(seconds.size, dtype=bool)
+    if not np.any(turns > 0):
+        return everything
+    ahead = seconds / period
+    step = np.diff(ahead)
+    usual = percentile_filter(step, _MOST, _READINGS_AROUND, mode="nearest")
+    usual = np.concatenate([usual[:1], usual])
+    fine = usual < FINE
+    fine[0] = False
+    if not fine.any():
+        return everything
+    place = np.arange(seconds.size)
+    # The reading nearest to a third of a turn on, or the next that is none of many.
+    following = np.searchsorted(ahead, ahead + _APART - 0.5 * np.minimum(usual, FINE))
+    alone = np.append(np.flatnonzero(~fine), seconds.size)
+    following = np.minimum(following, alone[np.searchsorted(alone, place, side="right")]).tolist()
+    kept = np.zeros(seconds.size, dtype=bool)
+    at = 0
+    while at < seconds.size:
+        kept[at] = True
+        at = following[at]
+    first = np.concatenate([[True], step > _BREAK])
+    for end in np.flatnonzero(np.append(first[1:], True) & ~kept):
+        before = int(np.flatnonzero(kept[:end])[-1])
+        if fine[before] and not first[before]:
+            kept[before], kept[end] = False, True
+    return kept
+
+
+#: Marks are within a turn's part of whole turns: at least this (0.04 degrees: a finer mark would see the
+#: spin's own wander as a fault), at most a tenth, beyond which chance meets it too often.
+_FINEST, _COARSEST = 1e-4, 0.1
+
+#: A period is stated rightly when the median interval is within this part of a turn of whole turns.
+_NEAR = 0.1
+
+#: ... and this part of the intervals is of a single turn. Else pulses are not missing but never came.
+_SINGLE = 0.05
+
+#: Neighbours on each side whose votes a mark needs, and the part of them it needs.
+_LAGS, _VOTES = 4, 0.5
+
+#: Intervals around each mark that tell the local period, on either side.
+_AROUND = 21
+
+#: Standard deviations of a count of turns that must fit into half a turn, and of a jump that is one.
+_SURE = 3.0
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Believed marks in order of time.
+
+    Attributes
+    ----------
+    time : ndarray of int64, shape (mark,)
+        TT2000.
+    turn : ndarray, shape (mark,)
+        Turns since the first mark's whole turn; whole for pulses.
+    rate : ndarray, shape (mark,)
+        Local spin rate, turns a second.
+    left : ndarray, shape (mark - 1,)
+        What lies between the turns counted to the next mark and the nearest possible, turns.
+    unsure : ndarray, shape (mark - 1,)
+        Standard deviation of the turns predicted across the interval.
+    jumped, uncounted, gap : ndarray of bool, shape (mark - 1,)
+        The turns do not fit; cannot be counted; are more than one and were counted.
+    moved, doubtful : ndarray of bool, shape (mark,)
+        The mark's turn is taken back by the size of a jump; a jump leaves it in doubt. See `steadied`.
+    sigma : float
+        Scatter of a mark, turns.
+    dropped : int
+        Marks dropped because they repeat another's turn.
+    """
+
+    time: Int64
+    turn: Floats
+    rate: Floats
+    left: Floats
+    unsure: Floats
+    jumped: npt.NDArray[np.bool_]
+    uncounted: npt.NDArray[np.bool_]
+    gap: npt.NDArray[np.bool_]
+    moved: npt.NDArray[np.bool_]
+    doubtful: npt.NDArray[np.bool_]
+    sigma: float
+    dropped: int
+
+    @property
+    def period(self) -> Floats:
+        """Local spin period, s; (mark,)."""
+        return np.asarray(1.0 / self.rate)
+
+    @property
+    def missing(self) -> int:
+        """Number of whole turns without a mark, where they could be counted."""
+        return int(self.lacking.sum())
+
+    @property
+    def lacking(self) -> Int64:
+        """Whole turns without a mark in each interval, 0 where they cannot be counted; (mark - 1,)."""
+        lacking = np.maximum(np.rint(np.diff(self.turn)) - 1, 0)
+        return np.where(self.uncounted, 0, lacking).astype(np.int64)
+
+    def table(self) -> xr.Dataset:
+        """Return `value` (the local period) and `sigma` along ``mark``."""
+        last = [False]
+        return xr.Dataset(
+            {
+                "time": ("mark", self.time, {"scale": "TT2000"}),
+                "turn": ("mark", self.turn, {"units": "1"}),
+                "value": ("mark", self.period, {"units": "s"}),
+                "sigma": ("mark", self.sigma * self.period * np.sqrt(2.0 / _AROUND), {"units": "s"}),
+                "jump_behind": ("mark", np.append(np.where(self.jumped, 360.0 * self.left, 0.0), 0.0)),
+                "bridged_behind": ("mark", np.append(self.gap, last)),
+                "uncounted_behind": ("mark", np.append(self.uncounted, last)),
+            },
+            attrs={"scatter_deg": 360.0 * self.sigma, "missing": self.missing},
+        )
+
+
+def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float:
+    """Return the period that most intervals show, s.
+
+    Parameters
+    ----------
+    seconds, turns : ndarray, shape (mark,)
+        Times, and parts of a turn in [0, 1); 0 for pulses.
+    nominal : float, optional
+        Stated period, s; it says only how many turns an interval may have.
+
+    Raises
+    ------
+    CalibrationError
+        When the angle is read too slowly to say anything against a stated period that does not fit, when it
+        falls or stands still, or when none is stated for it.
+    """
+    apart, part = np.diff(seconds), np.diff(turns)
+    angle = bool(np.any(turns > 0))
+    if angle and (nominal is None or not nominal > 0):
+        raise CalibrationError(
+            "an angle is given without a spin period, and may have made any number of turns between readings",
+            remedy="state the spin period to better than a tenth of a turn between readings",
+        )
+    if angle and nominal is not None:
+        fine = fine_period(seconds, turns, nominal)
+        if fine is not None and 0.0 < fine < np.inf:
+            return fine
+        if fine is not None:
+            raise CalibrationError(
+                f"the angle, read every {np.median(apart):.4g} s, does not grow by turns of {nominal:.6g} s",
+                remedy="see whether it stands still, or is counted from XA to XP",
+            )
+    if nominal is not None and nominal > 0:
+        advance = np.rint(apart / nominal - part) + part
+        left = apart / nominal - advance
+        counted = advance > 0.25
+        single = np.mean((advance < 1.5) & (np.abs(left) < _NEAR))
+        near = counted & (np.abs(left) < _NEAR)
+        if near.any() and np.median(np.abs(left)) < _NEAR and (angle or single > _SINGLE):
+            return float(np.median(apart[near] / advance[near]))
+    if not angle:
+        return float(np.median(apart))
+    # Read more than twice a turn, an angle moves on by less than half a turn each time.
+    step = part % 1.0
+    if nominal is None or not np.median(apart) < 0.5 * nominal or not 0.0 < np.median(step) < 0.5:
+        raise CalibrationError(
+            f"the angle is read every {np.median(apart):.4g} s, and turns of {nominal:.6g} s do not fit it",
+            remedy="state the spin period to better than a tenth of a turn between readings",
+        )
+    return float(np.median(apart[step > 0] / step[step > 0]))
+
+
+def believed(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
+    """Return which marks are whole turns from at least half of their neighbours before, or of those after.
+
+    One side is enough: after a jump of the phase the marks agree among themselves.
+    """
+    rate = _local_rate(seconds, turns, period)
+    tolerance = _tolerance(_scatter(seconds, turns, rate))
+    votes, asked = np.zeros((2, seconds.size)), np.zeros((2, seconds.size))
+    for lag in range(1, min(_LAGS, seconds.size - 1) + 1):
+        ahead = (seconds[lag:] - seconds[:-lag]) * 0.5 * (rate[lag:] + rate[:-lag])
+        left = ahead - (turns[lag:] - turns[:-lag])
+        near = np.abs(left - np.rint(left)) < tolerance
+        for side, part in enumerate((slice(lag, None), slice(None, -lag))):
+            votes[side, part] += near
+            asked[side, part] += 1
+    return np.asarray(np.any((votes >= _VOTES * asked) & (asked > 0), axis=0))
+
+
+def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
+    """Return the marks with their turns counted, and where these do not fit.
+
+    Across an interval the rate is the mean of those before and after it; half their difference and the
+    scatter of the marks say how sure the count is. A finely read angle must be thinned before: marks
+    nearer than a tenth of a turn repeat one another.
+
+    Raises
+    ------
+    CalibrationError
+        When all marks are of one turn.
+    """
+    if times.size < 2:
+        raise CalibrationError("all marks are of one turn", remedy="take a longer span")
+    seconds = (times - times[0]) / SECOND
+    rate = _local_rate(seconds, turns, period)
+    advance = _advance(seconds, turns, rate)
+    repeated = np.concatenate([[False], advance < _NEAR])
+    if repeated.any():
+        rest = count_turns(times[~repeated], turns[~repeated], period)
+        return Marks(**(rest.__dict__ | {"dropped": rest.dropped + int(repeated.sum())}))
+    apart = np.diff(seconds)
+    before, after = _sides(rate)
+    sigma = _scatter(seconds, turns, rate)
+    error = np.hypot(0.5 * np.abs(after - before), sigma * rate.mean() * np.sqrt(2.0 / _AROUND))
+    unsure = error * apart
+    left = 0.5 * (before + after) * apart - advance
+    uncounted = _SURE * unsure > 0.5
+    jumped = ~uncounted & (np.abs(left) > _tolerance(sigma) + _SURE * unsure)
+    turn = turns[0] + np.concatenate([[0.0], np.cumsum(advance)])
+    ends = np.stack([np.append(before, after[-1]), np.append(before[0], after)])
+    gap = (advance > 1.5) & ~jumped & ~uncounted
+    none = np.zeros(turn.size, dtype=bool)
+    return Marks(times, turn, ends.mean(axis=0), left, unsure, jumped, uncounted, gap, none, none, sigma, 0)
+
+
+def steadied(marks: Marks) -> Marks:
+    """Return marks of a turn without jumps, as far as they tell which of them to believe.
+
+    A body that spins goes on turning as it did: what jumps is the clock of its marks, or the mark. Marks
+    between jumps that come back to where they were are taken back by the size of the jumps. Where they do
+    not come back, nothing tells which side is right: all marks of the stretch are in doubt. Stretches end
+    where turns cannot be counted.
+    """
+    if not marks.jumped.any():
+        return marks
+    turn, moved, doubtful = marks.turn.copy(), marks.moved.copy(), marks.doubtful.copy()
+    starts = np.concatenate([[0], np.flatnonzero(marks.uncounted) + 1])
+    for first, last in zip(starts, [*starts[1:], turn.size], strict=True):
+        inside = slice(first, last - 1)
+        jumped = marks.jumped[inside]
+        off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.left[inside], 0.0))])
+        error = np.hypot.reduce(np.where(jumped, marks.unsure[inside], 0.0))
+        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + _SURE * error
+        away = np.abs(off - np.rint(off)) > near
+        if away.size and away[-1]:
+            doubtful[first:last] = True
+        else:
+            turn[first:last] += off
+            moved[first:last] = away
+    return replace(marks, turn=turn, moved=moved, doubtful=doubtful)
+
+
+def _advance(seconds: Floats, turns: Floats, rate: Floats) -> Floats:
+    """Return the turns from each mark to the next; (mark - 1,)."""
+    before, after = _sides(rate)
+    part = np.diff(turns)
+    return np.asarray(np.rint(0.5 * (before + after) * np.diff(seconds) - part) + part)
+
+
+def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
+    """Return the rate around each mark by the median of the intervals of few turns; turns a second.
+
+    The short intervals of a fine angle tell none: those of them above a quarter turn are misread.
+    """
+    apart, part = np.diff(seconds), np.diff(turns)
+    advance = np.rint(apart / period - part) + part
+    usual = max(float(np.median(advance)), 1.0)
+    near = (advance > 0.25) & (advance < 3.0 * usual) & (np.abs(apart / period - advance) < _COARSEST)
+    if not near.any() or finely_read(apart, turns, advance):
+        return np.full(seconds.size, 1.0 / period)
+    middle = 0.5 * (seconds[1:] + seconds[:-1])[near]
+    rates = median_filter(advance[near] / apart[near], min(_AROUND, int(near.sum())), mode="nearest")
+    return np.asarray(np.interp(seconds, middle, rates))
+
+
+def _sides(rate: Floats) -> tuple[Floats, Floats]:
+    """Return the rate before and after each interval, from medians that do not reach over it; (mark - 1,)."""
+    reach = _AROUND // 2
+    place = np.arange(rate.size - 1)
+    return rate[np.maximum(place - reach, 0)], rate[np.minimum(place + 1 + reach, rate.size - 1)]
+
+
+def _scatter(seconds: Floats, turns: Floats, rate: Floats) -> float:
+    """Return the scatter of a mark, turns, from the intervals between neighbours."""
+    left = np.diff(seconds) * 0.5 * (rate[1:] + rate[:-1]) - np.diff(turns)
+    left -= np.rint(left)
+    close = np.abs(left) < _COARSEST
+    return robust_sigma(left[close]) / np.sqrt(2.0) if close.any() else _COARSEST
+
+
+def _tolerance(sigma: float) -> float:
+    return float(np.clip(SIGNIFICANCE * np.sqrt(2.0) * sigma, _FINEST, _COARSEST))
+
+
+#: A phase is in doubt when its period is this many sigmas from the field's.
+_DOUBT = 5.0
+
+#: The tone must stand this much above the median of the spectrum (power); noise alone reaches the logarithm
+#: of the number of frequencies, less than 20.
+_STANDS_OUT = 50.0
+
+#: Stretches of the record whose phases are compared, at most and at least; turns of the shortest.
+_STRETCHES, _FEWEST, _SHORTEST = 40, 4, 4.0
+
+#: Readings fewer than this a record give no spectrum; empty places of the grid fill at most this part.
+_LEAST, _MOST_EMPTY = 64, 0.75
+
+
+@dataclass(frozen=True)
+class PeriodCheck:
+    """Spin period by the field and by the phase, s.
+
+    Attributes
+    ----------
+    period, sigma : float
+        By the field. The sigma takes the direction of the field to walk; where it comes back, it is an upper
+        bound.
+    used : float
+        Mean period of the phase that is used; NaN when none was given.
+    tone : float
+        Amplitude of the tone, nT.
+    agrees : bool
+        False when the two differ by more than five sigmas; True where the field cannot tell.
+    aliased : bool
+        The readings are slower than twice a turn of the used period: the field cannot tell.
+    """
+
+    period: float
+    sigma: float
+    used: float
+    tone: float
+    agrees: bool
+    aliased: bool
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma` and the period that is used, s."""
+        numbers = {"value": self.period, "sigma": self.sigma, "used": self.used}
+        return xr.Dataset(
+            {name: ((), number, {"units": "s"}) for name, number in numbers.items()},
+            attrs={"agrees": int(self.agrees), "tone_nT": self.tone, "told": self.told()},
+        )
+
+    def told(self) -> str:
+        """Say it in a sentence."""
+        if self.aliased:
+            return f"readings are too slow to tell a spin of {self.used:.6g} s"
+        text = f"the field turns once in {self.period:.7g} +- {self.sigma:.2g} s"
+        if np.isnan(self.used):
+            return text
+        if self.agrees:
+            return f"{text}, as the phase does ({self.used:.7g} s)"
+        return f"{text}, but the phase once in {self.used:.7g} s: the phase is WRONG"
+
+
+def check_period(
+    stamps: Int64,
+    field: Floats,
+    phase: Floats | None = None,
+    *,
+    good: npt.NDArray[np.bool_] | None = None,
+) -> PeriodCheck:
+    """Estimate the spin period from the spin-plane field, and hold a phase against it.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000, nearly even; gaps allowed.
+    field : ndarray, shape (time, 2 or 3)
+        Apparent axes (they spin), nT; the first two are used.
+    phase : ndarray, shape (time,), optional
+        The phase that is used, radians.
+    good : ndarray of bool, shape (time,), optional
+
+    Raises
+    ------
+    CalibrationError
+        Too few readings, or no tone that stands out.
+    """
+    if field.ndim != 2 or field.shape[1] < 2 or field.shape[0] != stamps.size:
+        raise SamplesError(f"a field of shape {field.shape} found", remedy="give (time, 2 or 3)")
+    kept = np.isfinite(field[:, :2]).all(axis=1)
+    kept &= True if good is None else good
+    if np.count_nonzero(kept) < _LEAST:
+        raise CalibrationError(
+            f"{np.count_nonzero(kept)} readings found, at least {_LEAST} needed", remedy="take a longer span"
+        )
+    seconds = (stamps[kept] - stamps[kept][0]) / SECOND
+    plane = field[kept, 0] + 1j * field[kept, 1]
+    # Saturated or wild readings are pulled in: one of them is white, and may stand above any tone.
+    plane = _limited(plane - np.median(plane.real) - 1j * np.median(plane.imag))
+    cadence = float(np.median(np.diff(seconds)))
+    used = _mean_period(stamps, phase)
+    if used < 2.0 * cadence:
+        nan = float("nan")
+        return PeriodCheck(nan, nan, used, nan, agrees=True, aliased=True)
+    coarse = _top(seconds, plane, cadence)
+    rate, sigma, tone = _sharpened(seconds, plane, coarse)
+    period, error = 1.0 / rate, sigma / rate**2
+    agrees = np.isnan(used) or abs(used - period) <= _DOUBT * error
+    return PeriodCheck(period, error, used, tone, bool(agrees), aliased=False)
+
+
+def _mean_period(stamps: Int64, phase: Floats | None) -> float:
+    if phase is None:
+        return float("nan")
+    known = np.flatnonzero(np.isfinite(phase))
+    turns = (phase[known[-1]] - phase[known[0]]) / TURN if known.size > 1 else 0.0
+    return float((stamps[known[-1]] - stamps[known[0]]) / SECOND / turns) if turns > 0 else float("nan")
+
+
+def _limited(plane: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    """Pull far readings in to six times the usual size."""
+    size = np.abs(plane)
+    most = 6.0 * TO_SIGMA * float(np.median(size))
+    return np.asarray(plane * np.minimum(1.0, most / np.maximum(size, 1e-300)))
+
+
+def _top(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: float) -> float:
+    """Return the frequency of the highest tone of negative frequency, Hz, on a grid four times as fine."""
+    place = np.rint(seconds / cadence).astype(np.int64)
+    span = int(place[-1]) + 1
+    if place.size < (1.0 - _MOST_EMPTY) * span:
+        raise CalibrationError(
+            f"{100 * (1 - place.size / span):.0f} % of the record is gaps", remedy="take a span with fewer"
+        )
+    even = np.zeros(span, dtype=np.complex128)
+    even[place] = plane
+    size = fft.next_fast_len(4 * span)
+    power = np.abs(fft.fft(even, size)) ** 2
+    # Negative frequencies, lowest first; those slower than two turns a record are the zero level's.
+    falling = power[: size // 2 : -1]
+    least = max(2 * size // span, 1)
+    best = least + int(np.argmax(falling[least:]))
+    if falling[best] < _STANDS_OUT * float(np.median(power)):
+        raise CalibrationError(
+            "no tone stands out of the spin-plane field",
+            remedy="see whether the field spins, which axis is the spin axis, and the sense of the spin",
+        )
+    return (best + 1) / (size * cadence)
+
+
+def _sharpened(seconds: Floats, plane: npt.NDArray[np.complex128], rate: float) -> tuple[float, float, float]:
+    """Return frequency and its sigma, Hz, and amplitude, from the phases of stretches of the record."""
+    length = max(seconds[-1] / _STRETCHES, _SHORTEST / rate)
+    number = int(seconds[-1] // length)
+    if number < _FEWEST:
+        raise CalibrationError(
+            f"{seconds[-1] * rate:.1f} turns found, at least {_FEWEST * _SHORTEST:.0f} needed",
+            remedy="take a longer span",
+        )
+    stretch = np.minimum((seconds / length).astype(np.int64), number - 1)
+    still = plane * np.exp(1j * TURN * rate * seconds)
+    count = np.bincount(stretch, minlength=number)
+    parts = [np.bincount(stretch, part, number) for part in (still.real, still.imag)]
+    filled = count > 0.25 * np.median(count)
+    mean = (parts[0] + 1j * parts[1])[filled] / count[filled]
+    middle = np.bincount(stretch, seconds, number)[filled] / count[filled]
+    turned = np.unwrap(np.angle(mean)) / TURN
+    apart, step = np.diff(middle), np.diff(turned)
+    slope = (turned[-1] - turned[0]) / (middle[-1] - middle[0])
+    left = step - slope * apart
+    # A direction that wanders walks: the ends' difference is the sum of the steps.
+    sigma = float(np.sqrt(np.sum(left**2) * left.size / max(left.size - 1, 1))) / (middle[-1] - middle[0])
+    # Even without any wander, the phases have the resolution of the arithmetic.
+    return rate - slope, max(sigma, 1e-12 * rate), float(np.mean(np.abs(mean)))
+
+
 TURN = 2.0 * np.pi
+
 #: A phase less certain than this (1 degree) is none: it leaves 2 % of the spin-plane field turning.
 LEAST_CERTAIN = float(np.deg2rad(1.0))
+
 #: Missions state their spin period to a percent; a stated one further off is called wrong.
 _NOMINAL = 0.01
+
 #: Before the first and after the last mark the phase is carried on for this many turns.
 _CARRIED = 1.0
+
 #: Hermite's cubic through both ends: an error of the rate at both ends makes at most this part of it, times
 #: the gap, in the middle.
 _BENT = 0.15
+
 #: What becomes of samples where the phase jumps, and where marks are missing.
 _MOVED = "marks between jumps that come back are taken back by their size, samples there carry phase_jump"
+
 _DOUBTFUL = "nothing tells which side of it is right, and samples on both carry the flag phase_jump"
+
 _BRIDGED = "samples between carry the flag phase_bridged, or no_phase where that is not sure enough"
+
 _UNKNOWN = "samples without a phase carry the flag no_phase and have their field in turning axes only"
 
 

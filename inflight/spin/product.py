@@ -8,15 +8,16 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.coupling import coupling
+from inflight.effects.spinning_sensor import coupling
 from inflight.flags import UNUSABLE, Flag, meanings
-from inflight.geocentric import gse_to_gsm, payload_to_gse
+from inflight.frames import gse_to_gsm, payload_to_gse
 from inflight.model import Model
-from inflight.spin.despin import despin
 from inflight.spin.equation import NAMES, TwelveParameters
+from inflight.spin.fits import despin
 from inflight.time import Int64
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
+
 #: Step of the derivative of the field by each of the twelve: gains, angles in rad, offsets in nT.
 _STEPS = {name: 1.0 if name.startswith("offset") else 1e-6 for name in NAMES}
 

@@ -1,24 +1,44 @@
-"""Whether a new estimate should replace the value in use, each parameter on its own.
+"""Replace values in use, table of twelve.
+
+Whether a new estimate should replace the value in use, each parameter on its own.
 
 An update that is no better known than what it replaces, or that moves it by less than its own error, only
 adds jitter (Plaschke et al. 2019, sections 6 and 8).
+
+The values in use, interval by interval: replaced only where an interval warrants it.
+
+Each interval's estimate is held against the values in use (`inflight.spin.update`). Offset and elevation of
+a sensor share one tone (Plaschke et al. 2019, eq. 21) and are told apart poorly: they are decided together,
+on their common covariance. What is replaced is the estimate given everything that is kept: else a tone that
+both share would come back.
+
+One table of all twelve parameters, with where each came from.
+
+The spin tells eight of them. The offset along the spin axis comes from nature's statistics, gains and the
+turn about the spin axis from the ground or from a model of the Earth's field.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, Self
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
+from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.spin.equation import SPIN_RELATED, UNITS, TwelveParameters
+from inflight.errors import CalibrationError
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from inflight.spin.intervals import Bools
 
 Verdict = Literal["update", "confirm", "keep"]
+
 #: A change counts from this many standard deviations on.
 SIGNIFICANCE = 3.0
+
 #: A value is known well better with this part of the other's error. Of two that are known alike the
 #: difference scatters by more than the error of one: every thirtieth would be replaced by noise.
 WELL_BETTER = 0.5
@@ -142,3 +162,353 @@ def decide_one(
         return Decision(name, *old, *new, "confirm", f"{told}: a new value would only add jitter")
     reason = f"{told} but is known no better than the value in use: it would only add jitter"
     return Decision(name, *old, *new, "keep", reason)
+
+
+#: Parameters that share a tone.
+_TOGETHER = (("offset[1]", "elevation[1]"), ("offset[2]", "elevation[2]"))
+
+#: As rare by chance, of two numbers, as `SIGNIFICANCE` sigma of one.
+_RARE = float(stats.chi2.isf(2.0 * stats.norm.sf(SIGNIFICANCE), 2))
+
+
+@dataclass(frozen=True)
+class InUse:
+    """Values in use of the eight, in the order of `SPIN_RELATED`, before an interval.
+
+    Attributes
+    ----------
+    value : ndarray, shape (8,)
+    covariance : ndarray, shape (8, 8)
+        As it was when each was put in.
+    flown : ndarray of bool, shape (8,)
+        True for what the flight has told; the rest is as it was on the ground.
+    since : ndarray, shape (8,)
+        When each was put in, days.
+    drift : Drift
+        What later estimates told of how fast values move.
+    """
+
+    value: Floats
+    covariance: Floats
+    flown: Bools
+    since: Floats
+    drift: Drift
+
+    @classmethod
+    def of_ground(cls, ground: TwelveParameters, sigma: Mapping[str, float]) -> Self:
+        """Return what is used before the flight."""
+        value = ground.spin_related()
+        errors = np.array([sigma[name] for name in SPIN_RELATED])
+        none = np.zeros(value.size)
+        return cls(value, np.diag(errors**2), none.astype(np.bool_), none, Drift(none, none))
+
+    def after(self, value: Floats, covariance: Floats, told: Bools, day: float) -> Step:
+        """Decide on an interval's estimate.
+
+        Parameters
+        ----------
+        value, covariance : ndarray, shape (8,) and (8, 8)
+            The interval's own estimate, on top of what was known before the flight.
+        told : ndarray of bool, shape (8,)
+            What the interval knows better than the ground did.
+        day : float
+            Of the interval, counted from any.
+
+        Returns
+        -------
+        Step
+        """
+        seen, own = self._given(value, covariance, ~told)
+        sigma = np.where(told, np.sqrt(np.diag(own)), np.inf)
+        decisions = self._decided(seen, sigma, own, told)
+        put_in = np.array([one.verdict == "update" for one in decisions])
+        new, spread = self._given(value, covariance, ~put_in)
+        drift = self.drift.seeing(
+            seen - self.value,
+            np.diag(self.covariance) + np.diag(own),
+            day - self.since,
+            told & self.flown,
+        )
+        used = InUse(
+            np.where(put_in, new, self.value),
+            spread,
+            self.flown | put_in,
+            np.where(put_in, day, self.since),
+            drift,
+        )
+        return Step(decisions, used, used.stated(seen, own, told & ~put_in, day), seen, sigma)
+
+    def stated(self, seen: Floats, own: Floats, told: Bools, day: float) -> Floats:
+        """Return the covariance to be stated for an interval; (8, 8).
+
+        A value that is kept moves on as values did so far. What the interval's estimate differs by, over what
+        both errors make of it, is added; and the value is as sure as that estimate is, and where it lies.
+        """
+        variance, apart = np.diag(self.covariance), seen - self.value
+        moved = variance + np.where(self.flown, self.drift.rate * (day - self.since), 0.0)
+        beyond = np.maximum(apart**2 - moved - np.diag(own), 0.0)
+        now = np.where(told, np.minimum(moved + beyond, np.diag(own) + apart**2), moved)
+        wider = np.sqrt(now / variance)
+        return np.asarray(wider[:, None] * self.covariance * wider)
+
+    def _given(self, value: Floats, covariance: Floats, held: Bools) -> tuple[Floats, Floats]:
+        """Return an estimate given the values in use of what is held, and its covariance; whole arrays."""
+        out, spread = self.value.copy(), self.covariance.copy()
+        free = ~held
+        if not free.any():
+            return out, spread
+        across, inside = covariance[np.ix_(free, held)], covariance[np.ix_(held, held)]
+        slope = np.linalg.solve(inside, across.T).T if held.any() else across
+        out[free] = value[free] + slope @ (self.value[held] - value[held])
+        mine = self.covariance[np.ix_(held, held)]
+        shared = slope @ mine
+        spread[np.ix_(free, free)] = (
+            covariance[np.ix_(free, free)] - slope @ across.T + slope @ mine @ slope.T
+        )
+        spread[np.ix_(free, held)], spread[np.ix_(held, free)] = shared, shared.T
+        return out, spread
+
+    def _decided(self, seen: Floats, sigma: Floats, own: Floats, told: Bools) -> tuple[Decision, ...]:
+        present = TwelveParameters().changed(dict(zip(SPIN_RELATED, self.value.tolist(), strict=True)))
+        known = dict(zip(SPIN_RELATED, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        made = {one.name: one for one in decide_updates(seen, sigma, present, known).decisions}
+        for at, name in enumerate(SPIN_RELATED):
+            if told[at] and not self.flown[at]:
+                made[name] = first_of_flight(made[name])
+        for pair in _TOGETHER:
+            places = [SPIN_RELATED.index(name) for name in pair]
+            if told[places].all() and self.flown[places].all():
+                made |= self._together(pair, [made[name] for name in pair], seen, own)
+        return tuple(made[name] for name in SPIN_RELATED)
+
+    def _together(
+        self, pair: tuple[str, str], made: list[Decision], seen: Floats, own: Floats
+    ) -> dict[str, Decision]:
+        """Return the decisions on two that share a tone: both are replaced, or none."""
+        places = [SPIN_RELATED.index(name) for name in pair]
+        apart = (seen - self.value)[places]
+        inside = np.ix_(places, places)
+        size = float(apart @ np.linalg.solve(self.covariance[inside] + own[inside], apart))
+        if size <= _RARE and all(one.verdict != "update" for one in made):
+            return {}
+        other = dict(zip(pair, reversed(pair), strict=True))
+        why = (
+            f"offset and elevation together differ by chi2 {size:.1f} of two numbers" if size > _RARE else ""
+        )
+        return {
+            one.name: one
+            if one.verdict == "update"
+            else replace(
+                one, verdict="update", reason=why or f"goes with {other[one.name]}, which shares its tone"
+            )
+            for one in made
+        }
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How fast values move, from all estimates of what was in use: a walk whose variance grows with time.
+
+    Attributes
+    ----------
+    square, time : ndarray, shape (8,)
+        Sums, weighted, of squared differences less what errors make of them, and of the days between.
+    """
+
+    square: Floats
+    time: Floats
+
+    @property
+    def rate(self) -> Floats:
+        """Variance a day, in squares of the parameters' units; (8,)."""
+        known = self.time > 0.0
+        return np.where(known, np.maximum(self.square, 0.0) / np.where(known, self.time, 1.0), 0.0)
+
+    def seeing(self, apart: Floats, variance: Floats, age: Floats, told: Bools) -> Drift:
+        """Return the sums with one more difference (8,) of this variance without drift, `age` days old."""
+        weight = np.where(told & (age > 0.0), 1.0 / (variance + self.rate * age) ** 2, 0.0)
+        return Drift(self.square + weight * (apart**2 - variance), self.time + weight * age)
+
+
+@dataclass(frozen=True)
+class Step:
+    """What became of an interval's estimate.
+
+    Attributes
+    ----------
+    decisions : tuple of Decision
+        In the order of `SPIN_RELATED`.
+    used : InUse
+        From this interval on.
+    covariance : ndarray, shape (8, 8)
+        To be stated for this interval.
+    seen, sigma : ndarray, shape (8,)
+        The interval's own estimate, given what it does not tell, and its error; infinite where it does not.
+    """
+
+    decisions: tuple[Decision, ...]
+    used: InUse
+    covariance: Floats
+    seen: Floats
+    sigma: Floats
+
+
+@dataclass(frozen=True)
+class OneInUse:
+    """One value in use that shares nothing with others, as the offset along the spin axis."""
+
+    name: str
+    value: float
+    sigma: float
+    flown: bool = False
+
+    def after(self, value: float, sigma: float) -> tuple[Decision, OneInUse, float]:
+        """Return the decision on a new value, what is used from now on, and the error to be stated."""
+        made = decide_one(self.name, (self.value, self.sigma), (value, sigma))
+        if np.isfinite(sigma) and not self.flown:
+            made = first_of_flight(made)
+        if made.verdict == "update":
+            return made, OneInUse(self.name, value, sigma, True), sigma
+        if not np.isfinite(sigma):
+            return made, self, self.sigma
+        apart = (value - self.value) ** 2
+        moved = self.sigma**2 + max(apart - self.sigma**2 - sigma**2, 0.0)
+        return made, self, float(np.sqrt(min(moved, sigma**2 + apart)))
+
+
+def first_of_flight(made: Decision) -> Decision:
+    """Return the decision to take what the flight tells for the first time: no product was made before."""
+    better = made.present_sigma / made.sigma
+    return replace(
+        made,
+        verdict="update",
+        reason=f"the first value that the flight tells, known {better:.3g} times better than on the ground",
+    )
+
+
+#: What a value came from where nothing else is said.
+GROUND, SPIN = "ground", "spin"
+
+
+@dataclass(frozen=True)
+class Known:
+    """A value from elsewhere: `value` and `sigma` in the parameter's unit, and `source`, such as a method."""
+
+    value: float
+    sigma: float
+    source: str
+
+
+@dataclass(frozen=True)
+class TwelveTable:
+    """The twelve parameters in the order of `NAMES`.
+
+    Attributes
+    ----------
+    value, sigma : ndarray, shape (12,)
+    source : tuple of 12 str
+        ``ground``, ``spin``, or the method that was given.
+    determined : ndarray of bool, shape (12,)
+        False for what remains at its ground value.
+    """
+
+    value: Floats
+    sigma: Floats
+    source: tuple[str, ...]
+    determined: npt.NDArray[np.bool_]
+
+    @property
+    def parameters(self) -> TwelveParameters:
+        """The values as parameters of the calibration equation."""
+        return TwelveParameters.of_values(self.value)
+
+    def sigmas(self) -> dict[str, float]:
+        """Return the uncertainties by name."""
+        return dict(zip(NAMES, self.sigma.tolist(), strict=True))
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `source` and `determined` by ``parameter``."""
+        one = "parameter"
+        return xr.Dataset(
+            {
+                "value": (one, self.value),
+                "sigma": (one, self.sigma),
+                "source": (one, list(self.source)),
+                "determined": (one, self.determined),
+            },
+            coords={one: list(NAMES), "units": (one, [UNITS[name] for name in NAMES])},
+        )
+
+
+def join_twelve(
+    spin: tuple[Floats, Floats, TwelveParameters],
+    ground: TwelveParameters,
+    ground_sigma: Mapping[str, float],
+    others: Mapping[str, Known] | None = None,
+    updates: Updates | None = None,
+) -> TwelveTable:
+    """Join the spin's eight parameters with the axial offset and what the ground knows.
+
+    The spin sees the part of all offsets that lies in the spin plane, ``C O``: estimates of offsets 1 and 2
+    hold for the third offset used beside them. Where another one is put in, the two move along, and its
+    uncertainty is theirs by the same slope.
+
+    Parameters
+    ----------
+    spin : tuple of (ndarray (8,), ndarray (8,), TwelveParameters)
+        Values, sigmas (infinite for what is not determined) and parameters of an estimate.
+    ground : TwelveParameters
+        Before flight, or of the table before.
+    ground_sigma : mapping of str to float
+        By name; what is not named is not known at all.
+    others : mapping of str to Known, optional
+        The spin-axis offset ``offset[3]`` in the unit of the readings, and whatever else is known better than
+        on the ground: gains, rotation.
+    updates : Updates, optional
+        Where given, its verdicts and values are taken instead of those of `spin`.
+
+    Raises
+    ------
+    CalibrationError
+        A name that is no parameter, or one that the spin tells.
+    """
+    others = others or {}
+    wrong = sorted(name for name in others if name not in NAMES or name in SPIN_RELATED)
+    if wrong:
+        raise CalibrationError(
+            f"{wrong} cannot be joined", remedy=f"take of {sorted(set(NAMES) - set(SPIN_RELATED))}"
+        )
+    value, sigma = ground.values(), np.array([ground_sigma.get(name, np.inf) for name in NAMES])
+    source = [GROUND] * len(NAMES)
+    for name, known in others.items():
+        at = NAMES.index(name)
+        value[at], sigma[at], source[at] = known.value, known.sigma, known.source
+    found, errors, parameters = spin
+    for order, name in enumerate(SPIN_RELATED):
+        at = NAMES.index(name)
+        one = updates.of(name) if updates else None
+        if np.isfinite(errors[order]) and (one is None or one.verdict != "keep"):
+            value[at] = one.value if one else found[order]
+            sigma[at] = one.value_sigma if one else errors[order]
+            source[at] = SPIN
+    _move_along(value, sigma, source, parameters)
+    determined = np.array([each != GROUND for each in source])
+    return TwelveTable(value, sigma, tuple(source), determined)
+
+
+def along_axial(parameters: TwelveParameters) -> Floats:
+    """Return by how much offsets 1 and 2 move with the third, so that what the spin sees stays; (2,)."""
+    matrix = parameters.matrix()
+    return np.asarray(-np.linalg.solve(matrix[:2, :2], matrix[:2, 2]))
+
+
+def _move_along(value: Floats, sigma: Floats, source: list[str], parameters: TwelveParameters) -> None:
+    """Move offsets 1 and 2 to the third offset now in the table, in place."""
+    third = NAMES.index("offset[3]")
+    slope = along_axial(parameters)
+    error = sigma[third] if np.isfinite(sigma[third]) else 0.0
+    for at in range(2):
+        row = NAMES.index(f"offset[{at + 1}]")
+        if source[row] == SPIN:
+            value[row] += slope[at] * (value[third] - parameters.offset[2])
+            sigma[row] = float(np.hypot(sigma[row], slope[at] * error))

@@ -10,30 +10,39 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.estimators.longrun import long_run_covariance
+from inflight.lsq.covariance import long_run_covariance
 from inflight.time import Int64
 from inflight.zero_level.intervals import AXES, FEWEST_INTERVALS, Bools, Intervals
 
 #: Offsets are looked for within this many nT of the start unless told otherwise.
 BOUND = 10.0
+
 #: A direction is told when its information exceeds this many of its own standard deviations: 2 % by chance.
 _TOLD = 2.0
+
 #: Standard deviation given to a direction that is not told, in bounds.
 _UNTOLD = 1e3
+
 _ROUNDS = 60
+
 #: Solutions are settled to so many nT.
 SETTLED = 1e-4
+
 #: Largest step, in bounds, and the least true slope, in slopes stepped by.
 _STRIDE, _LEAST_ANSWER = 0.2, 0.3
+
 #: No interval is taken to hold more than this part of what all tell, when it is left out.
 _MOST_SHARE = 0.7
+
 #: No covariance is taken to have fewer degrees of freedom: at two the variance of Student's t has no bound.
 _LEAST_FREEDOM = 3.0
+
 #: Every axis.
 ALL = (True, True, True)
 
 #: From an offset (3,) to slopes (interval, 3, 3).
 Slopes = Callable[[Floats], Floats]
+
 #: From an offset (3,) to the scores (interval, 3) and their slopes (interval, 3, 3), of which
 #: ``sum(slopes) @ step = sum(scores)`` is the next step.
 Equations = Callable[[Floats], tuple[Floats, Floats]]

@@ -20,6 +20,7 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 
 PARTS = ("sensor_1", "sensor_3", "spacecraft_x", "spacecraft_z")
+
 #: Rows C', C'', D', D''; columns as `PARTS`.
 _SEEN = np.array([[0, 1, 0, 1], [-1, 0, 0, 1], [1, 0, 1, 0], [0, 1, 1, 0]], dtype=np.float64)
 

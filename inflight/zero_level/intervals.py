@@ -14,21 +14,26 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.estimators.readings import SIGNIFICANCE, noise_of
+from inflight.residual.channel_steps import SIGNIFICANCE, noise_of
 from inflight.time import GAP, SECOND, Int64
 
 Bools = npt.NDArray[np.bool_]
 
 AXES = ("x", "y", "z")
+
 #: Fewest intervals of an estimate: eight tell their own scatter to 25 %.
 FEWEST_INTERVALS = 8
+
 #: Fewest samples of an interval: a covariance of three components has six numbers.
 FEWEST_SAMPLES = 16
+
 #: An interval is kept with this part of its samples or more.
 _COVERAGE = 0.5
+
 #: Fluctuations count from this many times the variance from reading to reading on: white noise has it once,
 #: within 20 % of chance for fifty samples.
 _ABOVE_NOISE = 2.0
+
 #: This many equal readings at the end of the range in a row are saturation: noise would move them.
 _STUCK = 3
 
@@ -239,7 +244,7 @@ def _saturated(values: Floats) -> Bools:
 def _spikes(values: Floats) -> Bools:
     """Return single readings that leave their neighbours and come back at once, in any component.
 
-    Steps of nature do not come back. The limit is that of `inflight.estimators.readings`, or eight times
+    Steps of nature do not come back. The limit is that of `inflight.residual.channel_steps`, or eight times
     the usual change between neighbours where that is larger: a turbulent field moves on its own.
     """
     out = np.zeros(len(values), dtype=bool)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.calibration.ridge import block_folds, cautious_ridge, least_squares, retained
+from benchmarks.ridge import block_folds, cautious_ridge, least_squares, retained
 from inflight.errors import CalibrationError
 
 GROUPS = {"a": [0, 1, 2], "b": list(range(3, 12))}

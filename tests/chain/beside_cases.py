@@ -10,12 +10,12 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import NormalEquations
-from inflight.chain import Continuous, fit_mission, terms_of
-from inflight.chain.beside import split
-from inflight.estimators.coil_temperature import KINDS, coil_columns
-from inflight.estimators.day_night import switched_columns
-from inflight.estimators.rows import block_equations, joined, nine_columns
+from inflight.calibration.normal_equations import block_equations, joined, nine_columns
 from inflight.mission import Mission
+from inflight.mission_fit.continuous import Continuous, fit_mission
+from inflight.mission_fit.daily_equations import split, terms_of
+from inflight.mission_fit.day_night import switched_columns
+from inflight.mission_fit.temperature import KINDS, coil_columns
 from inflight.model import Model
 from inflight.scorecard import Scene
 from inflight.time import SECOND

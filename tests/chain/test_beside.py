@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 from inflight.calibration import NormalEquations
-from inflight.chain import terms_of
-from inflight.chain.beside import joined_with
-from inflight.chain.crosstalk import of_everything, of_the_nine
-from inflight.chain.daily import daily_parameters
-from inflight.chain.daylight import fit_daylight
-from inflight.chain.temperature import fit_coil_lag, rival_temperatures
 from inflight.errors import CalibrationError
-from inflight.estimators.coil_temperature import CoilFit
-from inflight.estimators.crosstalk import CrossTalkTable
-from inflight.estimators.day_night import DayNightField
-from inflight.estimators.temperature_rivals import TemperatureChoice
-from inflight.tasks.chain_beside_sections import day_night
+from inflight.mission_fit.causes import (
+    fit_coil_lag,
+    fit_daylight,
+    of_everything,
+    of_the_nine,
+    rival_temperatures,
+)
+from inflight.mission_fit.continuous import daily_parameters
+from inflight.mission_fit.crosstalk import CrossTalkTable
+from inflight.mission_fit.daily_equations import joined_with, terms_of
+from inflight.mission_fit.day_night import DayNightField
+from inflight.mission_fit.temperature import CoilFit, TemperatureChoice
+from inflight.tasks.pipelines.mission.parameter_sections import day_night
 from inflight.time import DAY
 from tests.chain.beside_cases import LINEAR, MadeUp, model_with, nights, warm_days, with_noise
 

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from inflight.figures.page import html_page
-from inflight.tasks.chain_behaviour import behaviour, clock, temperature
+from inflight.tasks.pipelines.mission.parameter_sections import behaviour, clock, temperature
 from inflight.time import DAY, day_bounds
 
 DAYS, EVENT = 800, 400

@@ -15,8 +15,9 @@ from inflight.simulate import SimulationSettings
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.stray import coefficients
 from inflight.simulate.torquers import mean_current
-from inflight.tasks.chain_parts import part_of
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.mission.day import part_of
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.time import SECOND
 
 DAYS = 24

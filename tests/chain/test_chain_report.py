@@ -11,9 +11,10 @@ from inflight.catalog.workspace import Workspace
 from inflight.cli.app import main
 from inflight.errors import CatalogError, SettingsError
 from inflight.simulate import SimulationSettings
-from inflight.tasks.chain_report import SECTIONS, chain_report
+from inflight.tasks.pipelines.mission.report import SECTIONS, chain_report
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.tasks.report import to_json
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
 
 DAYS = 12
 SETTINGS = SimulationSettings(seed=5, cadence=5)

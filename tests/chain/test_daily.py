@@ -8,12 +8,11 @@ import pytest
 import xarray as xr
 
 from inflight.calibration import NormalEquations
-from inflight.calibration.equations import RESIDUAL
-from inflight.chain.daily import daily_parameters
+from inflight.calibration.normal_equations import RESIDUAL
 from inflight.errors import CalibrationError
-from inflight.estimators.trend_equations import make_trend, middles
-from inflight.estimators.trends import fit_trends
-from inflight.tasks.chain_daily import faults_of, faults_table, stated_periods
+from inflight.mission_fit.continuous import daily_parameters
+from inflight.mission_fit.trends import fit_trends, make_trend, middles
+from inflight.tasks.pipelines.mission.tables import faults_of, faults_table, stated_periods
 from inflight.time import DAY, day_bounds
 
 NINE = [f"vector_sensor.p[{index}]" for index in range(9)]

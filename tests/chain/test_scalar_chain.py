@@ -12,15 +12,16 @@ import pytest
 import xarray as xr
 from ruamel.yaml import YAML
 
-from inflight.chain import Continuous, fit_mission, terms_of, wide_equations, with_nine
-from inflight.chain.crosstalk import of_everything
-from inflight.comparison import rows_of
-from inflight.estimators.absorption import left
+from inflight.lsq.solver import left
 from inflight.mission import Mission
+from inflight.mission_fit.causes import of_everything
+from inflight.mission_fit.continuous import Continuous, fit_mission
+from inflight.mission_fit.daily_equations import terms_of, wide_equations, with_nine
 from inflight.model import Model
+from inflight.model.rows import rows_of
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import remanent_fields
-from inflight.tasks.chain_parts import equations_of_days
+from inflight.tasks.pipelines.mission.day import equations_of_days
 from inflight.time import SECOND, day_bounds
 
 ROOT = Path(__file__).parents[2] / "missions"

@@ -5,9 +5,9 @@ import pytest
 import xarray as xr
 
 from inflight.calibration import NormalEquations
-from inflight.calibration.equations import RESIDUAL
-from inflight.chain import DayDrift
-from inflight.tasks.chain_parts import alike, means_of_channels, pack_parts, part_of
+from inflight.calibration.normal_equations import RESIDUAL
+from inflight.mission_fit.daily_equations import DayDrift
+from inflight.tasks.pipelines.mission.day import alike, means_of_channels, pack_parts, part_of
 
 WIDTH, ROWS, DAYS = 5, 400, 3
 SCALE = np.array([1e-5, 2e-5, 1e-5, 1.0, 0.5])

@@ -11,8 +11,8 @@ from tiny_mission import TINY_YAML
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.diagnose import diagnose
-from inflight.tasks.diagnosing import last_diagnosis
+from inflight.tasks.analysis.diagnosis import diagnose
+from inflight.tasks.analysis.revise import last_diagnosis
 
 EFFECT = "channel_field(heater_current)"
 

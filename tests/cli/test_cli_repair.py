@@ -9,7 +9,7 @@ from tiny_mission import make_tiny_workspace
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.mission import Mission
-from inflight.tasks.ingest import ingest
+from inflight.tasks.archive.ingestion import ingest
 
 
 def taken_in(root: Path) -> Path:

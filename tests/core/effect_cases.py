@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.derived import play
 from inflight.effects import known_effects
-from inflight.mission import Mission
+from inflight.mission import Mission, sensors_of
 from inflight.model import Model, make_effect
-from inflight.sensors import sensors_of
+from inflight.samples.derived import play
 from inflight.time import SECOND, day_bounds, to_utc
 
 ROOT = Path(__file__).parents[2]

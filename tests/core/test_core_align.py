@@ -6,9 +6,9 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.alignment import align
 from inflight.errors import SamplesError
 from inflight.flags import Flag
+from inflight.samples.alignment import align
 from inflight.time import SECOND, day_bounds
 
 START, _ = day_bounds("2005-03-01")

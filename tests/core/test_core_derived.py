@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from inflight.derived import Part, base_channels, derive, history_s, parse, play, product, respond
 from inflight.errors import ModelError
+from inflight.samples.derived import Part, base_channels, derive, history_s, parse, play, product, respond
 
 NAN = float("nan")
 values = arrays(np.float64, st.integers(1, 80), elements=st.floats(-100, 100, allow_nan=False))

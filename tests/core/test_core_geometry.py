@@ -5,11 +5,15 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from inflight.geometry import GEOMETRY, add_geometry, geometry_at, itrf_to_nec, rotate
-from inflight.sun import (
+from inflight.frames import (
     EARTH_RADIUS,
+    GEOMETRY,
+    add_geometry,
     days_since_j2000,
     from_date,
+    geometry_at,
+    itrf_to_nec,
+    rotate,
     sidereal_angle,
     sun_direction,
     sunlit_fraction,

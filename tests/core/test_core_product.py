@@ -7,11 +7,11 @@ from effect_cases import MISSION, true_samples
 from numpy.testing import assert_allclose
 
 from inflight.calibration import reference_of
+from inflight.calibration.product import Parameters, day_parameters, level2
 from inflight.errors import ModelError
 from inflight.flags import Flag
-from inflight.geometry import itrf_to_nec, to_nec
+from inflight.frames import itrf_to_nec, to_nec
 from inflight.model import Model
-from inflight.product import Parameters, day_parameters, level2
 from inflight.time import DAY
 
 VALUE = np.array([1.0013, 0.9988, 1.0021, 90.03, 89.94, 90.04, 27.0, -20.0, 21.0])

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import MissionError
-from inflight.geocentric import (
-    dipole_angle,
-    dipole_axis,
-    gse_to_gsm,
-    payload_to_gse,
-    sunward,
-    to_gse,
-)
+from inflight.frames import dipole_angle, dipole_axis, gse_to_gsm, payload_to_gse, sunward, to_gse
 from inflight.time import to_tt2000
 
 VECTOR = np.array([0.6, -0.64, 0.48])

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.comparison import Rows
-from inflight.diagnosis.bursts import Outliers, bursts, is_signal
-from inflight.diagnosis.coarse import coarsen, grid
+from inflight.design.columns import Outliers, bursts, coarsen, grid, is_signal
+from inflight.model.rows import ResidualRows
 from inflight.time import SECOND
 
 START = 700_000_000 * SECOND
@@ -44,7 +43,7 @@ def rows_of(residual, ripple=0.0, at=BURST, seed=3):
     field = field * wanted / size
     unit = (field / np.linalg.norm(field, axis=1, keepdims=True))[:, None, :]
     good = np.ones(len(residual), dtype=bool)
-    return Rows(residual, {"fgm": unit}, {"fgm": field, "ovm": field}, field, good, STEP_S)
+    return ResidualRows(residual, {"fgm": unit}, {"fgm": field, "ovm": field}, field, good, STEP_S)
 
 
 def said_signal(residual, rows, channels=None, cadence=1):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, flight_of, read
 
-from inflight.diagnosis.changes import Carriers, batches, drifts, episodes, steps
-from inflight.diagnosis.moments import at_its_moment
-from inflight.lines import told_period
+from inflight.diagnosis.refine import at_its_moment
+from inflight.diagnosis.time_changes import Carriers, batches, drifts, episodes, steps
+from inflight.residual.lines import told_period
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, BLOCK_DAYS = 14, 0.25
@@ -119,7 +119,7 @@ def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
 
 def test_a_batch_scores_what_all_changes_together_score(monkeypatch):
     apart = stepped().search(draws=50).table()
-    monkeypatch.setattr("inflight.diagnosis.changes._BATCH", 10_000)
+    monkeypatch.setattr("inflight.diagnosis.time_changes._BATCH", 10_000)
     whole = stepped().search(draws=50).table()
     assert {one.name for one in apart.options} == {one.name for one in whole.options}
     place = {one.name: at for at, one in enumerate(whole.options)}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.comparison import Rows
-from inflight.diagnosis.coarse import bin_means, bridged, channel_on, coarsen, grid, spikes
+from inflight.design.columns import bin_means, bridged, channel_on, coarsen, grid, spikes
+from inflight.model.rows import ResidualRows
 from inflight.time import SECOND
 
 START = 700_000_000 * SECOND
@@ -165,7 +165,7 @@ def coarse(residual, good=None, step=10):
     )
     unit = (field / np.linalg.norm(field, axis=1, keepdims=True))[:, None, :]
     good = np.ones(count, dtype=bool) if good is None else good
-    rows = Rows(residual, {"fgm": unit}, {"fgm": field}, field, good, 1.0)
+    rows = ResidualRows(residual, {"fgm": unit}, {"fgm": field}, field, good, 1.0)
     return coarsen(samples, rows, grid(START, START + count * SECOND, step * SECOND), {}, {})
 
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.calibration.nine import _fill
-from inflight.calibration.sensor import SCALE, kernel_parameters, kernel_scale
-from inflight.comparison import rows_of
-from inflight.diagnosis.columns import Rows, design, term_columns, turns_of
-from inflight.diagnosis.library import Term, term_of
+from inflight.calibration.scalar import SCALE, _fill, kernel_parameters, kernel_scale
+from inflight.design.columns import Rows, design, term_columns, turns_of
+from inflight.design.terms import Term, term_of
 from inflight.model import Model, make_effect
+from inflight.model.rows import rows_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "core"))
 from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples

@@ -9,8 +9,8 @@ from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, fligh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.diagnosis.cuts import cut_around
-from inflight.diagnosis.evidence import Evidence
+from inflight.diagnosis.search import cut_around
+from inflight.lsq.gram_blocks import Evidence
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, INTERVAL_DAYS, BLOCK_DAYS = 14, 7, 0.25

@@ -8,9 +8,9 @@ import pytest
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, dipole, flight_of, read, spun
 from scipy.signal import lfilter
 
-from inflight.diagnosis.columns import design
-from inflight.diagnosis.estimates import detectable, estimate, mimics, within_and_raw
+from inflight.design.columns import design
 from inflight.diagnosis.search import Search
+from inflight.diagnosis.stepwise import detectable, estimate, mimics, within_and_raw
 
 TRUTH = np.array([0.5, -0.4, -0.8])
 SEEDS, EVERY, DAYS = 200, 3, 40

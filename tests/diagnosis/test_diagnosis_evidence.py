@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from row_cases import row_case
 
-from inflight.diagnosis.evidence import Evidence, solve_scaled
-from inflight.diagnosis.gram import gram_of, pack, parts_of, prewhiten, unpack
 from inflight.errors import CalibrationError
+from inflight.lsq.gram_blocks import Evidence, gram_of, pack, parts_of, prewhiten, solve_scaled, unpack
 from inflight.time import SECOND
 
 

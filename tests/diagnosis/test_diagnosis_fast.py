@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from inflight.diagnosis.fast import fast_part
-from inflight.diagnosis.left import structure_of
+from inflight.diagnosis.residual import structure_of
 from inflight.diagnosis.series import Features, Series
+from inflight.diagnosis.spectra import fast_part
 from inflight.time import DAY, SECOND
 
 STEP_S, NOISE, DAYS = 8.0, 0.06, 3

@@ -4,17 +4,10 @@ import numpy as np
 import pytest
 from row_cases import row_case
 
-from inflight.diagnosis.nulls import score_many
-from inflight.diagnosis.rivalry import promised_t
-from inflight.diagnosis.scoring import (
-    Present,
-    activity,
-    block_scores,
-    fit,
-    folds_of,
-    score,
-)
-from inflight.estimators.absorption import half_inverse
+from benchmarks.null_cases import score_many
+from inflight.diagnosis.scoring import Present, activity, block_scores, fit, folds_of, score
+from inflight.lsq.covariance import promised_t
+from inflight.lsq.solver import half_inverse
 
 PRESENTS = {
     "nothing": ((), ()),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.diagnosis.signature import AXES, describe, fold, periodogram, shape_of, strongest_line
+from inflight.diagnosis.spectra import AXES, describe, fold, periodogram, shape_of, strongest_line
 from inflight.time import SECOND
 
 STEP_S, ORBIT_S = 60.0, 5580.0

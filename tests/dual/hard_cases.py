@@ -13,8 +13,8 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.dual.candidates import Candidates
-from inflight.dual.harm import Judgement, judge
-from inflight.dual.places import Body
+from inflight.dual.do_no_harm import Judgement, judge
+from inflight.dual.geometry import Body
 from inflight.dual.readings import Readings
 from inflight.time import SECOND
 

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 from switching_cases import power_law
 
-from inflight.dual.jumps import find_jumps, spikes
-from inflight.dual.thresholds import false_alarm_probability, published_jumps
+from benchmarks.thresholds import false_alarm_probability, published_jumps
+from inflight.dual.change_points import find_jumps, spikes
 from inflight.errors import SettingsError
 
 

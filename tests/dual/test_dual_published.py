@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inflight.dual.published import relation_to_published
 from inflight.errors import CalibrationError
 from inflight.time import SECOND
+from tests.real_data.published_states import relation_to_published
 
 
 def record(seed, k=0.8, seconds=3600, noise=0.02, stray=1.0):

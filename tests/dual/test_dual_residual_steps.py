@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.dual.correction import TRANSIENT
-from inflight.dual.residual_steps import (
-    by_state,
-    quiet_steps,
-    regressed,
-    rms,
-    steps_across,
-    switchings,
-)
+from inflight.dual.unrecorded import by_state, quiet_steps, regressed, rms, steps_across, switchings
 from inflight.time import SECOND
 
 LENGTH = 400

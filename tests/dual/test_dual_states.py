@@ -6,13 +6,11 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linear_sum_assignment
 from switching_cases import case, power_law, switched
 
-from inflight.dual.drift import DriftRate, Track
-from inflight.dual.processing import process
+from inflight.dual.assignment import process
 from inflight.dual.readings import Readings
-from inflight.dual.segments import segments_of
-from inflight.dual.states import find_states
+from inflight.dual.segments import DriftRate, Track, segments_of
+from inflight.dual.states import find_states, find_units
 from inflight.dual.training import train
-from inflight.dual.units import find_units
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 
 

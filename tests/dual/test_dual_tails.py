@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from inflight.dual.change_points import without_tails
 from inflight.dual.readings import Readings
 from inflight.dual.segments import segments_of
-from inflight.dual.tails import without_tails
 
 COUNT = 20_000
 

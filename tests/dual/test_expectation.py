@@ -8,13 +8,12 @@ from plain_correction import plain
 from scipy import signal
 
 from inflight.dual.candidates import Candidates
-from inflight.dual.expected import Expected, Seen
+from inflight.dual.correction import WHOLE, Part, slow_part
+from inflight.dual.do_no_harm import CHANCE, Expected, Seen, best_part, judge
+from inflight.dual.geometry import Body, dipole_matrix, known_from, matrices_of_any_boom
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
-from inflight.dual.harm import CHANCE, best_part, judge
-from inflight.dual.moments import Moments
-from inflight.dual.places import Body, dipole_matrix, known_from, matrices_of_any_boom
+from inflight.dual.mixing import Moments
 from inflight.dual.readings import Readings
-from inflight.dual.slow_part import WHOLE, Part, slow_part
 from inflight.time import SECOND
 
 COUNT = 6000

@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from inflight.dual.bands import gradiometer_correction, without_noise
-from inflight.dual.gradiometer import FORMS, fit_forms, fit_gradiometer
-from inflight.dual.places import Body, dipole_matrix
-from inflight.dual.principal import principal_directions
+from inflight.dual.geometry import Body, dipole_matrix
+from inflight.dual.gradiometer import (
+    FORMS,
+    fit_forms,
+    fit_gradiometer,
+    gradiometer_correction,
+    principal_directions,
+    without_noise,
+)
 from inflight.dual.readings import Readings
 from inflight.errors import CalibrationError, SettingsError
 from inflight.time import SECOND

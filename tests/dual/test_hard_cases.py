@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from inflight.dual.geometry import Body, matrices_near
 from inflight.dual.gradiometer import fit_forms
-from inflight.dual.places import Body, matrices_near
-from inflight.dual.scales import contrasts, running_sums
-from inflight.dual.wander import FLICKER, wandering
+from inflight.dual.noise import FLICKER, wandering
+from inflight.dual.readings import contrasts, running_sums
 from tests.dual.hard_cases import HARM, body, case, inside, make, outcome, units
 
 #: Not among them, since two sensors cannot tell: an offset that jumps like a unit, one that follows the day

@@ -6,7 +6,7 @@ import numpy as np
 from plain_correction import plain
 
 from inflight.dual.candidates import Candidates
-from inflight.dual.harm import judge
+from inflight.dual.do_no_harm import judge
 from inflight.dual.readings import Readings
 from inflight.time import SECOND
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from inflight.dual.noise_floor import noise_floor, noise_of_bands
-from inflight.dual.readings import white_covariance
-from inflight.dual.scales import cells_of
+from inflight.dual.noise import noise_floor, noise_of_bands
+from inflight.dual.readings import cells_of, white_covariance
 
 COUNT = 12_000
 NOISE = np.array([[1.0, 0.3, 0.0], [0.3, 0.7, -0.1], [0.0, -0.1, 2.0]])

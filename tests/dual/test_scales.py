@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.dual.scales import cells_of, contrasts, running_sums, scales_of
+from inflight.dual.readings import cells_of, contrasts, running_sums, scales_of
 
 
 def power_by_scale(series, longest):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from plain_correction import plain
 
-from inflight.dual.readings import Readings
-from inflight.dual.slow_part import (
+from inflight.dual.correction import (
     WHOLE,
     Part,
     leaves_slow_alone,
@@ -16,6 +15,7 @@ from inflight.dual.slow_part import (
     slow_of,
     slow_part,
 )
+from inflight.dual.readings import Readings
 from inflight.time import SECOND
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual.places import Body
+from inflight.dual.geometry import Body
 from inflight.dual.readings import Readings
 from inflight.time import SECOND
 

@@ -10,7 +10,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.dual.candidates import Candidates
 from inflight.dual.correction import Correction
-from inflight.dual.harm import Judgement, judge
+from inflight.dual.do_no_harm import Judgement, judge
 
 from .scenarios import Case, make_case
 

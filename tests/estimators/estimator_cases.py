@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import NormalEquations, Reference, fit_block
-from inflight.estimators.days import tt2000_of
+from inflight.time import tt2000_of
 
 NINE = [f"vector_sensor.scale_factor[{axis}]" for axis in "xyz"]
 NINE += [f"vector_sensor.misalignment[{pair}]" for pair in ("xy", "xz", "yz")]

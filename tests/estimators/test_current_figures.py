@@ -7,13 +7,18 @@ from bokeh.models import Legend, Whisker
 from bokeh.resources import CDN
 from epoch_cases import epochs_of_days, make_day, steps_of, stored_epochs
 
-from inflight.effects.panel_light import schedule
-from inflight.estimators.epoch_fits import stack
-from inflight.estimators.panels import against_local_time, choose_panels
-from inflight.estimators.secular import carried_mean, remanent_field
-from inflight.estimators.torquer_band import COLUMNS
-from inflight.figures.epochs import local_time_figure, stack_figures, steps_figure
-from inflight.figures.torquers import band_figure, carried_mean_figures, coefficient_figures
+from inflight.effects.spacecraft import schedule
+from inflight.figures.causes import (
+    band_figure,
+    carried_mean_figures,
+    coefficient_figures,
+    current_steps_figure,
+    local_time_figure,
+    stack_figures,
+)
+from inflight.mission_fit.epochs import stack
+from inflight.mission_fit.panels import against_local_time, choose_panels
+from inflight.mission_fit.torquers import COLUMNS, carried_mean, remanent_field
 
 
 def labels(plot):
@@ -23,7 +28,7 @@ def labels(plot):
 def test_steps_are_marked_by_direction():
     samples, _ = make_day(0)
     steps = steps_of(samples)
-    plot = steps_figure(
+    plot = current_steps_figure(
         samples["tt2000"].values[::60], samples["solar_current"].values[::60], steps, "solar_current"
     )
     drops = int((steps.direction < 0).sum())

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.excursions import find_excursions
 from inflight.errors import SamplesError
-from inflight.estimators.current_steps import find_steps
-from inflight.estimators.excursions import find_excursions
+from inflight.residual.channel_steps import find_steps
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.time import SECOND
 

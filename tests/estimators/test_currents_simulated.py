@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.effects.panel_light import node_local_time
-from inflight.estimators.current_steps import find_steps
-from inflight.estimators.dipole import dipole_split
-from inflight.estimators.epoch_fits import fit_step
-from inflight.estimators.epochs import Windows, epochs_of, join_epochs
-from inflight.estimators.excursions import find_excursions
-from inflight.estimators.panels import choose_panels
-from inflight.estimators.torquer_band import band_equations, fit_band
-from inflight.geometry import add_geometry
+from benchmarks.excursions import find_excursions
+from inflight.dipole import dipole_split
+from inflight.effects.spacecraft import node_local_time
+from inflight.frames import add_geometry
+from inflight.mission_fit.epochs import Windows, epochs_of, fit_step, join_epochs
+from inflight.mission_fit.panels import choose_panels
+from inflight.mission_fit.torquers import band_equations, fit_band
+from inflight.residual.channel_steps import find_steps
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import coefficients
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from epoch_cases import TRUTH, epochs_of_days, make_day, steps_of, stored_epochs
 
+from benchmarks.excursions import find_excursions
+from inflight.dipole import dipole_split
 from inflight.errors import CalibrationError, SamplesError, SettingsError
-from inflight.estimators.dipole import dipole_split
-from inflight.estimators.epoch_fits import fit_step, stack
-from inflight.estimators.epochs import Windows, epochs_of, join_epochs
-from inflight.estimators.excursions import find_excursions
+from inflight.mission_fit.epochs import Windows, epochs_of, fit_step, join_epochs, stack
 from inflight.simulate.dipole import transfer
 
 

@@ -5,12 +5,17 @@ import pytest
 from estimator_cases import wandering
 
 from inflight.errors import CalibrationError
-from inflight.estimators.behaviour import running_mean, slope_of
-from inflight.estimators.clock_faults import clock_faults
-from inflight.estimators.event_steps import event_steps, holm, week_pattern
-from inflight.estimators.hysteresis import hysteresis_loop
-from inflight.estimators.longrun import long_run_covariance, sigma_of_mean
-from inflight.estimators.periods import parameter_spectrum
+from inflight.lsq.covariance import long_run_covariance, sigma_of_mean
+from inflight.mission_fit.parameters import (
+    clock_faults,
+    event_steps,
+    holm,
+    running_mean,
+    slope_of,
+    week_pattern,
+)
+from inflight.mission_fit.periods import parameter_spectrum
+from inflight.mission_fit.temperature import hysteresis_loop
 from inflight.simulate import SimulationSettings, effect_names, simulate_day
 
 #: Middles of the days of eight years, and of two.

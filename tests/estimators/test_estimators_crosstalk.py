@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inflight.calibration import BlockFit, NormalEquations, Reference, fit_block
+from inflight.calibration.normal_equations import NINE, PERFECT, block_equations, joined, nine_columns
 from inflight.errors import CalibrationError, SamplesError
-from inflight.estimators.absorption import left, taken_over
-from inflight.estimators.crosstalk import Ignored, correlation, cross_talk
-from inflight.estimators.day_night import SWITCHED, switched_columns
-from inflight.estimators.rows import NINE, PERFECT, block_equations, joined, nine_columns
-from inflight.geometry import direction_of
+from inflight.frames import direction_of
+from inflight.lsq.solver import left, taken_over
+from inflight.mission_fit.crosstalk import Ignored, correlation, cross_talk
+from inflight.mission_fit.day_night import SWITCHED, switched_columns
 
 DAYS = (300, 1450, 2000, NOON, MIDNIGHT)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from inflight.calibration.product import distribute, left_power, passed
 from inflight.errors import SamplesError
-from inflight.estimators.distribution import distribute, left_power, passed
 
 COUNT = 21_600
 SECONDS = np.arange(COUNT)

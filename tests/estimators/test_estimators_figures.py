@@ -6,19 +6,19 @@ from bokeh.models import GlyphRenderer
 from estimator_cases import LA, LB, NINE, PRIOR_SIGMA, SCALES, nine_at, table_of, wandering
 from test_estimators_z_offset import days
 
-from inflight.estimators.behaviour import running_mean
-from inflight.estimators.clock_faults import clock_faults
-from inflight.estimators.days import tt2000_of
-from inflight.estimators.distribution import distribute
-from inflight.estimators.event_steps import event_steps
-from inflight.estimators.hysteresis import hysteresis_loop
-from inflight.estimators.jumps import table_jumps, trend_jumps
-from inflight.estimators.periods import parameter_spectrum
-from inflight.estimators.trend_choice import compare_trends
-from inflight.estimators.trend_equations import equations_of_table, make_trend, middles
-from inflight.estimators.trends import fit_trends
-from inflight.estimators.z_offset import offsets_from_spread, spread_law
-from inflight.figures import behaviour, distribution, trends, z_offset
+from docs.figures import distribution
+from inflight.calibration.product import distribute
+from inflight.calibration.table import table_jumps, trend_jumps
+from inflight.figures import causes as z_offset
+from inflight.figures import parameters as behaviour
+from inflight.figures import parameters as trends
+from inflight.mission_fit.parameters import clock_faults, event_steps, running_mean
+from inflight.mission_fit.periods import parameter_spectrum
+from inflight.mission_fit.temperature import hysteresis_loop
+from inflight.mission_fit.trend_selection import compare_trends
+from inflight.mission_fit.trends import equations_of_table, fit_trends, make_trend, middles
+from inflight.mission_fit.z_offset import offsets_from_spread, spread_law
+from inflight.time import tt2000_of
 
 SIZES = np.array([2e-6] * 3 + [5e-4] * 3 + [0.02] * 3)
 MJD = np.arange(200.0, 2200.0) + 0.5

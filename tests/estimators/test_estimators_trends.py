@@ -15,15 +15,13 @@ from estimator_cases import (
     wandering,
 )
 
-from inflight.effects.vector_sensor import VectorSensor
+from inflight.calibration.table import table_jumps, trend_jumps
+from inflight.effects.sensors import VectorSensor
 from inflight.errors import CalibrationError
-from inflight.estimators.days import mjd_of, tt2000_of
-from inflight.estimators.jumps import table_jumps, trend_jumps
-from inflight.estimators.trend_choice import compare_trends
-from inflight.estimators.trend_equations import equations_of_table, make_trend, middles
-from inflight.estimators.trend_origin import fit_origin
-from inflight.estimators.trends import fit_trends
-from inflight.model.timed import parse_timed
+from inflight.mission_fit.trend_selection import compare_trends, fit_origin
+from inflight.mission_fit.trends import equations_of_table, fit_trends, make_trend, middles
+from inflight.model.time_dependence import parse_timed
+from inflight.time import mjd_of, tt2000_of
 
 SPREAD = np.full(1, 0.005)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import CalibrationError, SamplesError, SettingsError
-from inflight.estimators.secular import STATES, carried_mean, fit_eta, remanent_field
+from inflight.mission_fit.torquers import STATES, carried_mean, fit_eta, remanent_field
 from inflight.simulate.orbit import mjd
 from inflight.simulate.parameters import Parameters
 from inflight.simulate.stray import remanent_fields

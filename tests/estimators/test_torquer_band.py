@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 from scipy.signal import detrend
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.estimators.torquer_band import (
+from inflight.mission_fit.torquers import (
     band_equations,
     band_spectra,
     daily_fits,

@@ -7,9 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from inflight.calibration import fit_block
-from inflight.calibration.sensor import Reference
+from inflight.calibration.scalar import Reference
 from inflight.errors import CalibrationError
-from inflight.estimators.two_fluxgates import (
+from inflight.figures.dual import corners_figure, relation_figure
+from inflight.mission_fit.two_fluxgates import (
     NAMES,
     corner_moments,
     corners,
@@ -18,7 +19,6 @@ from inflight.estimators.two_fluxgates import (
     relation_grams,
     relation_of,
 )
-from inflight.figures.two_fluxgates import corners_figure, relation_figure
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.time import SECOND
 

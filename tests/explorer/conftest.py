@@ -7,8 +7,8 @@ from heated_mission import make_heated_workspace
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.diagnosing import diagnose_span
-from inflight.tasks.reprocess import reprocess
+from inflight.tasks.analysis.revise import diagnose_span
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.explorer.offer import Offer, comparisons, first_step, offer_of
 from inflight.explorer.sitting import Days
-from inflight.tasks.ingest import ingest
+from inflight.tasks.archive.ingestion import ingest
 
 
 def offered(workspace: Workspace) -> Offer:

@@ -8,9 +8,9 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.explorer.sitting import Days, Sitting
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.simulate_dual import simulate_dual
+from inflight.tasks.archive.deliveries import simulate_dual
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 

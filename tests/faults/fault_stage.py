@@ -80,7 +80,7 @@ def _client(address):
 def _ingest(workspace, scheduler=None, **options):
     from inflight.catalog import Catalog
     from inflight.catalog.workspace import Workspace
-    from inflight.tasks.ingest import ingest
+    from inflight.tasks.archive.ingestion import ingest
 
     place = Workspace.open(workspace)
     return ingest(Catalog(workspace), place.mission(), place.data, client=_client(scheduler), **options)
@@ -89,8 +89,8 @@ def _ingest(workspace, scheduler=None, **options):
 def _reprocess(workspace, scheduler=None, **settings):
     from inflight.catalog import Catalog
     from inflight.catalog.workspace import Workspace
-    from inflight.tasks.planning import ReprocessSettings
-    from inflight.tasks.reprocess import reprocess
+    from inflight.tasks.pipelines.planning import ReprocessSettings
+    from inflight.tasks.pipelines.reprocessing import reprocess
 
     mission = Workspace.open(workspace).mission()
     chosen = ReprocessSettings(**settings)
@@ -102,8 +102,8 @@ IMPORTED = (
     "alembic.command",
     "distributed",
     "pyarrow.pandas_compat",
-    "inflight.tasks.ingest",
-    "inflight.tasks.reprocess",
+    "inflight.tasks.archive.ingestion",
+    "inflight.tasks.pipelines.reprocessing",
 )
 #: What a process can be told to do.
 WORK = {"ingest": _ingest, "reprocess": _reprocess}

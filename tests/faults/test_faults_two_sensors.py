@@ -11,10 +11,10 @@ from fault_cases import assert_whole, copied, view
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.ingest import ingest
-from inflight.tasks.planning import ReprocessSettings
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.simulate_dual import simulate_dual
+from inflight.tasks.archive.deliveries import simulate_dual
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 SHOWN = ("l2/field",)

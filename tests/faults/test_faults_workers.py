@@ -13,9 +13,9 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.errors import WorkerError
 from inflight.flows.cluster import dask_client
-from inflight.tasks.ingest import ingest
-from inflight.tasks.planning import ReprocessSettings
-from inflight.tasks.reprocess import reprocess
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import xarray as xr
 from bokeh.embed import components
 from bokeh.models import ColumnDataSource
 
-from inflight.estimators.crosstalk import CrossTalkTable, Ignored
-from inflight.estimators.day_night import SERIES, DayNightField
-from inflight.figures.crosstalk import ignored_figure
-from inflight.figures.day_night import day_night_figure, wandering_figure
+from inflight.figures.causes import day_night_figure, wandering_figure
+from inflight.figures.parameters import ignored_figure
+from inflight.mission_fit.crosstalk import CrossTalkTable, Ignored
+from inflight.mission_fit.day_night import SERIES, DayNightField
 
 PARAMETERS = ("vector_sensor.scale_factor[x]", "vector_sensor.misalignment[xz]")
 

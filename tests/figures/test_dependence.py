@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.dependence import axis_response, dependence, strongest
+from inflight.residual.dependence import axis_response, dependence, strongest
 
 COUNT, BLOCKS = 14_400, 80
 BLOCK = np.repeat(np.arange(BLOCKS), COUNT // BLOCKS)

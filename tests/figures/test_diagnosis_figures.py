@@ -9,27 +9,33 @@ import pytest
 from bokeh.embed import json_item
 from bokeh.models import BoxAnnotation, ColorBar, Span
 
-from inflight.diagnosis.lags import LagProfile
-from inflight.diagnosis.pictures import Curve, HeatMap
-from inflight.diagnosis.responses import Response
-from inflight.diagnosis.signature import Periodogram
-from inflight.diagnosis.tradeoffs import CrossTalk, Shift, Step, Trial
-from inflight.figures.candidates import candidate_table, drop_figure, unscorable_list
-from inflight.figures.crosstalk import cross_talk_figure, shift_table, strongest_pairs
-from inflight.figures.heatmap import DIVERGING, heat_map_figures
-from inflight.figures.lagprofile import lag_figure
-from inflight.figures.ledger import facts_list, ledger_table
-from inflight.figures.naming import bare_parameter, distinct, short_name, short_parameter
-from inflight.figures.periodogram import periodogram_figures, unexplained_peaks
-from inflight.figures.response import (
+from inflight.diagnosis.refine import LagProfile
+from inflight.diagnosis.spectra import Periodogram
+from inflight.diagnosis.views import CrossTalk, Curve, HeatMap, Response, Shift, Step, Trial
+from inflight.figures.dependence import (
     along_field_figures,
     epoch_figure,
     fold_figure,
+    lag_figure,
     response_figures,
     response_key,
 )
-from inflight.figures.verdict import MEANING, explained, verdict_strip
-from inflight.figures.waterfall import order_figure, waterfall_figure
+from inflight.figures.diagnosis import (
+    MEANING,
+    candidate_table,
+    drop_figure,
+    explained,
+    facts_list,
+    ledger_table,
+    order_figure,
+    unscorable_list,
+    verdict_strip,
+    waterfall_figure,
+)
+from inflight.figures.parameters import cross_talk_figure, shift_table, strongest_pairs
+from inflight.figures.residual import DIVERGING, heat_map_figures
+from inflight.figures.spectra import periodogram_figures, unexplained_peaks
+from inflight.figures.style import bare_parameter, distinct, short_name, short_parameter
 from inflight.time import day_bounds
 
 NAN = float("nan")

@@ -5,11 +5,11 @@ from bokeh.embed import file_html
 from bokeh.models import Quad, Text
 from bokeh.resources import INLINE
 
-from inflight.figures.dual_states import (
+from inflight.figures.dual import (
     PLANES,
     before_after_figure,
     difference_figure,
-    steps_figure,
+    switching_steps_figure,
     timeline_figure,
 )
 
@@ -46,7 +46,10 @@ def test_the_timeline_has_one_bar_a_stretch():
 def test_curves_and_steps_are_drawn_before_and_after():
     time = np.datetime64("2006-05-14") + np.arange(10) * np.timedelta64(1, "m")
     values = np.random.default_rng(2).normal(size=(10, 3))
-    drawn = [before_after_figure(time, values, values, 1), steps_figure(values, values, 0.0 * values, 2)]
+    drawn = [
+        before_after_figure(time, values, values, 1),
+        switching_steps_figure(values, values, 0.0 * values, 2),
+    ]
     text = "".join(file_html(one, INLINE, "dual") for one in drawn)
     for part in ("as measured", "corrected", "along y", "along z"):
         assert part in text

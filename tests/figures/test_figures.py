@@ -9,22 +9,15 @@ import xarray as xr
 from bokeh.embed import json_item
 from bokeh.models import Legend, Whisker
 
-from inflight.dependence import AxisResponse, Branch, Dependence, Loop
-from inflight.figures import (
-    axis_figure,
-    daily_figure,
-    dependence_figure,
-    histogram_figure,
-    html_page,
-    parameter_figures,
-    series_figure,
-    spectrum_figure,
-    wander_figure,
-)
-from inflight.figures.page import html_table
-from inflight.lines import Line
+from inflight.figures.dependence import axis_figure, dependence_figure
+from inflight.figures.page import html_page, html_table
+from inflight.figures.parameters import parameter_figures, wander_figure
+from inflight.figures.residual import daily_figure, histogram_figure, series_figure
+from inflight.figures.spectra import spectrum_figure
+from inflight.residual.dependence import AxisResponse, Branch, Dependence, Loop
+from inflight.residual.lines import Line
+from inflight.residual.noise import Wander, daily_wander
 from inflight.time import day_bounds
-from inflight.wander import Wander, daily_wander
 
 NAN = float("nan")
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from inflight.lines import drawn_periods, find_lines, known_periods, told_period
-from inflight.resolving import resolve_lines
-from inflight.spectrum import Power, add_power, finest, slow_power, stretch_power, thinned
+from inflight.residual.lines import drawn_periods, find_lines, known_periods, resolve_lines, told_period
+from inflight.residual.spectrum import Power, add_power, finest, slow_power, stretch_power, thinned
 
 ORBIT, STEP, DAY = 5550.0, 60.0, 86_400.0
 KNOWN = known_periods({"orbit": 5580.0, "torquer": 20.0, "local_time": 2.2e7}, ORBIT)

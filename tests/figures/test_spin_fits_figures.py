@@ -7,8 +7,8 @@ import numpy as np
 from bokeh.embed import file_html
 from bokeh.resources import INLINE
 
-from inflight.figures.spin_fits import phase_figure, phasor_figure, slope_figure, zero_figure
-from inflight.spin.farrell import farrell
+from docs.figures.spin_fits import phase_figure, phasor_figure, slope_figure, zero_figure
+from inflight.spin.farrell_1995 import farrell
 from inflight.spin.fits import spin_fits
 from inflight.spin.phase import phase_from_pulses
 from inflight.time import SECOND

@@ -1,6 +1,5 @@
-"""The habits a reader relies on: short modules and functions, one version, a lock that is enough."""
+"""The habits a reader relies on: one version, a lock that is enough."""
 
-import ast
 import re
 import subprocess
 import tomllib
@@ -22,39 +21,6 @@ SOURCES = sorted(
     # A migration is a list of tables, and the built documentation is not source.
     if not {"_build", "migrations"} & set(path.parts)
 )
-
-
-def functions(path: Path) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
-
-
-def code_lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Lines of a function without its docstring, which is for the reader, not for the machine."""
-    first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
-    return int(node.end_lineno or 0) - first.lineno + 1
-
-
-def test_modules_have_at_most_400_lines():
-    long = {
-        str(path): n for path in SOURCES if (n := len(path.read_text(encoding="utf-8").splitlines())) > 400
-    }
-    assert not long
-
-
-def test_functions_fit_a_screen():
-    long = [
-        f"{path.relative_to(ROOT)}:{node.lineno} {node.name} ({code_lines(node)})"
-        for path in SOURCES
-        for node in functions(path)
-        if code_lines(node) > 50
-    ]
-    assert not long
-
-
-def test_nine_in_ten_functions_have_under_20_lines():
-    sizes = sorted(code_lines(node) for path in SOURCES for node in functions(path))
-    assert sizes[int(0.9 * len(sizes))] < 20
 
 
 def test_no_marks_are_left():

@@ -30,8 +30,11 @@ def main() -> int:
     if unknown := set(names) - set(scenarios()):
         print(f"no case {', '.join(sorted(unknown))}; there are {', '.join(scenarios())}", file=sys.stderr)
         return 2
-    if not given.simulate_only and importlib.util.find_spec("inflight.tasks.diagnose") is None:
-        print("there is no inflight.tasks.diagnose; --simulate-only makes the cases alone", file=sys.stderr)
+    if not given.simulate_only and importlib.util.find_spec("inflight.tasks.analysis.diagnosis") is None:
+        print(
+            "there is no inflight.tasks.analysis.diagnosis; --simulate-only makes the cases alone",
+            file=sys.stderr,
+        )
         return 2
     console, outcomes = Console(width=given.width), []
     seeds = list(range(given.first_seed, given.first_seed + given.seeds))

@@ -12,9 +12,8 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.needs import needs_of
-from inflight.tasks.samples import load_samples
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 
 from .orbiter.case import Case
 

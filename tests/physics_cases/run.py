@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.ingest import ingest
+from inflight.tasks.archive.ingestion import ingest
 
 from .orbiter.case import make_case
 from .scenarios import scenarios
@@ -80,7 +80,7 @@ def run_case(name: str, seed: int, root: Path, diagnose: bool = True, keep: bool
 
 def _diagnosed(workspace: Path) -> tuple[dict[str, Any] | None, str]:
     """Return the diagnosis as its JSON, or the error it ended with: one case must not end all others."""
-    from inflight.tasks.diagnose import diagnose
+    from inflight.tasks.analysis.diagnosis import diagnose
 
     try:
         found = diagnose(Catalog(workspace), Workspace.open(workspace).mission())

@@ -8,7 +8,7 @@ import pytest
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.ingest import ingest
+from inflight.tasks.archive.ingestion import ingest
 
 from .closure import as_effect, residual_of
 from .orbiter.case import make_case

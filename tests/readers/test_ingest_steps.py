@@ -12,9 +12,8 @@ from reader_cases import MISSION, day_times, field_of, mission_with, write_fgm
 
 from inflight.catalog import Catalog
 from inflight.errors import MissionError, StorageError
-from inflight.tasks import ingest_batch
-from inflight.tasks.ingest import ingest
-from inflight.tasks.ingest_batch import days_of_batch
+from inflight.tasks.archive import ingestion as ingest_batch
+from inflight.tasks.archive.ingestion import days_of_batch, ingest
 
 PROBE = mission_with()
 DAYS = ["2020-05-01", "2020-05-02", "2020-05-03"]
@@ -243,7 +242,7 @@ SCRIPT = """
 import sys
 from inflight.catalog import Catalog
 from inflight.mission import Mission
-from inflight.tasks.ingest import ingest
+from inflight.tasks.archive.ingestion import ingest
 ingest(Catalog(sys.argv[1]), Mission.parse(open(sys.argv[3]).read()), sys.argv[2], batch_days=1)
 """
 

@@ -12,12 +12,14 @@ from injections import _ELEMENTS, _OTHERS, ROOT
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.diagnosis.diagnosis import Diagnosis, FoundEffect
-from inflight.diagnosis.estimates import sandwich
+from inflight.diagnosis.result import Diagnosis, FoundEffect
 from inflight.diagnosis.scoring import Present
 from inflight.diagnosis.search import Option, Search
-from inflight.tasks.diagnose import DiagnoseSettings, conclude, material_of, prepare, search_of
-from inflight.tasks.ingest import ingest
+from inflight.diagnosis.stepwise import sandwich
+from inflight.diagnosis.verdict import conclude
+from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.archive.ingestion import ingest
 
 
 @dataclass(frozen=True)

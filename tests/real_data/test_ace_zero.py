@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from injections import REAL
 
-from inflight.zero_level.combined import combined
-from inflight.zero_level.davis_smith import davis_smith
+from inflight.zero_level.combination import combined
 from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.scatter import PUBLISHED, scatter_with_hours
-from inflight.zero_level.wang_pan import wang_pan
+from inflight.zero_level.methods import davis_smith, wang_pan
+from inflight.zero_level.published import PUBLISHED, scatter_with_hours
 
 FOLDER = REAL / "ace-mfi-h0-20230102"
 pytestmark = [

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 from inflight.calibration import NormalEquations, describe_directions, reference_of, split_chain, usable
-from inflight.calibration.nine import residuals
-from inflight.calibration.sensor import kernel_parameters
+from inflight.calibration.scalar import kernel_parameters, residuals
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.ingest import ingest
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 from inflight.tasks.models import current_model
-from inflight.tasks.needs import needs_of
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.samples import load_samples
-from inflight.tasks.tables import load_equations
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines.tables import load_equations
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

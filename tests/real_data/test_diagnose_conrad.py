@@ -79,7 +79,7 @@ def test_temperatures_that_hardly_move_are_not_blamed(delivered, record):
 
 def test_the_axes_of_a_field_that_follows_a_temperature_are_said_to_be_unknown(delivered, direction):
     """One direction is seen: along it some nT/K would show, of a single axis tens of nT/K would not."""
-    from inflight.diagnosis.estimates import detectable
+    from inflight.diagnosis.stepwise import detectable
 
     option = delivered.option("channel_field(electronics_temperature)")
     each = detectable(delivered.search, option)

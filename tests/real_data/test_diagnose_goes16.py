@@ -6,7 +6,7 @@ import pytest
 from injections import REAL
 from real_workspaces import diagnosed, workspace
 
-from inflight.diagnosis.estimates import detectable
+from inflight.diagnosis.stepwise import detectable
 
 FOLDER = REAL / "goes16-mag-ib-ob"
 pytestmark = [

@@ -7,9 +7,9 @@ from real_workspaces import workspace
 from scipy.spatial.transform import Rotation
 
 from inflight.catalog import Catalog
-from inflight.dual.published import relation_to_published
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import reprocess
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.reprocessing import reprocess
+from tests.real_data.published_states import relation_to_published
 
 FOLDER = REAL / "goes16-mag-ib-ob"
 pytestmark = [

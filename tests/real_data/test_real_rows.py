@@ -10,15 +10,14 @@ from injections import OBSERVATORY, following, inject, observatory, observatory_
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.comparison import Layout, rows_of
-from inflight.derived import respond
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.ingest import ingest
+from inflight.model.rows import Layout, rows_of
+from inflight.samples.derived import respond
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import ArchiveIndex, channel_homes, needs_of
+from inflight.tasks.archive.samples import load_samples
 from inflight.tasks.models import current_model
-from inflight.tasks.needs import channel_homes, needs_of
-from inflight.tasks.samples import load_samples
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

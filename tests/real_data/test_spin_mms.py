@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inflight.spin.despin import respin
-from inflight.spin.farrell import farrell
-from inflight.spin.fits import spin_fits
-from inflight.spin.period import check_period
+from inflight.spin.farrell_1995 import farrell
+from inflight.spin.fits import respin, spin_fits
+from inflight.spin.phase import check_period
 from inflight.time import SECOND
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "spin"))

@@ -6,7 +6,8 @@ from spun_mms import FILE, spun
 
 from inflight.catalog import Catalog
 from inflight.spin.equation import NAMES, SPIN_RELATED
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 pytestmark = [
     pytest.mark.real_data,

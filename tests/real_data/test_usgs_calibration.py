@@ -9,11 +9,11 @@ import pytest
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.model import Model
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.ingest import ingest
-from inflight.tasks.needs import needs_of
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.samples import load_samples
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import SettingsError
-from inflight.estimators import crosstalk
+from inflight.mission_fit import crosstalk
 from inflight.scorecard import SECTIONS, Figure, Report, Scene, Within, figures, scorecard, selected
 from inflight.scorecard import recovered_fields as fields_module
 from inflight.scorecard import scalar_calibration as scalar_module

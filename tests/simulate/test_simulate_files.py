@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import inflight.tasks.simulated_days as simulated_days
+import inflight.tasks.archive.deliveries as simulated_days
 from inflight.errors import CatalogError, StorageError
 from inflight.simulate import SimulationSettings, simulate_day
-from inflight.tasks.simulate import INSTRUMENTS, delivered_path, preflight_model, simulate, truth_path
+from inflight.tasks.archive.deliveries import (
+    INSTRUMENTS,
+    delivered_path,
+    preflight_model,
+    simulate,
+    truth_path,
+)
 from inflight.time import as_day, day_bounds
 
 SMALL = SimulationSettings(start="2005-01-03", days=2, cadence=10, hide=("day_night",))

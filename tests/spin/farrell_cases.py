@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from inflight.spin.angles import SensorAngles
-from inflight.spin.despin import respin
+from inflight.spin.farrell_1995 import SensorAngles
+from inflight.spin.fits import respin
 from inflight.time import SECOND
 
 TURN = 2 * np.pi

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.in_use import InUse, OneInUse
+from inflight.spin.update import InUse, OneInUse
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 SIGMA = np.array([0.01 if name.startswith("offset") else 2e-5 for name in SPIN_RELATED])

@@ -6,9 +6,13 @@ from farrell_cases import TURN, phase_of, record, sensors, stamps_of
 
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
-from inflight.spin.marks import count_turns
-from inflight.spin.period import check_period
-from inflight.spin.phase import phase_from_angle, phase_from_period, phase_from_pulses
+from inflight.spin.phase import (
+    check_period,
+    count_turns,
+    phase_from_angle,
+    phase_from_period,
+    phase_from_pulses,
+)
 from inflight.time import SECOND
 
 PERIOD = 3.03

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.spin.sine import fill_sine_cosine
+from inflight.spin.kernels import fill_sine_cosine
 
 
 @settings(deadline=None)  # the first call compiles

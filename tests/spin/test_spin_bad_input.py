@@ -8,9 +8,9 @@ from bad_spin import BAD, SETTINGS, at, deliver, mission_of, product, truth_of, 
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
 from inflight.spin.equation import NAMES, SPIN_RELATED
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.simulate_spinning import SOURCES
+from inflight.tasks.archive.deliveries import SOURCES
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.time import SECOND
 
 LATE = SECOND // 3

@@ -11,10 +11,10 @@ from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin.equation import NAMES
-from inflight.tasks.flips import cut_at_flips, flip_flags, kept_span, position_edges
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.simulate_spinning import simulate_spinning
+from inflight.tasks.archive.deliveries import simulate_spinning
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.samples import cut_at_flips, flip_flags, kept_span, position_edges
+from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.time import day_bounds, to_tt2000
 
 FLIPS = """events:

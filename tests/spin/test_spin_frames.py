@@ -10,10 +10,10 @@ from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings, ambient, attitude
-from inflight.tasks.ingest import ingest
-from inflight.tasks.needs import axis_of
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.simulate_spinning import simulate_spinning, truth_path
+from inflight.tasks.archive.deliveries import simulate_spinning, spinning_truth_path
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import axis_of
+from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.time import SECOND, to_tt2000
 
 SETTINGS = SpinningSettings(craft="themis", days=1, seed=3)
@@ -56,7 +56,7 @@ def again(workspace, folder, old, new):
 def test_the_product_is_the_simulated_field_in_gse_and_gsm(themis):
     """The simulator turns by angles, from the spin axis to sidereal time; the product by vectors."""
     product = product_of(themis)
-    truth = xr.open_dataset(truth_path(SETTINGS, themis.data, DAY), decode_times=False)
+    truth = xr.open_dataset(spinning_truth_path(SETTINGS, themis.data, DAY), decode_times=False)
     stamps = truth["Epoch"].values
     at = np.searchsorted(product["tt2000"].values, stamps)
     axes = attitude.payload_axes(ambient.position(stamps / SECOND, SETTINGS.parameters), SETTINGS.parameters)

@@ -8,10 +8,10 @@ import pytest
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin.fit import spinning_entry
-from inflight.tasks.ingest import ingest
-from inflight.tasks.revise import Workbench
-from inflight.tasks.simulate_spinning import simulate_spinning
+from inflight.spin.estimate import spinning_entry
+from inflight.tasks.analysis.revise import Workbench
+from inflight.tasks.archive.deliveries import simulate_spinning
+from inflight.tasks.archive.ingestion import ingest
 
 SETTINGS = SpinningSettings(craft="imp8", days=2, seed=41, without=("zero_drift",))
 HELD = SETTINGS.parameters.gain_ratio + 0.0011

@@ -8,11 +8,11 @@ from eight_cases import PRESENT, TRUTH, by_joint
 from orbit_fields import steady
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin.block_sums import SERIES
 from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.estimates import estimate_pairs, spin_equations
-from inflight.spin.harmonics import check_turning, spin_tones, turn_ratio
-from inflight.spin.layout import Exclusion, SubIntervals, lay_out
+from inflight.spin.estimate import estimate_pairs, spin_equations
+from inflight.spin.intervals import Exclusion, SubIntervals, lay_out
+from inflight.spin.kernels import SERIES
+from inflight.spin.tones import check_turning, spin_tones, turn_ratio
 
 SPREAD = {"spin axis": 1e-4, "elevations": 1e-4, "offsets": 0.1}
 Z, M = SERIES.index("z"), SERIES.index("m")

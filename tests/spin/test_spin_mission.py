@@ -10,10 +10,11 @@ from inflight.catalog.workspace import Workspace
 from inflight.errors import MissionError
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin.equation import NAMES, SPIN_RELATED
-from inflight.tasks.diagnose import diagnose
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.simulate_spinning import simulate_spinning
+from inflight.tasks.analysis.diagnosis import diagnose
+from inflight.tasks.archive.deliveries import simulate_spinning
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 SETTINGS = SpinningSettings(
     craft="imp8", days=3, seed=5, without=("zero_drift",), defects=("missing_pulses", "gaps", "spikes")

@@ -8,8 +8,8 @@ from inflight.catalog.workspace import Workspace
 from inflight.flows.launch import run_plain
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin.equation import NAMES
-from inflight.tasks.simulate_spinning import simulate_spinning
-from inflight.tasks.tables import month_edges
+from inflight.tasks.archive.deliveries import simulate_spinning
+from inflight.tasks.pipelines.tables import month_edges
 from inflight.time import day_bounds
 
 pytestmark = pytest.mark.slow

@@ -12,11 +12,10 @@ import xarray as xr
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.simulate.dual import DualSettings, simulate_dual_day
-from inflight.tasks.delivered_cdf import write_cdf
-from inflight.tasks.ingest import ingest
-from inflight.tasks.planning import ReprocessSettings
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.simulate_dual import SOURCE
+from inflight.tasks.archive.deliveries import SOURCE, write_cdf
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 CADENCE = 8

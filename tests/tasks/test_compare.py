@@ -12,13 +12,13 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.errors import CatalogError
 from inflight.flags import Flag
-from inflight.tasks import compare as module
-from inflight.tasks import compare_page
-from inflight.tasks.compare import compare
-from inflight.tasks.compare_rows import blocks_of
-from inflight.tasks.ingest import ingest
+from inflight.tasks.analysis import comparing as module
+from inflight.tasks.analysis.comparing import compare
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.compare_rows import blocks_of
+from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines.scalar import compare_page
 from inflight.tasks.report import to_json
-from inflight.tasks.reprocess import reprocess
 from inflight.time import day_bounds
 
 NO_MEASUREMENT = (
@@ -227,7 +227,7 @@ def test_a_page_that_cannot_be_made_leaves_the_old_one(four_days, pages, monkeyp
     def refuse(*_arguments):
         raise OSError("no space left")
 
-    monkeypatch.setattr("inflight.tasks.compare.html_page", refuse)
+    monkeypatch.setattr("inflight.tasks.analysis.comparing.html_page", refuse)
     with pytest.raises(OSError, match="no space"):
         compare(*four_days, output=path)
     assert path.read_bytes() == before

@@ -7,12 +7,12 @@ import pytest
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.simulate.spinning import SpinningSettings
-from inflight.tasks.compare import compare
-from inflight.tasks.ingest import ingest
+from inflight.tasks.analysis.comparing import compare
+from inflight.tasks.analysis.revise import Workbench
+from inflight.tasks.archive.deliveries import simulate_spinning
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.tasks.report import to_json
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.revise import Workbench
-from inflight.tasks.simulate_spinning import simulate_spinning
 
 
 @pytest.fixture(scope="module")

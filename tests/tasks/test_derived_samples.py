@@ -6,13 +6,12 @@ import xarray as xr
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.derived import play, respond
 from inflight.errors import SamplesError
-from inflight.geometry import GEOMETRY, add_geometry
-from inflight.tasks.archive_index import ArchiveIndex
+from inflight.frames import GEOMETRY, add_geometry
+from inflight.samples.derived import play, respond
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 from inflight.tasks.models import ideal_model
-from inflight.tasks.needs import needs_of
-from inflight.tasks.samples import load_samples
 from inflight.time import SECOND, day_bounds
 
 YAML = """\

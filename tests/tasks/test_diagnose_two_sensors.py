@@ -9,11 +9,10 @@ from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.simulate.dual import DualParameters, DualSettings
 from inflight.simulate.dual.switching import UNITS
-from inflight.tasks.diagnose import DiagnoseSettings
-from inflight.tasks.diagnosing import diagnose_span
-from inflight.tasks.ingest import ingest
-from inflight.tasks.revise import Workbench
-from inflight.tasks.simulate_dual import simulate_dual
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.analysis.revise import Workbench, diagnose_span
+from inflight.tasks.archive.deliveries import simulate_dual
+from inflight.tasks.archive.ingestion import ingest
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 

@@ -14,15 +14,27 @@ from tiny_mission import TINY_START, TINY_YAML, tiny_readings
 
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.diagnosis.pictures import MAP_COLUMNS, MAP_ROWS, Seen, along_field, epoch, heat_maps, sizes_of
-from inflight.diagnosis.responses import responses
 from inflight.diagnosis.series import Features, Series
-from inflight.diagnosis.tradeoffs import cross_talk, shifts_of, trials, waterfall
+from inflight.diagnosis.views import (
+    MAP_COLUMNS,
+    MAP_ROWS,
+    Seen,
+    along_field,
+    cross_talk,
+    epoch,
+    heat_maps,
+    responses,
+    shifts_of,
+    sizes_of,
+    trials,
+    waterfall,
+)
 from inflight.errors import CatalogError
-from inflight.tasks import diagnosis_report as module
-from inflight.tasks.diagnose import DiagnoseSettings, material_of, prepare, search_of
-from inflight.tasks.diagnosis_report import diagnosis_page, report
-from inflight.tasks.ingest import ingest
+from inflight.tasks.analysis import diagnosis_page as module
+from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
+from inflight.tasks.analysis.diagnosis_page import diagnosis_page, report
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.archive.ingestion import ingest
 from inflight.time import DAY, SECOND, day_bounds
 
 THANKS = "Thanks to <everyone> & all"
@@ -212,7 +224,7 @@ def test_a_span_of_two_days_has_a_page(place, tmp_path):
 
 def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypatch):
     """Both are made once: asking again makes neither anew."""
-    monkeypatch.setattr("inflight.tasks.diagnose.MOST", -1.0)
+    monkeypatch.setattr("inflight.tasks.analysis.diagnosis.MOST", -1.0)
     kept, again = (prepare(Catalog(place.root), place.mission(), None, None, SETTINGS) for _ in range(2))
     assert kept.loaded.outliers.kept
     assert kept.run

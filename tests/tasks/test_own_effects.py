@@ -14,8 +14,8 @@ from inflight.effects import known_effects
 from inflight.errors import MissionError, ModelError
 from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
 from inflight.flows.launch import run_plain
+from inflight.mission import sensors_of
 from inflight.model import make_effect
-from inflight.sensors import sensors_of
 from inflight.tasks.models import current_model, effect_sources, find_model
 
 DOCS = Path(__file__).parents[2] / "docs"

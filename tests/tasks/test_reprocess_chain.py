@@ -8,8 +8,9 @@ from tiny_mission import TINY_GAIN, TINY_OFFSET, TINY_START, deliver_tiny_day, m
 
 from inflight.catalog import Catalog, Day
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 DAYS = 4
 EQUATIONS, PRODUCT = "equations/main/base", "l2/field"

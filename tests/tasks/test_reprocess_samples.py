@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.alignment import align
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive_index import ArchiveIndex
+from inflight.samples.alignment import align
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import load_samples
 from inflight.tasks.models import ideal_model
-from inflight.tasks.needs import needs_of
-from inflight.tasks.samples import load_samples
 from inflight.time import SECOND, day_bounds
 
 YAML = """\

@@ -18,9 +18,9 @@ from tiny_mission import TINY_START, tiny_readings
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.errors import ModelError
+from inflight.tasks.analysis.revise import Workbench
 from inflight.tasks.models import current_model
-from inflight.tasks.reprocess import reprocess
-from inflight.tasks.revise import Workbench
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 #: What both instruments of the tiny mission read at random, as the residual shows it, nT.
 NOISE = 0.05 * np.sqrt(2)

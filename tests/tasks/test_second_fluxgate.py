@@ -11,18 +11,20 @@ import xarray as xr
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.errors import MissionError
-from inflight.estimators.two_fluxgates import corners, relate
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
+from inflight.mission_fit.two_fluxgates import corners, relate
 from inflight.simulate import Parameters, SimulationSettings
 from inflight.simulate.second import as_second
-from inflight.tasks.compare import compare
-from inflight.tasks.diagnose import DiagnoseSettings, diagnose
-from inflight.tasks.dual_report import dual_report
-from inflight.tasks.ingest import ingest
+from inflight.tasks.analysis.comparing import compare
+from inflight.tasks.analysis.diagnosis import diagnose
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.archive.deliveries import simulate, truth_path
+from inflight.tasks.archive.ingestion import ingest
 from inflight.tasks.models import current_model, preflight_model
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.simulate import simulate, truth_path
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.relation.report import dual_report
+from inflight.tasks.pipelines.reprocessing import reprocess
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 NAME = "champ-two-fluxgates"

@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.twelve import GROUND, Known, join_twelve
-from inflight.tasks.spin_tables import _axial, _combined, _whole
+from inflight.spin.update import GROUND, Known, join_twelve
+from inflight.tasks.pipelines.spin.tables import _axial, _combined, _whole
 from inflight.time import DAY
 
 PRIOR = np.full(8, 0.1)

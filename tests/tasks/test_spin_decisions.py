@@ -9,7 +9,7 @@ import xarray as xr
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.spin.equation import NAMES, SPIN_RELATED
-from inflight.tasks.spin_tables import spin_table
+from inflight.tasks.pipelines.spin.tables import spin_table
 from inflight.time import day_bounds
 
 ROOT = Path(__file__).parents[2] / "missions"

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import inflight.tasks.spin_tables as spin_tables
+import inflight.tasks.pipelines.spin.tables as spin_tables
 from inflight.errors import CalibrationError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.spin.equation import NAMES, SPIN_RELATED
-from inflight.tasks.compare_spin import _coordinates, _Gathered
-from inflight.tasks.spin_day import together
-from inflight.tasks.spin_report import _phase
-from inflight.tasks.spin_results import SpinResults
-from inflight.tasks.spin_tables import zero_level_table
+from inflight.tasks.pipelines.spin.compare import _Gathered, _tone_coordinates
+from inflight.tasks.pipelines.spin.day import together
+from inflight.tasks.pipelines.spin.report import _phase
+from inflight.tasks.pipelines.spin.tables import SpinResults, zero_level_table
 from inflight.time import SECOND, day_bounds
 
 ROOT = Path(__file__).parents[2] / "missions"
@@ -122,7 +121,7 @@ def test_a_day_without_housekeeping_keeps_its_place_in_what_tones_may_follow():
         lacking = number == 1
         found.named.append({"time of day": np.arange(4.0)})
         found.wheels.append({} if lacking else {"coil_current at the spin": np.full(4, 1.0 + number + 0j)})
-    by_name = {one.name: one for one in _coordinates(found, mission)}
+    by_name = {one.name: one for one in _tone_coordinates(found, mission)}
     assert {one.values.size for one in by_name.values()} == {12}
     np.testing.assert_array_equal(np.isfinite(by_name["coil_current at the spin"].values[4:8]), False)
     np.testing.assert_allclose(np.abs(by_name["coil_current at the spin"].wheel[8:]), 3.0)

@@ -11,13 +11,13 @@ from tiny_mission import TINY_GAIN, TINY_OFFSET, TINY_YAML, tiny_readings
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.flags import Flag
-from inflight.tasks.archive_index import ArchiveIndex
-from inflight.tasks.compare import compare
-from inflight.tasks.ingest import ingest
-from inflight.tasks.needs import needs_of
+from inflight.tasks.analysis.comparing import compare
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
+from inflight.tasks.archive.samples import partial_problems
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.tasks.report import RunReport
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.stand_ins import partial_problems
 
 MODEL = f"""\
 model: start

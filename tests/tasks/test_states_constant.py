@@ -10,23 +10,23 @@ import xarray as xr
 from inflight.catalog import Catalog
 from inflight.catalog.workspace import Workspace
 from inflight.dual.candidates import Candidates
-from inflight.dual.gradiometer_table import correction_by_gradiometer
-from inflight.dual.harm import judge
-from inflight.dual.slow_part import WHOLE, Part
-from inflight.dual.table import from_dataset, to_dataset
+from inflight.dual.correction import WHOLE, Part
+from inflight.dual.do_no_harm import judge
+from inflight.dual.gradiometer import correction_by_gradiometer
+from inflight.dual.tracking import from_dataset, to_dataset
 from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.ingest import ingest
-from inflight.tasks.planning import ReprocessSettings, plan
-from inflight.tasks.simulate_dual import simulate_dual
-from inflight.tasks.states_chain import joined
-from inflight.tasks.states_constant import (
+from inflight.tasks.archive.deliveries import simulate_dual
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings, plan
+from inflight.tasks.pipelines.states.day import body_of, correction_of, table_of, window_readings
+from inflight.tasks.pipelines.states.tables import (
     constant_changes,
     constant_of,
     constant_sentences,
     gradiometer_with_states,
+    joined,
 )
-from inflight.tasks.states_window import body_of, correction_of, table_of, window_readings
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 

@@ -17,11 +17,12 @@ from inflight.errors import MissionError
 from inflight.flags import Flag
 from inflight.flows.plan import plan_span
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.compare import compare
-from inflight.tasks.ingest import ingest
-from inflight.tasks.reprocess import ReprocessSettings, reprocess
-from inflight.tasks.simulate_dual import simulate_dual, truth_path
-from inflight.tasks.states_units import named_units
+from inflight.tasks.analysis.comparing import compare
+from inflight.tasks.archive.deliveries import dual_truth_path, simulate_dual
+from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines.states.tables import named_units
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 #: Every four seconds, to be quick.
@@ -63,7 +64,7 @@ def boom(tmp_path_factory):
 def errors(cat, made, day, constants=False):
     """Return errors of the measured and the corrected outboard field every 10 s, without constants; nT."""
     product = cat.read(day, dated=False)
-    with xr.open_dataset(truth_path(made.data, day.day), engine="h5netcdf") as truth:
+    with xr.open_dataset(dual_truth_path(made.data, day.day), engine="h5netcdf") as truth:
         stamps, field = truth["Epoch"].values.astype(np.int64), truth["FIELD"].values
         known = field + truth["OFFSET_OUT"].values
     rows = np.searchsorted(product["tt2000"].values, stamps)
@@ -235,7 +236,7 @@ def test_a_state_has_one_number_in_all_windows(three):
     seen = {}
     for day in cat.days("l2/field", states=("published",)):
         product = cat.read(day, dated=False)
-        with xr.open_dataset(truth_path(made.data, day.day), engine="h5netcdf") as truth:
+        with xr.open_dataset(dual_truth_path(made.data, day.day), engine="h5netcdf") as truth:
             stamps, true = truth["Epoch"].values.astype(np.int64), truth["STATE"].values
         rows = np.clip(np.searchsorted(product["tt2000"].values, stamps), 0, product.sizes["time"] - 1)
         there = product["tt2000"].values[rows] == stamps
@@ -326,7 +327,7 @@ def test_a_known_ambient_field_tells_the_constant_part_and_later_windows_take_it
     assert (second.attrs["constant_known"], second.attrs["carried"]) == (1, 1)
     for day, table in zip(cat.days("l2/field", states=("published",)), (first, second), strict=True):
         product = cat.read(day, dated=False)
-        with xr.open_dataset(truth_path(made.data, day.day), engine="h5netcdf") as truth:
+        with xr.open_dataset(dual_truth_path(made.data, day.day), engine="h5netcdf") as truth:
             stamps, stray = truth["Epoch"].values.astype(np.int64), truth["STRAY_OUT"] + truth["OFFSET_OUT"]
             true = stray.values
         rows = np.clip(np.searchsorted(product["tt2000"].values, stamps), 0, product.sizes["time"] - 1)

@@ -6,9 +6,9 @@ from bad_boom import BAD, CADENCE, CHOSEN, GOOD, boom, copied, deliver, errors, 
 
 from inflight.catalog import Catalog
 from inflight.flags import Flag
-from inflight.tasks.boom_readings import still_axes
-from inflight.tasks.compare import compare
-from inflight.tasks.reprocess import reprocess
+from inflight.tasks.analysis.comparing import compare
+from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines.states.day import still_axes
 from inflight.time import SECOND
 
 HALF = CADENCE * SECOND // 2

@@ -9,12 +9,18 @@ from weather import sheath, wind
 
 from inflight.simulate.spinning.ambient import wind as turbulent
 from inflight.simulate.spinning.settings import CRAFT
-from inflight.zero_level.combined import agreement, combined
+from inflight.zero_level.combination import (
+    REFUSED,
+    against,
+    agreement,
+    combined,
+    evidence,
+    held_to_all,
+    most_evident,
+)
 from inflight.zero_level.estimate import Question
-from inflight.zero_level.evidence import REFUSED, against, evidence, held_to_all, most_evident
 from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.minimum_correlation import minimum_correlation
-from inflight.zero_level.mirror_mode import mirror_mode
+from inflight.zero_level.methods import minimum_correlation, mirror_mode
 
 #: Despun axes, and a ground value that says little.
 AXIAL = Question(free=(False, False, True), bound=30.0)

@@ -4,12 +4,11 @@ import numpy as np
 from bokeh.models import GlyphRenderer
 from nature import solar_wind
 
-from inflight.figures.zero_level import kinds_figure, methods_figure, scatter_figure, sets_figure
-from inflight.zero_level.combined import combined
+from docs.figures.zero_level import kinds_figure, methods_figure, scatter_figure, sets_figure
+from inflight.zero_level.combination import combined
 from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.minimum_correlation import minimum_correlation
-from inflight.zero_level.scatter import scatter_with_hours
-from inflight.zero_level.sets import correlation_sets
+from inflight.zero_level.methods import minimum_correlation
+from inflight.zero_level.published import correlation_sets, scatter_with_hours
 
 
 def drawn(plot) -> int:

@@ -7,16 +7,20 @@ import pytest
 from nature import magnetosheath, solar_wind, stamps, unit
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.zero_level.combined import agreement, combined
-from inflight.zero_level.davis_smith import davis_smith
+from inflight.zero_level.combination import agreement, combined
 from inflight.zero_level.estimate import Question
-from inflight.zero_level.hedgecock import axis_in_turn, correlation, pairs_within
 from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.minimum_correlation import minimum_correlation
-from inflight.zero_level.mirror_mode import mirror_mode
-from inflight.zero_level.selection import kinds
-from inflight.zero_level.sets import correlation_sets
-from inflight.zero_level.wang_pan import wang_pan
+from inflight.zero_level.methods import (
+    axis_in_turn,
+    correlation,
+    davis_smith,
+    kinds,
+    minimum_correlation,
+    mirror_mode,
+    pairs_within,
+    wang_pan,
+)
+from inflight.zero_level.published import correlation_sets
 
 SEEDS = 40
 OFFSET = np.array([0.7, -1.1, 0.4])

@@ -1,7 +1,7 @@
 """Where a simulated spinning spacecraft points: its payload axes in gse, and its field in gsm.
 
 Written by angles of the ecliptic, the sidereal time and the dipole (Hapgood 1992), apart from the products'
-own way (`inflight.geocentric`).
+own way (`inflight.frames`).
 """
 
 from __future__ import annotations

@@ -1,0 +1,630 @@
+"""Design matrices, binning, outliers.
+
+Columns of the residual: what one unit of each parameter changes, at the library's cadence.
+
+Sign: a column is the derivative of the corrected residual by the parameter, so that ``y + X d`` is
+the residual after a change d, as in `inflight.calibration.normal_equations`.
+
+Bursts: stretches in which the residual scatters far beyond what is usual, sample by sample.
+
+What a burst is, is judged by the bends of the residual, each sample against the straight line through its
+neighbours: a switch, a slow field, a storm seen through a clock offset bend at most a few samples. What also
+bends both instruments' readings, or goes with a recorded channel that is as lively, is a signal and stays.
+
+From native samples to the library's cadence: bins of good samples, spikes and bursts left out.
+
+Means of bins keep every linear statement: the mean residual is the same function of the mean columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.ndimage import median_filter
+
+from inflight.arrays import Floats
+from inflight.design.terms import Term, within_span
+from inflight.effects.base import multiply
+from inflight.effects.sensors import VectorSensor
+from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.frames import direction_of
+from inflight.lsq.robust import TO_SIGMA
+from inflight.model import Model
+from inflight.model.rows import ResidualRows, RowFilter
+from inflight.model.rows import ResidualRows as NativeRows
+from inflight.samples.alignment import PlainSamples
+from inflight.time import GAP, SECOND, Int64, utc_text
+
+#: Effects that are the equation of a whole sensor: what stands before them is turned by their matrix.
+EQUATIONS = (VectorSensor, SpinningSensor)
+
+#: Roles whose reading is a vector.
+_VECTORS = ("vector", "inboard", "outboard")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Everything columns are made from, for one block of samples.
+
+    Attributes
+    ----------
+    samples : xarray.Dataset
+        Readings, `field`, `field_direction`, channels and geometry on the library's time base.
+    residual : ndarray, shape (time, row)
+        nT, at the values the columns are linearised at.
+    directions : dict of str to ndarray, shape (time, row, axis)
+        Change of each row by a field added at a sensor.
+    turn : dict of str to ndarray, shape (9,)
+        What the sensor's own equation behind an effect does to a change of its reading, row by row.
+    weight : ndarray, shape (time,)
+        Good native samples of each over the usual number; 0 where there are none.
+    kept : RowFilter, optional
+        The filter the residual went through; columns go through it, too.
+    """
+
+    samples: xr.Dataset
+    residual: Floats
+    directions: Mapping[str, Floats]
+    turn: Mapping[str, Floats]
+    weight: Floats
+    kept: RowFilter | None = None
+
+
+def turns_of(model: Model, tt2000: int) -> dict[str, Floats]:
+    """Return the matrix of every sensor that has an equation, row by row; (9,) each."""
+    found = {}
+    for entry in model.effects:
+        if isinstance(entry.effect, EQUATIONS):
+            values = entry.values(tt2000)
+            still = np.zeros((3, 3))
+            unit = entry.effect.correct(np.eye(3), xr.Dataset(), values, entry.sensor)
+            nought = entry.effect.correct(still, xr.Dataset(), values, entry.sensor)
+            found[entry.sensor.name] = np.ascontiguousarray((unit - nought).T).reshape(9)
+    return found
+
+
+def term_columns(term: Term, rows: Rows) -> Floats:
+    """Return the columns of a term; (time, row, column), nT per scaled unit.
+
+    Raises
+    ------
+    SamplesError
+        When a channel is not in the samples.
+    """
+    entry = term.entry
+    kinds = entry.effect.parameters()
+    times = rows.samples["tt2000"].values
+    values = {name: np.array(value) for name, value in entry.values(times).items()}
+    out = []
+    for name in term.parameters:
+        for index in range(kinds[name].size):
+            step = kinds[name].step
+            if entry.is_additive:
+                out.append(_additive(term, rows, values, name, index, step))
+            else:
+                out.append(_differenced(term, rows, values, name, index, step))
+    # Columns lie one after another: each is written, and later multiplied, as one run of memory.
+    made = np.stack(out)
+    if term.span:
+        made[:, ~within_span(times, term.span)] = 0.0
+    return np.moveaxis(made, 0, -1)
+
+
+def _changed(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:
+    moved = dict(values)
+    moved[name] = np.array(values[name], dtype=np.float64)
+    moved[name][..., index] += step
+    return moved
+
+
+def _additive(
+    term: Term, rows: Rows, values: Mapping[str, Floats], name: str, index: int, step: float
+) -> Floats:
+    """Column of an effect that only adds a field: one evaluation, it is linear."""
+    entry = term.entry
+    others = {key: value * 0.0 if _is_linear(term, key) else value for key, value in values.items()}
+    others[name] = others[name] * 0.0
+    field = entry.effect.field(rows.samples, _changed(others, name, index, step), entry.sensor)
+    return np.asarray(-np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], field))
+
+
+def _is_linear(term: Term, name: str) -> bool:
+    return name in term.parameters
+
+
+def _differenced(
+    term: Term, rows: Rows, values: Mapping[str, Floats], name: str, index: int, step: float
+) -> Floats:
+    """Column of an effect inside an instrument's equation: a central difference of its correction."""
+    entry = term.entry
+    reading = np.asarray(rows.samples[entry.sensor.role].values, dtype=np.float64)
+    up, down = (
+        entry.effect.correct(reading, rows.samples, _changed(values, name, index, sign * step), entry.sensor)
+        for sign in (1.0, -1.0)
+    )
+    change = (up - down) / 2.0
+    if entry.sensor.role not in _VECTORS:
+        return np.asarray(-change[:, None])
+    if not isinstance(entry.effect, EQUATIONS) and entry.sensor.name in rows.turn:
+        change = multiply(rows.turn[entry.sensor.name], change)
+    return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
+
+
+def design(terms: Sequence[Term], rows: Rows) -> Floats:
+    """Return the columns of terms side by side; (time, row, column), 0 where a sample has no weight.
+
+    Values that are not there are 0: a channel's gap must not cost the samples of all others.
+    """
+    if not terms:
+        return np.zeros((*rows.residual.shape, 0))
+    # Effects only look variables up: a thousand columns would spend their time in a Dataset's indexing.
+    light = replace(rows, samples=cast("xr.Dataset", PlainSamples.of(rows.samples)))
+    found = np.concatenate([np.moveaxis(term_columns(term, light), -1, 0) for term in terms])
+    unused = rows.weight <= 0
+    if unused.any():
+        found[:, unused] = 0.0
+    for column in found:
+        if not np.isfinite(column.sum()):
+            column[~np.isfinite(column)] = 0.0
+    made = np.moveaxis(found, 0, -1)
+    if rows.kept is None:
+        return made
+    return np.nan_to_num(rows.kept.keep(made, rows.samples["tt2000"].values, ~unused))
+
+
+#: A burst scatters this many times as much as usual; so much livelier is a channel that makes one.
+FAR = 10.0
+
+#: Never is more of a span than this left out as bursts.
+MOST = 0.02
+
+#: Samples the scatter is the median of, odd; how far a sample must bend to be in a burst, in usual scatters;
+#: samples a record needs; bursts told of a block, and of a span.
+_BURST_AROUND, _WILD, _FEWEST_SAMPLES, _TOLD, _NAMED = 11, 6.0, 100, 20, 12
+
+#: An instrument that is not wild itself is lively when it fluctuates so many times as much as usual.
+_LIVELY = 2.0
+
+
+class Burst(NamedTuple):
+    """A burst: the samples from `first` to before `last`, and its median scatter over the usual one."""
+
+    first: int
+    last: int
+    times_usual: float
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """What a pass left out, over the whole span.
+
+    Attributes
+    ----------
+    spikes, burst_samples, burst_count : int
+    share : float
+        Part of the usable samples that bursts hold.
+    kept : bool
+        True when the bursts hold too much of the span to be left out; they are in the evidence then.
+    bursts : tuple of dict
+        ``start``, ``end`` (UTC), ``samples``, ``times_usual`` of the first ones.
+    """
+
+    spikes: int = 0
+    burst_samples: int = 0
+    burst_count: int = 0
+    share: float = 0.0
+    kept: bool = False
+    bursts: tuple[dict[str, Any], ...] = ()
+
+    @classmethod
+    def of(cls, reports: Sequence[Mapping[str, Any]], kept: bool) -> Outliers:
+        """Return the outliers of blocks' reports, in order of time."""
+        samples = sum(int(one["burst_samples"]) for one in reports)
+        good = sum(float(one["count"]) for one in reports)
+        told = [burst for one in reports for burst in one["bursts"]][:_NAMED]
+        return cls(
+            sum(int(one["spikes"]) for one in reports),
+            samples,
+            sum(int(one["burst_count"]) for one in reports),
+            samples / max(good + (0.0 if kept else samples), 1.0),
+            kept,
+            tuple(
+                {
+                    "start": utc_text(int(start)),
+                    "end": utc_text(int(end)),
+                    "samples": int(count),
+                    "times_usual": float(times),
+                }
+                for start, end, count, times in told
+            ),
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields by name, and `samples`, all that was left out."""
+        return {"samples": self.spikes + (0 if self.kept else self.burst_samples), **vars(self)}
+
+
+def bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> list[Burst]:
+    """Return the bursts of a residual (time, row), whatever made them, in order.
+
+    The usual scatter is the record's median one, so that a residual that is lively all the time has none.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    usable : ndarray of bool, shape (time,)
+    """
+    place = np.flatnonzero(usable)
+    if place.size < _FEWEST_SAMPLES:
+        return []
+    size = _bends(residual[place], stamps[place])
+    local = np.stack([median_filter(row, size=_BURST_AROUND, mode="nearest") for row in size.T], axis=1)
+    usual = np.array([np.median(row[row > 0]) if (row > 0).any() else np.inf for row in local.T])
+    times = (local / usual).max(axis=1)
+    wild = np.asarray((size > _WILD * usual).any(axis=1))
+    return [
+        Burst(int(place[first]), int(place[last - 1]) + 1, float(np.median(times[first:last])))
+        for first, last in _stretches(times > FAR, wild, stamps[place])
+    ]
+
+
+def _bends(values: Floats, stamps: Int64) -> Floats:
+    """Return how far each sample is from the line through its neighbours, in sizes of noise; (time, row)."""
+    seconds = (stamps - stamps[0]) / SECOND
+    part = ((seconds[1:-1] - seconds[:-2]) / (seconds[2:] - seconds[:-2]))[:, None]
+    off = values[1:-1] - (1.0 - part) * values[:-2] - part * values[2:]
+    out = np.abs(off) / np.sqrt(1.0 + part**2 + (1.0 - part) ** 2)
+    # Across a gap the line says nothing.
+    wide = np.diff(seconds) > _BURST_AROUND * np.median(np.diff(seconds))
+    out[wide[1:] | wide[:-1]] = 0.0
+    return np.asarray(np.pad(out, ((1, 1), (0, 0)), mode="edge"))
+
+
+def _stretches(
+    far: npt.NDArray[np.bool_], wild: npt.NDArray[np.bool_], stamps: Int64
+) -> list[tuple[int, int]]:
+    """Return first and last+1 of the stretches around far samples, from the first wild one to the last."""
+    if not far.any():
+        return []
+    core = np.flatnonzero(far)
+    step = float(np.median(np.diff(stamps)))
+    apart = (np.diff(core) > 2 * _BURST_AROUND) | (np.diff(stamps[core]) > 2 * _BURST_AROUND * step)
+    out = []
+    for group in np.split(core, np.flatnonzero(apart) + 1):
+        low, high = max(int(group[0]) - _BURST_AROUND, 0), min(int(group[-1]) + _BURST_AROUND + 1, far.size)
+        near = np.abs(stamps[low:high] - stamps[group[0]]) <= stamps[group[-1]] - stamps[group[0]] + (
+            _BURST_AROUND * step
+        )
+        inside = low + np.flatnonzero(wild[low:high] & near)
+        if inside.size:
+            out.append((int(inside[0]), int(inside[-1]) + 1))
+    return out
+
+
+def is_signal(
+    burst: Burst,
+    others: Sequence[Burst],
+    rows: ResidualRows,
+    stamps: Int64,
+    channels: Mapping[str, Floats],
+    edges: Int64,
+) -> bool:
+    """Return True when a burst is more than wild readings of one instrument.
+
+    Both instruments are livelier than usual, and their difference is not far beyond what they share: the
+    field itself is lively. Or a recorded channel does there what it does nowhere else: it was switched on.
+
+    Parameters
+    ----------
+    others : sequence of Burst
+        Every burst of the record.
+    stamps : ndarray of int64, shape (time,)
+        TT2000 of the samples.
+    channels : mapping of str to ndarray, shape (bin, ...)
+        As they were recorded, on bins.
+    edges : ndarray of int64, shape (bin + 1,)
+        TT2000 of the bins.
+    """
+    return _both_fluctuate(burst, others, rows, stamps) or _goes_with(burst, others, stamps, channels, edges)
+
+
+def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: ResidualRows, stamps: Int64) -> bool:
+    pair = _readings(rows)
+    quiet = np.ones(len(stamps), dtype=bool)
+    for one in others:
+        quiet[max(one.first - 2, 0) : one.last + 2] = False
+    inside = np.zeros(len(stamps), dtype=bool)
+    inside[burst.first : burst.last] = True
+    lively, sizes = True, []
+    for values in (*pair, rows.residual):
+        ripple = _ripple(values, stamps, rows.good)
+        there, usual = _median_square(ripple[inside]), _median_square(ripple[quiet])
+        sizes.append(max(there - usual, 0.0))
+        lively &= there > _LIVELY**2 * usual
+    return lively and FAR**2 * min(sizes[:-1]) > sizes[-1]
+
+
+def _readings(rows: ResidualRows) -> list[Floats]:
+    """Return what each of the two instruments says; (time, component)."""
+    if rows.residual.shape[1] == 1:
+        size = np.linalg.norm(rows.field, axis=1, keepdims=True)
+        return [size, size - rows.residual]
+    return list(rows.fields.values())
+
+
+def _ripple(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+    """Return fourth differences, in sizes of noise; (time,), NaN where neighbours are missing.
+
+    The field that an orbit leads through bends by as much as noise does; hardly anything of it is left here.
+    """
+    known = np.where(good[:, None], values, np.nan)
+    out = np.full(len(values), np.nan)
+    if len(values) < 5:
+        return out
+    off = known[2:-2] - (4.0 * (known[1:-3] + known[3:-1]) - known[:-4] - known[4:]) / 6.0
+    even = np.abs(np.diff(stamps) / np.median(np.diff(stamps)) - 1.0) < 0.1
+    off[~(even[:-3] & even[1:-2] & even[2:-1] & even[3:])] = np.nan
+    out[2:-2] = np.linalg.norm(off, axis=1) / np.sqrt(1.0 + 34.0 / 36.0)
+    return out
+
+
+def _median_square(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known) ** 2) if known.size else 0.0
+
+
+def _goes_with(
+    burst: Burst, others: Sequence[Burst], stamps: Int64, channels: Mapping[str, Floats], edges: Int64
+) -> bool:
+    """Return True when some channel is lively all through the burst and not elsewhere, or is on for it."""
+    between, width = edges[1:-1], int(edges[1] - edges[0])
+    quiet = np.ones(between.size, dtype=bool)
+    for one in others:
+        quiet &= (between < stamps[one.first] - width) | (between > stamps[one.last - 1] + width)
+    start, end = int(stamps[burst.first]), int(stamps[burst.last - 1])
+    inside = (between >= start - width) & (between <= end + width)
+    ends = [np.abs(between - at) <= width for at in (start, end)]
+    if not inside.any() or not quiet.any():
+        return False
+    # One change in the midst of a long burst is chance.
+    short = end - start <= 2 * width
+    for values in channels.values():
+        change = np.linalg.norm(np.diff(values.reshape(len(values), -1), axis=0), axis=1)
+        change = np.where(np.isfinite(change), change, 0.0)
+        least = max(FAR * float(np.sqrt(np.mean(change[quiet] ** 2))), 1e-300)
+        through = change[inside].max() if short else float(np.median(change[inside]))
+        if through > least or min(change[at].max(initial=0.0) for at in ends) > least:
+            return True
+    return False
+
+
+def told_of(found: Sequence[Burst], stamps: Int64, usable: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    """Return what a block's report says of its bursts: how many, how long, and the first ones."""
+    samples = [int(usable[one.first : one.last].sum()) for one in found]
+    return {
+        "burst_samples": sum(samples),
+        "burst_count": len(found),
+        "bursts": [
+            [int(stamps[one.first]), int(stamps[one.last - 1]), count, round(one.times_usual, 1)]
+            for one, count in zip(found[:_TOLD], samples, strict=False)
+        ],
+    }
+
+
+#: A sample is a spike when it is this many sigma from the median of its neighbours, sigma being that of the
+#: record or of the samples around, whichever is larger.
+_SPIKE, _NEIGHBOURS, _AROUND = 7.0, 9, 61
+
+#: A bin needs this part of the usual number of good samples.
+_LEAST = 0.3
+
+#: Gaps of a channel up to so many bins are bridged by a straight line.
+_BRIDGE = 10
+
+
+def grid(first: int, last: int, cadence_ns: int) -> Int64:
+    """Return the edges of the bins that cover the half-open span from `first` to `last`; TT2000."""
+    count = max(1, -(-(last - first) // cadence_ns))
+    return first + cadence_ns * np.arange(count + 1, dtype=np.int64)
+
+
+def bin_means(
+    values: Floats, stamps: Int64, edges: Int64, good: npt.NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Return means (bin, ...) and counts (bin,) of the good samples in each bin; NaN where there is none."""
+    # Stamps rise, so that a bin is a run of samples: sums of runs cost one look at the values.
+    starts = np.searchsorted(stamps, edges)
+    inside = slice(int(starts[0]), int(starts[-1]))
+    used = good[inside]
+    count, flat = used.astype(np.float64), values[inside].reshape(used.size, -1)
+    if not used.all():
+        flat = np.where(used[:, None], flat, 0.0)
+    total = _sums_of_runs(flat, starts - starts[0])
+    number = _sums_of_runs(count[:, None], starts - starts[0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = total / number
+    return mean.reshape(edges.size - 1, *values.shape[1:]), number[:, 0]
+
+
+def _sums_of_runs(values: Floats, starts: Int64) -> Floats:
+    """Return the sums of rows (time, column) from each start to the next; (run, column), 0 for none."""
+    out = np.zeros((starts.size - 1, values.shape[1]))
+    filled = np.flatnonzero(np.diff(starts))
+    if filled.size:
+        out[filled] = np.add.reduceat(values, starts[filled], axis=0)
+    return out
+
+
+def spikes(residual: Floats) -> npt.NDArray[np.bool_]:
+    """Return which samples stand out from their neighbours; (time,) of a residual (time, row).
+
+    The measure is local, so that no effect, however large, is taken for an outlier, nor a lively hour
+    for a series of them.
+    """
+    if len(residual) < _NEIGHBOURS:
+        return np.zeros(len(residual), dtype=bool)
+    filled = np.where(np.isfinite(residual), residual, 0.0)
+    known = np.asarray(np.isfinite(residual).all(axis=1))
+    return np.asarray(np.any([_stands_out(row, known) for row in filled.T], axis=0))
+
+
+def _stands_out(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which samples of one row (time,) stand out from their neighbours.
+
+    On a slope every sample is the median of its neighbours: what is noise there, second differences tell.
+    """
+    off = np.abs(row - median_filter(row, size=_NEIGHBOURS, mode="nearest"))
+    bend = np.zeros(row.size)
+    bend[1:-1] = np.abs(row[1:-1] - 0.5 * (row[:-2] + row[2:])) * np.sqrt(2.0 / 3.0)
+    sigma = np.full(row.size, 1e-6)
+    for size in (off, bend):
+        usual = np.median(size[known]) if known.any() else 1.0
+        around = median_filter(size, size=min(_AROUND, row.size), mode="nearest")
+        sigma = np.maximum(sigma, TO_SIGMA * np.maximum(usual, around))
+    return np.asarray(off > _SPIKE * sigma)
+
+
+def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
+    """Put a channel on the bins: means where it is faster, straight lines where it is slower; (bin, ...)."""
+    width = int(edges[1] - edges[0])
+    flat = np.asarray(values, dtype=np.float64)
+    good = np.asarray(np.isfinite(flat.reshape(len(flat), -1)).all(axis=1))
+    if not good.any():
+        return np.full((edges.size - 1, *flat.shape[1:]), np.nan)
+    if cadence_ns <= width:
+        return bridged(bin_means(flat, stamps, edges, good)[0])
+    centre = edges[:-1] + width // 2
+    own, told = stamps[good], flat[good].reshape(int(good.sum()), -1)
+    after = np.clip(np.searchsorted(own, centre), 1, max(own.size - 1, 1))
+    near = np.minimum(np.abs(centre - own[after - 1]), np.abs(own[np.minimum(after, own.size - 1)] - centre))
+    out = np.stack([np.interp(centre, own, column) for column in told.T], axis=-1)
+    out[near > GAP * cadence_ns] = np.nan
+    return out.reshape(edges.size - 1, *flat.shape[1:])
+
+
+def bridged(values: Floats) -> Floats:
+    """Return the series with its short gaps bridged by straight lines; (bin, ...)."""
+    flat = values.reshape(len(values), -1).copy()
+    known = np.isfinite(flat).all(axis=1)
+    if known.all() or not known.any():
+        return values
+    place, own = np.arange(len(flat)), np.flatnonzero(known)
+    after = np.clip(np.searchsorted(own, place), 0, own.size - 1)
+    before = np.clip(after - 1, 0, None)
+    short = ~known & (own[after] > place) & (own[before] < place) & (own[after] - own[before] <= _BRIDGE + 1)
+    for column in flat.T:
+        column[short] = np.interp(place[short], own, column[own])
+    return flat.reshape(values.shape)
+
+
+def coarsen(
+    samples: xr.Dataset,
+    rows: NativeRows,
+    edges: Int64,
+    channels: Mapping[str, xr.Variable],
+    turn: Mapping[str, Floats],
+    recorded: Mapping[str, Floats] | None = None,
+    keep_bursts: bool = False,
+) -> tuple[Rows, dict[str, Any]]:
+    """Put a day's rows on the library's bins.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Native samples the rows were made from.
+    rows : inflight.model.rows.ResidualRows
+    edges : ndarray of int64
+        Of the bins.
+    channels : mapping of str to Variable
+        Channels and geometry that stand on the bins already.
+    turn : mapping
+        See `inflight.design.columns.Rows`.
+    recorded : mapping of str to ndarray, optional
+        Every channel of the mission as it was recorded, on the bins: what goes with one is no outlier.
+    keep_bursts : bool
+        Count bursts and leave them in.
+
+    Returns
+    -------
+    Rows, dict
+        The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
+        the scatter within bins, of one row, nT^2, ``spikes``; and of `inflight.design.columns.told_of`.
+    """
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    usable = rows.good & np.isfinite(rows.residual).all(axis=1)
+    single, burst, told = _outliers(rows, usable, stamps, edges, recorded or {})
+    out = single if keep_bursts else single | burst
+    good = usable & ~out
+    residual, count = bin_means(rows.residual, stamps, edges, good)
+    usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
+    weight = np.where(count >= _LEAST * usual, np.minimum(count / usual, 1.0), 0.0)
+    if "weight" in samples:
+        of_samples = np.asarray(samples["weight"].values, dtype=np.float64)
+        weight = np.where(weight > 0, weight * bin_means(of_samples, stamps, edges, good)[0], 0.0)
+    seen = weight > 0
+    directions = {
+        name: bin_means(np.asarray(one), stamps, edges, good)[0] for name, one in rows.directions.items()
+    }
+    residual = np.where(seen[:, None], residual, 0.0)
+    square = float(np.sum(rows.residual[good] ** 2))
+    inside = square - float(
+        np.sum(count[:, None] * np.where(count[:, None] > 0, np.nan_to_num(residual), 0.0) ** 2)
+    )
+    sums = {
+        "count": float(good.sum()),
+        "square": square,
+        # A row's own, as all other sizes are.
+        "inside": max(inside, 0.0) / rows.residual.shape[1],
+        "spikes": float((usable & single).sum()),
+    } | told
+    binned = _binned(samples, rows, edges, channels, good)
+    return Rows(binned, residual, directions, turn, weight, rows.kept), sums
+
+
+def _binned(
+    samples: xr.Dataset,
+    rows: NativeRows,
+    edges: Int64,
+    channels: Mapping[str, xr.Variable],
+    good: npt.NDArray[np.bool_],
+) -> xr.Dataset:
+    """Return readings and field on the bins, beside the channels that stand there already."""
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    data: dict[str, xr.Variable] = dict(channels)
+    data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
+    for role in ("vector", "scalar", "inboard", "outboard"):
+        if role in samples:
+            data[role] = xr.Variable(
+                samples[role].dims, bin_means(samples[role].values, stamps, edges, good)[0]
+            )
+    field, _ = bin_means(rows.field, stamps, edges, good)
+    data["field"] = xr.Variable(("time", "axis"), field, {"units": "nT"})
+    data["field_direction"] = xr.Variable(("time", "axis"), direction_of(field), {"units": "1"})
+    return xr.Dataset(data)
+
+
+def _outliers(
+    rows: NativeRows,
+    usable: npt.NDArray[np.bool_],
+    stamps: Int64,
+    edges: Int64,
+    recorded: Mapping[str, Floats],
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+    """Return which samples are spikes and which in bursts; (time,), no sample in both, and words on these."""
+    none = np.zeros(len(stamps), dtype=bool)
+    if rows.kept is not None:
+        # What went through a filter has no wild samples left.
+        return none, none, told_of([], stamps, none)
+    single = spikes(np.where(usable[:, None], rows.residual, np.nan))
+    every = bursts(rows.residual, stamps, usable & ~single)
+    wild = [one for one in every if not is_signal(one, every, rows, stamps, recorded, edges)]
+    burst = none.copy()
+    for one in wild:
+        burst[one.first : one.last] = True
+    return single & ~burst, burst, told_of(wild, stamps, usable)

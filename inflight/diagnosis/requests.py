@@ -1,0 +1,325 @@
+"""What a person asks to be added: a name, a channel, or an entry of the model's file, made an addition."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from inflight.design.terms import Candidate, term_of
+from inflight.diagnosis.additions import Addition, Column, Ground, Maker, drift_of, step_of
+from inflight.diagnosis.refine import profile
+from inflight.diagnosis.scoring import fit, folds_of
+from inflight.diagnosis.time_changes import DRIFTS
+from inflight.effects import known_effects
+from inflight.effects.base import did_you_mean
+from inflight.effects.families import channels_of
+from inflight.errors import ModelError
+from inflight.frames import GEOMETRY
+from inflight.mission import sensors_of
+from inflight.model import ModelEffect, make_effect
+from inflight.samples.derived import base_channels, parse
+from inflight.time import SECOND, parse_duration, parse_utc, to_tt2000
+
+_LAG = re.compile(r"^(?P<mechanism>.+)@lag=(?P<lag>[^@]+)$")
+
+_TIMED = re.compile(
+    r"^(?P<kind>offset|scale|angle|bias|clock)_(?:step|episode)@(?P<at>[^/]+)(?:/(?P<end>.+))?$"
+)
+
+#: An effect of a channel as a search names it: of a product, with a lag or a width of its own.
+_MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|width)=(?P<size>[^@]+))?$")
+
+#: What changes at a moment.
+_KINDS = ("offset", "scale", "angle", "bias", "clock")
+
+#: Names listed in a remedy at most.
+_LISTED = 12
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be added.
+
+    Attributes
+    ----------
+    addition : Addition
+    bank : dict of float to Addition
+        The same with every lag of its bank, when the lag that fits best is wanted.
+    """
+
+    addition: Addition
+    bank: Mapping[float, Addition]
+    maker: Maker
+    candidate: Candidate | None = None
+
+    def at_lag(self, lag_s: float) -> Addition:
+        """Return the addition with another lag, seconds."""
+        return self.maker.of_candidate(self.candidate, lag_s=lag_s) if self.candidate else self.addition
+
+
+def find_wanted(maker: Maker, effect: str | Mapping[str, Any]) -> Wanted:
+    """Return what a person asks for.
+
+    Parameters
+    ----------
+    effect : str or mapping
+        A candidate's name or mechanism, an effect, a channel, a drift, a step or episode with its time;
+        or an entry of the model's file, as text or mapping.
+
+    Raises
+    ------
+    ModelError
+        When nothing is called so, or several things are.
+    """
+    given = _entry_of(effect)
+    if not isinstance(given, str):
+        return Wanted(_of_entry(maker, given), {}, maker)
+    if given in DRIFTS:
+        return Wanted(drift_of(maker, given), {}, maker)
+    if timed := _TIMED.match(given):
+        at = [_instant(given, timed[key]) for key in ("at", "end") if timed[key]]
+        return Wanted(step_of(maker, timed["kind"], [_edge(maker, one) for one in at]), {}, maker)
+    candidate, lag = _candidate(maker, given)
+    if candidate is None:
+        return Wanted(_of_entry(maker, _made(given)), {}, maker)
+    if lag is not None:
+        return Wanted(maker.of_candidate(candidate, lag_s=lag), {}, maker)
+    bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
+    return Wanted(maker.of_candidate(candidate), bank, maker, candidate)
+
+
+def _entry_of(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
+    """Return an entry of the model's file as a mapping, any other text as it is."""
+    if not isinstance(effect, str):
+        return dict(effect)
+    if "effect:" not in effect:
+        return effect.strip()
+    try:
+        tree = YAML(typ="safe").load(effect)
+    except YAMLError as error:
+        raise ModelError(f"{effect!r} is no YAML: {error}", remedy="write {effect: NAME, ...}") from None
+    tree = tree[0] if isinstance(tree, list) and len(tree) == 1 else tree
+    if not isinstance(tree, dict):
+        raise ModelError(f"{effect!r} is no entry of a model", remedy="write {effect: NAME, ...}")
+    return tree
+
+
+def _candidate(maker: Maker, name: str) -> tuple[Candidate | None, float | None]:
+    """Return the candidate of a name, and its lag when one is stated that the bank has not."""
+    real = [one for one in maker.library.candidates if not one.placebo]
+    found = [one for one in real if name in (one.name, one.mechanism)]
+    if found:
+        return found[0], None
+    if lagged := _LAG.match(name):
+        bank = [one for one in real if one.mechanism == lagged["mechanism"] and maker.bank(one)]
+        if bank:
+            return bank[0], _seconds(name, lagged["lag"])
+    told = list(dict.fromkeys(one.mechanism for one in real))
+    alike = [one for one in told if one.startswith(f"{name}(") or one == f"channel_field({name})"]
+    if len(alike) == 1:
+        return next(one for one in real if one.mechanism == alike[0]), None
+    if len(alike) > 1:
+        listed = ", ".join(alike[:_LISTED])
+        raise ModelError(f"{name!r} may be {len(alike)} things", remedy=f"name one of {listed}")
+    made = _MADE.match(name)
+    if (made["effect"] if made else name) in known_effects(maker.model.own):
+        return None, None
+    raise _unknown(maker, name, told)
+
+
+def _made(name: str) -> dict[str, Any]:
+    """Return the entry of an effect as a search names it; its channel carries the lag."""
+    match = _MADE.match(name)
+    if match is None:
+        return {"effect": name}
+    entry = {"effect": match["effect"], "channel": match["channel"]}
+    if match["form"] == "lag":
+        entry["channel"] += f"@lag={match['size']}"
+    elif match["form"]:
+        entry[match["form"]] = match["size"]
+    return entry
+
+
+def _unknown(maker: Maker, name: str, mechanisms: Sequence[str]) -> ModelError:
+    dead = {one["name"]: one["reason"] for one in maker.library.unscorable}
+    if name in dead:
+        return ModelError(f"{name!r} cannot be tried: {dead[name]}", remedy="these data cannot show it")
+    known = [*channels_of(maker.mission), *mechanisms, *DRIFTS, *known_effects(maker.model.own)]
+    return ModelError(
+        f"there is no candidate {name!r}{did_you_mean(name, known)}",
+        remedy="'inflight diagnose' lists candidates; or give an entry, such as "
+        "'{effect: channel_field, channel: NAME}'",
+    )
+
+
+def _seconds(name: str, lag: str) -> float:
+    try:
+        return parse_duration(lag) / SECOND
+    except ValueError as error:
+        raise ModelError(f"{name!r}: {error}", remedy="write such as @lag=600s") from None
+
+
+def _instant(name: str, text: str) -> int:
+    try:
+        return int(to_tt2000(parse_utc(text)))
+    except ValueError as error:
+        raise ModelError(f"{name!r}: {error}", remedy="write such as offset_step@2024-03-01") from None
+
+
+def _edge(maker: Maker, when: int) -> int:
+    """Return a moment; the edge of blocks beside it when that is within a second."""
+    edges = np.append(maker.raw.start, maker.raw.end[-1])
+    near = int(edges[np.argmin(np.abs(edges - when))])
+    return near if abs(near - when) < SECOND else when
+
+
+# Entries of a model's file.
+
+
+def _of_entry(maker: Maker, given: Mapping[str, Any]) -> Addition:
+    """Return the addition of an entry: a candidate's when it is one, else one that needs a pass."""
+    sensors = sensors_of(maker.mission, maker.model.comparison)
+    entry = make_effect(given, sensors, maker.model.own, maker.mission)
+    known = {*channels_of(maker.mission), *GEOMETRY}
+    for channel in (base for name in entry.effect.channels for base in base_channels(name)):
+        if channel not in known:
+            raise ModelError(
+                f"effect '{entry.effect.label()}' needs channel {channel!r}, which the mission has not"
+                f"{did_you_mean(channel, known)}",
+                remedy="name it in the mission YAML, or give the option 'channel'",
+            )
+    plain = not set(given) & set(entry.parameters)
+    candidate, lag = _matching(maker, entry)
+    if candidate is not None and plain:
+        return maker.of_candidate(candidate, str(given.get("name") or ""), lag)
+    name = maker.free_name(str(given.get("name") or maker.title(entry)))
+    return _apart(maker, make_effect({**given, "name": name}, sensors, maker.model.own, maker.mission))
+
+
+def _apart(maker: Maker, entry: ModelEffect) -> Addition:
+    """Return the addition of an effect that is in no library, at values that do nothing."""
+    kinds = type(entry.effect).parameters()
+    still = {
+        key: replace(
+            timed,
+            value=kinds[key].default_values[:, None],
+            sigma=np.full((kinds[key].size, 1), kinds[key].sigma),
+            free=True,
+        )
+        if np.isfinite(kinds[key].sigma) and timed.time == "constant"
+        else timed
+        for key, timed in entry.parameters.items()
+    }
+    entry = entry.with_parameters(still)
+    # The evidence is known by the names of its columns: they say what the effect is made of.
+    made_of = json.dumps(entry.as_yaml(), sort_keys=True, default=str)
+    key = f"{entry.name}#{hashlib.sha256(made_of.encode()).hexdigest()[:12]}"
+    term = term_of(entry, key)
+    moving = tuple(one for one in term.parameters if still[one].time == "constant")
+    if not moving or moving != term.parameters:
+        raise ModelError(
+            f"effect '{entry.effect.label()}' has no constant parameter with a sigma: nothing can be fitted",
+            remedy="give its Parameter a sigma: what is known of it beforehand",
+        )
+    return maker.of_term(term)
+
+
+def _matching(maker: Maker, entry: ModelEffect) -> tuple[Candidate | None, float]:
+    """Return the candidate an entry is, whatever its lag, and the lag."""
+    if entry.effect.source is not None:
+        return None, 0.0
+    told, lag = _told(entry)
+    for candidate in maker.library.candidates:
+        term = maker.library.terms[candidate.terms[0]]
+        if candidate.placebo or len(candidate.terms) > 1:
+            continue
+        own, own_lag = _told(term.entry)
+        if own == told and (own_lag == lag or maker.bank(candidate)):
+            return candidate, lag
+    return None, lag
+
+
+def _told(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
+    """Return what an effect is, its name and its values not counted, and its lag, seconds."""
+    given = dict(entry.effect.given)
+    lag = 0.0
+    if "channel" in given and entry.effect.channels:
+        parts = parse(entry.effect.channels[0]).parts
+        if len(parts) == 1 and parts[0].lag_s:
+            lag = float(parts[0].lag_s)
+            given.pop("lag", None)
+            given["channel"] = str(given["channel"]).partition("@lag=")[0]
+    options = tuple(sorted((key, str(value)) for key, value in given.items()))
+    return (entry.effect.label(), entry.sensor.name, options), lag
+
+
+def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
+    """Return the addition that an effect of a later version of the model is."""
+    label = entry.effect.label()
+    if label == "affine":
+        for key in ("matrix", "shift"):
+            if entry.parameters[key].time == "linear":
+                return drift_of(maker, _which_drift(key, entry), entry.name)
+    for key, kind in (("seconds", "clock_drift"), ("bias", "bias_drift")):
+        if (
+            key in entry.parameters
+            and entry.parameters[key].time == "linear"
+            and not entry.parameters[key].free
+        ):
+            return drift_of(maker, kind, entry.name)
+    kind, _, form = label.partition("_")
+    if kind in _KINDS and form in ("step", "episode"):
+        at = [
+            _instant(entry.name, str(entry.effect.given[key]))
+            for key in ("at", "from", "to")
+            if key in entry.effect.given
+        ]
+        if getattr(maker.carriers, kind):
+            return step_of(maker, kind, at, entry.name)
+    candidate, lag = _matching(maker, entry)
+    if candidate is not None:
+        return maker.of_candidate(candidate, entry.name, lag)
+    return _apart(maker, entry)
+
+
+def _which_drift(part: str, entry: ModelEffect) -> str:
+    """Return which drift an affine change that grows with time is."""
+    if part == "shift":
+        return "offset_drift"
+    growth = np.reshape(entry.parameters[part].value[:, 1], (3, 3))
+    return "angle_drift" if np.any(growth[~np.eye(3, dtype=bool)]) else "scale_drift"
+
+
+# Lags.
+
+
+def best_lag(
+    ground: Ground, fixed: Mapping[str, float], columns: Sequence[Column], bank: Mapping[float, Addition]
+) -> float:
+    """Return the lag that explains most beside the rest of the model, seconds; 0 when it may be none."""
+    tried = [
+        Column(f"{lag:g}|{column.name}", column.parts)
+        for lag, addition in bank.items()
+        for column in addition.columns
+    ]
+    evidence, present = ground.absorbed([*columns, *tried], fixed)
+    count = len(present.columns) - len(tried)
+    present = replace(present, columns=present.columns[:count], precision=present.precision[:count])
+    places = {
+        lag: evidence.index([f"{lag:g}|{column.name}" for column in addition.columns])
+        for lag, addition in bank.items()
+    }
+    y = evidence.residuals[0]
+    if len(places) > 2:
+        found = profile(evidence, present, places, y, folds_of(len(evidence)))
+        return found.best if found.best > found.sigma else 0.0
+    _, explained = fit(evidence, present, list(places.values()), y)
+    return list(places)[int(np.argmax(explained))]

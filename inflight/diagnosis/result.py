@@ -1,0 +1,426 @@
+"""Diagnosis record and its sentence.
+
+The result of a diagnosis: what was found, how sure it is, what is left.
+
+One sentence a physicist would say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any, Literal
+
+import numpy as np
+
+from inflight.residual.lines import told_period
+
+Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "NOTHING_LEFT"]
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One number of an effect; `at` is a sensor, or ``difference`` of vector and reference."""
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+    at: str
+
+    @property
+    def stands_out(self) -> bool:
+        """True when it is three sigma from nothing."""
+        return abs(self.value) > 3.0 * self.sigma > 0
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """An effect the search took, and how it stands."""
+
+    name: str
+    family: str
+    channels: tuple[str, ...]
+    axes: tuple[str, ...]
+    coefficients: tuple[Coefficient, ...]
+    gain: float
+    t: float
+    flip_p: float
+    retained: float
+    lag_s: float
+    lag_sigma_s: float | None
+    placebo_t: float
+    consistency: float | None
+    rms_nT: float  # noqa: N815 (a unit)
+    rivals: tuple[str, ...] = ()
+    at: tuple[str, ...] = ()
+    at_sigma_s: float | None = None
+    entries: tuple[Mapping[str, Any], ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields as the command line prints them."""
+        told = dict(vars(self))
+        told["coefficients"] = [dict(vars(one)) for one in self.coefficients]
+        told["beats_placebo"] = bool(self.placebo_t > 3.0)
+        return told
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What an effect nobody knows looks like.
+
+    `amplitude_nT` and `amplitudes` (by axis, with sigma) of a period are half of peak to peak of the folded
+    curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
+    fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
+    bound it. Of a unit without housekeeping `switchings` tells how often two sensors saw it switch.
+    """
+
+    period_s: float | None = None
+    channel: str | None = None
+    lag_s: float | None = None
+    axis: str | None = None
+    shape: str | None = None
+    amplitude_nT: float | None = None  # noqa: N815 (a unit)
+    period_sigma_s: float | None = None
+    duty: float | None = None
+    amplitudes: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    gain: float | None = None
+    steps: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    faster_than_s: float | None = None
+    periods_s: tuple[float, float] | None = None
+    switchings: int | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Verdict of a span and everything it rests on.
+
+    Attributes
+    ----------
+    verdict : str
+        About the residual as found.
+    sentence : str
+        What a physicist would say.
+    effects : tuple of FoundEffect
+        What the rounds took.
+    confusion_set : tuple of dict
+        When confounded: each effect's rivals with the t by which they lose.
+    separating : tuple of dict
+        Blocks or events in which the rivals differ most.
+    unscorable : tuple of dict
+        What these data cannot show, and why.
+    signature : Signature or None
+        Of an effect that is in no library.
+    remaining : dict
+        ``verdict`` and ``signature`` of what is left after the effects.
+    residual : dict
+        Sizes before and after, held out, and the noise floor with its interval; nT at the cadence of
+        the comparison. ``uncorrected`` lists channels of the effects and the part of the record each is
+        missing in: sizes are of the other rows.
+    rounds : tuple of dict
+        Ledger of additions and removals.
+    candidates : tuple of dict
+        The ranked table, best first.
+    refined : tuple of dict
+        Parameters of the model that the data moved within what was known of them.
+    blocks : dict
+        Number and length of the blocks, how many of them are independent, and the few that hold nearly all
+        of the residual's square.
+    outliers : dict
+        Samples the evidence leaves out: how many, and when the first bursts of them were.
+    """
+
+    verdict: Verdict
+    sentence: str
+    effects: tuple[FoundEffect, ...]
+    confusion_set: tuple[dict[str, Any], ...]
+    separating: tuple[dict[str, Any], ...]
+    unscorable: tuple[dict[str, Any], ...]
+    signature: Signature | None
+    remaining: dict[str, Any]
+    residual: dict[str, Any]
+    rounds: tuple[dict[str, Any], ...]
+    candidates: tuple[dict[str, Any], ...]
+    refined: tuple[dict[str, Any], ...]
+    blocks: dict[str, Any]
+    stopped: str = ""
+    comparison: str = "main"
+    model: dict[str, Any] = field(default_factory=dict)
+    context: str = ""
+    run: str = ""
+    outliers: dict[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as the command line prints it: plain numbers, null where there is none."""
+        told = {
+            name: value
+            for name, value in vars(self).items()
+            if name not in ("effects", "signature", "remaining", "context", "run")
+        }
+        told["effects"] = [one.as_json() for one in self.effects]
+        told["signature"] = self.signature.as_json() if self.signature else None
+        left = self.remaining.get("signature")
+        told["remaining"] = {
+            "verdict": self.remaining["verdict"],
+            "signature": left.as_json() if left is not None else None,
+        }
+        whole: dict[str, Any] = plain(
+            {"command": "diagnose", "run": self.run, "context": self.context, **told}
+        )
+        return whole
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it; what is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+#: Sigmas from which an axis is named; spans that are said; and the part of the smallest effect, or of the
+#: floor, that is a good part of it.
+_CLEAR, _SAID, _GOOD_PART = 3.0, 4, 0.5
+
+#: Part of a record that lacks a channel from which on it is worth a word.
+_WORTH = 0.01
+
+#: Mechanisms worth a word when the data could not have shown them.
+MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
+
+
+def sentence(told: Mapping[str, Any]) -> str:
+    """Return what a diagnosis means, in one or two sentences."""
+    residual = told["residual"]
+    sizes = (
+        f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
+        f"noise floor {_size(residual['noise_floor_nT'])}"
+    )
+    bursts = _of_outliers(told.get("outliers", {}))
+    parts = [_of_effect(effect) for effect in told["effects"]]
+    if parts:
+        text = "; ".join(parts)
+        text = f"{text[0].upper()}{text[1:]} ({sizes})."
+        if told["remaining"] == "UNKNOWN_EFFECT":
+            text += f" Something is left: {_of_signature(told['signature'])}."
+            if _may_stand_in(told):
+                text += " The effects taken may stand in for the one cause that is missing."
+        return text + _of_gaps(residual.get("uncorrected", ())) + bursts
+    return {
+        "NOTHING_LEFT": lambda: f"{_of_noise(residual)} ({sizes}).{_unseen(told)}",
+        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not(told)} ({sizes}).",
+        "UNKNOWN_EFFECT": lambda: (
+            f"No effect of the library explains it: {_of_signature(told['signature'])} ({sizes})."
+        ),
+    }[told["remaining"]]() + bursts
+
+
+def _of_noise(residual: Mapping[str, float]) -> str:
+    floor = residual["noise_floor_nT"]
+    more = residual["held_out_after_nT"] ** 2 - floor**2
+    if more > (_GOOD_PART * floor) ** 2:
+        return (
+            f"Nothing is left that has structure, and yet {more**0.5:.3g} nT rms beyond the white level: "
+            "wild readings, or something faster than the search"
+        )
+    return "Nothing is left to explain: the residual is noise"
+
+
+def why_not(told: Mapping[str, Any]) -> str:
+    """Return why nothing can be said of what is there: a short span, few blocks that tell, little of it."""
+    blocks, fewest = told["blocks"], told.get("fewest", 0)
+    if blocks.get("by_length", blocks["independent"]) < fewest:
+        return f"these data are too short to say what: {blocks['independent']:.0f} independent blocks"
+    if blocks["independent"] < fewest:
+        holding = blocks.get("holding", [])
+        few = f"{len(holding)} of {blocks['count']}" if holding else "a few"
+        when = f": {_spans(holding)}" if holding else ""
+        return f"{few} blocks hold nearly all of the residual's square{when}"
+    return "its structure is not beyond doubt"
+
+
+def _spans(blocks: Sequence[Mapping[str, Any]]) -> str:
+    """Return when blocks are, adjacent ones as one span, the first few of them."""
+    spans: list[list[str]] = []
+    for one in blocks:
+        if spans and spans[-1][1] == one["start"]:
+            spans[-1][1] = one["end"]
+        else:
+            spans.append([one["start"], one["end"]])
+    said = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[:_SAID]]
+    return "; ".join(said) + ("; ..." if len(spans) > _SAID else "")
+
+
+def _minute(utc: str) -> str:
+    return utc[:16].replace("T", " ")
+
+
+def _of_outliers(outliers: Mapping[str, Any]) -> str:
+    """Return what is to be said of bursts; nothing when there were none."""
+    count = outliers.get("burst_count", 0)
+    if not count:
+        return ""
+    what = "A burst" if count == 1 else f"{count} bursts"
+    first = outliers["bursts"][0]
+    when = f"{'' if count == 1 else 'the first '}{_minute(first['start'])} to {_minute(first['end'])}"
+    size = f"{_percent(outliers['share'])} of the samples ({when})"
+    if outliers["kept"]:
+        return f" {what} of wild readings hold{'s' if count == 1 else ''} {size}, too many to be left out."
+    return f" {what} of wild readings, {size}, {'was' if count == 1 else 'were'} left out."
+
+
+def _of_gaps(channels: Sequence[Mapping[str, Any]]) -> str:
+    """Return which part of the record lacks the channels of what was taken; nothing when it is little."""
+    told = [
+        f"{_percent(one['part'])} for want of {one['channel']}" for one in channels if one["part"] >= _WORTH
+    ]
+    if not told:
+        return ""
+    return f" Part of the record could not be corrected, {', '.join(told)}; the sizes are those of the rest."
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g}%"
+
+
+def _may_stand_in(told: Mapping[str, Any]) -> bool:
+    """Return True when as much structure is left as a good part of the smallest effect taken."""
+    signature = told["signature"]
+    if signature is not None and signature.switchings:
+        return False
+    smallest = min(effect.rms_nT for effect in told["effects"])
+    return bool(told["residual"].get("structure_nT", 0.0) > _GOOD_PART * smallest)
+
+
+def _unseen(told: Mapping[str, Any]) -> str:
+    """Return which whole mechanisms these data cannot show, whether they are there or not."""
+    names = [str(one["name"]) for one in told.get("unscorable", ()) if str(one["name"]).isidentifier()]
+    names = [name.replace("_", " ") for name in names if name in MECHANISMS]
+    return f" These data could not have shown: {', '.join(names)}." if names else ""
+
+
+def _size(nanotesla: float) -> str:
+    return f"{nanotesla:.3g} nT" if isfinite(nanotesla) else "unknown"
+
+
+def _article(word: str) -> str:
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
+
+
+def _of_effect(effect: FoundEffect) -> str:
+    what = f"{_article(effect.family.replace('_', ' '))} effect"
+    cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
+    if effect.at:
+        times = [one.rstrip("Z").removesuffix(":00").replace("T", " ") for one in effect.at]
+        cause += f" from {' to '.join(times)}"
+        cause += f" +- {told_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
+    lag = f" with a lag of {effect.lag_s:.3g} s" if effect.lag_s > 0 else ""
+    axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
+    text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
+    if effect.rivals:
+        text += f", which these data cannot tell from {', '.join(effect.rivals[:4])}"
+    return text
+
+
+def _of_signature(signature: Signature | None) -> str:
+    if signature is None:
+        return "structure without a clear shape"
+    if signature.switchings:
+        return _of_unit(signature)
+    if signature.period_s:
+        text = f"it repeats every {signature.period_s:.5g} s {_where(signature)}"
+        return text + _shape(signature)
+    if signature.faster_than_s:
+        return _of_fast(signature)
+    return _of_hint(signature)
+
+
+def _of_unit(signature: Signature) -> str:
+    often = "once" if signature.switchings == 1 else f"{signature.switchings} times"
+    steps = [
+        f"{size:+.3g} +- {sigma:.2g} nT on {name}" for name, (size, sigma) in signature.steps.items() if sigma
+    ]
+    return (
+        f"a unit without housekeeping was seen to switch {often}, which steps the difference of both sensors "
+        f"by {', '.join(steps)}; no channel changes with it, and the sizes are those between its switchings"
+    )
+
+
+def _where(signature: Signature) -> str:
+    """Return the axes a period stands out on, the clearest first, with half of peak to peak on each."""
+    main = signature.axis
+    if main is None:
+        return f"along the field, {signature.amplitude_nT:.3g} nT, half of peak to peak"
+    others = [
+        name
+        for name, (size, sigma) in signature.amplitudes.items()
+        if name != main and size > _CLEAR * sigma > 0
+    ]
+    sizes = {name: signature.amplitudes[name][0] for name in others}
+    sizes = {main: float(signature.amplitude_nT or 0.0)} | sizes
+    said = [f"{name} ({size:.3g} nT)" for name, size in sizes.items()]
+    return f"on ax{'i' if len(said) == 1 else 'e'}s {' and '.join(said)}, half of peak to peak"
+
+
+def _shape(signature: Signature) -> str:
+    if signature.shape not in ("sine", "square", "pulse"):
+        return ""
+    text = f", like a {signature.shape} wave"
+    if signature.duty is None or not signature.steps:
+        return text
+    steps = [
+        f"{size:+.3g} nT on {name}"
+        for name, (size, sigma) in sorted(signature.steps.items(), key=lambda one: one[0] != signature.axis)
+        if name == signature.axis or abs(size) > _CLEAR * sigma > 0
+    ]
+    return f"{text}, on {signature.duty:.0%} of the time: {' and '.join(steps)}"
+
+
+def _of_fast(signature: Signature) -> str:
+    """Return what is said of something too fast for the search, and what the slow part looks like."""
+    if signature.periods_s is not None:
+        short, long = signature.periods_s
+        text = f"something with periods of {short:.3g} to {long:.3g} s, not steady enough for a line"
+    else:
+        text = f"something faster than {told_period(signature.faster_than_s or 0.0)}"
+    text += f", about {signature.amplitude_nT:.3g} nT rms"
+    return f"{text}; of its slow part, {_of_hint(signature)}" if signature.channel else text
+
+
+def _of_hint(signature: Signature) -> str:
+    if signature.channel:
+        text = f"it looks most like something that follows {signature.channel}"
+        return (
+            text
+            + (f" with a lag of {signature.lag_s:.3g} s" if signature.lag_s else "")
+            + ", but not beyond doubt"
+        )
+    if signature.gain:
+        kind = (signature.shape or "").replace("_", " ")
+        return f"it looks most like a {kind} (held-out gain {signature.gain:.0%}), but not beyond doubt"
+    return f"slow structure of {signature.amplitude_nT:.3g} nT without a shape"
+
+
+def stopped(told: Mapping[str, Any], most: int, ran_out: bool) -> str:
+    """Return why the rounds ended."""
+    if most == 0:
+        return "no rounds were asked for"
+    if ran_out:
+        return f"the limit of {most} additions was reached; raise it to go on"
+    if told["remaining"] == "NOTHING_LEFT":
+        return "what is left is noise"
+    if told["remaining"] == "NOT_IDENTIFIABLE":
+        return f"what is left cannot be told: {why_not(told)}"
+    return "no candidate is beyond doubt: held-out gain, sign flips and placebos must all agree"

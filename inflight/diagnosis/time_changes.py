@@ -1,0 +1,300 @@
+"""Steps, episodes, drifts.
+
+Effects bound to a time: steps of a sensor's parameters, a bias or a clock, episodes, and slow drifts.
+
+They need no columns of their own in the pass: a parameter that changes from block to block is its
+column times a function of the block.
+
+Which of a library's columns may change in time.
+
+Rows of a residual relative to the mean of their stretch: what stands still between two moments is out.
+
+Where something nobody recorded switches, every stretch between two switchings has a level of its own. With
+these levels free, what is fitted rests on how the residual changes within the stretches, and nothing that
+switches at their edges can pass for it, or spoil its values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from inflight.arrays import Floats
+from inflight.design.terms import Library
+from inflight.effects.sensors import Affine, ScalarBias, TimeShift, VectorSensor
+from inflight.lsq.gram_blocks import Evidence
+from inflight.time import Int64, to_utc
+
+#: Block edges at which steps are tried, at most.
+MOST_EDGES = 48
+
+#: Episodes that are scored in full, of those a scan over all pairs of edges finds best.
+_EPISODES = 3
+
+#: Columns looked at together: what two changes have in common is nobody's question.
+_BATCH = 36
+
+_DAY_NS = 86_400_000_000_000
+
+#: Drifts there are.
+DRIFTS = ("scale_drift", "offset_drift", "angle_drift", "clock_drift", "bias_drift")
+
+
+@dataclass(frozen=True)
+class Change:
+    """A candidate bound to a time.
+
+    Attributes
+    ----------
+    name, mechanism, family : str
+        As in `Candidate`.
+    functions : dict of str to (str, ndarray)
+        New column -> (column of the library, factor of each block); none when it has columns of its own.
+    at : tuple of int
+        When it begins, and ends when it does, TT2000; empty for drifts.
+    unit : str
+        What the coefficient is multiplied by, such as ``/d``.
+    sharpness : int
+        How far off the times of `at` may be, ns: blocks are no finer. Of a moment that was sought among the
+        rows, its standard deviation.
+    """
+
+    name: str
+    mechanism: str
+    family: str
+    functions: Mapping[str, tuple[str, Floats]]
+    at: tuple[int, ...] = ()
+    unit: str = ""
+    sharpness: int = 0
+
+    @property
+    def interleaved(self) -> bool:
+        """True when blocks around those held out must be among the fitted: an episode lies in few blocks."""
+        return len(self.at) == 2
+
+    def is_like(self, other: Change) -> bool:
+        """Return True for the same change at times that blocks do not tell apart."""
+        return self.mechanism == other.mechanism and self.is_when(other)
+
+    def is_when(self, other: Change) -> bool:
+        """Return True for changes of anything at times that blocks do not tell apart."""
+        if len(self.at) != len(other.at) or not self.at:
+            return False
+        return all(
+            abs(a - b) <= self.sharpness + other.sharpness for a, b in zip(self.at, other.at, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Carriers:
+    """Columns of the library that may change in time; empty where there are none."""
+
+    offset: tuple[str, ...] = ()
+    scale: tuple[str, ...] = ()
+    clock: tuple[str, ...] = ()
+    bias: tuple[str, ...] = ()
+    angle: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """All of them."""
+        return [*self.offset, *self.scale, *self.angle, *self.clock, *self.bias]
+
+    @property
+    def kinds(self) -> dict[str, tuple[str, tuple[str, ...]]]:
+        """What may change at a moment, those there are: kind -> (family, columns)."""
+        every = {
+            "offset": ("offset_step", self.offset),
+            "scale": ("sensor", self.scale),
+            "angle": ("sensor", self.angle),
+            "bias": ("bias", self.bias),
+            "clock": ("clock", self.clock),
+        }
+        return {kind: told for kind, told in every.items() if told[1]}
+
+    def outside(self, base: Sequence[str]) -> Carriers:
+        """Return those of clock and bias that a calibration does not absorb: their episodes can be seen."""
+        clock = tuple(name for name in self.clock if name not in base)
+        return Carriers(clock=clock, bias=tuple(name for name in self.bias if name not in base))
+
+
+def moment_text(when: int) -> str:
+    """Return a moment, TT2000, as names have it: UTC, no finer than it is."""
+    text = str(to_utc(when).astype("datetime64[ns]"))
+    whole, _, part = text.partition(".")
+    return f"{whole}.{part.rstrip('0')}".rstrip(".")
+
+
+def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
+    """Return drifts of everything that may drift, straight in time; factors in days from the middle."""
+    middle = evidence.start / 2 + evidence.end / 2
+    days = (middle - middle.mean()) / _DAY_NS
+    found = []
+    for name in DRIFTS:
+        columns = getattr(carriers, name.removesuffix("_drift"))
+        if columns and np.ptp(days) > 0:
+            functions = {f"{name}.{column}": (column, days) for column in columns}
+            family = name.removesuffix("_drift") if name in ("clock_drift", "bias_drift") else "ageing"
+            found.append(Change(name, name, family, functions, unit="/d"))
+    return found
+
+
+def steps(evidence: Evidence, carriers: Carriers) -> list[Change]:
+    """Return steps of every kind at the edges between blocks."""
+    found = []
+    edges = _edges(len(evidence))
+    for place, edge in enumerate(edges):
+        after = (np.arange(len(evidence)) >= edge).astype(np.float64)
+        when, sharp = int(evidence.start[edge]), _sharpness(evidence, edges, place)
+        for name, (family, columns) in carriers.kinds.items():
+            label = f"{name}_step@{to_utc(when).astype('datetime64[s]')}"
+            functions = {f"{label}.{column}": (column, after) for column in columns}
+            found.append(Change(label, f"{name}_step", family, functions, (when,), sharpness=sharp))
+    return found
+
+
+def batches(changes: Sequence[Change]) -> Iterator[list[Change]]:
+    """Yield changes some at a time, those of a batch held out in the same way."""
+    for interleaved in (False, True):
+        batch: list[Change] = []
+        for change in (one for one in changes if one.interleaved is interleaved):
+            batch.append(change)
+            if sum(len(one.functions) for one in batch) >= _BATCH:
+                yield batch
+                batch = []
+        if batch:
+            yield batch
+
+
+def _sharpness(evidence: Evidence, edges: Sequence[int], place: int) -> int:
+    """Return how far a step may be from the edge tried, ns: a block, or half way to the next edge tried."""
+    starts = [*evidence.start.tolist(), int(evidence.end[-1])]
+    edge = edges[place]
+    blocks = max(starts[edge] - starts[edge - 1], starts[edge + 1] - starts[edge])
+    tried = [0, *edges, len(evidence)]
+    around = (starts[tried[place]], starts[edge], starts[tried[place + 2]])
+    return int(max(blocks, max(np.diff(around)) // 2))
+
+
+def _edges(blocks: int) -> Sequence[int]:
+    if blocks < 4:
+        return []
+    places = np.linspace(1, blocks - 1, min(MOST_EDGES, blocks - 1)).round()
+    return [int(place) for place in np.unique(places)]
+
+
+def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int) -> list[Change]:
+    """Return the best episodes of clock and bias, found by a scan over all pairs of edges.
+
+    Parameters
+    ----------
+    evidence, absorbed : Evidence
+        Before and after the calibration was absorbed; the scan takes blocks as independent.
+    """
+    found = []
+    lengths = np.diff([*evidence.start.tolist(), int(evidence.end[-1])])
+    for name, (family, columns) in carriers.kinds.items():
+        if len(columns) != 1 or len(evidence) < 6:
+            continue
+        column = int(absorbed.index(columns)[0])
+        for first, last in _best_spans(absorbed.gram[:, column, y], absorbed.gram[:, column, column]):
+            inside = np.zeros(len(evidence))
+            inside[first:last] = 1.0
+            when = (int(evidence.start[first]), int(evidence.end[last - 1]))
+            begin, end = (to_utc(one).astype("datetime64[s]") for one in when)
+            label = f"{name}_episode@{begin}/{end}"
+            functions = {f"{label}.{columns[0]}": (columns[0], inside)}
+            sharp = int(lengths[max(first - 1, 0) : last + 1].max())
+            found.append(Change(label, f"{name}_episode", family, functions, when, sharpness=sharp))
+    return found
+
+
+def _best_spans(score: Floats, information: Floats) -> list[tuple[int, int]]:
+    """Return the spans of blocks that explain most by one value of their own, best first."""
+    s, m = (np.concatenate([[0.0], np.cumsum(part)]) for part in (score, information))
+    first, last = np.triu_indices(len(s), 1)
+    # Against the value of all blocks together: a constant is no episode.
+    own_s, own_m = s[last] - s[first], m[last] - m[first]
+    rest_s, rest_m = s[-1] - own_s, m[-1] - own_m
+    usable = (own_m > 0) & (rest_m > 0) & (last - first <= (len(s) - 1) // 2)
+    gain = np.zeros(first.size)
+    gain[usable] = (
+        own_s[usable] ** 2 / own_m[usable]
+        + rest_s[usable] ** 2 / rest_m[usable]
+        - s[-1] ** 2 / max(m[-1], 1e-300)
+    )
+    order = np.argsort(-gain)
+    chosen: list[tuple[int, int]] = []
+    for place in order:
+        span = (int(first[place]), int(last[place]))
+        if all(span[1] <= other[0] or span[0] >= other[1] for other in chosen):
+            chosen.append(span)
+        if len(chosen) == _EPISODES:
+            break
+    return chosen
+
+
+def carriers_of(library: Library) -> Carriers:
+    """Return the library's columns that may change in time."""
+
+    def columns(kind: type, parameter: str) -> tuple[str, ...]:
+        for term in library.all_terms:
+            if isinstance(term.entry.effect, kind) and parameter in term.parameters:
+                return tuple(name for name in term.columns if f".{parameter}" in name)
+        return ()
+
+    return Carriers(
+        offset=columns(VectorSensor, "offset") or columns(Affine, "shift"),
+        scale=columns(VectorSensor, "scale_factor"),
+        clock=columns(TimeShift, "seconds"),
+        bias=columns(ScalarBias, "bias"),
+        angle=columns(VectorSensor, "misalignment"),
+    )
+
+
+#: What is left of a constant by rounding, as part of its size.
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """A filter of rows: the mean of each stretch is taken off.
+
+    Attributes
+    ----------
+    edges : tuple of int
+        TT2000 at which a stretch ends and the next begins.
+    lost : tuple of (int, int)
+        Closed TT2000 spans that are in no stretch: something switches there.
+    """
+
+    edges: tuple[int, ...]
+    lost: tuple[tuple[int, int], ...]
+
+    def is_lost(self, stamps: Int64) -> npt.NDArray[np.bool_]:
+        """Return which rows are in no stretch; (time,)."""
+        out = np.zeros(stamps.size, dtype=bool)
+        for low, high in self.lost:
+            begin, end = np.searchsorted(stamps, [low, high + 1])
+            out[begin:end] = True
+        return out
+
+    def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return values (time, ...) less the mean of their stretch; NaN where they are not good."""
+        flat = values.reshape(len(values), -1)
+        out = np.full(flat.shape, np.nan)
+        used = good & ~self.is_lost(stamps)
+        kept = flat[used]
+        place = np.searchsorted(np.asarray(self.edges, dtype=np.int64), stamps[used], side="right")
+        begins = np.flatnonzero(np.diff(place, prepend=-1))
+        if begins.size:
+            count = np.diff(np.append(begins, len(kept)))
+            mean = np.add.reduceat(kept, begins, axis=0) / count[:, None]
+            moved = kept - np.repeat(mean, count, axis=0)
+            # A constant leaves nothing, not its rounding: no value can be had of it.
+            moved[np.abs(moved) <= _ROUNDING * np.repeat(np.abs(mean), count, axis=0)] = 0.0
+            out[used] = moved
+        return out.reshape(values.shape)

@@ -1,0 +1,221 @@
+"""Sun, eclipse, periodic fields.
+
+Fields that come with the Sun: by day and by night, and by the direction it shines from.
+
+Fields that come back: with the orbit, with the Sun, with local time, or at a period of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.effects.base import AXES, Effect, Parameter, Values
+from inflight.effects.channels import weigh
+from inflight.effects.families import channels_of_kind, knows_orbit, knows_sun, options_of_channels
+from inflight.mission import Mission, Sensor
+
+
+class DayNight(Effect):
+    """A field that is there by day and not by night: ``vector * sunlit`` (Yin 2010, chapter 4).
+
+    `sunlit` is 1 in the Sun and 0 in the shadow, of the orbit's geometry, or any channel of kind
+    sunlight. Where no night falls it is a constant and not told from an offset.
+    """
+
+    family = "day_night"
+    channels = ("sunlit",)
+    vector = Parameter("nT", AXES, sigma=5.0, step=0.1)
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the field by day; (time, axis) nT."""
+        return np.asarray(self.series(samples)[:, None] * values["vector"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate from geometry, and one for every channel of sunlight."""
+        return [
+            *([{}] if knows_orbit(mission) else []),
+            *options_of_channels(channels_of_kind(mission, "sunlight")),
+        ]
+
+
+def _of_harmonics(degree: int) -> tuple[str, ...]:
+    """Return component names: axis, degree and order, as in x1_-1."""
+    orders = [(n, m) for n in range(1, degree + 1) for m in range(-n, n + 1)]
+    return tuple(f"{axis}{n}_{m}" for n, m in orders for axis in AXES)
+
+
+class SunDirectionField(Effect):
+    """Thermo-electric field by the Sun's direction in sensor axes: real spherical harmonics of it.
+
+    Option ``degree``: 1 (the direction's components y, z, x) or 2 (and its products xy, yz,
+    3 z^2 - 1, xz, x^2 - y^2, unnormalised but for factors that make each reach 1). In the shadow the
+    field is 0. Components of `amplitude` are named by axis, degree and order: x1_-1, y1_-1, ...
+    """
+
+    family = "sun_angle"
+    options: ClassVar[tuple[str, ...]] = ("channel", "degree")
+    channels: tuple[str, ...] = ("sun_direction", "sunlit")
+    amplitude = Parameter("nT", _of_harmonics(1), sigma=5.0, step=0.1)
+
+    def prepare(self) -> None:
+        """Give every harmonic a vector."""
+        self._degree = self.whole("degree", 1, 2)
+        self.sized = {"amplitude": replace(self.amplitude, axes=_of_harmonics(self._degree))}
+        if "channel" in self.given:
+            # A direction that is delivered says by itself, as NaN or 0, where there is no Sun.
+            self.channels = self.channels[:1]
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the sum of harmonics; (time, axis) nT."""
+        basis = harmonics(self.series(samples), self._degree)
+        if len(self.channels) > 1:
+            lit = self.series(samples, 1)[:, None]
+            basis = np.where(lit == 0.0, 0.0, basis * lit)
+        return weigh(basis, values["amplitude"])
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate from geometry, or one for every channel with the Sun's direction."""
+        given = channels_of_kind(mission, "sun_direction", width=3)
+        found: list[dict[str, Any]] = options_of_channels(given) or ([{}] if knows_sun(mission) else [])
+        return [options | more for options in found for more in ({}, {"degree": 2})]
+
+
+def harmonics(direction: Floats, degree: int) -> Floats:
+    """Return real spherical harmonics of degree 1 to `degree` (at most 2); (time, harmonic).
+
+    Parameters
+    ----------
+    direction : ndarray, shape (time, 3)
+        Unit vectors.
+    """
+    x, y, z = direction.T
+    found = [y, z, x]
+    if degree > 1:
+        found += [2 * x * y, 2 * y * z, 0.5 * (3 * z * z - 1), 2 * x * z, x * x - y * y]
+    return np.stack(found, axis=1)
+
+
+#: Highest order of a series; above it a shape is better told by its own channel.
+MOST_ORDER = 12
+
+
+def of_orders(order: int, sines: bool) -> tuple[str, ...]:
+    """Return component names of a series: cx1, cy1, cz1, sx1, sy1, sz1, cx2, ..."""
+    parts = "cs" if sines else "c"
+    return tuple(f"{part}{axis}{k}" for k in range(1, order + 1) for part in parts for axis in AXES)
+
+
+class Periodic(Effect):
+    """A Fourier series of an angle with a vector for each cosine and sine, up to option ``order``.
+
+    ``sum over k of c_k cos(k angle) + s_k sin(k angle)``; a constant is the sensor's offset. What the
+    angle is, subclasses say. Components of `amplitude` are named cx1, cy1, cz1, sx1, ...
+    """
+
+    options: ClassVar[tuple[str, ...]] = ("order",)
+    #: Without sines the series is even: the same before and after the angle's zero.
+    sines: ClassVar[bool] = True
+    default_order: ClassVar[int] = 2
+    amplitude = Parameter("nT", of_orders(2, True), sigma=5.0, step=0.1)
+
+    def prepare(self) -> None:
+        """Give every order its vectors."""
+        self._order = self.whole("order", self.default_order, MOST_ORDER)
+        axes = of_orders(self._order, self.sines)
+        self.sized = {"amplitude": replace(self.amplitude, axes=axes)}
+
+    def angle(self, samples: xr.Dataset) -> Floats:
+        """Return the angle of the series; (time,) rad."""
+        raise NotImplementedError(f"{type(self).__name__} is a series of no angle")
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        """Return the series; (time, axis) nT."""
+        angles = self.angle(samples)[:, None] * np.arange(1, self._order + 1)
+        parts = [np.cos(angles), np.sin(angles)] if self.sines else [np.cos(angles)]
+        return weigh(np.stack(parts, axis=2).reshape(len(angles), -1), values["amplitude"])
+
+
+class OrbitPeriodic(Periodic):
+    """A field that repeats with the orbit: series of `orbit_phase`, 0 at the ascending node."""
+
+    channels = ("orbit_phase",)
+
+    def angle(self, samples: xr.Dataset) -> Floats:
+        """Return the orbit phase; (time,) rad."""
+        return np.deg2rad(self.channel(samples, "deg"))
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate where the mission delivers positions."""
+        return [{}] if knows_orbit(mission) else []
+
+
+class SunPeriodic(OrbitPeriodic):
+    """A field that repeats with the Sun's place along the orbit: series of `sun_phase`, 0 nearest the Sun."""
+
+    family = "day_night"
+    channels = ("sun_phase",)
+
+
+class DayNightSeries(SunPeriodic):
+    """The day/night field without a flag: cosines of `sun_phase` (Yin 2010, chapter 4).
+
+    ``sum of a_k cos(2 pi k (t - t0) / T)`` with t0 nearest the Sun and T the orbit; the first k of a
+    square wave of any duty. Its constant part is not told from an offset.
+    """
+
+    sines = False
+    default_order = 4
+    amplitude = Parameter("nT", of_orders(4, False), sigma=5.0, step=0.1)
+
+
+class LocalTimePeriodic(Periodic):
+    """A field that repeats with local time: series of `local_time`, 24 h a turn, 0 at midnight."""
+
+    family = "sun_angle"
+    channels = ("local_time",)
+
+    def angle(self, samples: xr.Dataset) -> Floats:
+        """Return the local time; (time,) rad."""
+        return self.series(samples) * (2.0 * np.pi / 24.0)
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate where the mission delivers positions."""
+        return [{}] if knows_orbit(mission) else []
+
+
+class Tone(Periodic):
+    """A field of one fixed period that no channel tells: option ``period``, a duration.
+
+    Phases count from 2000-01-01T12:00:00 TT, in SI seconds, so that a tone runs on over days and gaps.
+    Option ``order`` adds harmonics; 1 when left out.
+    """
+
+    family = "tone"
+    options: ClassVar[tuple[str, ...]] = ("period", "order")
+    default_order = 1
+    amplitude = Parameter("nT", of_orders(1, True), sigma=5.0, step=0.1)
+
+    def prepare(self) -> None:
+        """Read the period."""
+        super().prepare()
+        self._period = self.duration("period")
+
+    def angle(self, samples: xr.Dataset) -> Floats:
+        """Return the phase since the epoch; (time,) rad."""
+        # The remainder is taken of integers: a float of 26 years has no room left for the phase.
+        passed = samples["tt2000"].values % self._period
+        return np.asarray(2.0 * np.pi * passed / self._period)
+
+    @classmethod
+    def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
+        """Return one candidate for every period the mission names."""
+        return [{"period": f"{period / 1e9:.12g} s"} for period in mission.periods.values()]

@@ -1,0 +1,701 @@
+"""Verdict, candidates, ledger.
+
+The verdict strip: what was found, in words and on one scale from nothing to the residual as it was.
+
+The table of candidates, with bars that need no script, and how their gains fall when effects are taken.
+
+What a diagnosis found, as tables: effects with their values, rivals, the signature of what is left.
+
+All of it is made from the fields that a diagnosis keeps, so that one that was made before is shown like a
+fresh one.
+
+The ledger: what the rounds did, with what settings, on what data, and how each step is undone.
+
+How the held-out error falls, effect by effect, down to the noise floor.
+
+Changes of a model one after the other: what each did to the error, its numbers, what else moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from bokeh.models import BoxAnnotation, ColumnDataSource, Span
+from bokeh.plotting import figure
+
+from inflight.diagnosis.views import Step, Trial
+from inflight.figures.page import html_table
+from inflight.figures.style import (
+    AFTER,
+    BEFORE,
+    NEW,
+    REFERENCE,
+    bare_parameter,
+    distinct,
+    legend_below,
+    place_legend,
+    plain_figure,
+    short_name,
+    short_parameter,
+)
+from inflight.residual.lines import told_period
+
+#: What each verdict means to somebody who reads the page for the first time.
+MEANING = {
+    "FOUND": "beyond doubt, and nothing else explains it as well",
+    "CONFOUNDED": "something is there; these data cannot tell all rivals apart",
+    "NOT_IDENTIFIABLE": "something is there; the record is too short to say what",
+    "UNKNOWN_EFFECT": "something is there that no effect of the library explains",
+    "NOTHING_LEFT": "the residual is noise",
+}
+
+_COLOURS = {
+    "FOUND": "#1b6e4b",
+    "CONFOUNDED": "#8a5a00",
+    "NOT_IDENTIFIABLE": "#555555",
+    "UNKNOWN_EFFECT": "#a01830",
+    "NOTHING_LEFT": AFTER,
+}
+
+_WIDTH, _LEFT, _RIGHT = 1080, 10, 1070
+
+
+def explained(residual: Mapping[str, Any]) -> float:
+    """Return which part of the held-out mean square above the noise floor the found effects explain."""
+    before, after, floor = _sizes(residual)
+    above = before**2 - floor**2
+    return (before**2 - after**2) / above if above > 0.05 * floor**2 else np.nan
+
+
+def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], remaining: str) -> str:
+    """Return HTML that needs no script: verdict, sentence, sizes, and a scale of them.
+
+    Parameters
+    ----------
+    residual : mapping
+        As `Diagnosis.residual`; nT.
+    remaining : str
+        Verdict on what is left.
+    """
+    colour = _COLOURS.get(verdict, REFERENCE)
+    part = explained(residual)
+    told = [
+        ("residual now", _told(residual["held_out_before_nT"])),
+        ("with what was found", _told(residual["held_out_after_nT"])),
+        (f"noise floor ({_interval(residual)})", _told(residual["noise_floor_nT"])),
+        ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
+        ("what is left", remaining),
+    ]
+    cells = "".join(
+        f'<div style="margin-right:1.6rem"><div class="quiet">{escape(name)}</div>'
+        f'<div style="font-size:1.15rem;font-weight:600">{escape(value)}</div></div>'
+        for name, value in told
+    )
+    return (
+        f'<div style="border-left:8px solid {colour};padding:.6rem 1rem;background:#f6f6f4">'
+        f'<div><span style="background:{colour};color:#fff;padding:.15rem .6rem;border-radius:4px;'
+        f'font-weight:700;letter-spacing:.03em">{escape(verdict)}</span> '
+        f'<span class="quiet">{escape(MEANING.get(verdict, ""))}</span></div>'
+        f'<p style="font-size:1.02rem;margin:.6rem 0;max-width:66rem">{_lines(sentence)}</p>'
+        f'<div style="display:flex;flex-wrap:wrap">{cells}</div>{_scale(residual)}</div>'
+    )
+
+
+def _sizes(residual: Mapping[str, Any]) -> list[float]:
+    """Return the size before, after, and of the noise floor; NaN for none."""
+    names = ("held_out_before_nT", "held_out_after_nT", "noise_floor_nT")
+    return [np.nan if residual[name] is None else float(residual[name]) for name in names]
+
+
+def _lines(sentence: str) -> str:
+    """Return a sentence of several findings with each on a line of its own."""
+    return "<br>".join(escape(part) for part in sentence.replace("; ", ";\n").split("\n"))
+
+
+def _told(value: float | None) -> str:
+    return f"{value:.4g} nT" if value is not None and np.isfinite(value) else "unknown"
+
+
+def _interval(residual: Mapping[str, Any]) -> str:
+    low, high = residual.get("noise_floor_low_nT"), residual.get("noise_floor_high_nT")
+    if low is None or high is None or not np.isfinite(low) or not np.isfinite(high):
+        return "no interval"
+    return f"{low:.4g} to {high:.4g}, 95 %"
+
+
+def _scale(residual: Mapping[str, Any]) -> str:
+    """Return a horizontal scale with the residual before and after and the noise floor's interval."""
+    before, after, floor = _sizes(residual)
+    most = float(np.nanmax([before, after, floor, 0.0]))
+    if not np.isfinite(most) or most <= 0:
+        return ""
+
+    def at(value: float) -> float:
+        return _LEFT + (_RIGHT - _LEFT) * value / (1.05 * most)
+
+    parts = [
+        f'<rect x="{_LEFT}" y="8" width="{at(before) - _LEFT:.1f}" height="7" fill="{BEFORE}"/>',
+        f'<rect x="{_LEFT}" y="18" width="{at(after) - _LEFT:.1f}" height="7" fill="{AFTER}"/>',
+        f'<text x="{_LEFT + 4}" y="38" font-size="11" fill="#555">rms held out, linear from 0: '
+        "brown before, blue after, dashed line and grey band the noise floor</text>",
+    ]
+    if np.isfinite(floor):
+        low, high = (float(residual.get(f"noise_floor_{end}_nT") or floor) for end in ("low", "high"))
+        wide = max(at(high) - at(low), 1.0)
+        parts.append(
+            f'<rect x="{at(low):.1f}" y="2" width="{wide:.1f}" height="26" fill="#777" opacity=".35"/>'
+            f'<line x1="{at(floor):.1f}" x2="{at(floor):.1f}" y1="0" y2="28" stroke="#333" '
+            'stroke-dasharray="3 2"/>'
+        )
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} 42" style="width:100%;margin-top:.5rem" role="img" '
+        f'aria-label="residual before, after and noise floor">{"".join(parts)}</svg>'
+    )
+
+
+#: Rows of the table and of the drop plot; width of a bar, pixels; values and rivals printed of one candidate.
+_ROWS, _DROPS, _BAR, _VALUES, _CHIPS = 16, 24, 150, 3, 4
+
+_GHOST = "#c9c9c4"
+
+
+def candidate_table(
+    candidates: Sequence[Mapping[str, Any]],
+    trials: Mapping[str, Trial],
+    found: Mapping[str, Sequence[str]],
+) -> str:
+    """Return the ranked table as HTML.
+
+    Parameters
+    ----------
+    candidates : sequence of mapping
+        As `Diagnosis.candidates`.
+    trials : mapping of str to Trial
+        Values of candidates, each alone; without any, the columns of them are left out.
+    found : mapping of str to sequence of str
+        Names of the effects that were taken, with their rivals.
+    """
+    real = [one for one in candidates if not one["placebo"]][:_ROWS]
+    if not real:
+        return "<p>No candidate could be scored.</p>"
+    ghost = max([float(one["gain"]) for one in candidates if one["placebo"]], default=0.0)
+    wide = max(*(float(one["gain"]) + 2.0 * _sigma(one) for one in real), ghost, 0.02)
+    head = (
+        "",
+        "candidate",
+        "held-out gain, 95 %",
+        "t",
+        "p",
+        "over placebo, t",
+        *(("retained", "W/k", "values, alone") if trials else ()),
+    )
+    aligned = ["text-align:left" if cell in ("candidate", "values, alone") else "" for cell in head]
+    top = "".join(
+        f'<th style="{style}">{escape(cell)}</th>' for style, cell in zip(aligned, head, strict=True)
+    )
+    lines = [
+        _row(place + 1, one, _alone(trials, one["name"]), found, ghost, wide)
+        for place, one in enumerate(real)
+    ]
+    return f'<div style="overflow-x:auto"><table class="wide"><tr>{top}</tr>{"".join(lines)}</table></div>'
+
+
+def _sigma(one: Mapping[str, Any]) -> float:
+    """Standard error of a gain, from its t."""
+    t, gain = one["t"], one["gain"]
+    return abs(float(gain) / float(t)) if t else 0.0
+
+
+def _row(
+    rank: int,
+    one: Mapping[str, Any],
+    alone: Sequence[str],
+    found: Mapping[str, Sequence[str]],
+    ghost: float,
+    wide: float,
+) -> str:
+    name = one["name"]
+    taken = name in found
+    own = [short_parameter(rival) if "." in rival else short_name(rival) for rival in found.get(name, ())]
+    chips = "".join(_chip(f"or {rival}", NEW) for rival in own[:_CHIPS])
+    chips += _chip(f"or {len(own) - _CHIPS} more", NEW) if len(own) > _CHIPS else ""
+    rival_of = [other for other, rivals in found.items() if _is_among(name, rivals)]
+    chips += "".join(_chip(f"rival of {short_name(other)}", NEW) for other in rival_of)
+    weight = "font-weight:600" if taken else ""
+    mark = " " + _chip("taken", AFTER) if taken else ""
+    cells = [
+        f'<td style="text-align:right">{rank}</td>',
+        f'<td style="text-align:left;max-width:17rem;overflow-wrap:anywhere" title="{escape(name)}">'
+        f'<span style="{weight}">{escape(short_name(name))}</span>{mark}'
+        f'<div class="quiet">{escape(str(one["family"]).replace("_", " "))}</div>{chips}</td>',
+        f"<td>{_bar(one, ghost, wide)}</td>",
+        f"<td>{_number(one['t'], '.1f')}</td>",
+        f"<td>{_number(one['p'], '.2g')}</td>",
+        f"<td>{_number(one['placebo_t'], '.1f')}</td>",
+        *alone,
+    ]
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def _alone(trials: Mapping[str, Trial], name: str) -> list[str]:
+    """Return the cells of a candidate's own values; none when no candidate has any."""
+    if not trials:
+        return []
+    trial = trials.get(name)
+    return [
+        f"<td>{_number(trial.retained, '.2g') if trial else ''}</td>",
+        f"<td>{_number(trial.consistency, '.1f') if trial else ''}</td>",
+        f'<td style="text-align:left;white-space:nowrap">{_values(trial)}</td>',
+    ]
+
+
+def _is_among(name: str, rivals: Sequence[str]) -> bool:
+    """Rivals are named by mechanism: the candidate's name without its lag or width."""
+    return any(name == rival or name.startswith(f"{rival}@") for rival in rivals)
+
+
+def _number(value: float | None, how: str) -> str:
+    return format(value, how) if value is not None and np.isfinite(value) else ""
+
+
+def _chip(text: str, colour: str) -> str:
+    return (
+        f'<span style="border:1px solid {colour};color:{colour};border-radius:8px;padding:0 .4rem;'
+        f'margin-right:.2rem;font-size:.8rem;white-space:nowrap">{escape(text)}</span>'
+    )
+
+
+def _values(trial: Trial | None) -> str:
+    """Return the most significant values; a field of many coefficients has too many to print."""
+    if trial is None:
+        return ""
+    order = sorted(trial.values, key=lambda one: -abs(one[1]) / max(one[2], 1e-300))
+    shown = [one for one in trial.values if one in order[:_VALUES]]
+    lines = [f"{bare_parameter(name)} {value:.3g} ± {sigma:.1g} {unit}" for name, value, sigma, unit in shown]
+    hidden = len(trial.values) - len(shown)
+    more = f'<div class="quiet">and {hidden} more</div>' if hidden else ""
+    return "<br>".join(map(escape, lines)) + more
+
+
+def _bar(one: Mapping[str, Any], ghost: float, wide: float) -> str:
+    """Return an SVG bar: gain with its interval over the ghost bar of the best placebo."""
+    gain, sigma = float(one["gain"]), 2.0 * _sigma(one)
+    scale = _BAR / wide
+    length = max(gain, 0.0) * scale
+    low, high = max(gain - sigma, 0.0) * scale, max(gain + sigma, 0.0) * scale
+    return (
+        f'<svg width="{_BAR + 52}" height="20" role="img" aria-label="gain {gain:.3f}">'
+        f'<rect x="0" y="2" width="{max(ghost, 0.0) * scale:.1f}" height="16" fill="{_GHOST}"/>'
+        f'<rect x="0" y="6" width="{length:.1f}" height="8" fill="{AFTER}"/>'
+        f'<line x1="{low:.1f}" x2="{high:.1f}" y1="10" y2="10" stroke="#111" stroke-width="1.5"/>'
+        f'<text x="{max(high, ghost * scale) + 5:.1f}" y="14" font-size="11">{gain:.1%}</text></svg>'
+    )
+
+
+def unscorable_list(unscorable: Sequence[Mapping[str, Any]]) -> str:
+    """Return what could not be scored, greyed, grouped by the reason."""
+    if not unscorable:
+        return ""
+    reasons: dict[str, list[str]] = {}
+    for one in unscorable:
+        reasons.setdefault(str(one["reason"]), []).append(short_name(str(one["name"])))
+    items = "".join(
+        f"<li>{escape(', '.join(names))}: {escape(reason)}</li>" for reason, names in reasons.items()
+    )
+    return (
+        '<div class="quiet">Not scored, and so neither found nor excluded:'
+        f'<ul style="margin:.2rem 0">{items}</ul></div>'
+    )
+
+
+def drop_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
+    """Draw each candidate's held-out gain before and after the found effects were taken.
+
+    Gains after are parts of what was left then; an effect that was taken ends at nothing.
+    """
+    real = [one for one in candidates if not one["placebo"]][:_DROPS]
+    names = [short_name(str(one["name"])) for one in real]
+    labels = distinct(names)
+    before = np.array([float(one["gain"]) for one in real])
+    after = np.array([float(one["gain_now"]) for one in real])
+    plot = plain_figure(
+        "Gain before and after the found effects",
+        "held-out gain (part of the mean square)",
+        "",
+        y_range=labels[::-1] or ["none"],
+        height=110 + 19 * max(len(real), 1),
+        width=620,
+    )
+    up = after > before
+    for mask, colour, label in ((~up, AFTER, "falls"), (up, NEW, "rises")):
+        if not mask.any():
+            continue
+        source = ColumnDataSource(
+            {
+                "name": [label_ for label_, chosen in zip(labels, mask, strict=True) if chosen],
+                "before": before[mask],
+                "after": after[mask],
+            }
+        )
+        plot.segment("before", "name", "after", "name", source=source, color=colour, line_width=2, alpha=0.6)
+        plot.scatter(
+            "before",
+            "name",
+            source=source,
+            size=8,
+            fill_color="white",
+            line_color=colour,
+            legend_label="before",
+        )
+        plot.scatter("after", "name", source=source, size=8, color=colour, legend_label=f"after ({label})")
+    ghost = max([float(one["gain"]) for one in candidates if one["placebo"]], default=np.nan)
+    if np.isfinite(ghost) and labels:
+        plot.line(
+            [ghost, ghost],
+            [labels[-1], labels[0]],
+            color=REFERENCE,
+            line_dash="dashed",
+            legend_label="best placebo",
+        )
+    plot.hover.tooltips = [("", "@name"), ("before", "@before{0.0000}"), ("after", "@after{0.0000}")]
+    place_legend(plot, "bottom_right")
+    return plot
+
+
+Fields = Mapping[str, Any]
+
+#: Coefficients of an effect that are printed.
+_COEFFICIENTS = 6
+
+
+def found_effects(fields: Fields) -> list[str]:
+    """Return the found effects with all their values as a table, and the signature of what is left.
+
+    Parameters
+    ----------
+    fields : mapping
+        As `Diagnosis.as_json`.
+    """
+    signature = _signature(fields["remaining"]["signature"])
+    if not fields["effects"]:
+        return [f"<p>No effect was added: {escape(fields['stopped'])}.</p>", *signature]
+    head = ("found", "family", "value ± sigma", "at", "gain", "t", "p", "retained", "W/k", "rms, nT")
+    rows = [row for one in fields["effects"] for row in _rows(one, len(head))]
+    note = (
+        "Gain, t and family-wise p are held out, against the model without the effect; retained is the part "
+        "of its variance that no other parameter explains; W/k compares raw and within-day values, and large "
+        "ones hint at a wrong form."
+    )
+    stopped = f"The rounds ended: {fields['stopped']}."
+    return [
+        html_table(head, rows),
+        f'<p class="quiet">{escape(note)} {escape(stopped)}</p>',
+        *signature,
+    ]
+
+
+def _rows(one: Fields, width: int) -> list[tuple[str, ...]]:
+    """Return one row a value; effect, family and how it stands in the first of them."""
+    shown = telling(one["coefficients"])
+    rows: list[tuple[str, ...]] = []
+    numbers: tuple[str, ...] = (
+        _formatted(one["gain"], ".1%"),
+        _formatted(one["t"], ".1f"),
+        _formatted(one["flip_p"], ".2g"),
+        _formatted(one["retained"], ".2g"),
+        _formatted(one["consistency"], ".1f"),
+        _formatted(one["rms_nT"], ".3g"),
+    )
+    own = (short_name(one["name"]), str(one["family"]).replace("_", " "))
+    for value in shown:
+        size = f"{_formatted(value['value'], '.4g')} ± {_formatted(value['sigma'], '.2g')} {value['unit']}"
+        rows.append((*own, f"{bare_parameter(value['name'])} {size}", value["at"], *numbers))
+        own, numbers = ("", ""), ("",) * len(numbers)
+    if len(shown) < len(one["coefficients"]):
+        hidden = len(one["coefficients"]) - len(shown)
+        rows.append(("", "", f"and {hidden} less significant ones", *[""] * (width - 3)))
+    return rows
+
+
+def _formatted(value: float | None, how: str) -> str:
+    return "" if value is None else format(value, how)
+
+
+def telling(coefficients: Sequence[Fields]) -> list[Fields]:
+    """Return the most significant coefficients in their own order; a field of many has too many to print."""
+    ordered = sorted(
+        coefficients, key=lambda one: -abs(one["value"] or 0.0) / max(one["sigma"] or 0.0, 1e-300)
+    )
+    kept = {one["name"] for one in ordered[:_COEFFICIENTS]}
+    return [one for one in coefficients if one["name"] in kept]
+
+
+def _signature(left: Fields | None) -> list[str]:
+    if left is None:
+        return []
+    period, lag, duty = left["period_s"], left["lag_s"], left["duty"]
+    parts = [
+        ("period", told_period(period) if period else ""),
+        ("axis", left["axis"] or ""),
+        ("shape", left["shape"] or ""),
+        ("half of peak to peak" if period else "amplitude", _nanotesla(left["amplitude_nT"])),
+        *(
+            (f"step on {name}", f"{_formatted(size, '+.3g')} ± {_formatted(sigma, '.2g')} nT")
+            for name, (size, sigma) in left["steps"].items()
+        ),
+        ("periods", " to ".join(told_period(one) for one in left["periods_s"] or ())),
+        ("channel", left["channel"] or ""),
+        ("lag", told_period(lag) if lag else ""),
+        ("duty", f"{duty:.2f}" if duty is not None else ""),
+    ]
+    said = ", ".join(f"{name} {value}" for name, value in parts if value)
+    return [f"<p><b>Signature of what is left:</b> {escape(said)}</p>"]
+
+
+def _nanotesla(size: float | None) -> str:
+    return f"{size:.3g} nT" if size else ""
+
+
+def rivals_apart(fields: Fields) -> list[str]:
+    """Return the blocks in which rivals differ most, as a table; nothing without rivals."""
+    if not fields["confusion_set"] or not fields["separating"]:
+        return []
+    pairs: dict[str, list[Fields]] = {}
+    for one in fields["separating"]:
+        pairs.setdefault(" / ".join(short_name(name) for name in one["rivals"]), []).append(one)
+    rows = [
+        (
+            pair,
+            ", ".join(one["start"][:16].replace("T", " ") for one in blocks),
+            f"{max(one['difference_nT'] for one in blocks):.2g}",
+        )
+        for pair, blocks in pairs.items()
+    ]
+    return [
+        "<p>What would tell the rivals apart: the blocks in which they differ most.</p>",
+        html_table(("rivals", "blocks that begin (UTC)", "largest difference, nT rms"), rows),
+    ]
+
+
+def ledger_table(rounds: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rounds as HTML; each with the command that takes its effect out again."""
+    if not rounds:
+        return "<p>No round took anything.</p>"
+    head = (
+        "round",
+        "what",
+        "effect",
+        "family",
+        "gain",
+        "t",
+        "p",
+        "seen in",
+        "in the model",
+        "take out again",
+    )
+    rows = [
+        (
+            str(one["number"]),
+            str(one["action"]),
+            short_name(str(one["name"])),
+            str(one["family"]).replace("_", " "),
+            f"{one['gain']:.3g}",
+            f"{one['t']:.1f}",
+            f"{one['p']:.2g}",
+            str(one["form"]),
+            f'inflight add "{one["name"]}"' if one["action"] != "drop" else "",
+            "inflight undo" if one["action"] != "drop" else "",
+        )
+        for one in rounds
+    ]
+    return f'<div style="overflow-x:auto">{html_table(head, rows)}</div>'
+
+
+def facts_list(facts: Mapping[str, Any]) -> str:
+    """Return settings, seed, hashes and versions as a list that can be copied."""
+    items = "".join(
+        f"<tr><td>{escape(name)}</td><td style='text-align:left'><code>{escape(str(value))}</code></td></tr>"
+        for name, value in facts.items()
+        if value not in ("", None)
+    )
+    return f"<table>{items}</table>"
+
+
+def waterfall_figure(
+    steps: Sequence[Step], start: float, end: float, floor: tuple[float, float, float]
+) -> figure:
+    """Draw the held-out rms before, one bar for each effect, the rms after, and the noise floor.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        In the order the effects were taken.
+    start, end : float
+        Held-out rms before and after, nT.
+    floor : tuple of float
+        Noise floor and its 95 % interval, nT.
+    """
+    names = [f"{place}. {short_name(step.name)}" for place, step in enumerate(steps, 1)]
+    plot = plain_figure(
+        "Held-out error, effect by effect",
+        "",
+        "rms, held out (nT)",
+        x_range=["as found", *names, "now left"],
+        width=max(430, min(1130, 170 + 66 * (len(names) + 2))),
+        height=360,
+    )
+    plot.xaxis.major_label_orientation = 0.45
+    plot.y_range.start = 0.0
+    plot.y_range.end = 1.12 * max([start, end, floor[2] if np.isfinite(floor[2]) else 0.0])
+    plot.vbar(["as found"], width=0.7, top=[start], color=BEFORE)
+    plot.vbar(["now left"], width=0.7, top=[end], color=AFTER)
+    if steps:
+        _bars(plot, steps, names)
+    level, low, high = floor
+    if np.isfinite(level):
+        plot.add_layout(BoxAnnotation(bottom=low, top=high, fill_color=REFERENCE, fill_alpha=0.4))
+        plot.add_layout(Span(location=level, dimension="width", line_color="#222222", line_dash="dashed"))
+        plot.line(["as found"], [level], color="#222222", line_dash="dashed", legend_label="noise floor")
+    plot.hover.tooltips = [("", "@name"), ("from", "@before{0.0000} nT"), ("to", "@after{0.0000} nT")]
+    place_legend(plot, "top_right")
+    return plot
+
+
+def _bars(plot: figure, steps: Sequence[Step], names: Sequence[str]) -> None:
+    before = np.array([step.before for step in steps])
+    after = np.array([step.after for step in steps])
+    source = ColumnDataSource(
+        {
+            "name": list(names),
+            "before": before,
+            "after": after,
+            "text": [f"-{(b - a) * 1000:.3g} pT" for b, a in zip(before, after, strict=True)],
+        }
+    )
+    plot.vbar("name", width=0.7, top="before", bottom="after", source=source, color="#5b8c5a", alpha=0.9)
+    plot.text(
+        "name", "before", text="text", source=source, text_align="center", text_font_size="11px", y_offset=-4
+    )
+
+
+def order_figure(steps: Sequence[Step], start: float) -> figure:
+    """Draw what each effect takes off the mean square when it is taken first, in its turn, and last.
+
+    Effects that share what they explain lie far apart; what an effect takes off last is its own.
+
+    Parameters
+    ----------
+    start : float
+        Held-out rms before, nT.
+    """
+    names = distinct([short_name(step.name) for step in steps])
+    plot = plain_figure(
+        "Taken first, in its turn, or last",
+        "part of the mean square as found (%)",
+        "",
+        y_range=names[::-1] or ["none"],
+        width=450,
+        height=max(200, 130 + 34 * len(names)),
+    )
+    part = 100.0 / max(start**2, 1e-30)
+    first, turn, last = (
+        part * np.array([getattr(step, kind) for step in steps])
+        for kind in ("first_in", "removed", "last_in")
+    )
+    source = ColumnDataSource({"name": names, "first": first, "turn": turn, "last": last})
+    plot.segment("first", "name", "last", "name", source=source, color=REFERENCE, line_width=3, alpha=0.5)
+    marks = (("first", "triangle", BEFORE), ("turn", "circle", "#111111"), ("last", "square", AFTER))
+    for kind, marker, colour in marks:
+        said = "in its turn" if kind == "turn" else kind
+        plot.scatter(kind, "name", source=source, marker=marker, color=colour, size=9, legend_label=said)
+    plot.hover.tooltips = [
+        ("", "@name"),
+        *((kind, f"@{kind}{{0.00}} %") for kind in ("first", "turn", "last")),
+    ]
+    legend_below(plot)
+    return plot
+
+
+#: Parameters that moved, shown at most.
+_MOVED = 10
+
+
+def error_figure(changes: Sequence[Fields]) -> figure:
+    """Draw how the residual falls from version to version, held out and in sample; nT rms.
+
+    Each change is drawn from the error before it to the error after it: two changes stand on one ground
+    only when the second begins where the first ended, which a search in between need not leave so.
+
+    Parameters
+    ----------
+    changes : sequence of mapping
+        As `inflight.tasks.analysis.revise.Revision.as_json`, in the order they were made.
+    """
+    names = [f"{one['model']['version']}: {short_name(_what(one))}" for one in changes]
+    plot = plain_figure(
+        "The error, change by change",
+        "",
+        "rms (nT)",
+        x_range=names or ["none"],
+        width=max(376, min(1130, 200 + 90 * len(names))),
+        height=320,
+    )
+    plot.xaxis.major_label_orientation = 0.45
+    for key, label, shift, colour in (
+        ("held_out_nT", "held out", -0.12, AFTER),
+        ("in_sample_nT", "in sample", 0.12, BEFORE),
+    ):
+        before, after = (np.array([one["error"][key][end] for one in changes]) for end in (0, 1))
+        place = [(name, shift) for name in names]
+        source = ColumnDataSource({"change": place, "before": before, "after": after})
+        plot.segment("change", "before", "change", "after", source=source, color=colour, line_width=3)
+        plot.scatter("change", "before", source=source, size=8, fill_color="white", line_color=colour)
+        plot.scatter("change", "after", source=source, size=9, color=colour, legend_label=label)
+    plot.hover.tooltips = [("before", "@before{0.00000} nT"), ("after", "@after{0.00000} nT")]
+    legend_below(plot)
+    return plot
+
+
+def _what(change: Fields) -> str:
+    """Return what was done, without the words that the version says already."""
+    if change["command"] == "undo":
+        return "undo"
+    return str(change["effect"]).removeprefix("auto: ").removeprefix("add ")
+
+
+def change_tables(change: Fields) -> list[str]:
+    """Return what a change did as HTML: the error, the effect's own numbers, what else moved."""
+    model, error = change["model"], change["error"]
+    said = "; ".join(
+        f"{label} {error[key][0]:.4g} to {error[key][1]:.4g} nT"
+        for key, label in (("held_out_nT", "held out"), ("in_sample_nT", "in sample"))
+    )
+    out = [
+        f"<p><b>{escape(model['name'])} version {model['version']}</b>, from version {model['parent']}: "
+        f"{escape(str(change['effect']))}. Residual {said}.</p>"
+    ]
+    if change["coefficients"]:
+        rows = [
+            (short_parameter(one["name"]), f"{one['value']:.5g} ± {one['sigma']:.2g}", one["unit"])
+            for one in change["coefficients"]
+        ]
+        out.append(html_table(("its numbers", "value ± sigma", "unit"), rows))
+    if change["moved"]:
+        others = [
+            (
+                short_parameter(one["parameter"]),
+                f"{one['by']:+.3g}",
+                f"{one['sigma_before']:.2g}",
+                f"{one['sigma']:.2g}",
+                one["unit"],
+                one["why"],
+            )
+            for one in change["moved"][:_MOVED]
+        ]
+        out.append(html_table(("what else moved", "by", "sigma before", "sigma", "unit", ""), others))
+    if len(change["moved"]) > _MOVED:
+        out.append(f'<p class="quiet">and {len(change["moved"]) - _MOVED} more</p>')
+    return out

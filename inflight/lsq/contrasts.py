@@ -1,0 +1,315 @@
+"""Robust line fit, contrasts, running means.
+
+A linear fit that outliers do not move, with errors that know the correlation of the values.
+
+Contrasts: weighted sums of samples around a step that are blind to drift and give 1 for the step.
+
+Weighted means of daily values in a window that moves over the days, whose ends count by the part inside.
+
+One way for a parameter whose mean is undefined where the window is not (`behaviour.running_mean`) and for
+currents that a correction needs on every day (`secular.carried_mean`). Both are means of this module; they
+differ in what they say of days without one: nothing, or the mean carried there with a wider sigma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.errors import SamplesError, SettingsError
+from inflight.frames import direction_of
+from inflight.lsq.covariance import long_run_covariance
+from inflight.lsq.robust import biweight, biweight_slope, robust_sigma
+from inflight.time import Int64
+from inflight.units import factor_and_offset
+
+_TURNS = 12
+
+
+@dataclass(frozen=True)
+class RobustFit:
+    """A fit by biweights.
+
+    Attributes
+    ----------
+    value, covariance : ndarray, shape (column,), (column, column)
+    left : ndarray, shape (row,)
+        Values less the fit.
+    say : ndarray, shape (row,)
+        1 for a value that counts wholly, 0 for one that does not.
+    scatter : float
+        Robust standard deviation of the values beyond their stated errors.
+    """
+
+    value: Floats
+    covariance: Floats
+    left: Floats
+    say: Floats
+    scatter: float
+
+    @property
+    def outlying(self) -> int:
+        """How many values lost most of their say."""
+        return int(np.sum(self.say < 0.2))
+
+
+def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) -> RobustFit:
+    """Fit values by rows.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (row, column)
+        In order of time.
+    value, variance : ndarray, shape (row,)
+        Values and the variances stated for them.
+    functions : float
+        As in `long_run_covariance`.
+    """
+    size = np.maximum(np.abs(rows).max(axis=0), 1e-300)
+    unit = rows / size
+    say, extra = np.ones(value.size), 0.0
+    for _ in range(_TURNS):
+        sigma2 = variance + extra
+        root = np.sqrt(say / sigma2)
+        found = np.linalg.lstsq(unit * root[:, None], value * root)[0]
+        left = value - unit @ found
+        usual = robust_sigma(left)
+        extra = max(usual**2 - float(np.median(variance)), 1e-12 * float(np.median(variance)))
+        pull = left / np.sqrt(variance + extra)
+        say = biweight(pull)
+    slope = biweight_slope(pull) / (variance + extra)
+    weight = say / (variance + extra)
+    bread = np.linalg.inv(_at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit))
+    scores = unit * (weight * left)[:, None]
+    covariance = bread @ long_run_covariance(scores, functions) @ bread
+    return RobustFit(found / size, covariance / np.outer(size, size), left, say, float(np.sqrt(extra)))
+
+
+def _at_least(slopes: Floats, weights: Floats) -> Floats:
+    """Return the sum of slopes, or a part of that of the weights where outliers make it small."""
+    share = float(np.trace(slopes) / max(np.trace(weights), 1e-300))
+    return slopes if share > 0.3 else 0.3 * weights
+
+
+Chosen = npt.NDArray[np.bool_]
+
+#: Samples of the residual this many robust sigmas off the fitted drift and step are left out.
+_OUTLIER = 6.0
+
+#: A column whose part that the others do not make is smaller than this part of its square is one of theirs.
+_NOTHING = 1e-24
+
+#: Places of the orbit kept with each epoch where the samples know them.
+_PLACES = ("local_time", "orbit_phase", "latitude", "sunlit", "sun_direction")
+
+
+@dataclass(frozen=True)
+class Series:
+    """The samples as arrays, missing ones NaN."""
+
+    stamps: Int64
+    residual: Floats
+    direction: Floats
+    currents: Floats
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    places: dict[str, Floats]
+
+    @classmethod
+    def of(cls, samples: xr.Dataset, residual: Floats, names: tuple[str, ...]) -> Series:
+        """Return the arrays of samples, residual and channels; what has weight 0 is missing.
+
+        Raises
+        ------
+        SamplesError
+            A variable is missing or has another shape.
+        """
+        missing = [name for name in ("tt2000", "field", *names) if name not in samples]
+        if missing:
+            raise SamplesError(f"samples have no {missing}", remedy="align these channels first")
+        count = samples.sizes["time"]
+        values = np.asarray(residual, dtype=np.float64)
+        if values.shape != (count,):
+            raise SamplesError(f"the residual has shape {values.shape}, ({count},) expected")
+        if "weight" in samples:
+            values = np.where(samples["weight"].values > 0, values, np.nan)
+        field = np.asarray(samples["field"].values, dtype=np.float64)
+        direction = direction_of(field)
+        found = [in_amperes(_one_current(samples[name])) for name in names]
+        places = {name: samples[name].values.astype(np.float64) for name in _PLACES if name in samples}
+        return cls(
+            np.asarray(samples["tt2000"].values, dtype=np.int64),
+            values,
+            direction,
+            np.column_stack([series for series, _ in found]),
+            names,
+            tuple(unit for _, unit in found),
+            places,
+        )
+
+    def part(self, start: int, end: int) -> slice:
+        """Return the samples in a half-open span."""
+        return slice(*(int(i) for i in np.searchsorted(self.stamps, [start, end])))
+
+
+def _one_current(series: xr.DataArray) -> xr.DataArray:
+    """Return the channel, which must be one number a time."""
+    if series.ndim != 1:
+        raise SamplesError(
+            f"has dims {series.dims}, one current expected", channel=str(series.name), remedy="take one axis"
+        )
+    return series
+
+
+def in_amperes(series: xr.DataArray) -> tuple[Floats, str]:
+    """Return a channel (time, ...) in A where it is a current, else as it is, and its unit."""
+    unit = str(series.attrs.get("units", "1"))
+    try:
+        factor, offset = factor_and_offset(unit, "A")
+    except ValueError:
+        return series.values.astype(np.float64), unit
+    return factor * series.values.astype(np.float64) + offset, "A"
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """Weights over some samples that are blind to drift and give 1 for the shape."""
+
+    weight: Floats
+    drift: Floats
+    basis: Floats
+    used: Floats
+
+    @classmethod
+    def of(cls, drift: Floats, shape: Floats) -> Contrast | None:
+        """Return the contrast for a shape (time,) against a drift (time, part); None where it is drift."""
+        basis = _orthonormal(drift)
+        own = shape - (basis @ shape) @ basis
+        power = float(own @ own)
+        if shape.size < drift.shape[1] + 3 or power <= 1e-9 * float(shape @ shape):
+            return None
+        return cls(own / power, drift, basis, shape)
+
+    def residual(self, values: Floats) -> Floats:
+        """Return what drift and shape leave of values; (time,)."""
+        left = self._without_shape(values)
+        return np.asarray(left - (self.basis @ left) @ self.basis)
+
+    def common(self, values: Floats) -> Floats:
+        """Return the coefficients of the drift in values; (part,)."""
+        return np.asarray(np.linalg.lstsq(self.drift, self._without_shape(values))[0])
+
+    def _without_shape(self, values: Floats) -> Floats:
+        return np.asarray(values - float(self.weight @ values) * self.used)
+
+
+def _orthonormal(drift: Floats) -> Floats:
+    """Return an orthonormal basis of a few columns (time, part) as rows; zeros for what adds nothing.
+
+    Gram and Schmidt, twice: for a few columns of a hundred samples a library's call costs more than its work.
+    """
+    basis = np.zeros((drift.shape[1], len(drift)))
+    for place, column in enumerate(drift.T):
+        rest, own = column, basis[:place]
+        for _ in range(2):
+            rest = rest - (own @ rest) @ own
+        power = float(rest @ rest)
+        if power > _NOTHING * float(column @ column):
+            basis[place] = rest / np.sqrt(power)
+    return basis
+
+
+def robust_contrast(
+    drift: Floats, values: Floats, shape: Floats, usable: Chosen
+) -> tuple[Contrast, Chosen, float] | None:
+    """Return the contrast without outliers, the samples kept, and the noise of one."""
+    kept = usable
+    contrast = Contrast.of(drift[kept], shape[kept])
+    for _ in range(3):
+        if contrast is None:
+            return None
+        left = contrast.residual(values[kept])
+        limit = _OUTLIER * robust_sigma(left)
+        far = np.abs(left) > max(limit, 1e-12)
+        if not far.any():
+            break
+        kept = kept.copy()
+        kept[np.flatnonzero(kept)[far]] = False
+        contrast = Contrast.of(drift[kept], shape[kept])
+    if contrast is None:
+        return None
+    left = contrast.residual(values[kept])
+    freedom = max(left.size - drift.shape[1] - 1, 1)
+    return contrast, kept, float(np.sqrt(np.sum(left**2) / freedom))
+
+
+@dataclass(frozen=True)
+class Windowed:
+    """Means over windows; a window without a day has the mean 0 and no coverage.
+
+    Attributes
+    ----------
+    mean, spread : ndarray, shape (day, column)
+        Weighted mean of the values and their standard deviation within the window.
+    weight : ndarray, shape (day,)
+        Sum of the weights inside.
+    coverage : ndarray, shape (day,)
+        The same as a part of what a window without gaps would have, in [0, 1].
+    lean : ndarray, shape (day,)
+        How far the mean time of what is there lies from the middle, days.
+    """
+
+    mean: Floats
+    spread: Floats
+    weight: Floats
+    coverage: Floats
+    lean: Floats
+
+
+def windowed(daily: Floats, weight: Floats, window: float) -> Windowed:
+    """Return the means of the days within half a window on either side of each.
+
+    Parameters
+    ----------
+    daily : ndarray, shape (day, column)
+        One row a day, no day left out; NaN where the weight is 0.
+    weight : ndarray, shape (day,)
+        0 for none, 1 for a usual day.
+    window : float
+        Days; the days at its ends weigh by the part of them inside, so that a window of 260.5 d removes what
+        repeats in 260.5 d.
+
+    Raises
+    ------
+    SettingsError
+        For a window shorter than a day.
+    """
+    if not window >= 1.0:
+        raise SettingsError(f"a window of {window:g} d found", remedy="take one day or more")
+    half = int(np.ceil(0.5 * window - 0.5))
+    offset = np.arange(-half, half + 1)
+    kernel = np.clip(0.5 * window + 0.5 - np.abs(offset), 0.0, 1.0)
+    known = np.where(weight[:, None] > 0, daily, 0.0) * weight[:, None]
+    inside = np.clip(_same(weight, kernel), 0.0, None)
+    total = np.maximum(inside, 1e-12)
+    mean = np.stack([_same(column, kernel) for column in known.T], axis=1) / total[:, None]
+    squares = np.where(weight[:, None] > 0, daily, 0.0) * known
+    square = np.stack([_same(column, kernel) for column in squares.T], axis=1) / total[:, None]
+    return Windowed(
+        mean,
+        np.sqrt(np.clip(square - mean**2, 0.0, None)),
+        inside,
+        np.clip(inside / kernel.sum(), 0.0, 1.0),
+        # A convolution turns the kernel over: a day that is later weighs with the negative of its offset.
+        -_same(weight, kernel * offset) / total,
+    )
+
+
+def _same(series: Floats, kernel: Floats) -> Floats:
+    """Return the convolution at the places of the series, however short it is."""
+    half = kernel.size // 2
+    return np.asarray(np.convolve(series, kernel)[half : half + series.size])

@@ -1,0 +1,60 @@
+"""Robust weights: gross errors lose their say, ordinary noise keeps nearly all of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from inflight.arrays import Floats
+
+#: Tukey's biweight ends here, in robust standard deviations: 98.8 % efficient on Gaussian noise.
+BIWEIGHT_WIDTH = 6.0
+
+#: Weighted rms of Gaussian residuals over their standard deviation: the biweight favours small ones.
+WEIGHTED_RMS = 0.9447
+
+#: Standard deviation of a Gaussian over the median of its absolute deviations.
+TO_SIGMA = 1.482602218505602
+
+#: The scale is estimated from about this many samples, evenly spread.
+_SCALE_SAMPLES = 20_000
+
+
+def robust_sigma(residual: Floats, floor: float = 0.0) -> float:
+    """Return the standard deviation about zero by the median of the absolute residuals; nT.
+
+    About zero, not about the median: the weights are centred on zero too, and a residual that has
+    not yet lost its mean must not lose all its weight.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (time,)
+        Finite residuals.
+    floor : float
+        Smallest value returned (the resolution of the readings).
+    """
+    if residual.size == 0:
+        return floor
+    part = residual[:: max(1, residual.size // _SCALE_SAMPLES)]
+    return max(TO_SIGMA * _median(np.abs(part)), floor)
+
+
+def _median(values: Floats) -> float:
+    """Return the median of finite values, of which there is one at least: ten times quicker for a hundred."""
+    middle = values.size // 2
+    if values.size % 2:
+        return float(np.partition(values, middle)[middle])
+    return float(np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean())
+
+
+def biweight(pull: Floats) -> Floats:
+    """Return Tukey's weights of residuals in robust sigmas: 1 at 0, 0 from `BIWEIGHT_WIDTH` on."""
+    return np.asarray(np.clip(1.0 - (pull / BIWEIGHT_WIDTH) ** 2, 0.0, None) ** 2)
+
+
+def biweight_slope(pull: Floats) -> Floats:
+    """Return by how much the influence ``pull * biweight(pull)`` gives way where a residual moves.
+
+    Weights follow the residuals: a fit answers by this slope, not by the weight.
+    """
+    u2 = (pull / BIWEIGHT_WIDTH) ** 2
+    return np.asarray(np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0))

@@ -1,0 +1,530 @@
+"""Temperature, day/night and cross-talk in the fit of all days.
+
+The coil's temperature in the fit of all days: its coefficients, its lag, and the rivals it has.
+
+The wide equations hold what the residual answers to the coefficients with the temperature as it was aligned,
+the strip beside them what it answers to the temperature's rate. A lag is bilinear: its column is the rate's
+times the coefficients, so that a few turns settle it together with all else that the model lets data move.
+
+The field of day and night in the fit of all days, and what the daily parameters are once it is known.
+
+It is fitted beside everything else of the model, trends included: what a panel's current explains, which is
+there by day too, is not told twice, and its error says so. Without it the angles of each day's own fit
+wander with the local time, with a period of 260.5 days (Yin 2010, section 4.3).
+
+Cross-talk of a whole mission: what one unit of a cause that is ignored does to everything else.
+
+Two answers from the same stored equations. With the nine parameters alone, as a scalar calibration fits them,
+a cause goes into them as far as they can imitate it (Yin 2010, section 4.2). With everything of the model
+fitted together the others share what one of them ignores: with C the covariance, leaving out a parameter j of
+size c moves parameter i by ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.calibration.normal_equations import NINE, NINE_UNITS
+from inflight.effects.base import AXES
+from inflight.effects.environment import DayNight, DayNightSeries
+from inflight.errors import CalibrationError
+from inflight.lsq.solver import ClusteredFit, correlation_of, left, mean_of_clusters, retained_fraction
+from inflight.mission_fit.continuous import Continuous, daily_parameters, fitted_beside, shift_columns
+from inflight.mission_fit.crosstalk import SHOWN, CrossTalkTable, Ignored, cross_talk
+from inflight.mission_fit.daily_equations import (
+    holds_day_night,
+    joined_with,
+    of_grams,
+    reference_of,
+    temperature_entry,
+    terms_of,
+)
+from inflight.mission_fit.day_night import LEAST_RETAINED, SERIES, SWITCHED, DayNightField
+from inflight.mission_fit.temperature import (
+    KINDS,
+    NONE,
+    PRIOR,
+    CoilFit,
+    TemperatureChoice,
+    TemperatureRival,
+    coefficients_of,
+)
+from inflight.mission_fit.trends import TrendFit
+from inflight.model import Model
+
+#: Turns of the lag; it settles in two, three where the coefficients were not known.
+_TURNS = 4
+
+#: One unit of the lag's column, s.
+_LAG_UNIT = 10.0
+
+#: Sigmas that one of the axes must follow the temperature by for a lag to be told.
+_FOLLOWS = 3.0
+
+#: Sections of the span that are held out, and by which scores are compared.
+_FOLDS, _SECTIONS = 5, 40
+
+
+def fit_coil_lag(
+    equations: NormalEquations,
+    strips: Sequence[xr.Dataset | None],
+    found: Continuous,
+    model: Model,
+    lag: float,
+) -> CoilFit:
+    """Fit the coil's temperature with its lag, together with everything else of the model.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Wide ones of the days.
+    strips : sequence of Dataset or None
+        As `inflight.mission_fit.daily_equations.split` makes them, one a day.
+    found : Continuous
+        The fit of all days; its trends and the weights of its days hold.
+    model : Model
+        The one the equations were made with: its sigmas are what is known of the coefficients. Of the lag
+        nothing is but an hour.
+    lag : float
+        With which the channel was aligned, s; the fit finds the change against it, to first order.
+
+    Returns
+    -------
+    CoilFit
+        Its `fit` counts days as clusters; the covariance is that of days correlated in time.
+
+    Raises
+    ------
+    CalibrationError
+        When data may not move how the sensor follows a temperature, or no day knows its rate.
+    """
+    entry = temperature_entry(model)
+    if entry is None:
+        raise CalibrationError(
+            "the model has no effect 'temperature' of the vector sensor that data may move",
+            remedy="give linear and quadratic of one a sigma",
+        )
+    channel = entry.effect.channels[0]
+    rates = [f"{channel}.{kind}[{axis}]" for kind in KINDS[2:] for axis in AXES]
+    wide = joined_with(equations, strips, rates)
+    own = [f"{entry.name}.{kind}[{axis}]" for kind in KINDS[:2] for axis in AXES]
+    sigma = np.append([one for term in terms_of(model) for one in term.sigma], PRIOR[2])
+    value, change = _values_of(found.fit, own), 0.0
+    for _ in range(_TURNS):
+        before = change
+        turned = _with_lag(wide, rates, own, value, change)
+        fit = fitted_beside(turned, equations, found, sigma)
+        value, change = _values_of(fit, own), float(fit.value[-1])
+        if abs(change - before) <= 1e-2 * fit.sigma[-1]:
+            break
+    return _as_coil(fit, turned, own, channel, reference_of(entry), lag)
+
+
+def _values_of(fit: TrendFit, names: Sequence[str]) -> Floats:
+    return np.array([fit.value[fit.place(name)][0] for name in names])
+
+
+def _with_lag(
+    equations: NormalEquations, rates: Sequence[str], own: Sequence[str], value: Floats, change: float
+) -> NormalEquations:
+    """Return the equations with one column ``lag`` for those of the rates, linear about values and lag.
+
+    With C the coefficients' columns, R those of the rates, c the coefficients (c0 the reference's) and d the
+    lag's change, the residual is ``y + C (c - c0) + d R c``: about c1 and d1 its columns are ``C + d1 R`` and
+    ``R c1``, and what is constant, ``d1 R (c0 - c1)``, belongs to y.
+    """
+    data, names = equations.dataset, equations.columns
+    scale = data["scale"].values
+    from_rates = [names.index(name) for name in rates]
+    to = [names.index(name) for name in own]
+    kept = [place for place in range(len(names)) if place not in set(from_rates)]
+    turn = np.zeros((len(kept) + 2, len(scale)))
+    turn[np.arange(len(kept)), kept] = 1.0
+    for rate, column in zip(from_rates, to, strict=True):
+        turn[kept.index(column), rate] = change * scale[column] / scale[rate]
+    turn[-2, from_rates] = _LAG_UNIT * value / scale[from_rates]
+    turn[-1, -1] = 1.0
+    common = data["reference"].values
+    each = np.broadcast_to(turn, (len(common), *turn.shape)).copy()
+    each[:, -1, from_rates] = change * (common[:, to] - value) / scale[from_rates]
+    gram = each @ data["gram"].values @ each.swapaxes(1, 2)
+    reference = np.concatenate([common[:, kept], np.zeros((len(common), 2))], axis=1)
+    new = np.concatenate([scale[kept], [_LAG_UNIT, 1.0]])
+    return of_grams(data, gram, reference, new, [*(names[place] for place in kept), "lag"])
+
+
+def _as_coil(
+    fit: TrendFit, equations: NormalEquations, own: Sequence[str], channel: str, reference: float, lag: float
+) -> CoilFit:
+    places = [fit.place(name).start for name in (*own, "lag")]
+    columns = [equations.columns.index(name) for name in (*own, "lag")]
+    value = fit.value[places] + np.append(np.zeros(len(own)), lag)
+    determined = fit.determined[places].copy()
+    follows = np.abs(value[:3]) > _FOLLOWS * fit.sigma[places][:3]
+    determined[-1] &= bool(follows.any()) and fit.sigma[places[-1]] < 0.5 * PRIOR[2]
+    total = equations.dataset["gram"].values.sum(axis=0)[:-1, :-1]
+    return CoilFit(
+        channel,
+        reference,
+        ClusteredFit(
+            value,
+            fit.covariance[np.ix_(places, places)],
+            retained_fraction(total)[columns],
+            determined,
+            fit.rms**2,
+            len(equations),
+            float(equations.dataset["count"].values.sum()),
+        ),
+    )
+
+
+def rival_temperatures(
+    equations: NormalEquations,
+    strips: Sequence[xr.Dataset | None],
+    found: Continuous,
+    model: Model,
+    channels: Sequence[str],
+) -> TemperatureChoice:
+    """Judge temperatures, and none, by what they leave of parts of the span that were not fitted.
+
+    The nine parameters are each day's own, alike for all rivals; whatever else the model lets data move is
+    fitted anew beside each rival. Of no coefficient anything is known beforehand.
+
+    Parameters
+    ----------
+    equations, strips, found, model
+        As `fit_coil_lag`.
+    channels : sequence of str
+        With all their columns: the model's own, and those beside it.
+
+    Raises
+    ------
+    CalibrationError
+        When no day knows all of them, or there are too few days.
+    """
+    entry = temperature_entry(model)
+    own = "" if entry is None else entry.effect.channels[0]
+    held = [] if entry is None else [f"{entry.name}.{kind}[{axis}]" for kind in KINDS[:2] for axis in AXES]
+    columns = {
+        name: (held if name == own else _named(name, KINDS[:2])) + _named(name, KINDS[2:])
+        for name in channels
+    }
+    beside = [one for names in columns.values() for one in names if one not in held]
+    wide = joined_with(equations, strips, beside)
+    names = wide.columns
+    at = _at_the_fit(wide, found, held)
+    nine = np.arange(9)
+    others = [place for place in range(9, len(equations.columns)) if names[place] not in set(held)]
+    known = dict(zip(equations.columns, [one for term in terms_of(model) for one in term.sigma], strict=True))
+    scale, count = wide.dataset["scale"].values, wide.dataset["count"].values
+    squares: dict[str, Floats] = {}
+    sections = np.array_split(np.arange(len(wide)), min(_SECTIONS, len(wide)))
+    if len(sections) < 2 * _FOLDS:
+        raise CalibrationError(
+            f"{len(sections)} days for {_FOLDS} parts to hold out", remedy=f"use {2 * _FOLDS} days or more"
+        )
+    rows = np.array([count[part].sum() for part in sections])
+    prior = np.array([known[names[place]] for place in others])
+    for name in (NONE, *channels):
+        mine = [names.index(one) for one in columns.get(name, [])]
+        kept = np.array([*others, *mine, len(scale) - 1])
+        gram = left(at, nine, kept) / np.outer(scale[kept], scale[kept])
+        merged = np.array([gram[part].sum(axis=0) for part in sections])
+        squares[name] = _held_out(merged, rows, prior, bool(mine)) / rows
+    return _chosen(squares, rows)
+
+
+def _named(channel: str, kinds: Sequence[str]) -> list[str]:
+    return [f"{channel}.{kind}[{axis}]" for kind in kinds for axis in AXES]
+
+
+def _at_the_fit(wide: NormalEquations, found: Continuous, held: Sequence[str]) -> Floats:
+    """Return the Gram matrices with the residual at the fit of all days, without the coefficients held."""
+    data, fit = wide.dataset, found.fit
+    middle = data["start"].values // 2 + data["end"].values // 2
+    common = dict(zip(fit.trends, fit.at(middle)[0].T, strict=True))
+    nought = np.zeros(len(middle))
+    at = np.stack([nought if name in held else common.get(name, nought) for name in wide.columns], axis=1)
+    step = (at - data["reference"].values[:, :-1]) / data["scale"].values[:-1]
+    turn = np.broadcast_to(
+        np.eye(step.shape[1] + 1), (len(step), step.shape[1] + 1, step.shape[1] + 1)
+    ).copy()
+    turn[:, -1, :-1] = step
+    return np.asarray(turn @ data["gram"].values @ turn.swapaxes(1, 2))
+
+
+def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> Floats:
+    """Return the sum of squares of each section at the fit of the other folds; (section,) nT^2."""
+    out = np.empty(len(gram))
+    for part in np.array_split(np.arange(len(gram)), _FOLDS):
+        total = np.delete(gram, part, axis=0).sum(axis=0)
+        at = np.append(_solved(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
+        out[part] = np.einsum("i,bij,j->b", at, gram[part], at)
+    return out
+
+
+def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floats:
+    """Return the answers of all columns: others', and the twelve of one temperature with its lag."""
+    count, unknown = prior.size, np.zeros(7)
+    sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
+    value = np.zeros(count)
+    variance = float(gram[-1, -1]) / max(rows, 1.0)
+    for _ in range(_TURNS):
+        turn = np.zeros((len(gram), sigma.size + 1))
+        turn[:count, :count], turn[-1, -1] = np.eye(count), 1.0
+        if temperature:
+            answers, slopes = coefficients_of(unknown)
+            turn[count:-1, count:-1], turn[count:-1, -1] = slopes, answers - slopes @ unknown
+        inner = turn.T @ gram @ turn
+        matrix = (inner[:-1, :-1] * np.outer(sigma, sigma)) / variance + np.eye(sigma.size)
+        value = -sigma * np.linalg.solve(matrix, inner[:-1, -1] * sigma / variance)
+        unknown = value[count:]
+        own = np.append(value, 1.0)
+        variance = max(float(own @ inner @ own) / max(rows, 1.0), 1e-30)
+    return np.concatenate([value[:count], coefficients_of(unknown)[0]]) if temperature else value
+
+
+def _chosen(squares: dict[str, Floats], rows: Floats) -> TemperatureChoice:
+    whole = {name: float(np.average(one, weights=rows)) for name, one in squares.items()}
+    best = min(whole, key=lambda name: whole[name])
+    rivals = []
+    for name in sorted(whole, key=lambda name: whole[name]):
+        behind, sigma = mean_of_clusters(squares[name] - squares[best], rows, np.arange(len(rows)))
+        rivals.append(TemperatureRival(name, float(np.sqrt(whole[name])), behind, sigma))
+    return TemperatureChoice(tuple(rivals))
+
+
+#: What is known of the fields beforehand, nT.
+_PRIOR = {
+    SWITCHED: float(np.max(DayNight.vector.sigma)),
+    SERIES: float(np.max(DayNightSeries.amplitude.sigma)),
+}
+
+
+@dataclass(frozen=True)
+class Daylight:
+    """A field of day and night beside all else.
+
+    Attributes
+    ----------
+    field : DayNightField
+    found : Continuous
+        The fit with it.
+    equations : NormalEquations
+        With its columns, of the days whose orbit is known.
+    """
+
+    field: DayNightField
+    found: Continuous
+    equations: NormalEquations
+
+    def daily(self) -> xr.Dataset:
+        """Return each day's nine parameters and time shift with the field known; see `daily_parameters`."""
+        return daily_parameters(self.equations, self.found, shift_columns(self.found.model))
+
+
+def fit_daylight(
+    equations: NormalEquations,
+    strips: Sequence[xr.Dataset | None],
+    found: Continuous,
+    model: Model,
+    form: str = SWITCHED,
+) -> Daylight:
+    """Fit the field in one of its forms, `SWITCHED` or `SERIES`, beside everything of the model.
+
+    Parameters
+    ----------
+    equations, strips, found, model
+        As `inflight.mission_fit.causes.fit_coil_lag`.
+    form : str
+
+    Raises
+    ------
+    CalibrationError
+        When no day knows its orbit, the model has such a field itself, or nothing of it is told.
+    """
+    if holds_day_night(model):
+        raise CalibrationError(
+            "the model has a field of day and night itself: the table 'trend' tells it",
+            remedy="leave it out of the model to have it fitted beside",
+        )
+    names = sorted({str(one) for strip in strips if strip is not None for one in strip["beside"].values})
+    names = [name for name in names if name.startswith(form)]
+    if not names:
+        raise CalibrationError(
+            "the mission delivers no positions", remedy="state a channel of kind 'position'"
+        )
+    wide = joined_with(equations, strips, names)
+    sigma = np.array([one for term in terms_of(model) for one in term.sigma] + [_PRIOR[form]] * len(names))
+    fit = fitted_beside(wide, equations, found, sigma)
+    places = np.array([fit.place(name).start for name in names])
+    columns = np.array([wide.columns.index(name) for name in names])
+    retained = retained_fraction(wide.dataset["gram"].values.sum(axis=0)[:-1, :-1])[columns]
+    determined = fit.determined[places] & (retained > LEAST_RETAINED)
+    if not determined.any():
+        raise CalibrationError(
+            "no part of the day/night field is told from all else", remedy="take days at other local times"
+        )
+    both = np.ix_(determined, determined)
+    covariance = np.zeros((len(names), len(names)))
+    covariance[both] = fit.covariance[np.ix_(places, places)][both]
+    field = DayNightField(
+        tuple(names),
+        np.where(determined, fit.value[places], 0.0),
+        np.where(determined, fit.sigma[places], np.inf),
+        covariance,
+        retained,
+        determined,
+        len(wide),
+        found.fit.rms,
+        fit.rms,
+    )
+    return Daylight(field, replace(found, fit=fit), wide)
+
+
+#: How much of a cause is asked about, by its unit: 10 ms, 1 ppm/K, ...
+SIZES = {
+    "s": 0.01,
+    "s^2": 0.01,
+    "1": 1e-6,
+    "deg": 1.0 / 3600.0,
+    "1/K": 1e-6,
+    "1/K^2": 1e-8,
+    "1/nT": 1e-12,
+    "1/nT^2": 1e-16,
+}
+
+#: The bias of the thesis' example, nT.
+_BIAS = 0.4
+
+#: Parts of the span, of which each is left out once for the error.
+_PARTS = 10
+
+
+def causes_of(columns: Sequence[str], units: Mapping[str, str], model: Model) -> list[Ignored]:
+    """Return columns as causes of a size that people ask about; of a scalar bias 0.4 nT.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Of the equations.
+    units : mapping of str to str
+        Of columns; nT where none is told.
+    model : Model
+        Tells which cause is a bias of the scalar sensor.
+    """
+    biases = {f"{entry.name}.bias" for entry in model.effects if entry.effect.name == "scalar_bias"}
+    found = []
+    for name in columns:
+        unit = units.get(name, "nT")
+        size = _BIAS if name in biases else SIZES.get(unit, 1.0)
+        found.append(Ignored(name, size, unit))
+    return found
+
+
+def of_the_nine(equations: NormalEquations, units: Mapping[str, str], model: Model) -> CrossTalkTable:
+    """Return what every other column, ignored, does to the nine parameters fitted alone.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of days, the model's columns and any beside them.
+    units, model
+        As `causes_of`.
+    """
+    nine = equations.columns[:9]
+    causes = causes_of(equations.columns[9:], units, model)
+    if not causes:
+        raise CalibrationError(
+            "the model has nothing but the nine parameters that data may move",
+            remedy="give an effect a sigma in the model's file",
+        )
+    told = dict(zip(nine, (NINE_UNITS[name] for name in NINE), strict=True))
+    return cross_talk(equations.filled, causes, nine, told)
+
+
+def of_everything(equations: NormalEquations, units: Mapping[str, str], model: Model) -> xr.Dataset:
+    """Return what each parameter, ignored, does to all others that are fitted together.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of days, the model's columns alone; what is known beforehand of them holds them.
+    units, model
+        As `causes_of`.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims ignored, parameter: `value` and `sigma`, from leaving out tenths of the span, in `units`
+        (parameter); `correlation` of both errors; `size`, `size_units` (ignored). NaN where both are one.
+
+    Raises
+    ------
+    CalibrationError
+        When there is no block.
+    """
+    filled = equations.filled
+    if not len(filled):
+        raise CalibrationError("no day tells anything", remedy="see the failed days of the chain")
+    sigma = np.array([one for term in terms_of(model) for one in term.sigma])
+    data = filled.dataset
+    scale, gram = data["scale"].values[:-1], data["gram"].values
+    prior, names = sigma / scale, filled.columns
+    causes = causes_of(names, units, model)
+    shown = [SHOWN.get(units.get(name, ""), (1.0, units.get(name, ""))) for name in names]
+    factor = scale * np.array([one for one, _ in shown])
+    size = np.array([one.size for one in causes]) / scale
+    total, count = gram.sum(axis=0), float(data["count"].values.sum())
+    parts = np.array_split(np.arange(len(gram)), min(_PARTS, len(gram)))
+    whole = _covariance(total, count, prior)
+    value = _shifts(whole) * np.outer(size, factor)
+    if len(parts) > 1:
+        rest = [(gram[part].sum(axis=0), float(data["count"].values[part].sum())) for part in parts]
+        others = np.array([_shifts(_covariance(total - one, count - rows, prior)) for one, rows in rest])
+        spread = others - others.mean(axis=0)
+        error = np.sqrt((len(parts) - 1) / len(parts) * np.sum(spread**2, axis=0)) * np.outer(size, factor)
+    else:
+        error = np.full_like(value, np.nan)
+    both = ("ignored", "parameter")
+    return xr.Dataset(
+        {
+            "value": (both, value),
+            "sigma": (both, error),
+            "correlation": (both, correlation_of(whole)),
+            "units": ("parameter", np.array([unit for _, unit in shown], dtype="U16")),
+            "size": ("ignored", np.array([one.size for one in causes])),
+            "size_units": ("ignored", np.array([one.unit for one in causes], dtype="U16")),
+        },
+        coords={"ignored": names, "parameter": names},
+        attrs={"blocks": len(filled)},
+    )
+
+
+def _covariance(gram: Floats, count: float, prior: Floats) -> Floats:
+    """Return the covariance of all columns, scaled, for white residuals; 0 for what is fixed."""
+    free = np.flatnonzero(prior > 0)
+    matrix, unit = gram[:-1, :-1][np.ix_(free, free)], prior[free]
+    found = np.zeros_like(gram[:-1, :-1])
+    variance = float(gram[-1, -1]) / max(count, 1.0)
+    for _ in range(2):
+        bread = np.linalg.inv(matrix * np.outer(unit, unit) / variance + np.eye(free.size))
+        answer = -unit * (bread @ (unit * gram[free, -1])) / variance
+        own = float(gram[-1, -1] + 2 * answer @ gram[free, -1] + answer @ matrix @ answer)
+        variance = max(own, 1e-30) / max(count, 1.0)
+    found[np.ix_(free, free)] = bread * np.outer(unit, unit)
+    return found
+
+
+def _shifts(covariance: Floats) -> Floats:
+    """Return by how much parameters (second) move for one scaled unit of an ignored one (first)."""
+    own = np.diag(covariance)
+    found = -covariance / np.where(own > 0, own, np.inf)[:, None]
+    np.fill_diagonal(found, np.nan)
+    return np.asarray(found)

@@ -1,0 +1,379 @@
+"""One fit of all days.
+
+One fit of a whole mission: continuous scale factors, everything else constant, all together.
+
+The scale factors follow one trend in time (Yin 2010, ch. 3), chosen on held-out days unless it is stated;
+angles, offsets and all that the model lets data refine have one value. The result is a model and the
+calibration table that says how sure it is on each day.
+
+Fits of all days with more columns than the model has, everything else as the continuous fit had it.
+
+Each day's own parameters after the continuous fit: what still wanders once everything else is known.
+
+A day's wide equations are expressed at the values of the continuous fit for that day. The nine parameters
+of the vector sensor, and named ones such as the time shift, are then solved for; all others stay there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.calibration.scalar import PARTS, UNITS, reference_of, vector_sensor_of
+from inflight.calibration.table import SOURCES
+from inflight.errors import CalibrationError
+from inflight.lsq.robust import TO_SIGMA
+from inflight.lsq.solver import residual_sum, retained_fraction
+from inflight.mission_fit.daily_equations import DayDrift, about_offsets, rates, terms_of
+from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
+from inflight.mission_fit.trends import TrendFit, at_one_reference, fit_trends, make_trend, middles
+from inflight.model import Model
+
+#: Trends that are compared, the ones a model's file can hold.
+KINDS = ("constant", "linear", "parabola", "log", "spline")
+
+#: Days of a fold at least; spans with fewer keep to what two numbers can say.
+_FOLDS, _FOLD_DAYS = 8, 3
+
+
+@dataclass(frozen=True)
+class Continuous:
+    """What all days together say.
+
+    Attributes
+    ----------
+    fit : TrendFit
+        Coefficients of everything, with their covariance.
+    choice : TrendComparison or None
+        The kinds of trend on held-out days; None when the kind was stated or the span is short.
+    model : Model
+        With the fitted values; the scale factors as functions of time.
+    equations : NormalEquations
+        Those that were fitted, without what drifts within the days.
+    """
+
+    fit: TrendFit
+    choice: TrendComparison | None
+    model: Model
+    equations: NormalEquations
+
+    @property
+    def kind(self) -> str:
+        """The trend of the scale factors."""
+        return self.fit.trends[_nine(self.model)[0]].time
+
+
+def fit_mission(
+    equations: NormalEquations,
+    model: Model,
+    kind: str = "auto",
+    origin: int | None = None,
+    drift: DayDrift | None = None,
+) -> Continuous:
+    """Fit all days together.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Wide ones of the days (see `inflight.mission_fit.daily_equations`), with day blocks.
+    model : Model
+        The one they were made with; its sigmas are what is known beforehand.
+    kind : str
+        Trend of the scale factors; ``auto`` compares them on held-out days.
+    origin : int, optional
+        TT2000 of a logarithm's origin; fitted when absent.
+    drift : DayDrift, optional
+        Of these days: what the trend makes of the scale factors within each day is taken out of it.
+
+    Raises
+    ------
+    CalibrationError
+        When the days do not suffice for the trend.
+    """
+    sigma = np.array([one for term in terms_of(model) for one in term.sigma])
+    common = at_one_reference(equations)
+    choice = None
+    if kind == "auto":
+        kind, choice = _choose(common, sigma, _nine(model)[:3], origin)
+    fit = _fitted(common, model, sigma, kind, origin)
+    if drift is not None:
+        # The first fit tells the rates to a part of what they are; they are small themselves.
+        equations = drift.taken_out(equations, rates(fit, equations))
+        fit = _fitted(at_one_reference(equations), model, sigma, kind, origin)
+    return Continuous(fit, choice, continuous_model(model, fit), equations)
+
+
+def _fitted(
+    equations: NormalEquations, model: Model, sigma: Floats, kind: str, origin: int | None
+) -> TrendFit:
+    """Fit one kind of trend to days at one reference."""
+    names, units, times = _nine(model)[:3], _units(model), middles(equations)
+    if kind == "log" and origin is None:
+        first = int(times[0])
+        start = make_trend("log", times, first - (int(times[-1]) - first) // 4)
+        return fit_origin(equations, dict.fromkeys(names, start), sigma, units=units)
+    trend = make_trend(kind, times, origin if kind == "log" else None)
+    return fit_trends(equations, dict.fromkeys(names, trend), sigma, units=units)
+
+
+def _choose(
+    equations: NormalEquations, sigma: Floats, names: list[str], origin: int | None
+) -> tuple[str, TrendComparison | None]:
+    """Return the kind of trend that foretells held-out days best; all but the nine stay at a common fit."""
+    if len(equations) < _FOLDS * _FOLD_DAYS:
+        return "linear", None
+    wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", middles(equations))), sigma)
+    common = [name for name in equations.columns if name not in names]
+    at = equations.reference.copy()
+    for name in common:
+        at[equations.columns.index(name)] = wide.value[wide.place(name)][0]
+    own = equations.columns[:9]
+    small = equations.at(at).select(own)
+    choice = compare_trends(small, names, sigma[:9], KINDS, t0=origin, folds=_FOLDS)
+    return choice.chosen, choice
+
+
+def continuous_model(model: Model, fit: TrendFit) -> Model:
+    """Return the model with fitted values: no parameter belongs to a block any more."""
+    own = vector_sensor_of(model)
+    kinds = own.effect.parameters()
+    timed = {part: fit.as_timed(f"{own.name}.{part}", kinds[part]) for part in PARTS}
+    out = model.replace(own.with_parameters(dict(own.parameters) | timed))
+    out = about_offsets(out, timed["offset"].value[:, 0])
+    others = [name for name in fit.columns if not name.startswith(f"{own.name}.")]
+    places = [fit.columns.index(name) for name in others]
+    value = dict(zip(others, fit.value[places].tolist(), strict=True))
+    return out.with_values(value, dict(zip(others, fit.sigma[places].tolist(), strict=True)))
+
+
+def continuous_table(
+    equations: NormalEquations, found: Continuous, before: Model, noise: Floats
+) -> xr.Dataset:
+    """Return the calibration table of a continuous fit: one interval a day, without a jump between them.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        The days', those that tell nothing among them, without what drifts within a day.
+    found : Continuous
+    before : Model
+        What was known before: the prior.
+    noise : ndarray, shape (block,)
+        Rms residual of the native samples at each day's own fit, nT.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `inflight.calibration.calibration_table`.
+    """
+    fit, names = found.fit, _nine(found.model)
+    prior = reference_of(before, int(middles(equations)[0]))
+    common = at_one_reference(equations)
+    data, times = common.dataset, middles(common)
+    order = [list(fit.trends).index(name) for name in names]
+    value = fit.values(times)
+    slope = fit.slopes(times, names)
+    covariance = np.einsum("tpi,ij,tqj->tpq", slope, fit.whole_covariance, slope, optimize=True)
+    own, after = _left(common, value)
+    known = np.array([fit.determined[fit.place(name)].all() for name in names])
+    each, row = ("interval", "parameter"), ("interval",)
+    count = data["count"].values
+    shape = (len(times), len(names))
+    return xr.Dataset(
+        {
+            "value": (each, value[:, order]),
+            "sigma": (each, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))),
+            "covariance": ((*each, "other"), covariance),
+            "determined": (each, np.broadcast_to(known, shape).copy()),
+            "retained": (each, np.ones(shape)),
+            "source": (
+                each,
+                np.broadcast_to(np.where(known, 2, 1).astype(np.int8), shape).copy(),
+                {"flag_meanings": " ".join(SOURCES)},
+            ),
+            "prior": ("parameter", prior.value),
+            "prior_sigma": ("parameter", prior.sigma),
+            "units": ("parameter", np.array(UNITS, dtype="U8")),
+            "start": (row, data["start"].values, {"scale": "TT2000"}),
+            "end": (row, data["end"].values, {"scale": "TT2000"}),
+            "blocks": (row, np.ones(len(times), dtype=np.int64)),
+            "directions": (row, np.full(len(times), int(known.sum()), dtype=np.int64)),
+            "count": (row, count),
+            "before": (row, own),
+            # What the whole mission's fit leaves beyond the day's own, on top of the samples' noise.
+            "after": (row, np.sqrt(noise**2 + np.maximum(after**2 - own**2, 0.0))),
+            "inflation": (row, np.ones(len(times))),
+        },
+        coords={"parameter": names, "other": names},
+        attrs={"comparison": found.model.comparison, "kind": "continuous", "trend": found.kind},
+    )
+
+
+def _left(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:
+    """Return each block's rms at the nine it was linearised at and at values (block, parameter); nT."""
+    scale, gram = equations.dataset["scale"].values[:-1], equations.dataset["gram"].values
+    count = np.maximum(equations.dataset["count"].values, 1.0)
+    change = (value - equations.reference) / scale
+    after = np.array([residual_sum(one, step) for one, step in zip(gram, change, strict=True)])
+    least = np.array([_least(one) for one in gram])
+    return np.sqrt(least / count), np.sqrt(after / count)
+
+
+def _least(gram: Floats) -> float:
+    """Return what the best nine parameters of a block leave of its square, nT^2."""
+    inner, cross = gram[:9, :9], gram[:9, -1]
+    size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    found = np.linalg.lstsq(inner / np.outer(size, size), cross / size)[0]
+    return float(max(gram[-1, -1] - found @ (cross / size), 0.0))
+
+
+def _nine(model: Model) -> list[str]:
+    return terms_of(model)[0].columns
+
+
+def _units(model: Model) -> dict[str, str]:
+    return {
+        name: term.entry.parameters[name[len(term.key) + 1 :].split("[")[0]].parameter.unit
+        for term in terms_of(model)
+        for name in term.columns
+    }
+
+
+def fitted_beside(
+    wide: NormalEquations, equations: NormalEquations, found: Continuous, sigma: Floats
+) -> TrendFit:
+    """Fit all columns to all days, with the trends of the continuous fit and the weights it gave to days.
+
+    Parameters
+    ----------
+    wide : NormalEquations
+        The days' equations with more columns, of all days or some.
+    equations : NormalEquations
+        Those the continuous fit was made from.
+    found : Continuous
+    sigma : ndarray, shape (column,)
+        What is known beforehand of each, physical units.
+    """
+    of = dict(zip(equations.dataset["start"].values.tolist(), found.fit.weight.tolist(), strict=True))
+    weight = np.array([of[one] for one in wide.dataset["start"].values.tolist()])
+    trends = {name: one for name, one in found.fit.trends.items() if one.count > 1}
+    return fit_trends(wide, trends, sigma, weight, found.fit.units)
+
+
+#: Parameters of a day whose part that no other explains is below this are not told by it.
+_LEAST_RETAINED = 1e-6
+
+#: Fewest differences of neighbouring days that tell more than the days' own errors.
+_FEWEST = 10
+
+
+def shift_columns(model: Model) -> list[str]:
+    """Return the columns of a model's time shifts that data may move."""
+    return [
+        name
+        for entry in model.effects
+        if entry.effect.name == "time_shift" and entry.parameters["seconds"].free
+        for name in entry.parameters["seconds"].columns
+    ]
+
+
+def daily_parameters(equations: NormalEquations, found: Continuous, names: Sequence[str] = ()) -> xr.Dataset:
+    """Solve each day for the nine and for named parameters, everything else at the continuous fit.
+
+    The errors are those of what the day's own bins leave. What is correlated for longer than a bin makes
+    neighbouring days differ by more than that: a parameter's errors are widened by as much, where there are
+    days enough to tell. The own fit's inflation would be too much: it holds what the continuous fit took out.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Wide ones of the days.
+    found : Continuous
+        Fitted to them.
+    names : sequence of str
+        Further columns to solve for, such as ``time_shift.seconds``.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims interval, parameter: `value`, `sigma`, `continuous` (what the fit of all days has for the day),
+        in `units` (parameter); `determined`; `inflation` (parameter), by which errors were widened;
+        `start`, `end` TT2000 (interval). NaN where a day tells nothing. No prior enters.
+
+    Raises
+    ------
+    CalibrationError
+        When a name is none of the equations' columns.
+    """
+    columns = _chosen(equations, names)
+    fit, data = found.fit, equations.dataset
+    middle = data["start"].values // 2 + data["end"].values // 2
+    order = [list(fit.trends).index(name) for name in equations.columns]
+    common = fit.values(middle)[:, order]
+    places = [equations.columns.index(name) for name in columns]
+    scale = data["scale"].values[:-1]
+    steps = (common - data["reference"].values[:, :-1]) / scale
+    rows = data["count"].values
+    grams = data["gram"].values
+    solved = [_solved(*one, places) for one in zip(grams, steps, rows.tolist(), strict=True)]
+    change, sigma = (np.array([one[part] for one in solved]) * scale[places] for part in (0, 1))
+    inflation = _widening(change / sigma)
+    sigma = sigma * inflation
+    each = ("interval", "parameter")
+    return xr.Dataset(
+        {
+            "value": (each, common[:, places] + change),
+            "sigma": (each, sigma),
+            "continuous": (each, common[:, places]),
+            "determined": (each, np.isfinite(sigma)),
+            "inflation": ("parameter", inflation),
+            "units": ("parameter", np.array([fit.units.get(name, "") for name in columns], dtype="U16")),
+            "start": ("interval", data["start"].values, {"scale": "TT2000"}),
+            "end": ("interval", data["end"].values, {"scale": "TT2000"}),
+        },
+        coords={"parameter": columns},
+        attrs={"trend": found.kind},
+    )
+
+
+def _chosen(equations: NormalEquations, names: Sequence[str]) -> list[str]:
+    nine = equations.columns[:9]
+    if stray := [name for name in names if name not in equations.columns]:
+        raise CalibrationError(
+            f"no parameter {stray[0]!r} among {', '.join(equations.columns)}", remedy="name one of these"
+        )
+    return [*nine, *(name for name in names if name not in nine)]
+
+
+def _solved(gram: Floats, step: Floats, rows: float, places: list[int]) -> tuple[Floats, Floats]:
+    """Return change and sigma of the chosen columns, scaled, after a scaled step of all; NaN when untold."""
+    matrix = gram[:-1, :-1]
+    cross = (gram[:-1, -1] + matrix @ step)[places]
+    own = matrix[np.ix_(places, places)]
+    size = np.sqrt(np.clip(np.diag(own), 0.0, None))
+    change, sigma = np.full((2, len(places)), np.nan)
+    kept = np.flatnonzero((size > 0) & (retained_fraction(own) > _LEAST_RETAINED))
+    if rows <= kept.size or not kept.size:
+        return change, sigma
+    unit = size[kept]
+    inverse = np.linalg.inv(own[np.ix_(kept, kept)] / np.outer(unit, unit))
+    found = -inverse @ (cross[kept] / unit)
+    left = residual_sum(gram, step) + float(found @ (cross[kept] / unit))
+    change[kept] = found / unit
+    sigma[kept] = np.sqrt(np.diag(inverse) * max(left, 0.0) / (rows - kept.size)) / unit
+    return change, sigma
+
+
+def _widening(pulls: Floats) -> Floats:
+    """Return by how much more neighbouring days differ than their errors say, at least 1; (parameter,)."""
+    out = np.ones(pulls.shape[1])
+    for index, column in enumerate(pulls.T):
+        apart = np.abs(np.diff(column[np.isfinite(column)])) / np.sqrt(2.0)
+        if apart.size >= _FEWEST:
+            out[index] = max(TO_SIGMA * float(np.median(apart)), 1.0)
+    return out

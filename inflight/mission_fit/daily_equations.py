@@ -1,0 +1,552 @@
+"""Wide equations of a day, extra columns, drift.
+
+Columns of causes that a model does not hold: their Gram strip beside a day's wide equations.
+
+Temperatures with their lag, and the field of day and night, in the rows the wide equations are made of. The
+strip is a small part of a day's statistics; what it says is asked of all days together, later.
+
+What drifts within a day: a day's rows hold its scale factors still, and soon after launch they do not.
+
+A scale factor that ages by 5e-6 a day moves the residual by 0.1 nT at both ends of it. How fast it ages the
+fit of all days tells, so that each day keeps, beside its equations, the Gram matrix of the columns by which
+its residual would follow a drift: the drift is taken out of the equations without a look at a sample.
+
+Wide normal equations of a day: the nine parameters and everything else a model lets data refine.
+
+The nine are linearised at the day's own fit, all others at the model's values. Rows are means over bins,
+which keep every linear statement: the mean residual is the same function of the mean columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.calibration.normal_equations import RESIDUAL
+from inflight.calibration.scalar import PARTS, vector_sensor_of
+from inflight.design.columns import Rows, bin_means, bridged, coarsen, design, grid, turns_of
+from inflight.design.terms import Term, term_of
+from inflight.errors import CalibrationError
+from inflight.frames import add_geometry
+from inflight.lsq.gram_blocks import gram_of
+from inflight.lsq.robust import TO_SIGMA
+from inflight.mission_fit.day_night import series_columns, switched_columns
+from inflight.mission_fit.temperature import KINDS, coil_columns
+from inflight.mission_fit.trends import TrendFit, middles
+from inflight.model import Model, ModelEffect
+from inflight.model.rows import ResidualRows as NativeRows
+from inflight.time import DAY, SECOND, Int64, usual_step
+
+#: Degrees Celsius where a rival temperature's change is 0, when the model states none.
+REFERENCE = 20.0
+
+#: Order of the day/night series; a day holds fifteen orbits, all of them alike.
+ORDER = 4
+
+#: Physical size of one unit of a column, by the kind of what it answers to.
+_SCALE = dict(zip(KINDS, (1e-6, 1e-8, 1e-6, 1e-8), strict=True))
+
+_FIELD = 0.1
+
+
+def temperature_entry(model: Model) -> ModelEffect | None:
+    """Return the effect by which data may move how the vector sensor follows a temperature; None without."""
+    own = vector_sensor_of(model)
+    for entry in model.effects:
+        same = entry.effect.name == "temperature" and entry.sensor == own.sensor
+        if same and all(entry.parameters[name].free for name in KINDS[:2]):
+            return entry
+    return None
+
+
+def reference_of(entry: ModelEffect | None) -> float:
+    """Return where the change of a temperature is 0, degC."""
+    return REFERENCE if entry is None else float(entry.parameters["reference"].value[0, 0])
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What is looked at beside a model, for every day of a mission alike.
+
+    Attributes
+    ----------
+    temperatures : tuple of str
+        Channels, degC. Of the model's own only the answers to its lag are needed.
+    orbit : bool
+        Whether the mission delivers positions, from which day and night follow.
+    """
+
+    temperatures: tuple[str, ...] = ()
+    orbit: bool = False
+
+    def columns(self, model: Model, samples: xr.Dataset, edges: Int64, rows: Rows) -> dict[str, Floats]:
+        """Return the columns on the bins, physical units, (bin,) each; NaN where they are not known.
+
+        Parameters
+        ----------
+        samples : xarray.Dataset
+            Native ones.
+        edges : ndarray of int64, shape (bin + 1,)
+            TT2000.
+        rows : Rows
+            On these bins.
+        """
+        stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+        field = np.asarray(rows.samples["field"].values)
+        centre = edges[:-1] // 2 + edges[1:] // 2
+        entry = temperature_entry(model)
+        own = "" if entry is None else entry.effect.channels[0]
+        found: dict[str, Floats] = {}
+        for name in self.temperatures:
+            values = _on_bins(samples, name, stamps, edges)
+            made = coil_columns(name, field, centre, values, 0.0, reference_of(entry))
+            kept = KINDS[2:] if name == own else KINDS
+            found |= {key: one for key, one in made.items() if _kind_of(key) in kept}
+        if self.orbit and not holds_day_night(model):
+            sunlit, phase = _daylight(samples, stamps, edges, centre)
+            along = np.asarray(rows.samples["field_direction"].values)
+            found |= switched_columns(along, sunlit) | series_columns(along, phase, ORDER)
+        return found
+
+
+def holds_day_night(model: Model) -> bool:
+    """Return True when the model itself has a field of day and night."""
+    return any(entry.effect.name in ("day_night", "day_night_series") for entry in model.effects)
+
+
+def scale_of(name: str) -> float:
+    """Return the physical size of one unit of a column."""
+    return _SCALE.get(_kind_of(name), _FIELD)
+
+
+def _kind_of(name: str) -> str:
+    return name.rpartition(".")[2].partition("[")[0]
+
+
+def _on_bins(samples: xr.Dataset, name: str, stamps: Int64, edges: Int64) -> Floats:
+    """Return means of a channel on the bins, (bin, ...), its short gaps bridged."""
+    if name not in samples:
+        return np.full(edges.size - 1, np.nan)
+    values = np.asarray(samples[name].values, dtype=np.float64)
+    known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    return bridged(bin_means(values, stamps, edges, known)[0])
+
+
+def _daylight(samples: xr.Dataset, stamps: Int64, edges: Int64, centre: Int64) -> tuple[Floats, Floats]:
+    """Return which part of the Sun shines, and the phase along the orbit from the point nearest it, deg."""
+    if "position" not in samples:
+        return (np.full(centre.size, np.nan),) * 2
+    place = _on_bins(samples, "position", stamps, edges)
+    position = xr.Variable(samples["position"].dims, place, samples["position"].attrs)
+    told = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", centre)}))
+    return np.asarray(told["sunlit"].values), np.asarray(told["sun_phase"].values)
+
+
+def split(equations: xr.Dataset, model_columns: Sequence[str], known: Mapping[str, bool]) -> xr.Dataset:
+    """Return the strip of one block's columns that are none of the model's.
+
+    Parameters
+    ----------
+    equations : Dataset
+        One block of `NormalEquations`, the model's columns before all others.
+    model_columns : sequence of str
+    known : mapping of str to bool
+        Whether a column could be formed; the strip of one that could not is 0.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims beside, column (the model's and the residual), other (= beside): `cross`, `own` nT^2 scaled;
+        `scale`, `known` (beside).
+    """
+    wide = [*model_columns, RESIDUAL]
+    names = [name for name in equations["column"].values.tolist() if name not in set(wide)]
+    gram = equations["gram"].isel(block=0)
+    return xr.Dataset(
+        {
+            "cross": (("beside", "column"), gram.sel(column=names, other=wide).values, {"units": "nT2"}),
+            "own": (("beside", "other"), gram.sel(column=names, other=names).values, {"units": "nT2"}),
+            "scale": ("beside", equations["scale"].sel(column=names).values),
+            "known": ("beside", np.array([known[name] for name in names], dtype=np.int64)),
+        },
+        coords={"beside": names, "column": wide, "other": names},
+    )
+
+
+def joined_with(
+    equations: NormalEquations, strips: Sequence[xr.Dataset | None], names: Sequence[str]
+) -> NormalEquations:
+    """Return the equations with some columns of the strips beside the model's, of the days that know them.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of the days.
+    strips : sequence of Dataset or None
+        As `split` makes them, one a block.
+    names : sequence of str
+        Columns of the strips.
+
+    Raises
+    ------
+    CalibrationError
+        When no day knows all of the columns.
+    """
+    wanted = list(names)
+    kept = [place for place, strip in enumerate(strips) if strip is not None and _knows(strip, wanted)]
+    if not kept:
+        raise CalibrationError(
+            f"no day knows the columns of {', '.join(sorted({name.partition('.')[0] for name in wanted}))}",
+            remedy="see the missing days of the channels, and of the orbit",
+        )
+    parts = [strip.sel(beside=wanted, other=wanted) for place in kept if (strip := strips[place]) is not None]
+    data = equations.dataset.isel(block=kept)
+    old, new = data.sizes["column"] - 1, len(wanted)
+    gram = np.zeros((len(kept), old + new + 1, old + new + 1))
+    places = np.append(np.arange(old), old + new)
+    gram[:, places[:, None], places[None, :]] = data["gram"].values
+    cross = np.stack([part["cross"].values for part in parts])
+    gram[:, old : old + new, places] = cross
+    gram[:, places, old : old + new] = cross.swapaxes(1, 2)
+    gram[:, old : old + new, old : old + new] = np.stack([part["own"].values for part in parts])
+    scale = np.concatenate([data["scale"].values[:-1], parts[0]["scale"].values, [1.0]])
+    nought = np.zeros((len(kept), new))
+    reference = np.concatenate(
+        [data["reference"].values[:, :-1], nought, data["reference"].values[:, -1:]], axis=1
+    )
+    return of_grams(data, gram, reference, scale, [*equations.columns, *wanted])
+
+
+def _knows(strip: xr.Dataset, names: Sequence[str]) -> bool:
+    have = dict(zip(strip["beside"].values.tolist(), strip["known"].values.tolist(), strict=True))
+    return all(bool(have.get(name, 0)) for name in names)
+
+
+def of_grams(
+    data: xr.Dataset, gram: Floats, reference: Floats, scale: Floats, names: Sequence[str]
+) -> NormalEquations:
+    """Return equations of the same blocks with other columns.
+
+    Parameters
+    ----------
+    data : Dataset
+        Of the equations they come from.
+    gram : ndarray, shape (block, column + 1, column + 1)
+        Scaled, the residual last.
+    reference : ndarray, shape (block, column + 1)
+    scale : ndarray, shape (column + 1,)
+    names : sequence of str
+        Of the columns.
+    """
+    row, both = ("block", "column", "other"), [*names, RESIDUAL]
+    return NormalEquations(
+        xr.Dataset(
+            {
+                "gram": (row, gram, {"units": "nT2"}),
+                # Days scatter between themselves: what scatters inside one is not asked.
+                "scatter": (row, np.broadcast_to(0.0, gram.shape)),
+                "reference": (("block", "column"), reference),
+                "start": data["start"],
+                "end": data["end"],
+                "count": data["count"],
+                "scale": ("column", scale),
+            },
+            coords={"column": both, "other": both},
+            attrs=data.attrs,
+        )
+    )
+
+
+def lag_of(samples: xr.Dataset, name: str) -> float:
+    """Return the lag that a channel was aligned with, s."""
+    return float(samples[name].attrs.get("lag_ns", 0)) / SECOND if name in samples else 0.0
+
+
+#: Scale factors are the first columns.
+SCALES = 3
+
+#: Part of a day over which a trend's rate is taken: shorter than what separates a logarithm from its origin.
+_STEP = DAY // 20
+
+
+@dataclass(frozen=True)
+class DayDrift:
+    """How the residual of days follows scale factors that drift within the day.
+
+    Attributes
+    ----------
+    gram : ndarray, shape (block, rate, column + 1 + rate)
+        nT^2; products of the drifts' columns, scaled change of the residual for one step of the scale
+        factor a day, with the equations' columns, the residual and each other.
+    """
+
+    gram: Floats
+
+    def of_blocks(self, index: np.ndarray) -> DayDrift:
+        """Return the drift of some blocks."""
+        return DayDrift(self.gram[index])
+
+    def taken_out(self, equations: NormalEquations, rate: Floats) -> NormalEquations:
+        """Return the equations with a known drift in their residual.
+
+        Parameters
+        ----------
+        equations : NormalEquations
+            Of the same blocks, their residual as it was made: before `NormalEquations.at`.
+        rate : ndarray, shape (block, rate)
+            Change of each scale factor a day.
+        """
+        data = equations.dataset
+        width = data.sizes["column"]
+        step = rate / data["scale"].values[:SCALES]
+        gram = data["gram"].values.copy()
+        along = np.einsum("bd,bdj->bj", step, self.gram)
+        gram[:, -1, :] += along[:, :width]
+        gram[:, :, -1] += along[:, :width]
+        gram[:, -1, -1] += np.einsum("bd,bd->b", along[:, width:], step)
+        return NormalEquations(data.assign(gram=data["gram"].copy(data=gram)))
+
+
+def rates(fit: TrendFit, equations: NormalEquations) -> Floats:
+    """Return how fast the scale factors change in the middles of blocks; (block, rate), a day."""
+    times, out = middles(equations), []
+    for name in equations.columns[:SCALES]:
+        trend, value = fit.trends[name], fit.value[fit.place(name)]
+        ends = [trend.basis(times + sign * _STEP, name) @ value for sign in (1, -1)]
+        out.append((ends[0] - ends[1]) * (DAY / (2 * _STEP)))
+    return np.stack(out, axis=1)
+
+
+#: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
+BIN_S = 10.0
+
+#: Two readings are far apart when they differ by so many usual differences, and by so many resolutions.
+_FAST, _STEPS = 8.0, 4.0
+
+#: Variables of samples that are no channel.
+_NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
+
+
+def terms_of(model: Model) -> tuple[Term, ...]:
+    """Return the terms of everything a model lets data move: the nine first, then constants with a sigma.
+
+    Columns are called as the model calls its values.
+    """
+    own = vector_sensor_of(model)
+    sigma = [float(one) for part in PARTS for one in own.parameters[part].sigma[:, 0]]
+    terms = [Term(own.name, own, PARTS, tuple(sigma))]
+    for entry in model.effects:
+        if entry is not own:
+            term = term_of(entry, entry.name, free_only=True)
+            terms += [term] if term.parameters else []
+    return tuple(terms)
+
+
+def with_nine(model: Model, value: Floats) -> Model:
+    """Return the model with nine values (9,), physical units, in its vector sensor."""
+    own = vector_sensor_of(model)
+    named = [name for part in PARTS for name in own.parameters[part].columns]
+    return about_offsets(
+        model.replace(own.with_columns(dict(zip(named, value.tolist(), strict=True)), {})), value[6:]
+    )
+
+
+def about_offsets(model: Model, offset: Floats) -> Model:
+    """Return the model whose other effects of the vector sensor's equation count from these offsets (3,), nT.
+
+    Non-linearity and temperature act on what the sensor reads less its offset (Yin 2010, section 2.4); a
+    pre-flight offset that is 5 nT off leaves 2 pT of 30 ppm/K and 15 K.
+    """
+    own = vector_sensor_of(model)
+    for entry in model.effects:
+        if entry.sensor == own.sensor and "about" in entry.parameters:
+            named = entry.parameters["about"].columns
+            model = model.replace(entry.with_columns(dict(zip(named, offset.tolist(), strict=True)), {}))
+    return model
+
+
+def wide_equations(
+    fitted: Model,
+    samples: xr.Dataset,
+    rows: NativeRows,
+    span: tuple[int, int],
+    attributes: dict[str, Any],
+    bin_s: float = BIN_S,
+) -> xr.Dataset:
+    """Return the wide equations of one block; parameters and result as `wide_and_beside`."""
+    return wide_and_beside(fitted, samples, rows, span, attributes, bin_s)[0]
+
+
+def wide_and_beside(
+    fitted: Model,
+    samples: xr.Dataset,
+    rows: NativeRows,
+    span: tuple[int, int],
+    attributes: dict[str, Any],
+    bin_s: float = BIN_S,
+    beside: Beside | None = None,
+) -> tuple[xr.Dataset, xr.Dataset | None]:
+    """Return the wide equations of one block, and the strip of what is looked at beside the model.
+
+    The equations tell, too, how the residual follows a drift of the scale factors.
+
+    Parameters
+    ----------
+    fitted : Model
+        With the block's own nine: see `with_nine`.
+    samples : xarray.Dataset
+        Aligned raw samples with the channels of the model.
+    rows : inflight.model.rows.ResidualRows
+        Of this model and these samples.
+    span : tuple of int
+        TT2000, half-open.
+    attributes : dict
+        Comparison, model, cadence_ns and filter, as `NormalEquations` holds them.
+    bin_s : float
+        Seconds.
+    beside : Beside, optional
+        Causes that are none of the model's.
+
+    Returns
+    -------
+    equations : Dataset
+        One block of `NormalEquations`, without `scatter`: nT^2, columns scaled by the step of their
+        parameters; and `drift`, see `inflight.mission_fit.daily_equations.DayDrift`.
+    strip : Dataset or None
+        As `inflight.mission_fit.daily_equations.split` makes it; None without causes.
+    """
+    terms = terms_of(fitted)
+    edges = grid(*span, round(bin_s * SECOND))
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    used = {name for term in terms for name in term.entry.effect.channels} - set(_NO_CHANNELS)
+    for name in sorted(used & set(map(str, samples.variables))):
+        rows = replace(rows, good=rows.good & ~between_levels(stamps, samples[name]))
+    binned, _ = coarsen(
+        samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
+    )
+    columns = np.moveaxis(design(terms, binned), -1, 0)
+    days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY
+    drifting = columns[:SCALES] * days[:, None]
+    more = beside.columns(fitted, samples, edges, binned) if beside is not None else {}
+    every = np.moveaxis(np.concatenate([columns, drifting, *_scaled(more)]), 0, -1)
+    block = slice(0, len(binned.weight))
+    gram = gram_of(every, binned.residual[:, :, None], binned.weight, [block])[0]
+    own = np.append(np.arange(len(columns) + SCALES), len(gram) - 1)
+    count = float(binned.weight.sum())
+    whole = _packed(terms, gram[np.ix_(own, own)], count, span, attributes)
+    if not more:
+        return whole, None
+    return whole, _strip(gram, terms, more, binned.weight > 0)
+
+
+def _strip(
+    gram: Floats, terms: Sequence[Term], more: Mapping[str, Floats], seen: npt.NDArray[np.bool_]
+) -> xr.Dataset:
+    """Return the strip of the causes `more` from the Gram matrix of everything; `seen` (bin,)."""
+    known = {name: bool(np.isfinite(one[seen]).all()) for name, one in more.items()}
+    told = [name for term in terms for name in term.columns]
+    kept = np.delete(np.arange(len(gram)), len(told) + np.arange(SCALES))
+    named = [*told, *more, RESIDUAL]
+    scale = [*(size for term in terms for size in term.scale), *map(scale_of, more), 1.0]
+    both = xr.Dataset(
+        {"gram": (("block", "column", "other"), gram[np.ix_(kept, kept)][None]), "scale": ("column", scale)},
+        coords={"column": named, "other": named},
+    )
+    return split(both, told, known)
+
+
+def _scaled(more: Mapping[str, Floats]) -> list[Floats]:
+    """Return columns beside the model's, each (1, bin, row), those unknown somewhere as 0."""
+    return [np.nan_to_num(one)[None, :, None] * scale_of(name) for name, one in more.items()]
+
+
+def empty_equations(model: Model, span: tuple[int, int], attributes: dict[str, Any]) -> xr.Dataset:
+    """Return the equations of a block that tells nothing; as `wide_equations` makes them."""
+    terms = terms_of(model)
+    width = sum(len(term.columns) for term in terms) + SCALES + 1
+    return _packed(terms, np.zeros((width, width)), 0.0, span, attributes)
+
+
+def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_]:
+    """Return which samples lie between two readings of a slower channel that are far apart; (time,).
+
+    When the channel changed there nobody knows, and a straight line between the readings is wrong in the
+    same way at every step: three amperes that are five seconds off, thirty times a day, bias everything
+    that goes with day and night.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    channel : xarray.DataArray
+        Aligned to the samples, with attributes `cadence_ns` and `resolution`.
+    """
+    out = np.zeros(stamps.size, dtype=bool)
+    cadence = int(channel.attrs.get("cadence_ns", 0))
+    usual = usual_step(stamps, cadence)
+    values = np.asarray(channel.values, dtype=np.float64)
+    if cadence <= usual or values.ndim > 1:
+        return out
+    # Whatever stamps the readings have, two samples one cadence apart hold one reading between them.
+    reach = max(1, round(cadence / usual))
+    change = np.abs(values[reach:] - values[:-reach])
+    known = np.isfinite(change)
+    if not known.any():
+        return out
+    least = _FAST * TO_SIGMA * float(np.median(change[known]))
+    far = known & (change > max(least, _STEPS * float(channel.attrs.get("resolution") or 0.0)))
+    for place in range(reach + 1):
+        out[place : place + far.size] |= far
+    return out
+
+
+def _channels(
+    samples: xr.Dataset, names: set[str], stamps: np.ndarray, edges: np.ndarray
+) -> dict[str, xr.Variable]:
+    """Return channels on the bins: means of what there is."""
+    out = {}
+    for name in sorted(names & set(map(str, samples.variables))):
+        variable = samples[name]
+        values = np.asarray(variable.values, dtype=np.float64)
+        known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+        out[name] = xr.Variable(variable.dims, bin_means(values, stamps, edges, known)[0], variable.attrs)
+    return out
+
+
+def _packed(
+    terms: tuple[Term, ...], gram: Floats, count: float, span: tuple[int, int], attributes: dict[str, Any]
+) -> xr.Dataset:
+    """Return a block's equations; gram is that of [columns | drifts | residual]."""
+    names = [name for term in terms for name in term.columns]
+    scale = np.array([*(size for term in terms for size in term.scale), 1.0])
+    value = np.concatenate([_values(term) for term in terms] + [np.zeros(1)])
+    own = np.append(np.arange(len(names)), len(gram) - 1)
+    drifts = len(names) + np.arange(SCALES)
+    return xr.Dataset(
+        {
+            "gram": (("block", "column", "other"), gram[np.ix_(own, own)][None], {"units": "nT2"}),
+            "drift": (
+                ("block", "rate", "rate_column"),
+                gram[np.ix_(drifts, np.append(own, drifts))][None],
+                {"units": "nT2"},
+            ),
+            "reference": (("block", "column"), value[None]),
+            "start": ("block", np.array([span[0]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+            "end": ("block", np.array([span[1]], dtype=np.int64), {"units": "ns", "scale": "TT2000"}),
+            "count": ("block", np.array([count])),
+            "scale": ("column", scale),
+        },
+        coords={"column": [*names, RESIDUAL], "other": [*names, RESIDUAL]},
+        attrs=attributes,
+    )
+
+
+def _values(term: Term) -> Floats:
+    return np.concatenate([term.entry.parameters[name].value[:, 0] for name in term.parameters])

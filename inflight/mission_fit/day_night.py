@@ -1,0 +1,415 @@
+"""Day/night field.
+
+The field that day and night switch on a spacecraft: where it is, what of it can be seen, how it is fitted.
+
+Two forms (Yin 2010, section 4.3). *Switched*: a vector times `sunlit`, 1 in the Sun and 0 in the shadow.
+*Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0 nearest the Sun, T the orbit. A square wave of
+duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms agree as k grows.
+
+A constant field at the sensor is an offset to a scalar calibration, so a_0 is never told from it; the
+rest is told only as far as the nine parameters cannot imitate it. That part is `retained`.
+
+How long day and night last on a circular orbit, and the series of a wave that follows them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.stats import t as student
+
+from inflight.arrays import Floats
+from inflight.calibration.normal_equations import NINE, NINE_UNITS, NormalEquations, field_columns, places
+from inflight.effects.base import AXES
+from inflight.effects.environment import DayNight, DayNightSeries, of_orders
+from inflight.errors import CalibrationError, SamplesError
+from inflight.frames import EARTH_RADIUS
+from inflight.lsq.solver import gram_inverse, left, solve_clusters
+from inflight.mission_fit.crosstalk import SHOWN
+
+#: The parameters' names are those of the effects `day_night` and `day_night_series`.
+SWITCHED, SERIES = "day_night.vector", "day_night_series.amplitude"
+
+#: A column of which less than this part is left beside all others has no value of its own: what is left
+#: of its rms is then below a hundredth.
+LEAST_RETAINED = 1e-4
+
+#: Part of a normal distribution below one sigma above its mean.
+_ONE_SIGMA = 0.8413447460685429
+
+_MOST_ORDER = 12
+
+#: Arrays of a fitted field.
+_ARRAYS = ("value", "sigma", "covariance", "retained", "determined")
+
+Flags = npt.NDArray[np.bool_]
+
+# Columns.
+
+
+def switched_columns(direction: Floats, sunlit: Floats, axes: Sequence[str] = AXES) -> dict[str, Floats]:
+    """Return the columns of a field that is there in the Sun; nT per nT, (time,) each.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (time, 3)
+        Unit vectors of the field, sensor axes.
+    sunlit : ndarray, shape (time,)
+        1 in the Sun, 0 in the shadow, between them in penumbra; NaN where it is not known.
+    axes : sequence of str
+        Components that are fitted; the thesis takes x and z.
+    """
+    return field_columns(SWITCHED, direction, sunlit, axes)
+
+
+def series_columns(
+    direction: Floats, sun_phase: Floats, order: int = 4, axes: Sequence[str] = AXES, constant: bool = False
+) -> dict[str, Floats]:
+    """Return the columns of the cosine series; nT per nT, (time,) each.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (time, 3)
+        Unit vectors of the field, sensor axes.
+    sun_phase : ndarray, shape (time,)
+        Along the orbit from the point nearest the Sun, deg.
+    order : int
+        Largest k.
+    axes : sequence of str
+        Components.
+    constant : bool
+        Also a_0, named c<axis>0; only to see that it is an offset.
+
+    Raises
+    ------
+    SamplesError
+        When the order is below 1 or above 12.
+    """
+    if not 1 <= order <= _MOST_ORDER:
+        raise SamplesError(
+            f"order {order} of a day/night series", remedy=f"take 1 to {_MOST_ORDER}, or the switched form"
+        )
+    phase, found = np.deg2rad(sun_phase), {}
+    for k in range(0 if constant else 1, order + 1):
+        for name, column in field_columns("", direction, np.cos(k * phase), axes).items():
+            found[f"{SERIES}[c{name[1]}{k}]"] = column
+    return found
+
+
+# The fit.
+
+
+@dataclass(frozen=True)
+class DayNightField:
+    """A day/night field, as the residual tells it: of the vector sensor less that of the scalar sensor.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        ``day_night.vector[z]`` or ``day_night_series.amplitude[cz1]``.
+    value, sigma : ndarray, shape (column,)
+        nT; an undetermined one has value 0 and an infinite sigma.
+    covariance : ndarray, shape (column, column)
+        nT^2, by the jackknife over blocks, with Student's factor for few of them; 0 for undetermined ones.
+    retained : ndarray, shape (column,)
+        Part of each column's square that neither the nine parameters nor its companions explain.
+    determined : ndarray of bool, shape (column,)
+    blocks : int
+    before, after : float
+        Rms residual beside the nine parameters, without and with the field, nT.
+    """
+
+    columns: tuple[str, ...]
+    value: Floats
+    sigma: Floats
+    covariance: Floats
+    retained: Floats
+    determined: Flags
+    blocks: int
+    before: float
+    after: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value by column, nT."""
+        return dict(zip(self.columns, self.value.tolist(), strict=True))
+
+    @classmethod
+    def of_table(cls, table: xr.Dataset) -> DayNightField:
+        """Return the field that a table was made of."""
+        attributes = table.attrs
+        return cls(
+            columns=tuple(map(str, table["parameter"].values)),
+            blocks=int(attributes["blocks"]),
+            before=float(attributes["before_nT"]),
+            after=float(attributes["after_nT"]),
+            **{name: table[name].values for name in _ARRAYS},
+        )
+
+    def table(self) -> xr.Dataset:
+        """Return the table.
+
+        Returns
+        -------
+        xarray.Dataset
+            dims parameter, other: `value`, `sigma`, `covariance`, `retained`, `determined`, `units`;
+            attributes `at` ("difference"), `blocks`, `before_nT`, `after_nT`.
+        """
+        each = ("parameter",)
+        return xr.Dataset(
+            {
+                "value": (each, self.value),
+                "sigma": (each, self.sigma),
+                "covariance": (("parameter", "other"), self.covariance),
+                "retained": (each, self.retained),
+                "determined": (each, self.determined),
+                "units": (each, np.full(len(self.columns), "nT", dtype="U8")),
+            },
+            coords={"parameter": list(self.columns), "other": list(self.columns)},
+            attrs={
+                "at": "difference",
+                "blocks": self.blocks,
+                "before_nT": self.before,
+                "after_nT": self.after,
+            },
+        )
+
+    def entry(self, sensor: str) -> dict[str, Any]:
+        """Return the field as an effect of a model, to be listed behind the ``vector_sensor``.
+
+        Components that were not fitted, or not determined, are 0 with the effect's own wide sigma.
+
+        Parameters
+        ----------
+        sensor : str
+            The vector instrument.
+        """
+        name, _, parameter = (SERIES if self._is_series else SWITCHED).partition(".")
+        found: dict[str, Any] = {"effect": name, "sensor": sensor}
+        axes: tuple[str, ...] = AXES
+        if self._is_series:
+            order = max(int(one.removesuffix("]").partition("[c")[2][1:]) for one in self.columns)
+            found["order"], axes = order, of_orders(order, sines=False)
+        of_effect = DayNightSeries.amplitude if self._is_series else DayNight.vector
+        told = {
+            one.partition("[")[2].removesuffix("]"): (float(value), float(sigma))
+            for one, value, sigma in zip(self.columns, self.value, self.sigma, strict=True)
+            if np.isfinite(sigma)
+        }
+        both = {axis: told.get(axis, (0.0, float(np.max(of_effect.sigma)))) for axis in axes}
+        found[parameter] = {
+            "time": "constant",
+            "unit": "nT",
+            "value": {axis: value for axis, (value, _) in both.items()},
+            "sigma": {axis: sigma for axis, (_, sigma) in both.items()},
+            "free": False,
+        }
+        return found
+
+    @property
+    def _is_series(self) -> bool:
+        return self.columns[0].startswith(SERIES)
+
+    def series(self, sun_phase: Floats) -> tuple[Floats, Floats]:
+        """Return the series' field and its sigma along the orbit; (phase, axis) nT each, mean left out.
+
+        Parameters
+        ----------
+        sun_phase : ndarray, shape (phase,)
+            deg.
+        """
+        basis = np.zeros((sun_phase.size, 3, len(self.columns)))
+        for place, name in enumerate(self.columns):
+            if name.startswith(SERIES):
+                component = name.removeprefix(f"{SERIES}[c").removesuffix("]")
+                axis, k = component[0], int(component[1:])
+                basis[:, AXES.index(axis), place] = np.cos(k * np.deg2rad(sun_phase))
+        variance = np.einsum("pai,ij,paj->pa", basis, self.covariance, basis)
+        return basis @ self.value, np.sqrt(np.clip(variance, 0.0, None))
+
+
+def fit_day_night(
+    equations: NormalEquations, absorbed: Sequence[str] = NINE, each_block: bool = True
+) -> DayNightField:
+    """Fit the day/night columns of normal equations beside the nine parameters.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        With the nine columns and those of `switched_columns` or `series_columns`.
+    absorbed : sequence of str
+        What is fitted beside them.
+    each_block : bool
+        A calibration of its own for each block (days), or one for all (orbits of a day).
+
+    Raises
+    ------
+    CalibrationError
+        When there are too few blocks for an uncertainty, no day/night column, or none is determined.
+    """
+    names = [name for name in equations.columns if name.startswith((SWITCHED, SERIES))]
+    if not names:
+        raise CalibrationError(
+            f"no day/night column among {equations.columns}",
+            remedy="form the equations with `switched_columns` or `series_columns`",
+        )
+    own, nine = places(equations, names), places(equations, absorbed)
+    last = equations.dataset.sizes["column"] - 1
+    gram, rows = equations.dataset["gram"].values, equations.dataset["count"].values
+    rest = left(gram.sum(axis=0), nine, own) if not each_block else left(gram, nine, own).sum(axis=0)
+    retained, determined = _told(rest, gram.sum(axis=0)[own, own])
+    if not determined.any():
+        raise CalibrationError(
+            "no part of the day/night field is told from the nine parameters: is there any night?",
+            remedy="take days at other local times",
+        )
+    free = own[determined]
+    if each_block:
+        parts = left(gram, nine, np.append(free, last))
+    else:
+        beside = np.concatenate([free, nine, [last]])
+        parts = gram[:, beside[:, None], beside]
+    return _packed(names, retained, determined, parts, rows)
+
+
+def _packed(
+    names: list[str], retained: Floats, determined: Flags, parts: Floats, rows: Floats
+) -> DayNightField:
+    """Solve the blocks' Gram matrices of [free columns | others beside them | residual]."""
+    # Clusters ask for what is observed: the residual is that much and a column takes it away.
+    sign = np.append(np.ones(parts.shape[1] - 1), -1.0)
+    found = solve_clusters(parts * np.outer(sign, sign), rows)
+    count = int(determined.sum())
+    # Few blocks know their own scatter badly: one sigma shall mean 68 % with any number of them.
+    wider = float(student.ppf(_ONE_SIGMA, found.clusters - 1)) ** 2
+    place = np.flatnonzero(determined)
+    value, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
+    value[place] = found.value[:count]
+    covariance[np.ix_(place, place)] = wider * found.covariance[:count, :count]
+    sigma = np.where(determined, np.sqrt(np.diag(covariance)), np.inf)
+    total, many = parts.sum(axis=0), float(rows.sum())
+    alone = left(total, np.arange(count, len(total) - 1), np.array([len(total) - 1]))[0, 0]
+    answered = np.append(found.value, 1.0)
+    after = answered @ total @ answered
+    before, after = (float(np.sqrt(max(square, 0.0) / many)) for square in (alone, after))
+    return DayNightField(
+        tuple(names), value, sigma, covariance, retained, determined, found.clusters, before, after
+    )
+
+
+def _told(matrix: Floats, size: Floats) -> tuple[Floats, Flags]:
+    """Return the retained part of each column and whether it is told, worst ones let go one by one."""
+    retained, determined = np.zeros(size.size), np.ones(size.size, dtype=bool)
+    while determined.any():
+        free = np.flatnonzero(determined)
+        own = np.diag(matrix)[free] > LEAST_RETAINED * size[free]
+        part = np.zeros(free.size)
+        part[own] = 1.0 / np.diag(gram_inverse(matrix[np.ix_(free[own], free[own])])) / size[free[own]]
+        retained[free] = np.clip(part, 0.0, 1.0)
+        worst = int(np.argmin(part))
+        if part[worst] >= LEAST_RETAINED:
+            break
+        determined[free[worst]] = False
+    return retained, determined
+
+
+def block_parameters(
+    equations: NormalEquations, prior_sigma: Floats, given: Mapping[str, float] | None = None
+) -> xr.Dataset:
+    """Return the nine parameters of each block by itself, a day/night field being given or ignored.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        With the nine columns, expressed at their calibration.
+    prior_sigma : ndarray, shape (9,)
+        What is known beforehand, physical units.
+    given : mapping of str to float, optional
+        Values of other columns, nT; those left out are ignored.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims block, parameter: `value` (change against the reference) and `sigma`, in ppm, arcsec and nT
+        (`units`); `start`, `end` (block) TT2000.
+    """
+    start = equations.reference.copy()
+    for name, value in (given or {}).items():
+        start[places(equations, [name])[0]] = value
+    nine = equations.at(start).select(NINE)
+    factor = np.array([SHOWN[NINE_UNITS[name]][0] for name in NINE])
+    values, sigmas = np.empty((len(nine), 9)), np.empty((len(nine), 9))
+    for index in range(len(nine)):
+        one = NormalEquations(nine.dataset.isel(block=[index]))
+        found, covariance = one.physical(one.solve(prior_sigma))
+        values[index] = (found - one.reference) * factor
+        sigmas[index] = np.sqrt(np.diag(covariance)) * factor
+    row = ("block", "parameter")
+    units = np.array([SHOWN[NINE_UNITS[name]][1] for name in NINE], dtype="U8")
+    return xr.Dataset(
+        {
+            "value": (row, values),
+            "sigma": (row, sigmas),
+            "units": ("parameter", units),
+            "start": nine.dataset["start"],
+            "end": nine.dataset["end"],
+        },
+        coords={"parameter": list(NINE)},
+    )
+
+
+#: km^3/s^2.
+_GM = 398600.4418
+
+
+def orbit_period(altitude: float) -> float:
+    """Return the period of a circular orbit, s; `altitude` in km above the mean radius 6371 km."""
+    return float(2.0 * np.pi * np.sqrt((EARTH_RADIUS + altitude) ** 3 / _GM))
+
+
+def orbit_plane_sun(local_time: Floats, declination: Floats, inclination: float) -> Floats:
+    """Return the angle between the Sun and the orbit's plane (beta), deg.
+
+    ``sin beta = sin i cos d sin(15 (LT - 12)) + cos i sin d``: the product of orbit normal and Sun.
+
+    Parameters
+    ----------
+    local_time : ndarray
+        Of the ascending node, h, apparent solar.
+    declination : ndarray
+        Of the Sun, deg.
+    inclination : float
+        deg.
+    """
+    hour, sun, tilt = np.deg2rad(15.0 * (local_time - 12.0)), np.deg2rad(declination), np.deg2rad(inclination)
+    sine = np.sin(tilt) * np.cos(sun) * np.sin(hour) + np.cos(tilt) * np.sin(sun)
+    return np.asarray(np.rad2deg(np.arcsin(np.clip(sine, -1.0, 1.0))))
+
+
+def sunlit_duty(altitude: float, beta: Floats) -> Floats:
+    """Return which part of a circular orbit lies in the Sun; (...) in (0.5, 1].
+
+    A spherical Earth throws a cylinder of shadow; half the night's arc has the cosine
+    ``sqrt(r^2 - R^2) / (r cos beta)``, and there is no night when that exceeds 1.
+
+    Parameters
+    ----------
+    altitude : float
+        km above the mean radius.
+    beta : ndarray
+        Angle between Sun and orbit plane, deg.
+    """
+    radius = EARTH_RADIUS + altitude
+    cosine = np.sqrt(radius**2 - EARTH_RADIUS**2) / (radius * np.cos(np.deg2rad(beta)))
+    return np.asarray(1.0 - np.arccos(np.clip(cosine, -1.0, 1.0)) / np.pi)
+
+
+def square_wave_series(duty: float, order: int) -> Floats:
+    """Return a_0 ... a_order of a square wave that is 1 for `duty` of the orbit around t0, 0 elsewhere."""
+    k = np.arange(1, order + 1)
+    return np.concatenate([[duty], 2.0 * np.sin(np.pi * k * duty) / (np.pi * k)])

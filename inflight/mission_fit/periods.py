@@ -1,0 +1,403 @@
+"""Periods in a daily parameter: Lomb-Scargle, false alarms from simulated red noise (Yin 2010, ch. 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from scipy import optimize
+
+from inflight.arrays import Floats
+from inflight.errors import CalibrationError
+from inflight.lsq.robust import robust_sigma
+
+#: Half a turn and a turn of local time of CHAMP's orbit (Yin 2010, section 1.3), and the year; days.
+KNOWN_PERIODS = {"130 d": 130.0, "260.5 d": 260.5, "365 d": 365.25}
+
+#: A named period is resolved by a span of so many of it, and of so many beats with its neighbours.
+LEAST_TURNS, _BEATS = 1.5, 1.0
+
+_OVERSAMPLING, _FEWEST = 2, 30
+
+#: A peak is told when chance makes one as high in so small a part of spectra.
+FALSE_ALARM = 0.01
+
+#: Frequencies further above the background than this are no part of it; turns of leaving them out.
+_LINE, _TURNS = 6.0, 3
+
+#: Peaks told at most.
+_MOST = 12
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A peak of the spectrum beyond chance: period (d), amplitude, its sigma, false-alarm chance, name."""
+
+    period: float
+    amplitude: float
+    sigma: float
+    false_alarm: float
+    label: str
+
+
+@dataclass(frozen=True)
+class NamedPeriod:
+    """A period that was asked for: amplitude, sigma and time of its maximum (MJD), or why it is not told."""
+
+    name: str
+    period: float
+    amplitude: float
+    sigma: float
+    maximum: float
+    false_alarm: float
+    resolved: bool
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class ParameterSpectrum:
+    """Spectrum of one daily parameter.
+
+    Attributes
+    ----------
+    frequency, amplitude : ndarray, shape (frequency,)
+        Cycles a day; amplitude of a wave of each frequency, unit of the parameter.
+    background, level : ndarray, shape (frequency,)
+        Rms amplitude of the noise, and that which one spectrum of noise in a hundred exceeds anywhere.
+    memory : float
+        Days after which the wandering part has forgotten itself to 1/e.
+    span : float
+        Days.
+    peaks : tuple of Peak
+        Largest first.
+    named : tuple of NamedPeriod
+    unit : str
+    """
+
+    frequency: Floats
+    amplitude: Floats
+    background: Floats
+    level: Floats
+    memory: float
+    span: float
+    peaks: tuple[Peak, ...]
+    named: tuple[NamedPeriod, ...]
+    unit: str
+
+    def told(self) -> list[str]:
+        """Say each named period in a sentence."""
+        return [
+            f"{one.name}: {one.amplitude:.3g} +- {one.sigma:.2g} {self.unit}, chance {one.false_alarm:.2g}"
+            if one.resolved
+            else f"{one.name}: not resolved, {one.why}"
+            for one in self.named
+        ]
+
+    def table(self) -> xr.Dataset:
+        """Return amplitudes of the named periods: dim parameter; NaN where not resolved."""
+        return xr.Dataset(
+            {
+                "value": ("parameter", np.array([one.amplitude for one in self.named])),
+                "sigma": ("parameter", np.array([one.sigma for one in self.named])),
+                "false_alarm": ("parameter", np.array([one.false_alarm for one in self.named])),
+                "determined": ("parameter", np.array([one.resolved for one in self.named])),
+                "period": ("parameter", np.array([one.period for one in self.named]), {"units": "d"}),
+                "units": ("parameter", np.full(len(self.named), self.unit)),
+            },
+            coords={"parameter": [one.name for one in self.named]},
+            attrs={"span_days": self.span, "memory_days": self.memory, "told": "; ".join(self.told())},
+        )
+
+
+def parameter_spectrum(
+    mjd: Floats,
+    value: Floats,
+    sigma: Floats,
+    known: Mapping[str, float] | None = None,
+    *,
+    shortest: float = 10.0,
+    trials: int = 100,
+    seed: int = 0,
+    unit: str = "",
+) -> ParameterSpectrum:
+    """Return the spectrum of daily values with gaps, a straight line taken out.
+
+    Parameters
+    ----------
+    mjd, value, sigma : ndarray, shape (day,)
+        Days, values (NaN in gaps) and standard deviations.
+    known : mapping of str to float, optional
+        Periods to tell by name, days; `KNOWN_PERIODS` when absent.
+    shortest : float
+        Shortest period, days.
+    trials : int
+        Series of noise that the false alarms come from.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    CalibrationError
+        When fewer than 30 days have a value.
+    """
+    use = np.isfinite(value) & np.isfinite(sigma) & (sigma > 0)
+    if use.sum() < _FEWEST:
+        raise CalibrationError(
+            f"{int(use.sum())} days with a value make no spectrum", remedy=f"use {_FEWEST} or more"
+        )
+    t, y = mjd[use], value[use]
+    weight = 1.0 / (sigma[use] ** 2 + _wander(y, sigma[use]))
+    waves = _Waves.of(t, weight, shortest)
+    power = waves.power(y[:, None])[0]
+    noise = _background(waves, y)
+    draws = np.random.default_rng(seed)
+    drawn = waves.power(noise.series(waves, draws, trials))
+    highest = np.array([_highest(waves, one, noise) for one in drawn])
+    # The largest of M exponential numbers; M from the median of the trials.
+    effective = np.log(2.0) * np.exp(np.median(highest))
+    known = KNOWN_PERIODS if known is None else known
+    span = float(np.ptp(t))
+    named = _named(waves, y, noise, known, span)
+    limit = float(-np.log1p(-((1.0 - FALSE_ALARM) ** (1.0 / effective)))) if effective > 1 else 4.6
+    back = np.sqrt(2.0 * noise.power(waves.frequency) / weight.sum())
+    amplitude = np.sqrt(2.0 * power / weight.sum())
+    peaks = _peaks(waves, y, noise, float(effective), known, span)
+    return ParameterSpectrum(
+        waves.frequency, amplitude, back, back * np.sqrt(limit), noise.memory, span, peaks, named, unit
+    )
+
+
+def _wander(value: Floats, sigma: Floats) -> float:
+    """Return the variance by which the values scatter beyond their own errors."""
+    spread = robust_sigma(value - np.median(value))
+    return max(spread**2 - float(np.median(sigma)) ** 2, 0.0)
+
+
+@dataclass(frozen=True)
+class _Waves:
+    """Waves of each frequency on given days, orthogonal to a straight line and to each other.
+
+    `pair` (2, frequency, day) turns values into two numbers whose squares sum to the power: the drop of
+    the weighted sum of squares that the best wave makes.
+    """
+
+    days: Floats
+    weight: Floats
+    frequency: Floats
+    pair: Floats
+
+    @classmethod
+    def of(cls, days: Floats, weight: Floats, shortest: float) -> _Waves:
+        span = float(np.ptp(days))
+        frequency = np.arange(_OVERSAMPLING, span / shortest * _OVERSAMPLING + 1) / (span * _OVERSAMPLING)
+        root = np.sqrt(weight)
+        line, _ = np.linalg.qr(np.stack([root, root * (days - days.mean())], axis=1))
+        turn = 2 * np.pi * frequency[:, None] * (days - days.mean())
+        cosine, sine = root * np.cos(turn), root * np.sin(turn)
+        cosine -= (cosine @ line) @ line.T
+        sine -= (sine @ line) @ line.T
+        cosine /= np.linalg.norm(cosine, axis=1)[:, None]
+        sine -= np.sum(sine * cosine, axis=1)[:, None] * cosine
+        sine /= np.linalg.norm(sine, axis=1)[:, None]
+        return cls(days, weight, frequency, np.stack([cosine, sine]) * root)
+
+    def power(self, series: Floats) -> Floats:
+        """Return the powers of series (day, series); (series, frequency)."""
+        return np.asarray(np.sum((self.pair @ series) ** 2, axis=0).T)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Power of noise: ``white + red / (1 + (2 pi f memory)^2)``; a power is exponential with this mean."""
+
+    white: float
+    red: float
+    memory: float
+
+    @classmethod
+    def fit(cls, waves: _Waves, power: Floats, like: _Noise | None = None) -> _Noise:
+        """Whittle's likelihood over frequencies that are no peaks; the search begins at `like`."""
+        kept = np.ones(power.size, dtype=bool)
+        span = float(np.ptp(waves.days))
+        found, turn = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0), (2 * np.pi * waves.frequency) ** 2
+        for _ in range(_TURNS):
+            before = kept
+            found = like = cls._likeliest(turn[kept], power[kept], span, like)
+            peak = power > _LINE * found.power(waves.frequency)
+            # A line spreads over its neighbours.
+            kept = ~np.convolve(peak, np.ones(2 * _OVERSAMPLING + 1), mode="same").astype(bool)
+            if kept.sum() < 0.5 * kept.size or np.array_equal(kept, before):
+                break
+        return found
+
+    @classmethod
+    def _likeliest(cls, turn: Floats, power: Floats, span: float, like: _Noise | None) -> _Noise:
+        slow, fast = power[: max(power.size // 10, 3)].mean(), power[power.size // 2 :].mean()
+
+        def cost(logs: Floats) -> tuple[float, Floats]:
+            white, red, memory = np.exp(logs)
+            bent = 1.0 + turn * memory**2
+            mean = white + red / bent
+            pull = 1.0 / mean - power / mean**2
+            ways = (white, red / bent, -2.0 * red * turn * memory**2 / bent**2)
+            return float(np.sum(power / mean + np.log(mean))), np.array([np.sum(pull * way) for way in ways])
+
+        start = np.log([max(fast, 1e-12), max(slow, 1e-12), span / 50.0])
+        bounds = [(start[0] - 12, start[0] + 3), (start[1] - 12, start[1] + 8), tuple(np.log([0.5, span]))]
+        if like is not None:
+            told = np.log(np.maximum([like.white, like.red, like.memory], 1e-300))
+            start = np.clip(told, *np.transpose(bounds))
+        found = optimize.minimize(cost, start, method="L-BFGS-B", bounds=bounds, jac=True)
+        return cls(*(float(one) for one in np.exp(found.x)))
+
+    def power(self, frequency: Floats) -> Floats:
+        """Return the mean power at frequencies."""
+        return np.asarray(self.white + self.red / (1.0 + (2 * np.pi * frequency * self.memory) ** 2))
+
+    def series(self, waves: _Waves, draws: np.random.Generator, count: int) -> Floats:
+        """Return series of this noise on the days of the waves; (day, series)."""
+        days, weight = waves.days, waves.weight
+        white = draws.standard_normal((days.size, count)) * np.sqrt(0.5 * self.white / weight)[:, None]
+        # Two-sided density 2 v tau at zero, seen through sums of n weights over the span.
+        density = days.size / max(float(np.ptp(days)), 1.0)
+        size = np.sqrt(self.red / (4.0 * weight.mean() * density * self.memory))
+        keep = np.exp(-np.diff(days) / self.memory)
+        red = np.empty_like(white)
+        red[0] = draws.standard_normal(count)
+        steps = draws.standard_normal((days.size - 1, count)) * np.sqrt(1.0 - keep**2)[:, None]
+        for index, part in enumerate(keep):
+            red[index + 1] = part * red[index] + steps[index]
+        return np.asarray(white + size * red)
+
+
+def _background(waves: _Waves, y: Floats) -> _Noise:
+    """Return the noise of a series without its lines; their side lobes are no noise either."""
+    noise = _Noise.fit(waves, waves.power(y[:, None])[0])
+    for _ in range(_TURNS):
+        lines = _lines(waves, y, noise, float(waves.frequency.size))
+        if not lines:
+            break
+        left = y - _rows(waves, lines) @ _fit(waves, y, lines)[0]
+        power = waves.power(left[:, None])[0]
+        apart = np.min(np.abs(waves.frequency[:, None] - np.array(lines)), axis=1) * np.ptp(waves.days)
+        # A fitted line leaves a hole where it was.
+        noise = _Noise.fit(waves, np.where(apart < 1.0, noise.power(waves.frequency), power))
+    return noise
+
+
+def _highest(waves: _Waves, power: Floats, noise: _Noise) -> float:
+    return float(np.max(power / _Noise.fit(waves, power, noise).power(waves.frequency)))
+
+
+def _chance(ratio: float, effective: float) -> float:
+    """Return the chance that noise exceeds a ratio anywhere among so many independent frequencies."""
+    return float(-np.expm1(effective * np.log1p(-np.exp(-max(ratio, 1e-9)))))
+
+
+def _peaks(
+    waves: _Waves, y: Floats, noise: _Noise, effective: float, known: Mapping[str, float], span: float
+) -> tuple[Peak, ...]:
+    frequencies = _lines(waves, y, noise, effective)
+    value, inverse = _fit(waves, y, frequencies)
+    found = []
+    for place, frequency in enumerate(frequencies):
+        size, sigma, _ = _wave(value, inverse, place, noise, frequency)
+        near = [name for name, days in known.items() if abs(1.0 / days - frequency) < 0.5 / span]
+        chance = _chance(0.5 * (size / sigma) ** 2, effective)
+        found.append(Peak(1.0 / frequency, size, sigma, chance, " or ".join(near)))
+    return tuple(sorted(found, key=lambda one: -one.amplitude))
+
+
+def _lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> list[float]:
+    """Take the highest peak and its wave out of the series, again and again: its side lobes go with it."""
+    frequencies: list[float] = []
+    left = y
+    while len(frequencies) < _MOST:
+        power = waves.power(left[:, None])[0]
+        ratio = power / noise.power(waves.frequency)
+        at = int(np.argmax(ratio))
+        if _chance(float(ratio[at]), effective) > FALSE_ALARM:
+            break
+        frequencies.append(_finest(waves, left, float(waves.frequency[at])))
+        left = y - _rows(waves, frequencies) @ _fit(waves, y, frequencies)[0]
+    return frequencies
+
+
+def _finest(waves: _Waves, y: Floats, frequency: float) -> float:
+    """Return the frequency near a given one whose wave takes most out of the series."""
+
+    def left(one: float) -> float:
+        rows = _rows(waves, [one])
+        return float(np.sum(waves.weight * (y - rows @ _fit(waves, y, [one])[0]) ** 2))
+
+    step = float(waves.frequency[0]) / 2
+    bounds = (max(frequency - step, step / 2), frequency + step)
+    return float(optimize.minimize_scalar(left, bounds=bounds, method="bounded").x)
+
+
+def _rows(waves: _Waves, frequencies: Sequence[float]) -> Floats:
+    """Return a constant, a straight line and a pair of waves a frequency; (day, 2 + 2 frequencies)."""
+    away = waves.days - waves.days.mean()
+    turns = [2 * np.pi * away * frequency for frequency in frequencies]
+    columns = [
+        np.ones_like(away),
+        away / np.ptp(away),
+        *(f(turn) for turn in turns for f in (np.cos, np.sin)),
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _fit(waves: _Waves, y: Floats, frequencies: Sequence[float]) -> tuple[Floats, Floats]:
+    """Fit line and waves together; coefficients, and their covariance for the stated weights."""
+    rows, root = _rows(waves, frequencies), np.sqrt(waves.weight)
+    value: Floats = np.asarray(np.linalg.lstsq(rows * root[:, None], y * root)[0], dtype=np.float64)
+    inverse: Floats = np.asarray(np.linalg.inv((rows * waves.weight[:, None]).T @ rows), dtype=np.float64)
+    return value, inverse
+
+
+def _wave(
+    value: Floats, inverse: Floats, place: int, noise: _Noise, frequency: float
+) -> tuple[float, float, float]:
+    """Return amplitude, its standard deviation and the phase (rad) of one of several waves."""
+    at = slice(2 + 2 * place, 4 + 2 * place)
+    wave = value[at]
+    size = float(np.hypot(*wave))
+    along = wave / max(size, 1e-300)
+    # White noise of the stated weights has the power 2.
+    mean = float(noise.power(np.array([frequency]))[0])
+    sigma = float(np.sqrt(along @ inverse[at, at] @ along * mean / 2.0))
+    return size, sigma, float(np.arctan2(wave[1], wave[0]))
+
+
+def _named(
+    waves: _Waves, y: Floats, noise: _Noise, known: Mapping[str, float], span: float
+) -> tuple[NamedPeriod, ...]:
+    """Fit all resolved periods together with a straight line."""
+    why = {name: _unresolved(name, known, span) for name in known}
+    told = [name for name in known if not why[name]]
+    value, inverse = _fit(waves, y, [1.0 / known[name] for name in told])
+    found = []
+    for name, days in known.items():
+        if why[name]:
+            nan = float("nan")
+            found.append(NamedPeriod(name, days, nan, nan, nan, nan, False, why[name]))
+            continue
+        size, sigma, phase = _wave(value, inverse, told.index(name), noise, 1.0 / days)
+        maximum = float(waves.days.mean() + days * phase / (2 * np.pi))
+        # A period that was named beforehand is one frequency, not all of them.
+        chance = _chance(0.5 * (size / sigma) ** 2, 1.0)
+        found.append(NamedPeriod(name, days, size, sigma, maximum, chance, True))
+    return tuple(found)
+
+
+def _unresolved(name: str, known: Mapping[str, float], span: float) -> str:
+    """Return why a span does not resolve a period; empty when it does."""
+    if span < LEAST_TURNS * known[name]:
+        return f"{span:.0f} days are less than {LEAST_TURNS:g} periods"
+    for other, days in known.items():
+        beat = np.inf if other == name else abs(1.0 / days - 1.0 / known[name])
+        if span * beat < _BEATS:
+            return f"{span:.0f} days do not tell it from {other}, {_BEATS / beat:.0f} are needed"
+    return ""

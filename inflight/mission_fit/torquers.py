@@ -1,0 +1,748 @@
+"""Torquer band and remanent field.
+
+Coefficients of the magneto-torquers from the band of their 20 s modulation (Yin 2010, 3.4.3, eq. 3.5).
+
+Torquer currents alternate with a period of 20 s; hardly anything else in the residual does. With
+``dB' = |B_v| - |B_s|`` corrected by matrices that are wrong by D_v and D_s, ``dB' = e.((D_v - D_s) I)``
+plus noise. The power of ``dB' - sum a_jk e_j I_k`` between 0.045 and 0.055 Hz is a square in a, so its
+least value has a closed form: the normal equations of real and imaginary parts of the transforms of
+``e_j I_k`` and dB'. No window is used: neighbouring frequencies then stay independent in white noise,
+and the leakage of the currents' own slow part is the same in columns and residual.
+
+Signs. The fitted ``a = D_v - D_s`` is the difference of the sensors, as everywhere. When the vector
+sensor's matrix is right, the scalar sensor's is corrected by *adding* ``D_s = -a``: the residual then
+becomes ``dB(alpha' + D) = dB' + e.(D I)``. The thesis prints a minus there, which doubles the error.
+
+The body's remanent field from the mean torquer current (Yin 2010, section 3.4.4).
+
+Torquers hold the attitude against the torque on the body's own magnetic moment, so over a whole cycle
+of local time their mean moment is the body's with the other sign. The body's moment makes the field
+``B = eta (0, mean I_y, mean I_z)`` at the scalar sensor. Eta is positive although the moments cancel,
+because the torquers' own field per ampere is negative there across the boom (-10.7 and -11.6 nT/A), and
+7.1 nT/A is 0.66 and 0.61 of that: the body's moment is 1.16 times farther from the sensor than the
+coils. Along the boom the sign of the factor would turn; the mean I_x is taken as 0. The field is
+subtracted *with* the torquers' own and *instead of* a constant remanent field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise, product
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy import signal
+
+from inflight.arrays import Floats
+from inflight.errors import CalibrationError, SamplesError, SettingsError
+from inflight.lsq.contrasts import windowed
+from inflight.lsq.robust import TO_SIGMA, biweight, robust_sigma
+from inflight.lsq.solver import FEWEST_CLUSTERS, ClusteredFit, solve_clusters
+from inflight.time import GAP, SECOND, Int64, day_bounds, day_of, usual_step
+
+#: Hz, around the 20 s of the modulation.
+BAND = (0.045, 0.055)
+
+AXES = ("x", "y", "z")
+
+#: Columns e_j I_k: axis of the field, then coil.
+COLUMNS = tuple(f"{axis}{coil}" for axis in AXES for coil in AXES)
+
+
+def band_equations(
+    stamps: Int64,
+    residual: Floats,
+    direction: Floats,
+    current: Floats,
+    *,
+    band: tuple[float, float] = BAND,
+    longest: float = 3600.0,
+    shortest: float = 400.0,
+    order: int = 1,
+) -> xr.Dataset:
+    """Return the Gram matrix of the band for each stretch of samples without a gap; small enough to store.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (time,)
+        TT2000, rising, at one cadence but for gaps.
+    residual : ndarray, shape (time,)
+        dB, nT; NaN where it is missing.
+    direction : ndarray, shape (time, 3)
+        e = B/F, sensor axes.
+    current : ndarray, shape (time, 3)
+        Torquer currents, A, at the times of the residual.
+    band : (float, float)
+        Hz.
+    longest, shortest : float
+        Stretches are cut to at most the one and dropped below the other, s. A stretch is a cluster.
+    order : int
+        Order of the polynomial that is taken off columns and residual of a stretch. A line is enough
+        while the residual follows the orbit by less than 1 nT; more leaks into the band and raises
+        its level (3 nT: by 45 %), which order 5 prevents.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims segment, column, other (= column): `gram` nT^2 with the residual last, scaled so that white
+        noise of variance s^2 a sample leaves s^2 a row; `rows` (segment), two a frequency; `start`, `end`
+        TT2000, `day`.
+
+    Raises
+    ------
+    SamplesError
+        The cadence is too slow for the band, or no stretch is long enough.
+    """
+    cadence = usual_step(stamps) / SECOND if stamps.size > 1 else np.inf
+    if 0.5 / cadence <= band[1]:
+        raise SamplesError(
+            f"samples every {cadence:g} s do not hold {band[1]:g} Hz",
+            remedy="take the torquer currents and the residual at the magnetometers' own cadence",
+        )
+    rows = _rows(residual, direction, current)
+    found: list[tuple[Floats, int, int, int]] = []
+    for part in _stretches(stamps, np.isfinite(rows.sum(axis=0)), cadence, longest, shortest):
+        both = _transform(part.stop - part.start, cadence, *band, order) @ rows[:, part].T
+        gram, count = both.T @ both, both.shape[0]
+        if count:
+            found.append((gram, count, int(stamps[part.start]), int(stamps[part.stop - 1])))
+    if not found:
+        raise SamplesError(
+            f"no stretch of {shortest:g} s without a gap in {stamps.size} samples",
+            remedy="take another span, or lower 'shortest' (at least two periods of the band's width)",
+        )
+    attributes = {"band_low_Hz": band[0], "band_high_Hz": band[1], "cadence_s": cadence}
+    return _of_stretches(found).assign_attrs(attributes)
+
+
+def _rows(residual: Floats, direction: Floats, current: Floats) -> Floats:
+    """Return the columns ``e_j I_k`` and the residual; (10, time), nT A and nT."""
+    rows = np.empty((10, residual.size))
+    for row, (axis, coil) in enumerate(product(range(3), repeat=2)):
+        np.multiply(direction[:, axis], current[:, coil], out=rows[row])
+    rows[9] = residual
+    return rows
+
+
+def _of_stretches(found: Sequence[tuple[Floats, int, int, int]]) -> xr.Dataset:
+    """Return the dataset of `band_equations` from Gram matrix, rows, first and last stamp of stretches."""
+    start = np.array([one[2] for one in found], dtype=np.int64)
+    names = [*COLUMNS, "residual"]
+    return xr.Dataset(
+        {
+            "gram": (("segment", "column", "other"), np.array([one[0] for one in found]), {"units": "nT2"}),
+            "rows": ("segment", np.array([one[1] for one in found], dtype=np.float64)),
+            "start": ("segment", start, {"scale": "TT2000"}),
+            "end": ("segment", np.array([one[3] for one in found], dtype=np.int64), {"scale": "TT2000"}),
+            "day": ("segment", day_of(start).astype("datetime64[D]").astype(np.int64)),
+        },
+        coords={"column": names, "other": names},
+    )
+
+
+def _stretches(
+    stamps: Int64,
+    good: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    cadence: float,
+    longest: float,
+    shortest: float,
+) -> list[slice]:
+    """Return parts without a gap, cut into equal pieces of at most `longest` seconds."""
+    index = np.flatnonzero(good)
+    if not index.size:
+        return []
+    gap = (np.diff(index) > 1) | (np.diff(stamps[index]) > GAP * cadence * SECOND)
+    found = []
+    for run in np.split(index, np.flatnonzero(gap) + 1):
+        pieces = max(1, int(np.ceil(run.size * cadence / longest)))
+        edges = np.linspace(run[0], run[-1] + 1, pieces + 1).astype(np.int64)
+        found += [slice(int(low), int(high)) for low, high in pairwise(edges)]
+    return [part for part in found if (part.stop - part.start) * cadence >= shortest]
+
+
+@lru_cache(maxsize=8)
+def _transform(count: int, cadence: float, low: float, high: float, order: int) -> Floats:
+    """Return the matrix that takes the drift off and gives real and imaginary parts in the band; (row, time).
+
+    Scaled so that its rows keep the variance of white noise. Only the band is computed, and taking the
+    drift off the waves once is the same as taking it off every series.
+    """
+    # A frequency on the edge of the band belongs to it, whatever rounding says.
+    first = int(np.ceil(low * count * cadence - 1e-6))
+    last = int(np.floor(high * count * cadence + 1e-6))
+    # A wave passes the same angles as the first one, in another order.
+    turns = np.outer(np.arange(first, last + 1), np.arange(count)) % count
+    angle = 2.0 * np.pi * np.arange(count) / count
+    waves = np.concatenate([np.cos(angle)[turns], -np.sin(angle)[turns]]) * np.sqrt(2.0 / count)
+    drift, _ = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), order))
+    return np.asarray(waves - (waves @ drift) @ drift.T)
+
+
+@dataclass(frozen=True)
+class TorquerFit:
+    """Correction of the torquer matrices, vector minus scalar sensor.
+
+    Attributes
+    ----------
+    fit : ClusteredFit
+        nT/A, in the order of `COLUMNS`.
+    start, end : int
+        TT2000.
+    """
+
+    fit: ClusteredFit
+    start: int
+    end: int
+
+    @property
+    def value(self) -> Floats:
+        """``D_vector - D_scalar``, nT/A; (axis, coil). What the residual still follows."""
+        return self.fit.value.reshape(3, 3)
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviation, nT/A; (axis, coil)."""
+        return self.fit.sigma.reshape(3, 3)
+
+    @property
+    def retained(self) -> Floats:
+        """Part of each column that the others do not explain; (axis, coil). Row y is weak: e_y is small."""
+        return self.fit.retained.reshape(3, 3)
+
+    @property
+    def for_scalar(self) -> Floats:
+        """What the scalar sensor's matrix lacks when the vector sensor's is right, nT/A; (axis, coil)."""
+        return -self.value
+
+    @property
+    def level(self) -> float:
+        """Noise in the band as the standard deviation of a sample of white noise, nT."""
+        return float(np.sqrt(self.fit.variance))
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `retained` (axis, coil) and `covariance`."""
+        dims = ("axis", "coil")
+        covariance = self.fit.covariance.reshape(3, 3, 3, 3)
+        return xr.Dataset(
+            {
+                "value": (dims, self.value, {"units": "nT/A", "at": "difference"}),
+                "sigma": (dims, self.sigma, {"units": "nT/A"}),
+                "retained": (dims, self.retained),
+                "covariance": ((*dims, "other_axis", "other_coil"), covariance, {"units": "nT2/A2"}),
+                "start": ((), self.start, {"scale": "TT2000"}),
+                "end": ((), self.end, {"scale": "TT2000"}),
+            },
+            coords={"axis": list(AXES), "coil": list(AXES)},
+            attrs={"clusters": self.fit.clusters, "rows": self.fit.rows, "level_nT": self.level},
+        )
+
+
+def join_equations(parts: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return the stored equations of several days together, in order of time."""
+    joined = xr.concat(list(parts), "segment", data_vars="minimal", join="exact", combine_attrs="override")
+    return joined.isel(segment=np.argsort(joined["start"].values, kind="stable"))
+
+
+def fit_band(equations: xr.Dataset, *, by: str = "segment") -> TorquerFit:
+    """Solve for all nine coefficients; nothing is known of them beforehand.
+
+    Parameters
+    ----------
+    equations : xarray.Dataset
+        Of `band_equations`, one day or all of them.
+    by : str
+        What is a cluster of the covariance: ``segment`` or ``day``.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than five clusters, or a coil without current in the band.
+    """
+    gram, rows = equations["gram"].values, equations["rows"].values
+    if by == "day":
+        _, which = np.unique(equations["day"].values, return_inverse=True)
+        total = np.zeros((int(which.max()) + 1, *gram.shape[1:]))
+        np.add.at(total, which, gram)
+        gram, rows = total, np.bincount(which, weights=rows)
+    fit = solve_clusters(gram, rows)
+    return TorquerFit(fit, int(equations["start"].values.min()), int(equations["end"].values.max()))
+
+
+def daily_fits(equations: xr.Dataset) -> xr.Dataset:
+    """Return each day's own fit; days with too few stretches are left out and counted.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims day, axis, coil: `value`, `sigma` nT/A, `retained`; `start`, `end` (day); attribute
+        ``days_left_out``.
+    """
+    gram, rows, start, end, day = (equations[name].values for name in ("gram", "rows", "start", "end", "day"))
+    fits, kept, short = [], [], 0
+    for one in np.unique(day):
+        part = np.flatnonzero(day == one)
+        if part.size < FEWEST_CLUSTERS:
+            short += 1
+            continue
+        fit = solve_clusters(gram[part], rows[part])
+        fits.append(TorquerFit(fit, int(start[part].min()), int(end[part].max())))
+        kept.append(int(one))
+    if not fits:
+        raise SamplesError(
+            f"{short} days found, none with {FEWEST_CLUSTERS} stretches of samples",
+            remedy="lower 'longest' when the equations are made, or fit all days together",
+        )
+    first = fits[0].table().drop_vars("covariance")
+    every = {str(name): np.array([getattr(fit, str(name)) for fit in fits]) for name in first.data_vars}
+    return xr.Dataset(
+        {name: (("day", *first[name].dims), values, first[name].attrs) for name, values in every.items()},
+        coords={"day": kept, **first.coords},
+        attrs={"days_left_out": short},
+    )
+
+
+def robust_mean(daily: xr.Dataset) -> xr.Dataset:
+    """Return the robust mean of daily values, component by component, with the error of their scatter.
+
+    Days weigh with their own variance and Tukey's biweight about the mean, from the weighted median
+    on. The error is that of the scatter between days, whatever the days say of themselves.
+
+    Parameters
+    ----------
+    daily : xarray.Dataset
+        Of `daily_fits`.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims axis, coil: `value`, `sigma`, `median` nT/A, `scatter` (robust standard deviation of a
+        day over its sigma: 1 when the days differ as they say).
+    """
+    value, sigma = (daily[name].values.reshape(daily.sizes["day"], -1) for name in ("value", "sigma"))
+    if len(value) < FEWEST_CLUSTERS:
+        raise SamplesError(
+            f"{len(value)} days, at least {FEWEST_CLUSTERS} needed for the error of a mean",
+            remedy="take more days",
+        )
+    columns = [_biweight_mean(value[:, i], sigma[:, i]) for i in range(9)]
+    dims = ("axis", "coil")
+    mean, error, scatter = (np.array(part).reshape(3, 3) for part in zip(*columns, strict=True))
+    return xr.Dataset(
+        {
+            "value": (dims, mean, {"units": "nT/A", "at": "difference"}),
+            "sigma": (dims, error, {"units": "nT/A"}),
+            "median": (dims, np.median(value, axis=0).reshape(3, 3), {"units": "nT/A"}),
+            "scatter": (dims, scatter),
+        },
+        coords={"axis": list(AXES), "coil": list(AXES)},
+        attrs={"days": len(value)},
+    )
+
+
+def _biweight_mean(value: Floats, sigma: Floats) -> tuple[float, float, float]:
+    own = 1.0 / np.maximum(sigma, 0.5 * np.median(sigma)) ** 2
+    order = np.argsort(value)
+    share = np.cumsum(own[order]) / own.sum()
+    mean = float(value[order][np.searchsorted(share, 0.5)])
+    for _ in range(10):
+        pull = (value - mean) * np.sqrt(own)
+        scatter = robust_sigma(pull, floor=1e-12)
+        weight = own * biweight(pull / scatter)
+        mean = float(weight @ value / weight.sum())
+    # A day that weighs much pulls the mean to itself: what is left of it is made as large as it was.
+    share = weight / weight.sum()
+    left = (value - mean) / (1.0 - np.minimum(share, 0.9))
+    return mean, float(np.sqrt(np.sum((share * left) ** 2))), scatter
+
+
+def band_spectra(
+    stamps: Int64,
+    residual: Floats,
+    direction: Floats,
+    current: Floats,
+    value: Floats,
+    *,
+    length: float = 2000.0,
+) -> xr.Dataset:
+    """Return the spectra of dB before and after ``e.(value I)`` is taken off.
+
+    Parameters
+    ----------
+    stamps, residual, direction, current
+        As for `band_equations`.
+    value : ndarray, shape (3, 3)
+        ``D_vector - D_scalar``, nT/A.
+    length : float
+        Seconds of a stretch; its inverse is the resolution.
+
+    Returns
+    -------
+    xarray.Dataset
+        `before`, `after` (frequency) nT^2/Hz, one-sided, with a Hann window, which nothing is fitted
+        with; attribute ``segments``.
+    """
+    cadence = usual_step(stamps) / SECOND
+    cleaned = residual - np.einsum("tj,jk,tk->t", direction, value, current)
+    both = np.stack([residual, cleaned])
+    count = round(length / cadence)
+    total, segments = np.zeros((2, count // 2 + 1)), 0
+    for part in _stretches(stamps, np.isfinite(both).all(axis=0), cadence, np.inf, length):
+        frequency, power = signal.welch(
+            both[:, part], 1.0 / cadence, "hann", count, count // 2, detrend=signal.detrend, axis=1
+        )
+        pieces = (part.stop - part.start - count // 2) // (count - count // 2)
+        total, segments = total + pieces * power, segments + pieces
+    if not segments:
+        raise SamplesError(f"no stretch of {length:g} s without a gap", remedy="lower 'length'")
+    units = {"units": "nT2/Hz"}
+    return xr.Dataset(
+        {name: ("frequency", total[i] / segments, units) for i, name in enumerate(("before", "after"))},
+        coords={"frequency": ("frequency", frequency, {"units": "Hz"})},
+        attrs={"segments": segments, "cadence_s": cadence},
+    )
+
+
+#: nT/A at the scalar sensor, from the test on ground (Yin 2010: 0.0071 nT/mA).
+ETA = 7.1
+
+#: Days of the running mean: the local time falls by 24 h.
+WINDOW = 260.0
+
+#: How a value came about; codes of `CarriedMean.state`.
+STATES = ("whole", "partial", "interpolated", "held")
+
+#: A window counts as whole from this coverage on.
+_WHOLE = 0.999
+
+
+@dataclass(frozen=True)
+class CarriedMean:
+    """Running mean of daily means; every day from the first to the last has a value.
+
+    Attributes
+    ----------
+    day : ndarray of int64, shape (day,)
+        Days since 1970-01-01.
+    value, sigma : ndarray, shape (day, 3)
+        A.
+    coverage : ndarray, shape (day,)
+        Part of the window around the day that has data, in [0, 1].
+    state : ndarray of int8, shape (day,)
+        Codes of `STATES`: *whole* window; *partial*, the mean of what is there; *interpolated* between
+        days with enough coverage; *held* at the nearest such day, at the ends of the record.
+    daily : ndarray, shape (day, 3)
+        The daily means, A; NaN where there are none.
+    window : float
+        Days.
+    """
+
+    day: Int64
+    value: Floats
+    sigma: Floats
+    coverage: Floats
+    state: npt.NDArray[np.int8]
+    daily: Floats
+    window: float
+
+    @property
+    def sentence(self) -> str:
+        """What was done with ends and gaps, in words."""
+        count = {name: int(np.sum(self.state == code)) for code, name in enumerate(STATES)}
+        told = ", ".join(f"{number} {name}" for name, number in count.items() if number)
+        return f"running mean of {self.window:g} d over {self.day.size} days: {told}"
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma` (interval, axis) A, `coverage` and `state`, one interval a day."""
+        dims = ("interval", "axis")
+        return _by_day(self.day).assign(
+            value=(dims, self.value, {"units": "A"}),
+            sigma=(dims, self.sigma, {"units": "A"}),
+            daily=(dims, self.daily, {"units": "A"}),
+            coverage=("interval", self.coverage),
+            state=("interval", self.state, {"flag_meanings": " ".join(STATES)}),
+        )
+
+
+def _by_day(day: Int64) -> xr.Dataset:
+    bounds = np.array([day_bounds(np.datetime64(int(one), "D")) for one in day], dtype=np.int64)
+    return xr.Dataset(
+        {
+            "start": ("interval", bounds[:, 0], {"scale": "TT2000"}),
+            "end": ("interval", bounds[:, 1], {"scale": "TT2000"}),
+        },
+        coords={"axis": list(AXES)},
+    )
+
+
+def carried_mean(
+    day: Int64, value: Floats, count: Floats, *, window: float = WINDOW, least: float = 0.9
+) -> CarriedMean:
+    """Return the centred running mean of daily mean currents, carried to the days that have none.
+
+    Parameters
+    ----------
+    day : ndarray of int64, shape (given,)
+        Days since 1970-01-01, each once, in any order; days may be missing.
+    value : ndarray, shape (given, 3)
+        Daily means of the torquer currents, A; NaN for none.
+    count : ndarray, shape (given,)
+        Samples behind each. A day weighs by them, at most like a usual day.
+    window : float
+        Days; the days at its ends weigh by the part of them inside.
+    least : float
+        Part of the window that must have data. Below it nothing is averaged: such days are
+        interpolated, or held at the ends, with a sigma that grows as the mean itself was seen to change.
+
+    Returns
+    -------
+    CarriedMean
+        `sigma` holds the scatter of days, ``(1 - coverage)`` times the spread of the daily values in
+        the window (the missing part may be any part of the local time's cycle), and the change of the
+        mean over the time a value was carried.
+
+    Raises
+    ------
+    SamplesError
+        Shapes differ, a day is given twice, or nowhere is the window covered.
+    """
+    daily, weight = _every_day(day, value, count)
+    first = int(np.min(day))
+    means = windowed(daily, weight, window)
+    mean, spread, coverage = means.mean, means.spread, means.coverage
+    good = coverage >= least
+    if not good.any():
+        raise SamplesError(
+            f"the window of {window:g} d has at most {coverage.max():.0%} of its days within {len(daily)}; "
+            f"{least:.0%} needed",
+            remedy="take a longer span, a shorter window, or lower 'least'",
+        )
+    scatter = _scatter_of_days(daily)
+    sigma = np.hypot(
+        scatter / np.sqrt(np.maximum(means.weight, 1e-12))[:, None], (1.0 - coverage)[:, None] * spread
+    )
+    state = np.where(coverage >= _WHOLE, 0, 1).astype(np.int8)
+    mean, sigma, state = _carried(mean, sigma, state, good, spread[good].max(axis=0))
+    days = first + np.arange(daily.shape[0], dtype=np.int64)
+    return CarriedMean(days, mean, sigma, coverage, state, daily, window)
+
+
+def _every_day(day: Int64, value: Floats, count: Floats) -> tuple[Floats, Floats]:
+    """Return daily values (day, 3) and weights (day,) with no day left out."""
+    given = np.asarray(day, dtype=np.int64)
+    if np.shape(value) != (given.size, 3) or np.shape(count) != given.shape or not given.size:
+        raise SamplesError(
+            f"days have shape {given.shape}, values {np.shape(value)}, counts {np.shape(count)}",
+            remedy="give one mean of three currents and one count a day",
+        )
+    if np.unique(given).size != given.size:
+        raise SamplesError("a day is given twice", remedy="join the parts of a day first")
+    place = given - given.min()
+    daily = np.full((int(place.max()) + 1, 3), np.nan)
+    daily[place] = value
+    weight = np.zeros(daily.shape[0])
+    weight[place] = count
+    weight = np.where(np.isfinite(daily).all(axis=1), weight, 0.0)
+    if not np.any(weight > 0):
+        raise SamplesError("no day has a mean current", remedy="take days with torquer currents")
+    return daily, np.minimum(weight / np.median(weight[weight > 0]), 1.0)
+
+
+def _scatter_of_days(daily: Floats) -> Floats:
+    """Return the part of the daily values' scatter that neighbours do not share; (3,).
+
+    Not the long-run variance of `behaviour.running_mean`: what the currents' days share repeats with the
+    local time, and the window takes it out.
+    """
+    steps = np.abs(np.diff(daily, axis=0))
+    steps = steps[np.isfinite(steps).all(axis=1)]
+    if not len(steps):
+        return np.zeros(3)
+    return np.asarray(TO_SIGMA * np.median(steps, axis=0) / np.sqrt(2.0))
+
+
+def _carried(
+    mean: Floats,
+    sigma: Floats,
+    state: npt.NDArray[np.int8],
+    good: npt.NDArray[np.bool_],
+    unknown: Floats,
+) -> tuple[Floats, Floats, npt.NDArray[np.int8]]:
+    """Interpolate and hold where the window was not covered; sigma grows as the mean can have changed."""
+    at = np.flatnonzero(good)
+    index = np.arange(good.size)
+    filled = np.stack([np.interp(index, at, mean[at, i]) for i in range(3)], axis=1)
+    width = np.stack([np.interp(index, at, sigma[at, i]) for i in range(3)], axis=1)
+    away = np.min(np.abs(index[:, None] - _neighbours(index, at)), axis=1)
+    change = _change_over(mean, good, int(away.max()), unknown)[away]
+    state = np.where(good, state, np.where((index < at[0]) | (index > at[-1]), 3, 2)).astype(np.int8)
+    return filled, np.hypot(width, change), state
+
+
+def _neighbours(index: Int64, at: Int64) -> Int64:
+    """Return the nearest covered days before and after each; (day, 2)."""
+    after = np.clip(np.searchsorted(at, index), 0, at.size - 1)
+    before = np.clip(np.searchsorted(at, index, side="right") - 1, 0, at.size - 1)
+    return np.stack([at[before], at[after]], axis=1)
+
+
+def _change_over(mean: Floats, good: npt.NDArray[np.bool_], longest: int, unknown: Floats) -> Floats:
+    """Return by how much (rms) the running mean changes over 0, 1, ... `longest` days; (day + 1, 3).
+
+    Beyond the lags that the covered days show it grows in proportion; with none it is `unknown`.
+    """
+    change = np.zeros((longest + 1, 3))
+    seen = 0
+    for lag in range(1, longest + 1):
+        both = good[lag:] & good[:-lag]
+        if both.sum() >= 3:
+            change[lag] = np.sqrt(np.mean((mean[lag:][both] - mean[:-lag][both]) ** 2, axis=0))
+            seen = lag
+        else:
+            change[lag] = change[seen] * lag / seen if seen else unknown
+    return change
+
+
+def remanent_field(mean: CarriedMean, *, eta: float = ETA, eta_sigma: float = 0.0) -> xr.Dataset:
+    """Return the body's remanent field at the scalar sensor, one interval a day.
+
+    Parameters
+    ----------
+    mean : CarriedMean
+    eta, eta_sigma : float
+        nT/A at the scalar sensor.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims interval, axis: `value`, `sigma` nT at the scalar sensor, spacecraft axes: added to its
+        reading as e.value, subtracted with the torquers' own field; `covariance` (interval, axis, other);
+        `coverage`, `state`, `start`, `end`.
+    """
+    across = np.array([0.0, 1.0, 1.0])
+    current, spread = mean.value * across, mean.sigma * across
+    # Eta is common to both components.
+    covariance = eta**2 * np.einsum("ti,ij->tij", spread**2, np.eye(3))
+    covariance = covariance + eta_sigma**2 * np.einsum("ti,tj->tij", current, current)
+    dims = ("interval", "axis")
+    told = mean.table()
+    return told.drop_vars("daily").assign(
+        value=(dims, eta * current, {"units": "nT", "at": "scalar"}),
+        sigma=(dims, np.sqrt(np.einsum("tii->ti", covariance)), {"units": "nT"}),
+        covariance=((*dims, "other"), covariance, {"units": "nT2"}),
+        eta=((), eta, {"units": "nT/A"}),
+    )
+
+
+@dataclass(frozen=True)
+class EtaFit:
+    """How the residual follows the mean torquer current.
+
+    Attributes
+    ----------
+    fit : ClusteredFit
+        Constant field x, y, z of the residual (nT), then the difference below.
+    blocks : float
+        Days of a cluster.
+    """
+
+    fit: ClusteredFit
+    blocks: float
+
+    @property
+    def difference(self) -> float:
+        """Eta at the vector sensor minus eta at the scalar sensor, nT/A: all that dB can tell."""
+        return float(self.fit.value[3])
+
+    @property
+    def difference_sigma(self) -> float:
+        """Standard deviation, nT/A."""
+        return float(self.fit.sigma[3])
+
+    def at_scalar(self, vector_over_scalar: float) -> tuple[float, float]:
+        """Return eta at the scalar sensor and its sigma, nT/A.
+
+        Parameters
+        ----------
+        vector_over_scalar : float
+            The body's field at the vector sensor over that at the scalar sensor: ``(r_s/r_v)^3`` for
+            a dipole on the boom's axis, 2.5625 for 4.75 and 6.5 m.
+
+        Raises
+        ------
+        SettingsError
+            For 1: the difference then holds nothing of the field.
+        """
+        share = vector_over_scalar - 1.0
+        if abs(share) < 1e-6:
+            raise SettingsError("both sensors see the same field", remedy="take eta from ground tests")
+        return self.difference / share, self.difference_sigma / abs(share)
+
+
+def fit_eta(day: Int64, gram: Floats, rows: Floats, mean: CarriedMean, *, block: int = 60) -> EtaFit:
+    """Fit dB to ``e.(0, mean I_y, mean I_z)`` and a constant field.
+
+    A constant remanent field looks like an offset of the vector sensor, so only the change of the mean
+    current tells, and only while the offsets are held constant. A drift of theirs of the same course
+    is not told apart. Days whose running mean was interpolated or held are left out. The error of the
+    running mean itself, which lasts for a window, is in the sigma.
+
+    Parameters
+    ----------
+    day : ndarray of int64, shape (given,)
+        Days since 1970-01-01.
+    gram : ndarray, shape (given, 4, 4)
+        Of [e_x, e_y, e_z | dB], dB in nT, of each day.
+    rows : ndarray, shape (given,)
+        Samples behind each.
+    mean : CarriedMean
+    block : int
+        Days of a cluster: at least three times as long as the residual's slow errors last.
+
+    Raises
+    ------
+    CalibrationError
+        The mean current does not change, or there are too few days.
+    """
+    place = np.asarray(day) - mean.day[0]
+    inside = (place >= 0) & (place < mean.day.size)
+    inside[inside] = mean.state[place[inside]] < 2
+    chosen = place[inside]
+    if not chosen.size:
+        raise CalibrationError("no day has a running mean of its own", remedy="take a longer span")
+    current = mean.value[chosen] * [0.0, 1.0, 1.0]
+    centre = current.mean(axis=0)
+    spread = float(np.sqrt(np.mean(np.sum((current - centre) ** 2, axis=1))))
+    if spread <= 1e-9 * max(float(np.linalg.norm(centre)), 1e-12):
+        raise CalibrationError(
+            "the mean torquer current does not change: eta is not told from an offset",
+            remedy="take a longer span, or eta from ground tests",
+        )
+    turn = np.zeros((chosen.size, 5, 4))
+    turn[:, [0, 1, 2, 4], [0, 1, 2, 3]] = 1.0
+    # In units of the current's own change, so that the system is as well scaled as it can be.
+    turn[:, 3, :3] = (current - centre) / spread
+    wide = turn @ np.asarray(gram)[inside] @ turn.transpose(0, 2, 1)
+    _, which = np.unique((chosen - chosen[0]) // block, return_inverse=True)
+    total = np.zeros((int(which.max()) + 1, 5, 5))
+    np.add.at(total, which, wide)
+    fit = solve_clusters(total, np.bincount(which, weights=np.asarray(rows)[inside]).astype(np.float64))
+    scale = np.array([1.0, 1.0, 1.0, 1.0 / spread])
+    covariance = fit.covariance * np.outer(scale, scale)
+    of_mean = float(np.sqrt(np.mean(np.sum(mean.sigma[chosen][:, 1:] ** 2, axis=1)) / 2.0))
+    independent = max(1.0, chosen.size / mean.window)
+    covariance[3, 3] += (fit.value[3] / spread * of_mean / spread) ** 2 / independent
+    return EtaFit(
+        ClusteredFit(
+            fit.value * scale,
+            covariance,
+            fit.retained,
+            fit.determined,
+            fit.variance,
+            fit.clusters,
+            fit.rows,
+        ),
+        float(block),
+    )

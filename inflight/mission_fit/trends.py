@@ -1,0 +1,700 @@
+"""Trend fit.
+
+What trends are fitted to: normal equations of blocks, made from a table too, with robust weights.
+
+Trends as functions of time that are orthonormal over the blocks they are fitted to.
+
+Continuous parameters: one trend in time for a whole mission, without a jump (Yin 2010, ch. 3).
+
+A trend is fitted to the summed normal equations of all blocks, or to a table of daily or 15-day values,
+whose covariances make normal equations of it: one way for both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import NormalEquations
+from inflight.calibration.normal_equations import RESIDUAL, larger_scatter
+from inflight.effects.base import Parameter
+from inflight.errors import CalibrationError
+from inflight.lsq.covariance import long_run_covariance
+from inflight.lsq.gram_blocks import BlockSums
+from inflight.lsq.robust import robust_sigma
+from inflight.lsq.solver import residual_sum, solve
+from inflight.model.time_dependence import Dependence, TimedValue, component_names
+from inflight.time import DAY, Int64, mjd_of
+
+TREND_KINDS = ("constant", "linear", "parabola", "log", "spline")
+
+#: Blocks up to this many robust standard deviations from the trend keep their weight; from the second
+#: number on they have none.
+_FAR, _LOST = 4.0, 8.0
+
+#: Blocks that are solved together.
+_AT_ONCE = 256
+
+#: Fewest blocks whose scatter tells an outlying one.
+_FEWEST = 8
+
+
+def middles(equations: NormalEquations) -> Int64:
+    """Return the TT2000 of the middles of the blocks; (block,)."""
+    data = equations.dataset
+    return np.asarray(data["start"].values // 2 + data["end"].values // 2)
+
+
+def at_one_reference(equations: NormalEquations) -> NormalEquations:
+    """Return the equations with the residuals of all blocks referred to the first one's reference."""
+    apart = np.ptp(equations.dataset["reference"].values, axis=0).any()
+    return equations.at(equations.reference) if apart else equations
+
+
+def make_trend(kind: str, times: Int64, t0: int | None = None, per: int = DAY, knots: int = 5) -> Dependence:
+    """Return a kind of trend for a span of times.
+
+    Parameters
+    ----------
+    kind : str
+        constant, linear, parabola (``a + b x + c x^2``, ``x = (t - t0)/per``), log
+        (``a + b ln((t - t0)/per)``, Yin 2010 section 3.2) or spline (natural cubic).
+    times : ndarray of int64, shape (block,)
+        TT2000; a spline has its knots at equal parts of them, so that gaps hold none.
+    t0 : int, optional
+        Origin; for linear and parabola the middle of the times when absent.
+
+    Raises
+    ------
+    CalibrationError
+        For an unknown kind, a logarithm without an origin before the times, or too few times for a spline.
+    """
+    if kind not in TREND_KINDS:
+        raise CalibrationError(f"trend {kind!r} is unknown", remedy=f"one of {', '.join(TREND_KINDS)}")
+    if kind == "constant":
+        return Dependence()
+    if kind == "spline":
+        places = np.quantile(times.astype(np.float64), np.linspace(0, 1, knots)).astype(np.int64)
+        if np.unique(places).size < max(knots, 2):
+            raise CalibrationError(f"{times.size} times make no {knots} knots", remedy="ask for fewer knots")
+        return Dependence("spline", at=tuple(int(place) for place in places))
+    if kind == "log" and (t0 is None or t0 >= times.min()):
+        raise CalibrationError(
+            "a logarithm of time needs an origin before its first time", remedy="give t0, or have it fitted"
+        )
+    origin = int(times.min() // 2 + times.max() // 2) if t0 is None else t0
+    return Dependence(kind, origin, per)
+
+
+def equations_of_table(table: xr.Dataset) -> NormalEquations:
+    """Return normal equations that hold what a calibration table says: generalised least squares.
+
+    An interval with values v and covariance C gives the equations ``|C^-1/2 (p - v)|^2``: a residual of
+    unit variance. Values that are NaN or not `determined` (they lean on their prior) are left out with
+    their part of the covariance.
+
+    Parameters
+    ----------
+    table : xarray.Dataset
+        dims interval, parameter(, other): `value`, `covariance` or `sigma`, `start`, `end` (TT2000), and
+        `determined` where known.
+
+    Raises
+    ------
+    CalibrationError
+        When nothing in the table is determined.
+    """
+    value = table["value"].values
+    known = np.isfinite(value) & np.isfinite(table["sigma"].values) & (table["sigma"].values > 0)
+    if "determined" in table:
+        known &= table["determined"].values
+    if not known.any():
+        raise CalibrationError("the table determines no parameter", remedy="use longer intervals")
+    seen = np.where(known, table["sigma"].values, np.nan)
+    # A parameter that no interval knows has an empty column, of any unit.
+    scale = np.array([np.median(one[np.isfinite(one)]) if np.isfinite(one).any() else 1.0 for one in seen.T])
+    centre = np.array(
+        [np.median(one[use]) if use.any() else 0.0 for one, use in zip(value.T, known.T, strict=True)]
+    )
+    grams = np.array(
+        [_gram(value[i], _covariance(table, i), known[i], scale, centre) for i in range(len(value))]
+    )
+    return _as_equations(table, grams, known.sum(axis=1), scale, centre)
+
+
+def _covariance(table: xr.Dataset, index: int) -> Floats:
+    if "covariance" in table:
+        return np.asarray(table["covariance"].values[index])
+    return np.asarray(np.diag(table["sigma"].values[index] ** 2))
+
+
+def _gram(value: Floats, covariance: Floats, known: np.ndarray, scale: Floats, centre: Floats) -> Floats:
+    use = np.flatnonzero(known)
+    gram = np.zeros((scale.size + 1, scale.size + 1))
+    if use.size == 0:
+        return gram
+    unit = scale[use]
+    information = np.linalg.inv(covariance[np.ix_(use, use)] / np.outer(unit, unit))
+    away = (value[use] - centre[use]) / unit
+    gram[np.ix_(use, use)] = information
+    gram[use, -1] = gram[-1, use] = -information @ away
+    gram[-1, -1] = away @ information @ away
+    return gram
+
+
+def _as_equations(
+    table: xr.Dataset, grams: Floats, count: Floats, scale: Floats, centre: Floats
+) -> NormalEquations:
+    names = [*(str(name) for name in table["parameter"].values), RESIDUAL]
+    # The stated covariances say how far scores scatter within an interval: variance one.
+    scatter = grams.copy()
+    scatter[:, -1, :] = scatter[:, :, -1] = 0.0
+    row = ("block", "column", "other")
+    reference = np.broadcast_to(np.append(centre, 0.0), (len(grams), centre.size + 1))
+    kept = {name: table.attrs.get(name, "") for name in ("comparison", "model")}
+    dataset = xr.Dataset(
+        {
+            "gram": (row, grams, {"units": "1"}),
+            "scatter": (row, scatter, {"units": "1"}),
+            "reference": (("block", "column"), reference),
+            "start": ("block", np.asarray(table["start"].values, dtype=np.int64)),
+            "end": ("block", np.asarray(table["end"].values, dtype=np.int64)),
+            "count": ("block", count.astype(np.float64)),
+            "scale": ("column", np.append(scale, 1.0)),
+        },
+        coords={"column": names, "other": names},
+        attrs={**kept, "filter": "table"},
+    )
+    return NormalEquations(dataset.isel(block=np.flatnonzero(count > 0)))
+
+
+def own_wish(equations: NormalEquations, value: Floats, prior_sigma: Floats) -> Floats:
+    """Return how far each block lies from given parameters: by how much its own fit would lower its sum.
+
+    Parameters
+    ----------
+    value : ndarray, shape (block, column)
+        Physical units.
+    prior_sigma : ndarray, shape (column,)
+        Directions that a block does not know better than this are no wish of its own.
+
+    Returns
+    -------
+    ndarray, shape (block,)
+        Square root of the drop of the sum of squares.
+    """
+    data = equations.dataset
+    scale, gram = data["scale"].values[:-1], data["gram"].values
+    change = (value - data["reference"].values[:, :-1]) / scale
+    matrix = gram[:, :-1, :-1]
+    scores = gram[:, :-1, -1] + np.matmul(matrix, change[:, :, None])[:, :, 0]
+    own = gram[:, -1, -1] / np.maximum(data["count"].values, 1.0)
+    variance = max(float(np.median(own)), 1e-30)
+    with np.errstate(divide="ignore"):
+        held = np.where(prior_sigma > 0, variance * (scale / prior_sigma) ** 2, np.inf)
+    free = np.flatnonzero(np.isfinite(held))
+    out = np.empty(len(scores))
+    # Some blocks at a time: a matrix of each of three thousand days would fill the memory.
+    for first in range(0, len(scores), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        steadied = matrix[part][:, free[:, None], free] + np.diag(held[free])
+        score = scores[part][:, free]
+        wish = np.linalg.solve(steadied, score[:, :, None])[:, :, 0]
+        out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", wish, score), 0.0))
+    return out
+
+
+def outlier_weights(distance: Floats) -> Floats:
+    """Return a weight a block, 0 to 1, from distances (block,): only far ones lose their say.
+
+    The scale is the spread of the distances themselves, so that what wanders from day to day is no outlier.
+    """
+    if distance.size < _FEWEST:
+        return np.ones_like(distance)
+    centre = float(np.median(distance))
+    spread = robust_sigma(distance - centre)
+    # Distances of few dimensions scatter by at least a part of their size.
+    z = (distance - centre) / max(spread, 0.1 * centre, 1e-300)
+    return np.asarray(np.clip((_LOST - z) / (_LOST - _FAR), 0.0, 1.0))
+
+
+def values_at(trends: Mapping[str, Dependence], coefficients: Mapping[str, Floats], times: Int64) -> Floats:
+    """Return the parameters that trends give at times; (time, parameter)."""
+    return np.stack([trends[name].basis(times, name) @ coefficients[name] for name in trends], axis=1)
+
+
+def check_names(equations: NormalEquations, names: Sequence[str]) -> None:
+    """Refuse trends of parameters that the equations do not hold.
+
+    Raises
+    ------
+    CalibrationError
+    """
+    if stray := [name for name in names if name not in equations.columns]:
+        raise CalibrationError(
+            f"no parameter {stray[0]!r} among {', '.join(equations.columns)}", remedy="name one of these"
+        )
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Functions of time of every parameter, orthonormal over the blocks, and how to return from them.
+
+    Attributes
+    ----------
+    functions : mapping of str to ndarray, shape (block, function)
+        Of parameters that are expanded: not of constants.
+    back : ndarray, shape (coefficient, expanded column)
+        Coefficients of the trends from those of the orthonormal functions.
+    bases : list of ndarray, shape (block, coefficient)
+        Trends at the middles of the blocks.
+    unit : ndarray, shape (coefficient, parameter)
+        Coefficients of a trend that is 1 at all times, for parameters that are expanded.
+    """
+
+    trends: dict[str, Dependence]
+    columns: tuple[str, ...]
+    functions: dict[str, Floats]
+    back: Floats
+    bases: list[Floats]
+    unit: Floats
+
+    @classmethod
+    def of(cls, times: Int64, trends: dict[str, Dependence]) -> Expansion:
+        """Make the functions of all parameters for blocks with these middles (block,), TT2000."""
+        columns, functions, parts, bases, units = [], {}, [], [], []
+        for name, trend in trends.items():
+            basis = trend.basis(times, name)
+            columns += [f"{name}{suffix}" for suffix in trend.suffixes]
+            bases.append(basis)
+            if trend.count == 1:
+                parts.append(np.eye(1))
+                units.append(np.zeros(1))
+                continue
+            inverse = _orthonormal(basis, name)
+            functions[name] = basis @ inverse
+            parts.append(inverse)
+            units.append(np.ones(trend.count) if trend.at else np.eye(trend.count)[0])
+        return cls(trends, tuple(columns), functions, _block_diagonal(parts), bases, _stacked(units))
+
+    @property
+    def functions_each(self) -> float:
+        """Functions of time of each parameter, on average."""
+        return len(self.columns) / max(len(self.trends), 1)
+
+    @property
+    def owners(self) -> npt.NDArray[np.int64]:
+        """Which parameter each function belongs to; (function,)."""
+        return np.repeat(np.arange(len(self.bases)), [basis.shape[1] for basis in self.bases])
+
+    @property
+    def values(self) -> Floats:
+        """The functions at the blocks, constants 1; (block, function)."""
+        pairs = zip(self.trends, self.bases, strict=True)
+        return np.concatenate([self.functions.get(name, basis) for name, basis in pairs], axis=1)
+
+    def parameters(self, coefficients: Floats) -> Floats:
+        """Return what coefficients of the functions (function,) make of parameters; (block, parameter)."""
+        ends = np.cumsum([basis.shape[1] for basis in self.bases])
+        whole = self.values * coefficients
+        return np.asarray(np.add.reduceat(whole, np.append(0, ends[:-1]), axis=1))
+
+
+def _orthonormal(basis: Floats, name: str) -> Floats:
+    """Return what makes the columns of a basis (block, function) orthogonal with unit rms."""
+    size = np.sqrt(np.mean(basis**2, axis=0))
+    triangle = np.linalg.qr(basis / size, mode="r")
+    own = np.abs(np.diag(triangle))
+    if len(basis) < basis.shape[1] or own.min() < 1e-9 * own.max():
+        raise CalibrationError(
+            f"{len(basis)} blocks do not tell the {basis.shape[1]} coefficients of the trend of '{name}'",
+            remedy="use a simpler trend, or a longer span",
+        )
+    return np.asarray(np.linalg.inv(triangle) * np.sqrt(len(basis)) / size[:, None])
+
+
+def _block_diagonal(parts: list[Floats]) -> Floats:
+    out = np.zeros((sum(part.shape[0] for part in parts),) * 2)
+    at = 0
+    for part in parts:
+        out[at : at + len(part), at : at + len(part)] = part
+        at += len(part)
+    return out
+
+
+def _stacked(units: list[Floats]) -> Floats:
+    out = np.zeros((sum(unit.size for unit in units), len(units)))
+    at = 0
+    for index, unit in enumerate(units):
+        out[at : at + unit.size, index] = unit
+        at += unit.size
+    return out
+
+
+#: Turns of weights and fit.
+_TURNS = 4
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Origin of a logarithm of time, fitted; days are MJD of 2000-01-01 (UTC).
+
+    Attributes
+    ----------
+    mjd, sigma : float
+        Best value and its standard deviation (Gauss-Newton, between blocks).
+    low, high : float
+        95 % interval of the profile; minus infinity where a straight line would do as well.
+    determined : bool
+        False when the interval has no lower end: then the trend keeps the origin it was given.
+    shared : ndarray, shape (column,)
+        Covariance of the origin with the coefficients.
+    """
+
+    mjd: float
+    sigma: float
+    low: float
+    high: float
+    determined: bool
+    shared: Floats
+
+    def told(self) -> str:
+        """Say it in a sentence."""
+        if not self.determined:
+            return "the origin of the logarithm is NOT DETERMINED: its interval has no lower end"
+        return f"origin MJD {self.mjd:.2f} +- {self.sigma:.2g} (95 %: {self.low:.2f} to {self.high:.2f})"
+
+
+@dataclass(frozen=True)
+class TrendFit:
+    """Trends of some parameters, fitted together with all others held constant.
+
+    Attributes
+    ----------
+    trends : mapping of str to Dependence
+        For every parameter of the equations, how it depends on time; constant unless asked for.
+    columns : tuple of str
+        Coefficients, parameter by parameter: ``parameter``, ``parameter*b``, ...
+    value, covariance : ndarray, shape (column,), (column, column)
+        Physical units; the covariance is the sandwich of the blocks' scores with their correlation in time.
+    determined : ndarray of bool, shape (column,)
+        The data tell it from all others.
+    weight : ndarray, shape (block,)
+        1, less for outlying blocks.
+    rms : float
+        Weighted rms residual: nT, or stated sigmas for a table.
+    blocks : int
+        Number of blocks.
+    span : tuple of int
+        TT2000, half-open.
+    units : mapping of str to str
+        Unit of each parameter.
+    origin : Origin, optional
+        Present when the origin was fitted.
+    """
+
+    trends: dict[str, Dependence]
+    columns: tuple[str, ...]
+    value: Floats
+    covariance: Floats
+    determined: np.ndarray
+    weight: Floats
+    rms: float
+    blocks: int
+    span: tuple[int, int]
+    units: dict[str, str]
+    origin: Origin | None = None
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations of the coefficients; (column,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def place(self, parameter: str) -> slice:
+        """Return where a parameter's coefficients stand among the columns."""
+        begin = 0
+        for name, trend in self.trends.items():
+            if name == parameter:
+                return slice(begin, begin + trend.count)
+            begin += trend.count
+        raise CalibrationError(f"no parameter {parameter!r}", remedy=f"one of {', '.join(self.trends)}")
+
+    def at(self, times: Int64) -> tuple[Floats, Floats]:
+        """Return values and standard deviations at TT2000 times; (time, parameter) each, physical units."""
+        covariance = self.whole_covariance
+        variance = []
+        for name in self.trends:
+            slope = self.slopes(times, [name])[:, 0]
+            own = np.append(
+                np.arange(self.value.size)[self.place(name)], np.arange(self.value.size, len(covariance))
+            )
+            part = slope[:, own]
+            variance.append(np.einsum("ti,ti->t", part @ covariance[np.ix_(own, own)], part))
+        return self.values(times), np.sqrt(np.maximum(np.stack(variance, axis=1), 0.0))
+
+    def values(self, times: Int64) -> Floats:
+        """Return the parameters at TT2000 times; (time, parameter), physical units."""
+        places = [(trend.basis(times, name), self.place(name)) for name, trend in self.trends.items()]
+        return np.stack([basis @ self.value[place] for basis, place in places], axis=1)
+
+    @property
+    def whole_covariance(self) -> Floats:
+        """Covariance of the coefficients, and of the origin (days) behind them where it was fitted."""
+        found = self.origin
+        if found is None or not found.determined:
+            return self.covariance
+        edge = found.shared[:, None]
+        return np.block([[self.covariance, edge], [edge.T, np.array([[found.sigma**2]])]])
+
+    def slopes(self, times: Int64, names: Sequence[str] | None = None) -> Floats:
+        """Return what parameters change by for one unit of each unknown of `whole_covariance`.
+
+        d/dt0 of ``b ln((t - t0)/per)`` is ``-b / (t - t0)``.
+
+        Parameters
+        ----------
+        times : ndarray of int64, shape (time,)
+            TT2000.
+        names : sequence of str, optional
+            Parameters; all when absent.
+
+        Returns
+        -------
+        ndarray, shape (time, parameter, unknown)
+        """
+        chosen = list(self.trends) if names is None else names
+        unknowns = len(self.whole_covariance)
+        out = np.zeros((times.size, len(chosen), unknowns))
+        for index, name in enumerate(chosen):
+            place, trend = self.place(name), self.trends[name]
+            out[:, index, place] = trend.basis(times, name)
+            if trend.time == "log" and unknowns > self.value.size:
+                out[:, index, -1] = self.by_origin(name, times)
+        return out
+
+    def by_origin(self, name: str, times: Int64) -> Floats:
+        """Return the change of a parameter that follows a logarithm for one day of its origin; (time,)."""
+        trend = self.trends[name]
+        return np.asarray(-self.value[self.place(name)][1] / (mjd_of(times) - float(mjd_of(trend.t0))))
+
+    def table(self) -> xr.Dataset:
+        """Return the coefficients: dims parameter (one a coefficient), other; valid from `start` to `end`.
+
+        The attributes hold the origin where it was fitted.
+        """
+        units = [self.units.get(column.split("*")[0], "") for column in self.columns]
+        found = self.origin
+        attributes = {} if found is None else {"origin": found.told(), "origin_mjd": found.mjd}
+        return xr.Dataset(
+            {
+                "value": ("parameter", self.value),
+                "sigma": ("parameter", self.sigma),
+                "covariance": (("parameter", "other"), self.covariance),
+                "determined": ("parameter", self.determined),
+                "units": ("parameter", np.array(units, dtype="U16")),
+                "time": ("parameter", np.array([self._time_of(column) for column in self.columns])),
+                "start": ((), np.int64(self.span[0]), {"scale": "TT2000"}),
+                "end": ((), np.int64(self.span[1]), {"scale": "TT2000"}),
+            },
+            coords={"parameter": list(self.columns), "other": list(self.columns)},
+            attrs={**attributes, "rms": self.rms, "blocks": self.blocks},
+        )
+
+    def _time_of(self, column: str) -> str:
+        return self.trends[column.split("*", maxsplit=1)[0]].time
+
+    def as_timed(self, key: str, parameter: Parameter, *, free: bool = False) -> TimedValue:
+        """Return a parameter of a model, ready for its YAML (`TimedValue.as_yaml`).
+
+        Parameters
+        ----------
+        key : str
+            ``effect.parameter``, such as ``vector_sensor.scale_factor``; all its components have one trend.
+        parameter : Parameter
+            What the effect says of it.
+        free : bool
+            Whether later fits may move it.
+
+        Raises
+        ------
+        CalibrationError
+            When components follow different trends.
+        """
+        names = component_names(key, parameter)
+        first = self.trends[names[0]] if names[0] in self.trends else Dependence()
+        if any(self.trends.get(name) != first for name in names):
+            raise CalibrationError(f"components of '{key}' follow different trends", remedy="fit one for all")
+        places = [self.place(name) for name in names]
+        return TimedValue(
+            parameter,
+            first.time,
+            np.array([self.value[place] for place in places]),
+            np.array([self.sigma[place] for place in places]),
+            free=free,
+            t0=first.t0,
+            per=first.per,
+            key=key,
+            moments=first.at,
+            interpolation=first.interpolation,
+        )
+
+
+def fit_trends(
+    equations: NormalEquations,
+    trends: Mapping[str, Dependence],
+    prior_sigma: Floats,
+    weight: Floats | None = None,
+    units: Mapping[str, str] | None = None,
+) -> TrendFit:
+    """Fit trends to the summed equations of all blocks.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        Of days, or of a table (`inflight.mission_fit.trends.equations_of_table`).
+    trends : mapping of str to Dependence
+        Parameters that depend on time; the others are constant over the span.
+    prior_sigma : ndarray, shape (column,)
+        What is known beforehand of each parameter around its reference, physical units; every function of
+        time may move it by as much. 0 fixes a parameter.
+    weight : ndarray, shape (block,), optional
+        Weights; from the blocks themselves when absent: blocks that want parameters far from the
+        trend's, as measured by all blocks' own scatter, lose their say.
+
+    Raises
+    ------
+    CalibrationError
+        When there are fewer blocks than coefficients of a trend, or a name is unknown.
+    """
+    check_names(equations, list(trends))
+    every = {name: trends.get(name, Dependence()) for name in equations.columns}
+    # A trend's origin or knots lie anywhere; blocks at one reference make it one linear problem.
+    common = at_one_reference(equations)
+    expansion = Expansion.of(middles(common), every)
+    turns = 1 if weight is not None else _TURNS
+    held = np.ones(len(common)) if weight is None else weight
+    for turn in range(turns):
+        found = _solve(common, held, expansion, prior_sigma, sure=turn == turns - 1)
+        if turn < turns - 1:
+            held = outlier_weights(own_wish(common, found.parameters(expansion), prior_sigma))
+    start, end = (int(common.dataset[name].values[i]) for name, i in (("start", 0), ("end", -1)))
+    return TrendFit(
+        every,
+        expansion.columns,
+        found.value,
+        found.covariance,
+        found.determined,
+        held,
+        found.rms,
+        len(common),
+        (start, end),
+        dict(units or {}),
+    )
+
+
+@dataclass(frozen=True)
+class Solved:
+    """One weighted fit, in coefficients of the trends; see `TrendFit`."""
+
+    value: Floats
+    covariance: Floats
+    determined: np.ndarray
+    rms: float
+    total: float
+
+    def parameters(self, expansion: Expansion) -> Floats:
+        """Return the parameters at the blocks; (block, parameter)."""
+        out, at = [], 0
+        for basis in expansion.bases:
+            out.append(basis @ self.value[at : at + basis.shape[1]])
+            at += basis.shape[1]
+        return np.stack(out, axis=1)
+
+
+def _solve(
+    equations: NormalEquations, weight: Floats, expansion: Expansion, prior_sigma: Floats, sure: bool
+) -> Solved:
+    """Fit the functions; without a covariance, which takes longest, unless asked to be `sure`."""
+    data, owners, values = equations.dataset, expansion.owners, expansion.values
+    scale = data["scale"].values[:-1][owners]
+    sigma = prior_sigma[owners] / scale
+    sums = BlockSums(data["gram"].values, weight)
+    total = sums.expanded(values, owners)
+    within = BlockSums(data["scatter"].values, weight**2).expanded(values, owners)[:-1, :-1]
+    count = float((data["count"].values * weight).sum())
+    nothing = np.zeros_like(sigma)
+    solution = solve(total, within, count, nothing, sigma)
+    if len(equations) > 1:
+        scores = sums.scores(values, owners, expansion.parameters(solution.value))
+        between = scores.T @ scores * len(equations) / (len(equations) - 1)
+        scatter = larger_scatter(total[:-1, :-1], within, between, sigma)
+        solution = solve(total, scatter, count, nothing, sigma)
+    covariance = np.zeros((scale.size, scale.size))
+    if sure:
+        scores = sums.scores(values, owners, expansion.parameters(solution.value))
+        matrix, functions = total[:-1, :-1] / solution.variance, expansion.functions_each
+        covariance = sandwich(scores, matrix, solution.variance, sigma, functions)
+    covariance *= np.outer(scale, scale)
+    # A function of time counts from 0, a constant from the reference.
+    still = np.array([trend.count == 1 for trend in expansion.trends.values()])[owners]
+    value = np.where(still, equations.reference[owners], 0.0) + solution.value * scale
+    back = expansion.back
+    left = residual_sum(total, solution.value)
+    return Solved(
+        back @ value + expansion.unit @ equations.reference,
+        back @ covariance @ back.T,
+        _determined(expansion, solution.determined),
+        float(np.sqrt(left / max(count, 1.0))),
+        left,
+    )
+
+
+def _determined(expansion: Expansion, of_functions: np.ndarray) -> np.ndarray:
+    """Return which coefficients are determined: all those of a trend whose every function is."""
+    out, at = np.empty(of_functions.size, dtype=bool), 0
+    for basis in expansion.bases:
+        out[at : at + basis.shape[1]] = of_functions[at : at + basis.shape[1]].all()
+        at += basis.shape[1]
+    return out
+
+
+def sandwich(
+    scores: Floats, matrix: Floats, variance: float, prior_sigma: Floats, functions: float = 1.0
+) -> Floats:
+    """Return the covariance of a fit from the scatter of its blocks' scores, correlated in time.
+
+    Parameters
+    ----------
+    scores : ndarray, shape (block, column)
+        At the fit, scaled.
+    matrix : ndarray, shape (column, column)
+        Information of all blocks together.
+    variance : float
+        Residual variance.
+    prior_sigma : ndarray, shape (column,)
+        Scaled; 0 for what is fixed.
+    functions : float
+        Functions of time of each parameter, on average.
+    """
+    free = np.flatnonzero(prior_sigma > 0)
+    grid, unit = np.ix_(free, free), prior_sigma[free]
+    # In units of the prior's sigma: the columns differ by many orders.
+    bread = np.linalg.inv(matrix[grid] * np.outer(unit, unit) + np.eye(free.size))
+    influence = (scores[:, free] * unit / variance) @ bread
+    spread = long_run_covariance(influence, functions) + bread @ bread
+    # Fewer blocks than parameters leave scores that are too small: never surer than white residuals are.
+    lift = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(spread), 1e-300), 1.0))
+    spread *= np.outer(lift, lift)
+    out = np.zeros_like(matrix)
+    out[grid] = spread * np.outer(unit, unit)
+    return np.asarray(out)
+
+
+def with_origin(fit: TrendFit, origin: Origin) -> TrendFit:
+    """Return a fit that tells the origin of its logarithm."""
+    return replace(fit, origin=origin)

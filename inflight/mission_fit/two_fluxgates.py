@@ -1,0 +1,328 @@
+"""Two vector sensors and a scalar one: how the two stand to each other, and which of the three disagrees.
+
+Along the field direction b three residuals are left by three sensors: ``main = b.f1 - s``,
+``second = b.f2 - s`` and ``between = f1 - f2``, with f1, f2 the errors at the vector sensors and s that
+of the scalar one. So ``main - second = b.between`` always; what `between` adds are the two components
+across the field, which no scalar sensor sees: the rotation of one sensor against the other among them.
+
+An error of the scalar sensor is in `main` and `second` alike and never in `between`; a field at one
+vector sensor only is in one of the first two and in `between`. When errors of different sensors are
+unrelated their variances follow from the three pairs (the three-cornered hat, Gray and Allan 1974):
+``var(s) = cov(main, second)``, ``var(f1) = var(main) - var(s)``, ``var(f2) = var(second) - var(s)``.
+A field that is the same at both vector sensors looks like one of the scalar sensor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.linalg import polar
+from scipy.spatial.transform import Rotation
+
+from inflight.arrays import Floats
+from inflight.errors import CalibrationError
+from inflight.lsq.robust import robust_sigma
+from inflight.lsq.solver import FEWEST_CLUSTERS, ClusteredFit, grams_by_cluster, solve_clusters
+from inflight.time import SECOND, Int64
+
+#: Two orbits: clusters of samples whose errors belong together.
+CLUSTER_S = 10_800.0
+
+#: Samples this many robust sigmas off are left out.
+_FAR = 6.0
+
+_TURNS = 4
+
+#: Field strength that makes columns of like size, nT.
+_STRENGTH = 3e4
+
+_AXES = ("x", "y", "z")
+
+_STRETCH = ("xx", "yy", "zz", "xy", "xz", "yz")
+
+NAMES = (
+    *(f"rotation[{axis}]" for axis in _AXES),
+    *(f"stretch[{pair}]" for pair in _STRETCH),
+    *(f"shift[{axis}]" for axis in _AXES),
+)
+
+_UNITS = ("deg",) * 3 + ("1",) * 6 + ("nT",) * 3
+
+_SCALE = np.concatenate([np.full(3, np.rad2deg(1.0 / _STRENGTH)), np.full(6, 1.0 / _STRENGTH), np.ones(3)])
+
+
+@dataclass(frozen=True)
+class Relation:
+    """How two vector sensors stand to each other: ``first = (1 + stretch) rotation second + shift``.
+
+    Attributes
+    ----------
+    fit : ClusteredFit
+        Of ``first - second``, to first order in rotation and stretch; scaled, in the order of `table`.
+    rms : float
+        What is left, nT a component.
+    """
+
+    fit: ClusteredFit
+    rms: float
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `covariance`, `units` along parameter.
+
+        `rotation` (deg) is by how much the second sensor is turned against its stated orientation,
+        when the first one is not; `stretch` (1) the symmetric rest, `shift` in nT.
+        """
+        covariance = self.fit.covariance * np.outer(_SCALE, _SCALE)
+        return xr.Dataset(
+            {
+                "value": ("parameter", self._exact()),
+                "sigma": ("parameter", self.fit.sigma * _SCALE),
+                "covariance": (("parameter", "other"), covariance),
+                "units": ("parameter", np.array(_UNITS, dtype="U8")),
+            },
+            coords={"parameter": list(NAMES), "other": list(NAMES)},
+            attrs={"rms_nT": self.rms, "clusters": self.fit.clusters, "rows": self.fit.rows},
+        )
+
+    def _exact(self) -> Floats:
+        """Return the values with the matrix taken apart exactly: half a milliradian squared is seen."""
+        matrix = np.eye(3) + _columns(np.eye(3) * _STRENGTH)[:, :, :9] @ self.fit.value[:9] / _STRENGTH
+        # Row k of the product above is what the matrix makes of the k-th axis: its column.
+        turn, stretch = polar(matrix.T, side="left")
+        angles = Rotation.from_matrix(turn).as_rotvec(degrees=True)
+        more = (stretch - np.eye(3))[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        return np.concatenate([angles, more, self.fit.value[9:]])
+
+
+def relate(
+    first: Floats,
+    second: Floats,
+    stamps: Int64,
+    good: npt.NDArray[np.bool_] | None = None,
+    cluster_s: float = CLUSTER_S,
+) -> Relation:
+    """Fit what turns, stretches and shifts one vector sensor's field against another's.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (time, 3)
+        Corrected fields, spacecraft axes by the stated orientations, nT; NaN where missing.
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    good : ndarray of bool, shape (time,), optional
+        Samples to use; those far off are left out in any case.
+    cluster_s : float
+        Length of the spans whose scatter gives the uncertainty, s.
+
+    Returns
+    -------
+    Relation
+
+    Raises
+    ------
+    CalibrationError
+        When the samples fill fewer than five clusters, or the field does not turn enough.
+    """
+    parts = relation_grams(first, second, stamps, good, cluster_s)
+    return relation_of(*parts)
+
+
+def relation_grams(
+    first: Floats,
+    second: Floats,
+    stamps: Int64,
+    good: npt.NDArray[np.bool_] | None = None,
+    cluster_s: float = CLUSTER_S,
+) -> tuple[Floats, Floats]:
+    """Return what a stretch of samples says of a relation, samples far off left out; parameters as `relate`.
+
+    Returns
+    -------
+    gram : ndarray, shape (cluster, 13, 13)
+        Of [twelve columns | difference], nT^2; those of several stretches stand one after the other.
+    rows : ndarray, shape (cluster,)
+    """
+    use = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
+    use &= True if good is None else good
+    difference, columns = first - second, _columns(second)
+    cluster = _cluster(stamps, cluster_s)
+    for _ in range(_TURNS):
+        gram, rows = _grams(columns[use], difference[use], cluster[use])
+        fit = solve_clusters(gram, rows)
+        left = difference - columns @ fit.value
+        size = np.array([robust_sigma(one, floor=1e-9) for one in left[use].T])
+        near = use & (np.abs(left) <= _FAR * size).all(axis=1)
+        if np.array_equal(near, use):
+            break
+        use = near
+    return _grams(columns[use], difference[use], cluster[use])
+
+
+def relation_of(gram: Floats, rows: Floats) -> Relation:
+    """Return the relation that clusters tell together; as `relation_grams` makes them.
+
+    Raises
+    ------
+    CalibrationError
+        When there are fewer than five clusters, or the field does not turn enough.
+    """
+    fit = solve_clusters(gram, rows)
+    answer = np.append(-fit.value, 1.0)
+    square = float(answer @ gram.sum(axis=0) @ answer)
+    return Relation(fit, float(np.sqrt(max(square, 0.0) / rows.sum())))
+
+
+def _columns(field: Floats) -> Floats:
+    """Return what each of the twelve numbers does to the difference; (time, 3, 12), scaled."""
+    x, y, z = field.T / _STRENGTH
+    out = np.zeros((len(field), 3, len(NAMES)))
+    # rotation x B
+    out[:, 1, 0], out[:, 2, 0] = -z, y
+    out[:, 0, 1], out[:, 2, 1] = z, -x
+    out[:, 0, 2], out[:, 1, 2] = -y, x
+    for place, (row, column) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), start=3):
+        out[:, row, place] = (x, y, z)[column]
+        out[:, column, place] = (x, y, z)[row]
+    out[:, range(3), range(9, 12)] = 1.0
+    return out
+
+
+def _grams(columns: Floats, difference: Floats, cluster: Int64) -> tuple[Floats, Floats]:
+    wide = columns.reshape(-1, len(NAMES))
+    weight = np.ones(len(wide))
+    return grams_by_cluster(wide, difference.reshape(-1), weight, np.repeat(cluster, 3))
+
+
+def _cluster(stamps: Int64, cluster_s: float) -> Int64:
+    return np.asarray(stamps // round(cluster_s * SECOND), dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Corners:
+    """The part of each of three sensors in what they disagree about; nT^2, means over `mean_s`.
+
+    Attributes
+    ----------
+    value, sigma : ndarray, shape (3,)
+        Variances of the first vector sensor, the second, and the scalar one; an estimate may be negative.
+    covariance : ndarray, shape (3, 3)
+    closure : float
+        Rms of ``main - second - b.between``, nT: 0 but for rounding when all three are of the same
+        samples and values; NaN when `between` was not given.
+    mean_s : float
+    clusters : int
+    """
+
+    value: Floats
+    covariance: Floats
+    closure: float
+    mean_s: float
+    clusters: int
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations of the variances; (3,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `covariance`, `units` along sensor: first, second, scalar."""
+        names = ["first", "second", "scalar"]
+        return xr.Dataset(
+            {
+                "value": ("sensor", self.value),
+                "sigma": ("sensor", self.sigma),
+                "covariance": (("sensor", "other"), self.covariance),
+                "units": ("sensor", np.array(["nT2"] * 3)),
+            },
+            coords={"sensor": names, "other": names},
+            attrs={"closure_nT": self.closure, "mean_s": self.mean_s, "clusters": self.clusters},
+        )
+
+
+def corners(
+    main: Floats,
+    second: Floats,
+    stamps: Int64,
+    along: Floats | None = None,
+    mean_s: float = 60.0,
+    cluster_s: float = CLUSTER_S,
+) -> Corners:
+    """Tell which of three sensors a disagreement belongs to.
+
+    Parameters
+    ----------
+    main, second : ndarray, shape (time,)
+        Residuals of both vector sensors against the scalar one, nT; NaN where missing.
+    stamps : ndarray of int64, shape (time,)
+        TT2000.
+    along : ndarray, shape (time,), optional
+        ``b.between``: the two vector sensors' difference along the field, nT, for the closure.
+    mean_s : float
+        The residuals are averaged over so many seconds first: white noise hides what lasts longer.
+    cluster_s : float
+        Length of the spans left out one after the other for the uncertainty, s.
+
+    Raises
+    ------
+    CalibrationError
+        When the samples fill fewer than five clusters.
+    """
+    closure = np.nan
+    if along is not None:
+        use = np.isfinite(main) & np.isfinite(second)
+        closure = float(np.sqrt(np.nanmean((main - second - along)[use] ** 2)))
+    return corners_of(corner_moments(main, second, stamps, mean_s, cluster_s), mean_s, closure)
+
+
+def corner_moments(
+    main: Floats, second: Floats, stamps: Int64, mean_s: float = 60.0, cluster_s: float = CLUSTER_S
+) -> Floats:
+    """Return what a stretch of samples says of the three corners; parameters as `corners`.
+
+    Returns
+    -------
+    ndarray, shape (cluster, 6)
+        Number of means, their sums (main, second), and those of main^2, main second and second^2.
+    """
+    use = np.isfinite(main) & np.isfinite(second)
+    if not use.any():
+        return np.zeros((0, 6))
+    bins, index = np.unique(_cluster(stamps[use], mean_s), return_inverse=True)
+    count = np.bincount(index)
+    a, b = (np.bincount(index, one[use]) / count for one in (main, second))
+    _, which = np.unique(bins * round(mean_s * SECOND) // round(cluster_s * SECOND), return_inverse=True)
+    return np.stack([np.bincount(which, one) for one in (np.ones(a.size), a, b, a * a, a * b, b * b)], axis=1)
+
+
+def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -> Corners:
+    """Return the corners that clusters tell together; as `corner_moments` makes them.
+
+    Raises
+    ------
+    CalibrationError
+        When there are fewer than five clusters.
+    """
+    total = len(moments)
+    if total < FEWEST_CLUSTERS:
+        raise CalibrationError(
+            f"{total} clusters with data found, at least {FEWEST_CLUSTERS} needed for an uncertainty",
+            remedy="take a longer span or shorter clusters",
+        )
+    whole = moments.sum(axis=0)
+    left = _parts(whole - moments)
+    spread = left - left.mean(axis=0)
+    covariance = (total - 1) / total * spread.T @ spread
+    return Corners(_parts(whole), covariance, closure, mean_s, total)
+
+
+def _parts(moments: Floats) -> Floats:
+    """Return the variances of first, second and scalar sensor from sums; (..., 3)."""
+    count, a, b, aa, ab, bb = np.moveaxis(moments, -1, 0)
+    own_main, shared, own_second = (
+        (product - one * other / count) / (count - 1)
+        for product, one, other in ((aa, a, a), (ab, a, b), (bb, b, b))
+    )
+    return np.stack([own_main - shared, own_second - shared, shared], axis=-1)

@@ -1,0 +1,149 @@
+"""A model applied to samples: readings corrected in the model's order, disturbed in the opposite one.
+
+Vector sensors first: their corrected field gives the direction along which a scalar sensor sees the
+fields of the spacecraft. Of two vector sensors each is corrected in its own axes, and the outboard one,
+which is farther from the spacecraft, gives the field that is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.effects.base import with_field
+from inflight.errors import SamplesError
+from inflight.samples.alignment import PlainSamples
+
+if TYPE_CHECKING:
+    from inflight.model.model import ModelEffect
+
+
+Effects = Sequence["ModelEffect"]
+
+#: Roles that read a vector, in the order of correction: the field of the last one present is kept.
+VECTOR_ROLES = ("vector", "inboard", "outboard")
+
+#: What a correction makes of the vector reading.
+_STALE = ["field", "field_direction"]
+
+
+def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
+    """Take the model's effects out of the readings.
+
+    Parameters
+    ----------
+    effects : sequence of ModelEffect
+        In the order of correction.
+    samples : xarray.Dataset
+        Aligned readings; dims time, axis; by role, in nT: `vector` (time, axis) and `scalar` (time),
+        or `inboard` and `outboard` (time, axis).
+
+    Returns
+    -------
+    xarray.Dataset
+        The samples with corrected readings and `field` (time, axis), nT, orthogonal axes of the
+        vector sensor (of two, the outboard one).
+
+    Raises
+    ------
+    SamplesError
+        When a reading is missing.
+    """
+    known = corrected(effects, samples)
+    made = {role: known[role] for role in (*VECTOR_ROLES, "scalar") if role in known}
+    made |= {name: known[name] for name in _STALE if name in known}
+    return samples.drop_vars(_STALE, errors="ignore").assign(made)
+
+
+def corrected(effects: Effects, samples: xr.Dataset | PlainSamples) -> PlainSamples:
+    """Return what `correct` does as plain variables: a Dataset would look at each of them again.
+
+    Parameters and errors are those of `correct`.
+    """
+    known = samples if isinstance(samples, PlainSamples) else PlainSamples.of(samples)
+    times = _times(cast("xr.Dataset", known))
+    # A field of an earlier correction is none of this one's.
+    if any(role in known for role in VECTOR_ROLES):
+        known = known.drop_vars(_STALE)
+    for role in (*VECTOR_ROLES, "scalar"):
+        entries = [entry for entry in effects if entry.sensor.role == role]
+        if role not in known:
+            if entries:
+                raise SamplesError(
+                    f"the samples have no '{role}' reading", remedy="align the comparison's sensors"
+                )
+            continue
+        if role in VECTOR_ROLES:
+            # The other sensor's field is in the other sensor's axes.
+            known = known.drop_vars(_STALE)
+        raw = known[role]
+        reading = np.asarray(raw.values, dtype=np.float64)
+        for entry in entries:
+            reading = entry.effect.correct(
+                reading, cast("xr.Dataset", known), entry.values(times), entry.sensor
+            )
+        known = known.assign({role: (raw.dims, reading, raw.attrs)})
+        if role in VECTOR_ROLES:
+            known = cast("PlainSamples", with_field(cast("xr.Dataset", known), reading))
+    return known
+
+
+def disturb(effects: Effects, samples: xr.Dataset) -> xr.Dataset:
+    """Put the model's effects into true fields: the exact inverse of `correct`.
+
+    Parameters
+    ----------
+    effects : sequence of ModelEffect
+        In the order of correction; they are run backwards.
+    samples : xarray.Dataset
+        True readings by role, nT: `vector` (time, axis) and `scalar` (time), or `inboard` and
+        `outboard` (time, axis).
+
+    Returns
+    -------
+    xarray.Dataset
+        The samples with raw readings; `field` keeps the true field.
+    """
+    out, changed = samples, {}
+    for role in (*VECTOR_ROLES, "scalar"):
+        if role not in samples:
+            continue
+        reading = np.asarray(samples[role].values, dtype=np.float64)
+        if role in VECTOR_ROLES:
+            out = with_field(out, reading)
+        for entry in reversed([entry for entry in effects if entry.sensor.role == role]):
+            reading = entry.effect.disturb(reading, out, entry.values(_times(samples)), entry.sensor)
+        changed[role] = (samples[role].dims, reading, samples[role].attrs)
+    return out.assign(changed)
+
+
+def correction_terms(effects: Effects, samples: xr.Dataset) -> dict[str, Floats]:
+    """Return what each additive effect took out of its sensor's reading.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Corrected samples (they hold `field`).
+
+    Returns
+    -------
+    dict of ndarray
+        ``<effect>`` of a vector sensor: (time, axis) nT, sensor axes; ``<effect>`` of a scalar
+        sensor: (time,) nT, along the field. Subtracting it from the reading is the correction.
+    """
+    terms, times = {}, _times(samples)
+    for entry in effects:
+        if entry.is_additive:
+            count = times.size
+            still = np.zeros(count if entry.sensor.is_scalar else (count, 3))
+            values = entry.values(times)
+            terms[entry.name] = -entry.effect.correct(still, samples, values, entry.sensor)
+    return terms
+
+
+def _times(samples: xr.Dataset) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return np.asarray(samples["tt2000"].values, dtype=np.int64)

@@ -1,0 +1,360 @@
+"""What stands in for a missing channel, so that a day gets its product, and how much that may be wrong.
+
+Where a channel is missing, its typical value (mean over known samples) is taken: the effect is
+corrected as it usually is, and the field is uncertain by what the effect does when the channel deviates
+by its own spread. Where no value of the channel is known, effects made from it are left out, and the
+uncertainty holds their whole size: over the channel's possible range, or NaN where none is stated.
+Samples so treated carry the flag CHANNEL_MISSING, which takes them out of every fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.effects.base import Effect, Values
+from inflight.flags import Flag
+from inflight.mission import Sensor
+from inflight.model.model import Model, ModelEffect
+from inflight.samples.derived import parse, product
+from inflight.time import GAP, SECOND, Int64
+
+Rows = npt.NDArray[np.bool_]
+
+#: Possible values of what geometry tells, in its units.
+GEOMETRY_RANGES: dict[str, tuple[float, float]] = {
+    "latitude": (-90.0, 90.0),
+    "longitude": (-180.0, 180.0),
+    "orbit_phase": (0.0, 360.0),
+    "sun_phase": (0.0, 360.0),
+    "local_time": (0.0, 24.0),
+    "sunlit": (0.0, 1.0),
+}
+
+#: Values of a range that are tried, in the middles of as many equal parts: both ends of a circle are one.
+_PARTS = 8
+
+#: What is tried instead: light and shadow, the Sun on and against each axis.
+_TRIED = {"sunlit": np.array([0.0, 1.0]), "sun_direction": np.concatenate([np.eye(3), -np.eye(3)])}
+
+#: Samples kept beside the missing ones: rates of change are made from neighbours.
+_BESIDE = 8
+
+#: A direction of spread smaller than this part of the largest one is rounding.
+_FLAT = 1e-12
+
+
+@dataclass(frozen=True)
+class Typical:
+    """What a channel usually reads.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (component,)
+        In the channel's unit; one component for a channel of one number a time.
+    modes : ndarray, shape (mode, component)
+        Independent deviations of one sigma: their outer products sum to the covariance.
+    rate : float
+        How fast it changes, rad/s: rms of its rate of change over that of its deviation.
+    source : str
+        Where it was taken from, in words.
+    """
+
+    mean: Floats
+    modes: Floats
+    rate: float
+    source: str
+
+    @classmethod
+    def of(cls, values: Floats, stamps: Int64, source: str) -> Typical | None:
+        """Return it from values, (time,) or (time, component), at TT2000; None with fewer than two."""
+        rows = values.reshape(len(values), -1)
+        there = np.isfinite(rows).all(axis=1)
+        known, seconds = rows[there], stamps[there] / SECOND
+        if len(known) < 2:
+            return None
+        covariance = np.atleast_2d(np.cov(known, rowvar=False, bias=True))
+        own, vectors = np.linalg.eigh(covariance)
+        used = own > _FLAT * max(float(own[-1]), 1e-300)
+        modes = (vectors[:, used] * np.sqrt(own[used])).T
+        steps = np.diff(seconds)
+        near = steps <= GAP * np.median(steps)
+        rates = np.diff(known, axis=0)[near] / steps[near, None]
+        spread = float(np.trace(covariance))
+        rate = float(np.sqrt(np.mean(np.sum(rates**2, axis=1)) / spread)) if spread > 0 else 0.0
+        return cls(np.asarray(known.mean(axis=0)), np.asarray(modes), rate, source)
+
+
+@dataclass(frozen=True)
+class Treated:
+    """What was done for one effect: how many samples, for want of which channels, with what instead."""
+
+    samples: int
+    channels: tuple[str, ...]
+    instead: str
+
+    def __str__(self) -> str:
+        """Return it as part of a sentence."""
+        return f"{self.samples} samples without {', '.join(self.channels)} ({self.instead})"
+
+
+@dataclass(frozen=True)
+class Substituted:
+    """Samples with stand-ins.
+
+    Attributes
+    ----------
+    samples : xarray.Dataset
+        Filled where a typical value is known; every sample without one of its channels is flagged.
+    rows : mapping of str to ndarray of bool, (time,) or (time, component)
+        What was missing, by channel; none of them is all False.
+    typical : mapping of str to Typical
+        By channel, those that have one.
+    ranges : mapping of str to (float, float)
+        Possible values of channels of one number a time.
+    """
+
+    samples: xr.Dataset
+    rows: Mapping[str, Rows]
+    typical: Mapping[str, Typical]
+    ranges: Mapping[str, tuple[float, float]]
+
+    @property
+    def lost(self) -> Rows:
+        """Samples without one of their channels; (time,)."""
+        return np.asarray(np.logical_or.reduce([_any(one) for one in self.rows.values()]))
+
+    def model(self, model: Model) -> Model:
+        """Return a model that leaves effects out where nothing of their channels is known."""
+        unknown = set(self.rows) - set(self.typical)
+        return replace(
+            model,
+            effects=tuple(
+                replace(entry, effect=_LeftOut(entry)) if unknown & _factors(entry, self.samples) else entry
+                for entry in model.effects
+            ),
+        )
+
+    def treated(self, model: Model) -> dict[str, Treated]:
+        """Return what was done, by effect."""
+        out = {}
+        for entry in model.effects:
+            names = sorted(_factors(entry, self.samples) & set(self.rows))
+            if names:
+                rows = np.logical_or.reduce([_any(self.rows[name]) for name in names])
+                instead = {self.typical[name].source if name in self.typical else "" for name in names}
+                told = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
+                out[entry.name] = Treated(int(rows.sum()), tuple(names), told)
+        return out
+
+    def variance(self, model: Model) -> tuple[Floats, Floats]:
+        """Return how uncertain the stand-ins make the fields.
+
+        Channels are taken as independent of each other, components of one channel as they are
+        related. A sample's own error lasts as long as its channel is missing: it does not average out.
+
+        Parameters
+        ----------
+        model : Model
+            With the values that hold.
+
+        Returns
+        -------
+        vector, scalar : ndarray, shape (time, axis) and (time,)
+            nT^2, orthogonal axes of the vector sensor; 0 where no channel is missing, NaN where not
+            even the size of an effect is known.
+        """
+        count = self.samples.sizes["time"]
+        vector, scalar = np.zeros((count, 3)), np.zeros(count)
+        for name, rows in self.rows.items():
+            users = [entry for entry in model.effects if name in _factors(entry, self.samples)]
+            missing, near = _any(rows), _near(_any(rows))
+            part = self.samples.isel(time=near)
+            known = self.model(model)
+            before = _fields(known, part)
+            inside, of_vector = missing[near], any(entry.sensor.role == "vector" for entry in users)
+            changes = [*self._waves(name, part, rows[near]), *self._possible(name, part, rows[near])]
+            weight = 1.0 if name in self.typical else 1.0 / max(len(changes), 1)
+            for changed in changes:
+                after = _fields(known, changed)
+                if of_vector:
+                    vector[missing] += weight * (after[0] - before[0])[inside] ** 2
+                scalar[missing] += weight * (after[1] - before[1])[inside] ** 2
+            if name not in self.typical and not changes:
+                scalar[missing] = np.nan
+                vector[missing] = np.nan if of_vector else vector[missing]
+        return vector, scalar
+
+    def _possible(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+        """Yield samples in which a channel without a typical value has one of its possible ones."""
+        if name in self.typical:
+            return
+        places = _TRIED.get(name, np.empty(0))
+        if not len(places) and name in self.ranges:
+            low, high = self.ranges[name]
+            places = low + (high - low) * (np.arange(_PARTS) + 0.5) / _PARTS
+        for place in places:
+            yield _assigned(part, name, np.where(rows, place, np.asarray(part[name].values)))
+
+    def _waves(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+        """Yield samples in which a channel deviates by each of its modes where it was missing.
+
+        Sine and cosine together are one sigma at every time, and change as fast as the channel does:
+        some effects follow its rate.
+        """
+        if name not in self.typical:
+            return
+        usual, values = self.typical[name], np.asarray(part[name].values, dtype=np.float64)
+        seconds = (part["tt2000"].values - part["tt2000"].values[0]) / SECOND
+        for mode in usual.modes:
+            for wave in (np.cos(usual.rate * seconds), np.sin(usual.rate * seconds)):
+                change = wave[:, None] * mode if values.ndim == 2 else wave * mode[0]
+                yield _assigned(part, name, values + rows * change)
+
+
+def substitute(
+    model: Model,
+    samples: xr.Dataset,
+    typical: Mapping[str, Typical],
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    missing: Mapping[str, Rows] | None = None,
+) -> Substituted | None:
+    """Put typical values in the place of what is missing of a model's channels.
+
+    Parameters
+    ----------
+    model : Model
+        Its effects say which channels count.
+    samples : xarray.Dataset
+        Aligned raw samples.
+    typical : mapping of str to Typical
+        By name in the samples; of a derived channel, that of the series it is made from.
+    ranges : mapping of str to (float, float), optional
+        Possible values of channels, beside `GEOMETRY_RANGES`.
+    missing : mapping of str to ndarray of bool, optional
+        As `missing_rows` returns it; looked for when absent.
+
+    Returns
+    -------
+    Substituted or None
+        None when nothing is missing.
+    """
+    rows = missing_rows(model, samples) if missing is None else missing
+    if not rows:
+        return None
+    out = samples
+    for name in rows:
+        if name in typical:
+            values = np.asarray(samples[name].values, dtype=np.float64)
+            mean = typical[name].mean if values.ndim == 2 else typical[name].mean[0]
+            out = _assigned(out, name, np.where(rows[name], mean, values))
+    flag = samples["flag"].values.copy()
+    flag[np.logical_or.reduce([_any(one) for one in rows.values()])] |= np.uint32(Flag.CHANNEL_MISSING)
+    out = out.assign(flag=("time", flag, samples["flag"].attrs))
+    used = {name: one for name, one in typical.items() if name in rows}
+    possible = {name: _range_of(name) for name in rows} | dict(ranges or {})
+    return Substituted(out, rows, used, {name: pair for name, pair in possible.items() if pair is not None})
+
+
+def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
+    """Return what is missing of each channel the model uses: (time,) or (time, component), by name.
+
+    A channel is not missed where the sensor has no reading that its effect could be taken out of.
+    """
+    users: dict[str, set[str]] = {}
+    for entry in model.effects:
+        for name in _factors(entry, samples):
+            users.setdefault(name, set()).add(entry.sensor.role)
+    found: dict[str, Rows] = {}
+    for name in sorted(users):
+        unknown = ~np.isfinite(np.asarray(samples[name].values, dtype=np.float64))
+        if not unknown.any():
+            continue
+        read = np.logical_or.reduce([_is_read(samples, role) for role in users[name]])
+        lost = unknown & (read if unknown.ndim == 1 else read[:, None])
+        if lost.any():
+            found[name] = lost
+    return found
+
+
+def _is_read(samples: xr.Dataset, role: str) -> Rows:
+    reading = np.asarray(samples[role].values, dtype=np.float64)
+    return np.asarray(np.isfinite(reading if reading.ndim == 1 else reading.sum(axis=1)))
+
+
+class _LeftOut(Effect):
+    """An effect that is not there where one of its channels is unknown."""
+
+    def __init__(self, entry: ModelEffect) -> None:
+        self.name, self.channels = entry.effect.name, entry.effect.channels
+        self._inner, self._adds = entry.effect, entry.is_additive
+
+    @property
+    def is_additive(self) -> bool:
+        return self._adds
+
+    def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        return self._known(samples, self._inner.field(samples, values, sensor), 0.0)
+
+    def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        return self._known(samples, self._inner.correct(reading, samples, values, sensor), reading)
+
+    def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
+        return self._known(samples, self._inner.disturb(reading, samples, values, sensor), reading)
+
+    def _known(self, samples: xr.Dataset, made: Floats, otherwise: Floats | float) -> Floats:
+        lost = np.logical_or.reduce(
+            [_any(~np.isfinite(samples[name].values)) for name in self.channels if name in samples]
+        )
+        return np.where(lost[:, None] if made.ndim == 2 else lost, otherwise, made)
+
+
+def _factors(entry: ModelEffect, samples: xr.Dataset) -> set[str]:
+    """Return the series in the samples that an effect's channels are, or are products of."""
+    found: set[str] = set()
+    for name in entry.effect.channels:
+        parts = _parts(name, samples)
+        found |= set(parts) if parts else {name} & set(map(str, samples.data_vars))
+    return found
+
+
+def _parts(name: str, samples: xr.Dataset) -> Sequence[str]:
+    """Return the factors of a product of series that are in the samples; none of anything else."""
+    parts = [part.name for part in parse(name).parts] if "*" in name else []
+    return parts if all(part in samples for part in parts) else []
+
+
+def _assigned(samples: xr.Dataset, name: str, values: Floats) -> xr.Dataset:
+    """Return samples with other values of a series, and with the products it is a factor of."""
+    out = samples.assign({name: samples[name].copy(data=values)})
+    for whole in map(str, samples.data_vars):
+        parts = _parts(whole, samples)
+        if name in parts:
+            made = product([np.asarray(out[part].values, dtype=np.float64) for part in parts])
+            out[whole] = samples[whole].copy(data=made)
+    return out
+
+
+def _fields(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats]:
+    corrected = model.corrected(samples)
+    return np.asarray(corrected["field"].values), np.asarray(corrected["scalar"].values)
+
+
+def _any(rows: Rows) -> Rows:
+    return rows if rows.ndim == 1 else np.asarray(rows.any(axis=1))
+
+
+def _near(rows: Rows) -> Rows:
+    """Return the rows and some beside each."""
+    return np.asarray(np.convolve(rows, np.ones(2 * _BESIDE + 1), mode="same") > 0)
+
+
+def _range_of(name: str) -> tuple[float, float] | None:
+    """Return the possible values of what geometry tells; its slow responses and plays stay within."""
+    parts = parse(name).parts
+    return GEOMETRY_RANGES.get(parts[0].channel) if len(parts) == 1 else None

@@ -1,0 +1,433 @@
+"""Constant, trend, block parameters.
+
+How a value may depend on time: the functions of time its coefficients multiply.
+
+``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``parabola``: ``a + b x + c x^2`` with
+``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value
+for each interval between the times ``at``; ``spline``: values at the times ``at``, with lines or a natural
+cubic between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in a
+table.
+
+Values in time: how a parameter depends on time is the model's business, never an effect's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.interpolate import CubicSpline
+
+from inflight.arrays import Floats
+from inflight.effects.base import Parameter, did_you_mean
+from inflight.errors import ModelError
+from inflight.time import DAY, parse_duration, parse_utc, to_tt2000, to_utc
+
+if TYPE_CHECKING:
+    from inflight.mission import Event
+
+
+TIMES = ("constant", "linear", "parabola", "log", "block", "event", "spline")
+
+#: Functions of the time since `t0`: their first coefficient is a value, the others its growth.
+TRENDS = ("linear", "parabola", "log")
+
+INTERPOLATIONS = ("cubic", "linear")
+
+#: Keys of a parameter's entry that say how it depends on time.
+KEYS = ("t0", "per", "at", "events", "interpolation")
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """How a value depends on time.
+
+    Attributes
+    ----------
+    time : str
+        One of `TIMES`.
+    t0, per : int
+        Origin (TT2000) and unit of a trend's time, nanoseconds.
+    at : tuple of int
+        TT2000 of the events between intervals, or of a spline's knots.
+    interpolation : str
+        Between knots: ``cubic`` or ``linear``.
+    """
+
+    time: str = "constant"
+    t0: int = 0
+    per: int = DAY
+    at: tuple[int, ...] = ()
+    interpolation: str = "cubic"
+
+    @property
+    def count(self) -> int:
+        """Number of coefficients of each component."""
+        counts = {"linear": 2, "parabola": 3, "log": 2, "event": len(self.at) + 1, "spline": len(self.at)}
+        return counts.get(self.time, 1)
+
+    @property
+    def suffixes(self) -> list[str]:
+        """What coefficients add to a component's name: nothing, ``*b``, ``*c``, ``*e0``, ``*k0``."""
+        if self.time in ("event", "spline"):
+            return [f"*{self.time[0] if self.time == 'event' else 'k'}{i}" for i in range(self.count)]
+        return ["", "*b", "*c"][: self.count]
+
+    @property
+    def is_trend(self) -> bool:
+        """True when only the first coefficient is a value and the others are its growth."""
+        return self.time in TRENDS
+
+    def basis(self, tt2000: npt.ArrayLike, key: str = "value") -> Floats:
+        """Return the functions of time; (..., coefficient).
+
+        Parameters
+        ----------
+        tt2000 : int or ndarray of int, shape (...)
+            Nanoseconds.
+        key : str
+            The parameter, for errors.
+
+        Raises
+        ------
+        ModelError
+            When a log trend is asked before its origin.
+        """
+        t = np.asarray(tt2000, dtype=np.int64)
+        if self.is_trend:
+            return self._trend(t, key)
+        if self.time == "event":
+            interval = np.searchsorted(np.asarray(self.at, dtype=np.int64), t, side="right")
+            return np.asarray(np.eye(self.count)[interval])
+        if self.time == "spline":
+            return self._spline(t)
+        return np.ones((*t.shape, 1))
+
+    def _trend(self, t: npt.NDArray[np.int64], key: str) -> Floats:
+        elapsed = (t - self.t0) / self.per
+        if self.time == "log":
+            if np.any(elapsed <= 0):
+                raise ModelError(
+                    f"'{key}' follows a logarithm that begins at {to_utc(self.t0)}, asked for before it",
+                    remedy="use time: constant there, or an earlier t0",
+                )
+            elapsed = np.log(elapsed)
+        return np.stack([elapsed**power for power in range(self.count)], axis=-1)
+
+    def _spline(self, t: npt.NDArray[np.int64]) -> Floats:
+        # Days since the first knot keep the polynomials' numbers small.
+        knots = (np.asarray(self.at, dtype=np.int64) - self.at[0]) / DAY
+        x = np.clip((t - self.at[0]) / DAY, knots[0], knots[-1])
+        unit = np.eye(knots.size)
+        if self.interpolation == "linear" or knots.size == 2:
+            return np.stack([np.interp(x, knots, row) for row in unit], axis=-1)
+        return np.asarray(CubicSpline(knots, unit, bc_type="natural")(x))
+
+    def as_yaml(self) -> dict[str, Any]:
+        """Return the keys of a parameter's entry that say it."""
+        found: dict[str, Any] = {"time": self.time}
+        if self.is_trend:
+            found |= {"t0": f"{to_utc(self.t0)}Z", "per": f"{self.per} ns"}
+        if self.at:
+            found["at"] = [f"{to_utc(moment)}Z" for moment in self.at]
+        if self.time == "spline":
+            found["interpolation"] = self.interpolation
+        return found
+
+
+def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event] = ()) -> Dependence:
+    """Read how a parameter depends on time.
+
+    Parameters
+    ----------
+    key : str
+        ``effect.parameter``, for errors.
+    entry : mapping
+        Its entry in the model YAML.
+    events : sequence of Event
+        The mission's, for ``events: KIND``; the model keeps their times, so that a later event of that
+        kind changes nothing unless the model is written anew.
+
+    Raises
+    ------
+    ModelError
+        Naming the parameter and what is wrong.
+    """
+    time = str(entry.get("time", "constant"))
+    if time not in TIMES:
+        raise ModelError(
+            f"'{key}': time {time!r} is unknown{did_you_mean(time, TIMES)}",
+            remedy=f"one of {', '.join(TIMES)}",
+        )
+    wanted = dict.fromkeys(TRENDS, ("t0", "per"))
+    wanted |= {"event": ("at", "events"), "spline": ("at", "interpolation")}
+    if stray := [name for name in KEYS if name in entry and name not in wanted.get(time, ())]:
+        raise ModelError(
+            f"'{key}' has time '{time}', which has no '{stray[0]}'", remedy="take it out, or change 'time'"
+        )
+    if time in TRENDS:
+        return _parse_trend(key, time, entry)
+    if time in ("event", "spline"):
+        return _parse_dated(key, time, entry, events)
+    return Dependence(time)
+
+
+def _parse_trend(key: str, time: str, entry: Mapping[str, Any]) -> Dependence:
+    if "t0" not in entry:
+        raise ModelError(f"'{key}' changes with time but has no 't0'", remedy="say from when: t0: 2000-05-30")
+    per = str(entry.get("per", "1 d"))
+    per = per if per.strip()[:1].isdigit() else f"1 {per}"
+    try:
+        return Dependence(time, int(to_tt2000(parse_utc(entry["t0"]))), parse_duration(per))
+    except ValueError as error:
+        raise ModelError(f"'{key}': {error}", remedy="write t0: 2000-05-30, per: 1 d") from None
+
+
+def _parse_dated(key: str, time: str, entry: Mapping[str, Any], events: Sequence[Event]) -> Dependence:
+    if time == "event" and "events" in entry:
+        given = _events_of(key, str(entry["events"]), events)
+    else:
+        given = entry.get("at") or []
+    try:
+        at = tuple(int(to_tt2000(parse_utc(one))) for one in given)
+    except (ValueError, TypeError) as error:
+        raise ModelError(f"'{key}': at: {error}", remedy="list UTC dates or times") from None
+    least = 2 if time == "spline" else 1
+    if len(at) < least or any(late <= early for early, late in pairwise(at)):
+        raise ModelError(
+            f"'{key}' has time '{time}' with {len(at)} times in 'at'",
+            remedy=f"list {least} or more rising UTC times" + (", or 'events: KIND'" if least == 1 else ""),
+        )
+    interpolation = str(entry.get("interpolation", "cubic"))
+    if interpolation not in INTERPOLATIONS:
+        raise ModelError(
+            f"'{key}': interpolation {interpolation!r} is unknown",
+            remedy=f"one of {', '.join(INTERPOLATIONS)}",
+        )
+    return Dependence(time, at=at, interpolation=interpolation)
+
+
+def _events_of(key: str, kind: str, events: Sequence[Event]) -> list[Any]:
+    found = sorted(to_utc(event.at) for event in events if event.kind == kind)
+    if not found:
+        kinds = sorted({event.kind for event in events})
+        raise ModelError(
+            f"'{key}': the mission has no event of kind {kind!r}{did_you_mean(kind, kinds)}",
+            remedy=f"it has {', '.join(kinds) or 'none'}; list times in 'at', or add events to the mission",
+        )
+    return found
+
+
+@dataclass(frozen=True)
+class TimedValue:
+    """A parameter of a model: its coefficients, what is known of them, and how they depend on time.
+
+    Attributes
+    ----------
+    parameter : Parameter
+        What the effect says of it, in the unit the model states.
+    time : str
+        constant, linear, parabola, log, block, event or spline: see `inflight.model.time_dependence`.
+    value, sigma : ndarray, shape (component, coefficient)
+        Value and standard deviation; for block, those known beforehand.
+    free : bool
+        Whether a fit may move it. Left out of the YAML, it is free with time ``block`` or a stated sigma.
+    t0, per : int
+        Origin (TT2000) and unit of a trend's time, nanoseconds.
+    table : xarray.Dataset, optional
+        Bound calibration table of a block parameter.
+    key : str
+        ``effect.parameter``, the name in tables.
+    table_name : str
+        What the model YAML says of the table its values lie in; kept, for a reader.
+    moments : tuple of int
+        TT2000 of the events between intervals, or of a spline's knots.
+    interpolation : str
+        Between knots: ``cubic`` or ``linear``.
+    """
+
+    parameter: Parameter
+    time: str
+    value: Floats
+    sigma: Floats
+    free: bool = True
+    t0: int = 0
+    per: int = DAY
+    table: xr.Dataset | None = None
+    key: str = ""
+    table_name: str = ""
+    moments: tuple[int, ...] = ()
+    interpolation: str = "cubic"
+
+    @property
+    def dependence(self) -> Dependence:
+        """Which functions of time the coefficients multiply."""
+        return Dependence(self.time, self.t0, self.per, self.moments, self.interpolation)
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the coefficients, component by component; as `value` flattened.
+
+        ``effect.parameter[axis]``; a trend's growth adds ``*b`` (a parabola's
+        ``*b, *c``), the values of intervals between events
+        ``*e0, *e1, ...``, those of a spline's knots ``*k0, *k1, ...``.
+        """
+        names = component_names(self.key, self.parameter)
+        return [f"{name}{suffix}" for name in names for suffix in self.dependence.suffixes]
+
+    def at(self, tt2000: npt.ArrayLike) -> Floats:
+        """Return the value at a time, shape (component,), or at times, shape (time, component).
+
+        Raises
+        ------
+        ModelError
+            When a log trend is asked before its origin, or a time lies outside the bound table.
+        """
+        if self.time == "constant" or (self.time == "block" and self.table is None):
+            return self.value[:, 0]
+        t = np.asarray(tt2000, dtype=np.int64)
+        if self.time == "block":
+            return self._from_table(t)
+        return np.asarray(self.dependence.basis(t, self.key) @ self.value.T)
+
+    def _from_table(self, t: npt.NDArray[np.int64]) -> Floats:
+        table = self.table
+        assert table is not None
+        names = component_names(self.key, self.parameter)
+        start = table["start"].values
+        index = np.searchsorted(start, t, side="right") - 1
+        inside = (index >= 0) & (t < table["end"].values[np.clip(index, 0, None)])
+        if not np.all(inside):
+            first = np.atleast_1d(t)[~np.atleast_1d(inside)][0]
+            raise ModelError(
+                f"the calibration table for '{self.key}' is not valid at {to_utc(first)}",
+                remedy="reprocess the span, or certify a table for it",
+            )
+        values = table["value"].sel(parameter=names).values
+        return np.asarray(values[index])
+
+    def bind(self, table: xr.Dataset) -> TimedValue:
+        """Return a copy that takes its values from a calibration table, when the table has it."""
+        names = component_names(self.key, self.parameter)
+        if self.time != "block" or not set(names) <= set(table["parameter"].values.tolist()):
+            return self
+        return replace(self, table=table)
+
+    def with_columns(self, value: Mapping[str, float], sigma: Mapping[str, float]) -> TimedValue:
+        """Return a copy with new values and standard deviations of the named coefficients."""
+        names, shape = self.columns, self.value.shape
+        values = [value.get(name, old) for name, old in zip(names, self.value.ravel(), strict=True)]
+        sigmas = [sigma.get(name, old) for name, old in zip(names, self.sigma.ravel(), strict=True)]
+        return replace(self, value=np.reshape(values, shape), sigma=np.reshape(sigmas, shape))
+
+    def as_yaml(self) -> dict[str, Any]:
+        """Return the mapping the model YAML holds for it."""
+        axes = self.parameter.axes
+        found: dict[str, Any] = {**self.dependence.as_yaml(), "unit": self.parameter.unit}
+        found["value"] = _as_yaml(self.value, axes)
+        if not np.array_equal(self.sigma, _filled(self.parameter, self.dependence, self.parameter.sigma)):
+            found["sigma"] = _as_yaml(self.sigma, axes)
+        if self.table_name:
+            found["table"] = self.table_name
+        found["free"] = self.free
+        return found
+
+
+def component_names(key: str, parameter: Parameter) -> list[str]:
+    """Return the names of a parameter's components: ``effect.parameter[axis]``."""
+    return [f"{key}[{axis}]" for axis in parameter.axes] if parameter.axes else [key]
+
+
+def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Event] = ()) -> TimedValue:
+    """Read a parameter's entry of the model YAML; a bare number or list is a constant.
+
+    Parameters
+    ----------
+    events : sequence of Event
+        The mission's, for ``time: event, events: KIND``.
+
+    Raises
+    ------
+    ModelError
+        Naming the parameter and what is wrong.
+    """
+    entry = dict(given) if isinstance(given, dict) else {"value": given}
+    known = ["time", "unit", "value", "sigma", "free", "table", *KEYS]
+    if unknown := [name for name in entry if name not in known]:
+        raise ModelError(
+            f"'{key}' has unknown keys {unknown}{did_you_mean(str(unknown[0]), known)}",
+            remedy=f"known are {', '.join(sorted(known))}",
+        )
+    dependence = parse_dependence(key, entry, events)
+    unit = str(entry.get("unit", parameter.unit))
+    if unit != parameter.unit:
+        raise ModelError(
+            f"'{key}' is given in {unit}, it is in {parameter.unit}", remedy="convert the values"
+        )
+    value = _coefficients(key, parameter, dependence, entry.get("value"), parameter.default_values)
+    sigma = _coefficients(key, parameter, dependence, entry.get("sigma"), parameter.sigma)
+    if np.isnan(sigma).any() or np.any(sigma < 0) or np.isnan(value).any():
+        raise ModelError(
+            f"'{key}' has a value or sigma that is no number, or a sigma below 0", remedy="correct it"
+        )
+    stated = entry.get("sigma") is not None
+    free = bool(entry.get("free", dependence.time == "block" or stated))
+    return TimedValue(
+        parameter,
+        dependence.time,
+        value,
+        sigma,
+        free,
+        dependence.t0,
+        dependence.per,
+        key=key,
+        table_name=str(entry.get("table", "")),
+        moments=dependence.at,
+        interpolation=dependence.interpolation,
+    )
+
+
+def _filled(parameter: Parameter, dependence: Dependence, default: Floats | float) -> Floats:
+    """Return a default for every coefficient, (component, coefficient); a trend does not grow."""
+    filled = np.zeros((parameter.size, dependence.count))
+    filled[:, : 1 if dependence.is_trend else None] = np.reshape(default, (-1, 1))
+    return filled
+
+
+def _coefficients(
+    key: str, parameter: Parameter, dependence: Dependence, given: Any, default: Floats | float
+) -> Floats:
+    """Return an array (component, coefficient) from a number, a list, or a mapping by axis."""
+    if given is None:
+        return _filled(parameter, dependence, default)
+    if isinstance(given, dict):
+        if set(given) != set(parameter.axes or ()):
+            axes = ", ".join(parameter.axes or ("no axes",))
+            raise ModelError(
+                f"'{key}' has components {', '.join(given)}, expected {axes}", remedy="name each"
+            )
+        given = [given[axis] for axis in parameter.axes or ()]
+    shape = (parameter.size, dependence.count)
+    try:
+        array = np.asarray(given, dtype=np.float64)
+        if array.ndim < 2 and not dependence.is_trend and array.size in (1, parameter.size):
+            # One value a component holds for every interval and knot.
+            return np.array(np.broadcast_to(array.reshape(-1, 1), shape))
+        if array.ndim == 1 and parameter.size > 1:
+            raise ValueError
+        return array.reshape(shape)
+    except ValueError:
+        raise ModelError(
+            f"'{key}': {given!r} does not give {shape[0]} components of {shape[1]} coefficients",
+            remedy="write a list, or a mapping by axis",
+        ) from None
+
+
+def _as_yaml(array: Floats, axes: tuple[str, ...] | None) -> Any:
+    plain = [row[0] if len(row) == 1 else row for row in array.tolist()]
+    return dict(zip(axes, plain, strict=True)) if axes else plain[0]

@@ -1,0 +1,388 @@
+"""Size, noise floor, parameter scatter.
+
+The white level of a residual: measured from its own fast part, whatever its slow part does.
+
+Method: the record is cut into the longest segments that its gaps leave whole; their mean spectrum
+between a tenth of the Nyquist frequency and the Nyquist frequency is described as a white level
+plus a part that falls with the square of the frequency; lines that stand above that are left out.
+The white level is carried to the whole band, and to a slower working cadence where one is stated.
+
+What a residual looks like: its size and its noise floor.
+
+How the daily parameters wander, held against what their own uncertainties allow.
+
+An effect that is missing from the model drives the parameters that resemble it: their scatter from
+day to day then exceeds their stated standard deviations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy import signal
+
+from inflight.arrays import Floats
+from inflight.lsq.robust import TO_SIGMA
+from inflight.time import SECOND
+
+#: The white level is read above this part of the Nyquist frequency.
+_BAND = 0.1
+
+#: Lengths of segments that are tried, longest first; how many a record must give, of the shortest one.
+_LENGTHS = (4096, 2048, 1024, 512, 256, 128, 64, 32, 16)
+
+_SEGMENTS, _FEWEST_SEGMENTS = 8, 3
+
+#: A length is long enough when its whole segments hold this part of the readings.
+_ENOUGH = 0.5
+
+#: The fewest readings of a level.
+_FEWEST = 64
+
+#: A Hann window mixes this many neighbouring frequencies into one.
+_MIXED = 2
+
+#: Readings this many sigmas from the mean of their neighbours are left out, and segments whose power is
+#: this many times the usual one.
+_OUTLIER, _LOUD = 8.0, 9.0
+
+#: Groups of segments the interval is taken from, its half-width in standard deviations (95 % of Student's
+#: distribution), and what neighbouring groups hide by sharing samples.
+_GROUPS, _WIDE, _SHARED = 20, 2.09, 1.1
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """White level of a residual as an rms at the working cadence, nT, with its 95 % interval."""
+
+    level_nT: float  # noqa: N815, the unit is spelt as in the JSON
+    low_nT: float  # noqa: N815
+    high_nT: float  # noqa: N815
+    samples: int = 0
+
+    @property
+    def sigma_nT(self) -> float:  # noqa: N802
+        """Standard deviation of the level, nT."""
+        return (self.high_nT - self.low_nT) / (2 * _WIDE)
+
+
+NO_FLOOR = NoiseFloor(float("nan"), float("nan"), float("nan"))
+
+
+def noise_floor(residual: Floats, cadence: float, working: float | None = None) -> NoiseFloor:
+    """Measure the white level of a residual; gaps, outliers, lines and slow structure do not raise it.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (time,)
+        nT, at equal steps; NaN where it is missing.
+    cadence : float
+        Seconds between samples.
+    working : float, optional
+        Seconds of the means that the level is wanted for; the cadence itself when absent. White
+        noise falls with the square root of the samples in a mean.
+
+    Returns
+    -------
+    NoiseFloor
+        NaN for a record too short or too broken: fewer than 64 readings, or too few stretches of
+        16 without a gap.
+    """
+    values = _without_outliers(np.asarray(residual, dtype=np.float64))
+    power = _segment_powers(values)
+    if power is None:
+        return NO_FLOOR
+    variance, sigma = _level_and_sigma(power)
+    mean_of = max(1.0, working / cadence) if working else 1.0
+    edges = np.maximum([variance, variance - _WIDE * sigma, variance + _WIDE * sigma], 0.0) / mean_of
+    level, low, high = (float(edge) for edge in np.sqrt(edges))
+    return NoiseFloor(level, low, high, int(np.isfinite(values).sum()))
+
+
+def joined_floor(floors: Sequence[NoiseFloor]) -> NoiseFloor:
+    """Return the level of several spans together: the mean of their variances, by their readings.
+
+    The interval comes from the scatter between spans when there are at least eight, else from theirs.
+    """
+    known = [floor for floor in floors if np.isfinite(floor.level_nT)]
+    if not known:
+        return NO_FLOOR
+    weight = np.array([max(floor.samples, 1) for floor in known], dtype=np.float64)
+    weight /= weight.sum()
+    each = np.array([floor.level_nT for floor in known]) ** 2
+    variance = float(weight @ each)
+    if len(known) >= _SEGMENTS:
+        sigma = float(np.sqrt(np.sum(weight**2 * (each - variance) ** 2) / (1.0 - np.sum(weight**2))))
+    else:
+        own = np.array([2.0 * floor.level_nT * floor.sigma_nT for floor in known])
+        sigma = float(np.sqrt(np.sum((weight * own) ** 2)))
+    low, high = np.sqrt(np.maximum([variance - _WIDE * sigma, variance + _WIDE * sigma], 0.0))
+    return NoiseFloor(float(np.sqrt(variance)), float(low), float(high), sum(f.samples for f in known))
+
+
+def level_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDArray[np.int64]) -> NoiseFloor:
+    """Return the white level of a residual of one or several rows a sample, all rows together.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (sample, row)
+        nT.
+    good : ndarray of bool, shape (sample,)
+    stamps : ndarray of int64, shape (sample,)
+        TT2000, at any spacing: gaps stay gaps.
+    """
+    step = float(np.median(np.diff(stamps))) / SECOND if stamps.size > 1 else 1.0
+    place = np.rint((stamps - stamps[0]) / (step * SECOND)).astype(np.int64)
+    found = []
+    for row in residual.T:
+        even = np.full(int(place[-1]) + 1, np.nan)
+        even[place[good]] = row[good]
+        found.append(noise_floor(even, step))
+    return joined_floor(found)
+
+
+def _without_outliers(values: Floats) -> Floats:
+    """Return the values with NaN where one differs from both its neighbours by far more than is usual."""
+    if values.size < 3:
+        return values
+    bend = np.full(values.size, np.nan)
+    bend[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    known = np.isfinite(bend)
+    if not known.any():
+        return values
+    usual = TO_SIGMA * float(np.median(np.abs(bend[known])))
+    # Readings so coarse that most do not change have no usual bend; their steps are no outliers.
+    usual = usual if usual > 0 else float(np.std(bend[known]))
+    return np.where(known & (np.abs(bend) > _OUTLIER * usual), np.nan, values)
+
+
+def _segment_powers(values: Floats) -> Floats | None:
+    """Return the two-sided power of whole segments, white noise of variance v giving v; (segment, frequency).
+
+    Frequencies run from zero to Nyquist. None when there are too few segments of any length.
+    """
+    finite = np.isfinite(values)
+    count = int(finite.sum())
+    if count < _FEWEST:
+        return None
+    for length in _LENGTHS:
+        stride = length // 2 if length > 64 else length // 4
+        whole = _whole_starts(finite, length, stride)
+        spans = whole.size * stride / length
+        shortest = length == _LENGTHS[-1]
+        long_enough = shortest or whole.size * stride >= _ENOUGH * count
+        if spans >= (_FEWEST_SEGMENTS if shortest else _SEGMENTS) and long_enough:
+            parts = np.lib.stride_tricks.sliding_window_view(values, length)[whole]
+            _, power = signal.periodogram(
+                signal.detrend(parts, axis=1), window="hann", detrend=False, return_onesided=False, axis=1
+            )
+            return _quiet(np.asarray(power[:, : length // 2 + 1]))
+    return None
+
+
+def _whole_starts(finite: npt.NDArray[np.bool_], length: int, stride: int) -> npt.NDArray[np.int64]:
+    """Return where segments without a gap begin."""
+    if finite.size < length:
+        return np.empty(0, dtype=np.int64)
+    sums = np.concatenate([[0], np.cumsum(finite)])
+    starts = np.arange(0, finite.size - length + 1, stride)
+    return np.asarray(starts[sums[starts + length] - sums[starts] == length])
+
+
+def _quiet(power: Floats) -> Floats:
+    """Return the segments without a burst in them."""
+    loud = power[:, _first(power) :].mean(axis=1)
+    usual = float(np.median(loud))
+    return power[loud <= _LOUD * usual] if usual > 0 else power
+
+
+def _first(power: Floats) -> int:
+    """Return the first frequency that neither the slow part nor the window's width touches."""
+    last = int(power.shape[1]) - 1
+    return min(max(math.ceil(_BAND * last), 1) + _MIXED, last - 1)
+
+
+def _level_and_sigma(power: Floats) -> tuple[float, float]:
+    """Return the white variance and its standard deviation, nT^2, from the segments' powers.
+
+    The deviation is the jackknife's over groups of neighbouring segments.
+    """
+    groups = np.array_split(power, min(_GROUPS, max(2, power.shape[0] // 4)))
+    sums = np.array([part.sum(axis=0) for part in groups])
+    counts = np.array([part.shape[0] for part in groups], dtype=np.float64)
+    total, number = sums.sum(axis=0), counts.sum()
+    level = _white(total / number, number)
+    without = np.array(
+        [_white((total - one) / (number - n), number - n) for one, n in zip(sums, counts, strict=True)]
+    )
+    factor = (len(groups) - 1) / len(groups)
+    return level, _SHARED * float(np.sqrt(factor * np.sum((without - without.mean()) ** 2)))
+
+
+def _white(power: Floats, segments: float) -> float:
+    """Return the white part of a mean spectrum: what does not fall with the square of the frequency."""
+    band = slice(_first(power[None]), power.size - 1)
+    frequency = np.linspace(0.0, 1.0, power.size)[band]
+    seen = power[band]
+    model = np.full_like(seen, np.median(seen))
+    if not model[0] > 0:
+        return float(seen.mean())
+    # A frequency may scatter by this much: half the overlapping segments count.
+    most = 1.0 + 5.0 / np.sqrt(max(0.5 * segments, 1.0))
+    shapes = np.stack([np.ones_like(frequency), frequency**-2.0], axis=1)
+    part = np.array([model[0], 0.0])
+    for _ in range(4):
+        kept = seen <= most * model
+        part = np.linalg.lstsq(shapes[kept] / model[kept, None], seen[kept] / model[kept])[0]
+        model = np.maximum(shapes @ part, 0.1 * float(np.median(seen)))
+    return max(float(part[0]), 0.0)
+
+
+__all__ = ["NO_FLOOR", "NoiseFloor", "Size", "joined", "joined_floor", "noise_floor", "size_of"]
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of a residual, nT, over its finite samples."""
+
+    count: int
+    mean: float
+    std: float
+    rms: float
+    robust: float
+    least: float
+    largest: float
+
+    def as_json(self) -> dict[str, float | int]:
+        """Return the fields by name."""
+        return asdict(self)
+
+
+def size_of(residual: Floats) -> Size:
+    """Return the size of a residual (time,) in nT; NaN are left out."""
+    finite = residual[np.isfinite(residual)]
+    if finite.size == 0:
+        nan = float("nan")
+        return Size(0, nan, nan, nan, nan, nan, nan)
+    middle = np.median(finite)
+    return Size(
+        int(finite.size),
+        float(finite.mean()),
+        float(finite.std()),
+        float(np.sqrt(np.mean(finite**2))),
+        float(TO_SIGMA * np.median(np.abs(finite - middle))),
+        float(finite.min()),
+        float(finite.max()),
+    )
+
+
+def joined(sizes: Sequence[Size]) -> Size:
+    """Return the size of several residuals together; the robust sigma is the median of theirs."""
+    filled = [one for one in sizes if one.count]
+    if not filled:
+        return size_of(np.empty(0))
+    count = np.array([one.count for one in filled], dtype=np.float64)
+    mean = float(np.sum(count * [one.mean for one in filled]) / count.sum())
+    square = float(np.sum(count * [one.rms**2 for one in filled]) / count.sum())
+    # From the parts' own spreads: the square less the squared mean cancels where the mean is large.
+    spread = float(np.sum(count * [one.std**2 + (one.mean - mean) ** 2 for one in filled]) / count.sum())
+    return Size(
+        int(count.sum()),
+        mean,
+        float(np.sqrt(spread)),
+        float(np.sqrt(square)),
+        float(np.median([one.robust for one in filled])),
+        min(one.least for one in filled),
+        max(one.largest for one in filled),
+    )
+
+
+#: The fewest days of a scatter.
+_FEWEST_DAYS = 3
+
+
+@dataclass(frozen=True)
+class Wander:
+    """Scatter of one parameter over the days that determine it by themselves.
+
+    Attributes
+    ----------
+    std, sigma : float
+        Standard deviation over the days, and the rms of their stated ones, in `unit`.
+    ratio : float
+        std / sigma: about 1 when the model is complete.
+    sigma_ratio : float
+        Standard deviation of the ratio if it were 1.
+    days : int
+        How many days.
+    """
+
+    name: str
+    unit: str
+    std: float
+    sigma: float
+    ratio: float
+    sigma_ratio: float
+    days: int
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return asdict(self)
+
+
+def daily_wander(daily: xr.Dataset, start: int | None = None, end: int | None = None) -> list[Wander]:
+    """Return the wander of each parameter of a daily calibration table.
+
+    Parameters
+    ----------
+    daily : xarray.Dataset
+        Table with dims interval, parameter: `value`, `sigma`, `determined`, `start`, `units`.
+    start, end : int, optional
+        Half-open TT2000 span of the intervals taken.
+
+    Returns
+    -------
+    list of Wander
+        In the table's order; NaN where fewer than three days determine a parameter.
+    """
+    begin = daily["start"].values
+    inside = np.ones(begin.size, dtype=bool)
+    inside &= begin >= start if start is not None else True
+    inside &= begin < end if end is not None else True
+    rows = own_estimates(daily.isel(interval=np.flatnonzero(inside)))
+    return [_wander(rows.isel(parameter=index)) for index in range(daily.sizes["parameter"])]
+
+
+def own_estimates(daily: xr.Dataset) -> xr.Dataset:
+    """Return a table with each interval's own estimates where it holds values that are kept from others.
+
+    A table of a turning sensor has them as `own`, `own_sigma`: see `inflight.tasks.pipelines.spin.tables`.
+    """
+    if "own" not in daily:
+        return daily
+    told = np.isfinite(daily["own_sigma"].values)
+    dims = daily["value"].dims
+    return daily.assign(
+        value=(dims, daily["own"].values),
+        sigma=(dims, daily["own_sigma"].values),
+        determined=(dims, told),
+    )
+
+
+def _wander(one: xr.Dataset) -> Wander:
+    known = one["determined"].values & np.isfinite(one["sigma"].values) & np.isfinite(one["value"].values)
+    days = int(known.sum())
+    name, unit = str(one["parameter"].values), str(one["units"].values) if "units" in one else ""
+    if days < _FEWEST_DAYS:
+        nan = float("nan")
+        return Wander(name, unit, nan, nan, nan, nan, days)
+    std = float(np.std(one["value"].values[known], ddof=1))
+    sigma = float(np.sqrt(np.mean(one["sigma"].values[known] ** 2)))
+    ratio = std / sigma if sigma > 0 else float("nan")
+    return Wander(name, unit, std, sigma, ratio, float(1.0 / np.sqrt(2 * (days - 1))), days)

@@ -1,0 +1,336 @@
+"""Channels on one time base.
+
+Channels of unequal cadence on one time base, without inventing data across gaps.
+
+Each channel is carried to the base by one of three stated methods (attribute ``resampling``):
+
+exact
+    The base's stamps are among the channel's: values are picked (but never from a faster field).
+band_limited
+    A field whose own cadence is as fast or faster: Kaiser-windowed sinc, low-passed at the base's
+    Nyquist frequency when the base is slower. All samples under the window must be there, and none
+    of them rejected by its own instrument.
+linear
+    Everything else: between two samples no further apart than one and a half cadences.
+
+A target without the samples it needs is NaN.
+
+Samples as plain variables: what an effect reads of a Dataset, without the cost of its indexing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.errors import SamplesError
+from inflight.flags import Flag
+from inflight.time import GAP, Int64, in_leap_second, to_utc
+
+#: Roles that hold fields: they are carried band-limited, the rest linearly.
+FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")
+
+#: Half-width of the sinc window in lobes, and its Kaiser parameter: stop band below -100 dB.
+_LOBES = 16
+
+_KAISER_BETA = 10.0
+
+#: Stamps closer than this part of a cadence are the same stamp: at 1 s and 40 nT/s, less than a picotesla.
+_SAME_STAMP = 2e-5
+
+#: Cadences that differ by less than this part are the same cadence.
+_SAME_CADENCE = 1e-3
+
+#: Targets that are looked at first: one that lies between stamps decides.
+_GLANCE = 64
+
+#: Stamps the usual distance is taken from.
+_TELLING = 2001
+
+_REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE
+
+_MISSING = {"vector": Flag.VECTOR_MISSING, "scalar": Flag.SCALAR_MISSING}
+
+_MISSING |= {"inboard": Flag.VECTOR_MISSING, "outboard": Flag.VECTOR_MISSING}
+
+
+def align(
+    channels: Mapping[str, xr.DataArray], base: str | Int64, lags: Mapping[str, int] | None = None
+) -> xr.Dataset:
+    """Put channels on one time base; the only maker of samples.
+
+    Parameters
+    ----------
+    channels : mapping of str to DataArray
+        By name in the samples (roles such as `vector`, `scalar`, and housekeeping names); dims
+        (time,) or (time, axis), a coordinate `tt2000` (time) int64, attributes `cadence_ns` and
+        `units`; attribute `lag_ns` is the channel's own lag. A coordinate `flag` is carried along.
+    base : str or ndarray of int64
+        Channel whose stamps carry the samples, or the stamps themselves (TT2000, increasing).
+    lags : mapping of str to int, optional
+        Lags in nanoseconds that replace the channels' own. With a positive lag the value at t is
+        the channel's at ``t - lag``: the field follows its channel.
+
+    Returns
+    -------
+    xarray.Dataset
+        dims time (UTC index), axis; every channel, `tt2000`, `flag` (uint32) and `weight`.
+
+    Raises
+    ------
+    SamplesError
+        When stamps are not increasing or a channel lacks its stamps.
+    """
+    lags = lags or {}
+    stamps = _stamps(base, channels[base]) if isinstance(base, str) else np.asarray(base, dtype=np.int64)
+    flag = np.where(in_leap_second(stamps), np.uint32(Flag.LEAP_SECOND), np.uint32(0)).astype(np.uint32)
+    variables: dict[str, xr.Variable] = {}
+    for name, series in channels.items():
+        lag = int(lags.get(name, series.attrs.get("lag_ns", 0)))
+        values, method = _carry(name, series, stamps - lag)
+        if name in _MISSING:
+            lost = ~np.isfinite(values if values.ndim == 1 else values.sum(axis=1))
+            flag[lost] |= np.uint32(_MISSING[name])
+            if name == "scalar":
+                # No place near the Earth or in the solar wind has no field: the instrument failed.
+                flag[values <= 0] |= np.uint32(Flag.OUT_OF_RANGE)
+            flag |= _carried_flags(series, stamps - lag)
+        attrs = {**series.attrs, "lag_ns": lag, "resampling": method}
+        variables[name] = xr.Variable(_dims(name, values), values, attrs)
+    variables["tt2000"] = xr.Variable("time", stamps)
+    variables["flag"] = xr.Variable("time", flag)
+    variables["weight"] = xr.Variable("time", (flag & ~np.uint32(Flag.LEAP_SECOND) == 0).astype(np.float64))
+    return xr.Dataset(variables, coords={"time": to_utc(stamps)})
+
+
+def _dims(name: str, values: Floats) -> tuple[str, ...]:
+    """Name the dimensions: `axis` belongs to vectors of three, others get one of their own."""
+    if values.ndim == 1:
+        return ("time",)
+    return ("time", "axis" if values.shape[1] == 3 else f"{name}_component")
+
+
+def _stamps(name: str, series: xr.DataArray) -> Int64:
+    if "tt2000" not in series.coords:
+        raise SamplesError("the channel has no stamps", channel=name, remedy="give it a coordinate 'tt2000'")
+    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+    if stamps.size > 1 and np.any(np.diff(stamps) <= 0):
+        raise SamplesError("stamps do not increase", channel=name, remedy="ingest sorts and merges stamps")
+    return stamps
+
+
+def _carry(name: str, series: xr.DataArray, target: Int64) -> tuple[Floats, str]:
+    """Return values at the targets, (time,) or (time, axis), and the method used."""
+    stamps = _stamps(name, series)
+    values = np.asarray(series.values, dtype=np.float64)
+    if series.attrs.get("kind") == "attitude" and values.ndim == 2 and values.shape[1] == 4:
+        carried, method = _between(name, series.attrs, stamps, _one_sign(values), target)
+        return carried / np.linalg.norm(carried, axis=1, keepdims=True), method
+    return _between(name, series.attrs, stamps, values, target, _own_flags(series))
+
+
+def _one_sign(quaternion: Floats) -> Floats:
+    """Return the same rotations with signs that do not jump: q and -q turn alike but do not average."""
+    valid = np.isfinite(quaternion).all(axis=1)
+    flips = np.einsum("ij,ij->i", quaternion[valid][1:], quaternion[valid][:-1]) < 0
+    sign = np.ones(len(quaternion))
+    sign[valid] = np.cumprod(np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]))[: valid.sum()]
+    return quaternion * sign[:, None]
+
+
+def _between(
+    name: str,
+    attrs: Mapping[Any, Any],
+    stamps: Int64,
+    values: Floats,
+    target: Int64,
+    own_flags: npt.NDArray[np.uint32] | None = None,
+) -> tuple[Floats, str]:
+    """Carry values from stamps to targets by the method that fits name and cadence."""
+    same = _stretch_of(stamps, target)
+    if same is not None:
+        return values[same], "exact"
+    shape = (target.size, *values.shape[1:])
+    if stamps.size == 0:
+        return np.full(shape, np.nan), "none"
+    cadence = int(attrs.get("cadence_ns", 0)) or _usual_step(stamps)
+    base_step = _usual_step(target)
+    is_field = name in FIELD_ROLES
+    # A faster field is low-passed even where stamps coincide: picking would fold its noise into the band.
+    faster = is_field and target.size > 1 and cadence < base_step * (1 - _SAME_CADENCE)
+    picked = None if faster else _pick(stamps, target, cadence)
+    if picked is not None:
+        index, there = picked
+        chosen = values[index]
+        chosen[~there] = np.nan
+        return chosen, "exact"
+    wide = values.reshape(values.shape[0], -1)
+    if own_flags is not None:
+        # A reading its own instrument rejects would spread under the window to good ones.
+        wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
+    if is_field and cadence <= base_step * (1 + _SAME_CADENCE):
+        cutoff = min(1.0, cadence / base_step)
+        return _sinc(stamps, wide, target, float(cadence), cutoff).reshape(shape), "band_limited"
+    return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
+
+
+def _usual_step(stamps: Int64) -> int:
+    """Return the median distance of neighbours, from as many as tell it: gaps are rare."""
+    return int(np.median(np.diff(stamps[:_TELLING]))) if stamps.size > 1 else 1
+
+
+def _stretch_of(stamps: Int64, target: Int64) -> slice | None:
+    """Return where the targets are among the stamps when they are a stretch of them, else None."""
+    first = int(np.searchsorted(stamps, target[0])) if target.size else 0
+    stretch = slice(first, first + target.size)
+    return stretch if np.array_equal(stamps[stretch], target) else None
+
+
+def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:
+    """Return where the targets are among the stamps, or None when they run between them."""
+    if target.size > _GLANCE and _pick(stamps, target[:: target.size // _GLANCE][:_GLANCE], cadence) is None:
+        return None
+    right = np.clip(np.searchsorted(stamps, target), 1, max(stamps.size - 1, 1))
+    left = right - 1
+    right = np.minimum(right, stamps.size - 1)
+    nearest = np.where(np.abs(stamps[right] - target) < np.abs(target - stamps[left]), right, left)
+    off = np.abs(stamps[nearest] - target)
+    there = off <= _SAME_STAMP * cadence
+    # A target in a gap of the channel has no stamp near it: it says nothing about the phase.
+    between = (off > _SAME_STAMP * cadence) & (off < 0.5 * cadence * (1 + _SAME_CADENCE))
+    return None if between.any() else (nearest.astype(np.int64), there)
+
+
+def _carried_flags(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32]:
+    """Return the instrument's own flags at the targets: those of the samples on both sides."""
+    out = np.zeros(target.size, dtype=np.uint32)
+    own = _own_flags(series)
+    if own is None:
+        return out
+    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+    cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
+    same = int(_SAME_STAMP * cadence)
+    left = np.searchsorted(stamps, target + same, side="right") - 1
+    on_stamp = (left >= 0) & (target - stamps[np.clip(left, 0, None)] <= same)
+    for index in (left, np.where(on_stamp, left, left + 1)):
+        near = np.clip(index, 0, stamps.size - 1)
+        beside = (near == index) & (np.abs(stamps[near] - target) < GAP * cadence)
+        out[beside] |= own[near[beside]]
+    return out
+
+
+def _own_flags(series: xr.DataArray) -> npt.NDArray[np.uint32] | None:
+    """Return the flags a series carries, or None when there are none."""
+    if "flag" not in series.coords or series.sizes["time"] == 0:
+        return None
+    own = np.asarray(series["flag"].values, dtype=np.uint32)
+    return own if own.any() else None
+
+
+@numba.njit(cache=True, nogil=True)
+def _linear(stamps: Int64, values: Floats, target: Int64, widest: float) -> Floats:  # pragma: no cover
+    out = np.full((target.size, values.shape[1]), np.nan)
+    j = 0
+    for i in range(target.size):
+        # Both increase: what is past for one target is past for the next.
+        while j < stamps.size and stamps[j] < target[i]:
+            j += 1
+        if j < stamps.size and stamps[j] == target[i]:
+            for column in range(values.shape[1]):
+                out[i, column] = values[j, column]
+        elif 0 < j < stamps.size and stamps[j] - stamps[j - 1] <= widest:
+            part = (target[i] - stamps[j - 1]) / (stamps[j] - stamps[j - 1])
+            for column in range(values.shape[1]):
+                before = values[j - 1, column]
+                out[i, column] = before + part * (values[j, column] - before)
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _bessel_i0(x: float) -> float:  # pragma: no cover
+    total, term, k = 1.0, 1.0, 1.0
+    while term > 1e-17 * total:
+        term *= (x / (2.0 * k)) ** 2
+        total += term
+        k += 1.0
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _whole(
+    stamps: Int64, first: int, last: int, target: int, half: float, cadence: float
+) -> bool:  # pragma: no cover
+    """Return True when no sample is missing under a window of half-width `half`, ns."""
+    edge = half - GAP * cadence
+    if target - stamps[first] < edge or stamps[last] - target < edge:
+        return False
+    for j in range(first, last):  # noqa: SIM110, numba knows no generator expressions
+        if stamps[j + 1] - stamps[j] > GAP * cadence:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def _sinc(
+    stamps: Int64, values: Floats, target: Int64, cadence: float, cutoff: float
+) -> Floats:  # pragma: no cover
+    """Windowed-sinc interpolation at each target.
+
+    Weights are normalised to keep a constant, and the line through the ends of the window is taken
+    off and put back, so that the main field's slope along the orbit leaves no error.
+    """
+    out = np.full((target.size, values.shape[1]), np.nan)
+    half = _LOBES / cutoff
+    peak = _bessel_i0(_KAISER_BETA)
+    middle = np.searchsorted(stamps, target)
+    for i in range(target.size):
+        first, last = middle[i], middle[i] - 1
+        while first > 0 and target[i] - stamps[first - 1] < half * cadence:
+            first -= 1
+        while last + 1 < stamps.size and stamps[last + 1] - target[i] < half * cadence:
+            last += 1
+        if last - first + 1 < int(2 * half) - 1 or not _whole(
+            stamps, first, last, target[i], half * cadence, cadence
+        ):
+            continue
+        total = 0.0
+        width = float(stamps[last] - stamps[first])
+        slope = (values[last] - values[first]) / width
+        sums = np.zeros(values.shape[1])
+        for j in range(first, last + 1):
+            x = (target[i] - stamps[j]) / cadence
+            window = _bessel_i0(_KAISER_BETA * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / peak
+            weight = np.sinc(cutoff * x) * window
+            total += weight
+            sums += weight * (values[j] - values[first] - slope * float(stamps[j] - stamps[first]))
+        out[i] = sums / total + values[first] + slope * float(target[i] - stamps[first])
+    return out
+
+
+class PlainSamples(dict[str, xr.Variable]):
+    """Variables by name, with as much of a Dataset's interface as effects and sensor chains use."""
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset) -> PlainSamples:
+        """Return the variables of a Dataset."""
+        return cls({str(name): variable for name, variable in dataset.variables.items()})
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Length of each dimension."""
+        return {"time": int(self["tt2000"].size)}
+
+    def assign(self, variables: dict[str, Any] | None = None, **more: Any) -> PlainSamples:
+        """Return the samples with some variables added: (dims, values, attributes) each."""
+        told = (variables or {}) | more
+        return PlainSamples(self | {name: xr.Variable(*one) for name, one in told.items()})
+
+    def drop_vars(self, names: list[str], errors: str = "raise") -> PlainSamples:
+        """Return the samples without some variables."""
+        return PlainSamples({name: variable for name, variable in self.items() if name not in names})

@@ -1,0 +1,325 @@
+"""Channels made from channels: a slow response, a play (backlash), a product; each has a name.
+
+A derived name may stand wherever a channel's name may:
+
+``battery_current@lag=600s``
+    First-order low-pass response with a time constant of 600 s and unit gain.
+``boom_temperature@width=2``
+    Play operator of full width 2, in the channel's unit: the simplest hysteresis.
+``solar_current~3``
+    Third placebo: the channel shifted in time. Only a search makes it; no model may name it.
+``solar_current*boom_temperature``
+    Product; each factor may carry a response or a play: ``a@lag=600s*b``.
+
+With both, the response comes first: ``a@lag=600s@width=2`` is the play of the response.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numba
+import numpy as np
+
+from inflight.arrays import Floats
+from inflight.errors import ModelError
+from inflight.time import DAY, GAP, SECOND, parse_duration
+
+#: Earlier data that a response needs, in time constants: what came before counts for 0.03 %.
+HISTORY_LAGS = 8.0
+
+#: A gap longer than this many time constants makes a response start anew.
+_LONG_GAP = 3.0
+
+#: Steps the usual one is taken from.
+_TELLING = 2000
+
+_PART = re.compile(r"^(?P<channel>[^@~*]+)(?P<options>(?:@\w+=[^@~*]+)*)(?:~(?P<placebo>[1-9]\d*))?$")
+
+_OPTION = re.compile(r"@(\w+)=([^@~*]+)")
+
+_REMEDY = "write a channel, 'channel@lag=600s', 'channel@width=2', or a product of such with '*'"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One factor of a derived channel.
+
+    Attributes
+    ----------
+    channel : str
+        Name of the channel it is made from.
+    lag_s : float
+        Time constant of the response, seconds; 0 for none.
+    width : float
+        Full width of the play, in the channel's unit; 0 for none.
+    placebo : int
+        Number of the placebo, from 1; 0 for the channel itself.
+    text : str
+        The part as it was written; it does not count in comparisons.
+    """
+
+    channel: str
+    lag_s: float = 0.0
+    width: float = 0.0
+    placebo: int = 0
+    text: str = field(default="", compare=False)
+
+    @property
+    def name(self) -> str:
+        """Name as written, or the shortest one that says the same."""
+        if self.text:
+            return self.text
+        lag = f"@lag={self.lag_s:.12g}s" if self.lag_s else ""
+        width = f"@width={self.width:.12g}" if self.width else ""
+        return f"{self.channel}{lag}{width}{f'~{self.placebo}' if self.placebo else ''}"
+
+    @property
+    def is_plain(self) -> bool:
+        """True when the part is the channel itself."""
+        return not (self.lag_s or self.width or self.placebo)
+
+    @property
+    def history_s(self) -> float:
+        """Seconds of earlier data it needs: eight lags, and a day for a play."""
+        return HISTORY_LAGS * self.lag_s + (DAY / SECOND if self.width else 0.0)
+
+    def of(self, values: Floats, step_s: float | Floats) -> Floats:
+        """Return response and play of a channel; (time,) or (time, axis), in its unit.
+
+        Parameters
+        ----------
+        values : ndarray, shape (time,) or (time, axis)
+            The channel.
+        step_s : float or ndarray, shape (time - 1,)
+            Seconds between samples.
+        """
+        slow = respond(values, step_s, self.lag_s) if self.lag_s else values
+        return play(slow, self.width) if self.width else slow
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A channel as the product of its parts; one part is no product."""
+
+    parts: tuple[Part, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the whole."""
+        return "*".join(part.name for part in self.parts)
+
+    @property
+    def is_plain(self) -> bool:
+        """True when it is just a channel."""
+        return len(self.parts) == 1 and self.parts[0].is_plain
+
+
+def parse(name: str) -> Derived:
+    """Read the name of a channel, derived or not.
+
+    Raises
+    ------
+    ModelError
+        When it is no such name.
+    """
+    return Derived(tuple(_part(text, name) for text in name.split("*")))
+
+
+def _part(text: str, name: str) -> Part:
+    match = _PART.match(text.strip())
+    if match is None:
+        raise ModelError(f"{name!r} names no channel", channel=name, remedy=_REMEDY)
+    options: dict[str, float] = {}
+    for key, value in _OPTION.findall(match["options"]):
+        if key not in ("lag", "width") or key in options:
+            raise ModelError(f"{name!r} has no use for '@{key}={value}'", channel=name, remedy=_REMEDY)
+        options[key] = _size(key, value, name)
+    return Part(
+        match["channel"].strip(),
+        options.get("lag", 0.0),
+        options.get("width", 0.0),
+        int(match["placebo"] or 0),
+        text.strip(),
+    )
+
+
+def _size(key: str, value: str, name: str) -> float:
+    try:
+        size = parse_duration(value) / SECOND if key == "lag" else float(value)
+    except ValueError as error:
+        raise ModelError(f"{name!r}: {error}", channel=name, remedy=_REMEDY) from None
+    if not (0 < size < np.inf):
+        raise ModelError(f"{name!r}: '{key}' must be positive", channel=name, remedy=_REMEDY)
+    return size
+
+
+def base_channels(name: str) -> tuple[str, ...]:
+    """Return the channels a name is made from, each once, in the order they are named.
+
+    Raises
+    ------
+    ModelError
+        When it is no channel's name.
+    """
+    return tuple(dict.fromkeys(part.channel for part in parse(name).parts))
+
+
+def history_s(name: str) -> float:
+    """Return the seconds of earlier data a derived channel needs before its first sample."""
+    return max(part.history_s for part in parse(name).parts)
+
+
+def product(factors: Sequence[Floats]) -> Floats:
+    """Return the product of channels; (time,), or (time, axis) when one of them is a vector.
+
+    Raises
+    ------
+    ModelError
+        When vectors of unequal length meet.
+    """
+    widths = {factor.shape[1] for factor in factors if factor.ndim == 2}
+    if len(widths) > 1:
+        raise ModelError(
+            f"channels of {' and '.join(map(str, sorted(widths)))} components have no product",
+            remedy="multiply a vector by channels of one number a time",
+        )
+    shaped = [factor[:, None] if widths and factor.ndim == 1 else factor for factor in factors]
+    out = shaped[0].copy() if shaped[0].ndim == max(part.ndim for part in shaped) else shaped[0]
+    for factor in shaped[1:]:
+        out = out * factor
+    return out
+
+
+def derive(name: str, channels: Mapping[str, Floats], step_s: float | Floats) -> Floats:
+    """Return a derived channel from channels that already stand on one time base.
+
+    Parameters
+    ----------
+    name : str
+        The derived name.
+    channels : mapping of str to ndarray
+        (time,) or (time, axis) by name.
+    step_s : float or ndarray, shape (time - 1,)
+        Seconds between samples.
+
+    Returns
+    -------
+    ndarray, shape (time,) or (time, axis)
+
+    Raises
+    ------
+    ModelError
+        When a channel is not there, or the name asks for a placebo.
+    """
+    derived = parse(name)
+    for part in derived.parts:
+        if part.channel not in channels:
+            raise ModelError(f"{name!r} needs a channel that is not there", channel=part.channel)
+        if part.placebo:
+            raise ModelError(f"{name!r} is a placebo", channel=name, remedy="only a search makes placebos")
+    return product([part.of(channels[part.channel], step_s) for part in derived.parts])
+
+
+def respond(values: Floats, step_s: float | Floats, lag_s: float) -> Floats:
+    """Return the first-order response ``lag dy/dt + y = c`` of a channel, exact between its samples.
+
+    The channel runs straight from sample to sample, so that the response of a coarse series agrees
+    with that of a fine one. The first sample is taken as the steady state. Samples that are missing
+    stay missing; the response runs on across them, and starts anew after more than three time constants.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time,) or (time, axis)
+        The channel; NaN where it is missing.
+    step_s : float or ndarray, shape (time - 1,)
+        Seconds between samples.
+    lag_s : float
+        Time constant; 0 returns the channel.
+
+    Returns
+    -------
+    ndarray
+        Same shape and unit.
+
+    Raises
+    ------
+    ValueError
+        When the time constant is negative, or the steps do not fit the values.
+    """
+    if lag_s < 0:
+        raise ValueError(f"a time constant of {lag_s} s makes no response; it must not be negative")
+    if lag_s == 0:
+        return np.array(values, dtype=np.float64)
+    count = max(values.shape[0] - 1, 0)
+    steps = np.broadcast_to(np.asarray(step_s, dtype=np.float64), (count,))
+    series = np.ascontiguousarray(np.asarray(values, dtype=np.float64).reshape(values.shape[0], -1))
+    usual = float(np.median(steps[:_TELLING])) if count else 0.0
+    longest = max(_LONG_GAP * lag_s, GAP * usual)
+    found = _respond(series, np.ascontiguousarray(steps), float(lag_s), longest)
+    return np.asarray(found).reshape(values.shape)
+
+
+@numba.njit(cache=True, nogil=True)
+def _respond(values: Floats, steps: Floats, lag: float, longest: float) -> Floats:  # pragma: no cover
+    out = np.full_like(values, np.nan)
+    for column in range(values.shape[1]):
+        state, previous, passed, known = 0.0, 0.0, 0.0, False
+        for i in range(values.shape[0]):
+            if i > 0:
+                passed += steps[i - 1]
+            now = values[i, column]
+            if not np.isfinite(now):
+                continue
+            if not known or passed > longest:
+                state = now
+            elif passed > 0.0:
+                # Solution for an input that is a straight line: it lags by the slope times the lag.
+                behind = (now - previous) / passed * lag
+                state = now - behind + (state - previous + behind) * np.exp(-passed / lag)
+            previous, passed, known = now, 0.0, True
+            out[i, column] = state
+    return out
+
+
+def play(values: Floats, width: float) -> Floats:
+    """Return the play (backlash) of a channel: it follows only when pushed by half the width.
+
+    Parameters
+    ----------
+    values : ndarray, shape (time,) or (time, axis)
+        The channel; NaN are passed over and stay NaN. The first value is taken as the middle.
+    width : float
+        Full width of the play, in the channel's unit; 0 returns the channel.
+
+    Returns
+    -------
+    ndarray
+        Same shape and unit; never further than half the width from the channel.
+
+    Raises
+    ------
+    ValueError
+        When the width is negative.
+    """
+    if width < 0:
+        raise ValueError(f"a play of width {width} makes no sense; it must not be negative")
+    series = np.ascontiguousarray(np.asarray(values, dtype=np.float64).reshape(values.shape[0], -1))
+    return np.asarray(_play(series, 0.5 * float(width))).reshape(values.shape)
+
+
+@numba.njit(cache=True, nogil=True)
+def _play(values: Floats, half: float) -> Floats:  # pragma: no cover
+    out = np.full_like(values, np.nan)
+    for column in range(values.shape[1]):
+        state, known = 0.0, False
+        for i in range(values.shape[0]):
+            now = values[i, column]
+            if not np.isfinite(now):
+                continue
+            state = min(max(state, now - half), now + half) if known else now
+            known = True
+            out[i, column] = state
+    return out

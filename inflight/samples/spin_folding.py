@@ -1,0 +1,480 @@
+"""Samples folded by spin phase.
+
+Fourier sums of unevenly sampled turns, many at once: moments of the phase make all normal equations.
+
+A day of a turning sensor folded into synthetic turns: what the spin tells, in a few thousand samples.
+
+The field outside turns with the spin in the sensor and changes slowly; what the sensor and the spacecraft add
+stands still in the body. In each interval of many turns the slow change of the outside field is taken out
+in payload axes, and a Fourier sum of the phase is fitted to what is left. Its values at even phases are
+the interval's *synthetic turn*: readings of a sensor that turned once in a steady field. Spin tones of any
+effect, and of any channel that goes with the spin, are kept as they are; natural changes between are not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.interpolate import CubicSpline
+
+from inflight.arrays import Floats
+from inflight.errors import SamplesError
+from inflight.flags import UNUSABLE, Flag
+from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
+
+Complex = npt.NDArray[np.complex128]
+
+#: A group is solved when its normal equations are this far from singular: with gaps they may be.
+_WORST_CONDITION = 1e6
+
+
+@dataclass(frozen=True)
+class FourierSums:
+    """Complex Fourier sums, one a group of samples.
+
+    Attributes
+    ----------
+    coefficients : ndarray of complex, shape (group, 2 H + 1, column)
+        Of exp(i h phase), h from -H to H; NaN where a group has too few samples.
+    count : ndarray, shape (group,)
+        Samples used.
+    """
+
+    coefficients: Complex
+    count: Floats
+
+    @property
+    def mean(self) -> Complex:
+        """The part without phase; (group, column)."""
+        return np.asarray(self.coefficients[:, self.coefficients.shape[1] // 2])
+
+    def at(self, phase: Floats) -> Complex:
+        """Return the sums at phases (point,), the same for all groups; (group, point, column)."""
+        order = self.coefficients.shape[1] // 2
+        waves = np.exp(1j * np.outer(phase, np.arange(-order, order + 1)))
+        return np.asarray(np.einsum("ph,ghc->gpc", waves, self.coefficients))
+
+    def along(self, phase: Floats, group: npt.NDArray[np.int64]) -> Complex:
+        """Return each sample's value of its own group's sum; (time, column)."""
+        order = self.coefficients.shape[1] // 2
+        out = np.zeros((phase.size, self.coefficients.shape[2]), dtype=np.complex128)
+        for place, harmonic in enumerate(range(-order, order + 1)):
+            out += self.coefficients[group, place] * np.exp(1j * harmonic * phase)[:, None]
+        return out
+
+
+def fourier_sums(
+    values: Complex,
+    phase: Floats,
+    group: npt.NDArray[np.int64],
+    groups: int,
+    order: int,
+    good: npt.NDArray[np.bool_],
+) -> FourierSums:
+    """Fit Fourier sums of the phase to each group of samples, by least squares.
+
+    The normal equations of exp(i h phase) are moments of the phase alone, so that a day's turns cost a few
+    sums over its samples and one batch of small systems.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (time, column)
+    phase : ndarray, shape (time,)
+        Radians.
+    group : ndarray of int, shape (time,)
+        Group of each sample, never falling, below `groups`.
+    order : int
+        Highest harmonic H.
+    good : ndarray of bool, shape (time,)
+        Samples to be used.
+    """
+    used = np.flatnonzero(good)
+    starts = np.searchsorted(group[used], np.arange(groups + 1))
+    wave, angle = np.exp(1j * phase[used]), np.ones(used.size, dtype=np.complex128)
+    data = values[used]
+    moments = np.empty((groups, 2 * order + 1), dtype=np.complex128)
+    right = np.empty((groups, 2 * order + 1, values.shape[1]), dtype=np.complex128)
+    for harmonic in range(2 * order + 1):
+        moments[:, harmonic] = _sums(angle[:, None], starts)[:, 0]
+        if harmonic <= order:
+            right[:, order + harmonic] = _sums(data * np.conj(angle)[:, None], starts)
+            right[:, order - harmonic] = _sums(data * angle[:, None], starts)
+        angle = angle * wave
+    count = moments[:, 0].real.copy()
+    return FourierSums(_solved(moments, right, order), count)
+
+
+def _sums(values: Complex, starts: npt.NDArray[np.int64]) -> Complex:
+    """Return the sums of rows from each start to the next; (group, column)."""
+    out = np.zeros((starts.size - 1, values.shape[1]), dtype=np.complex128)
+    filled = np.flatnonzero(np.diff(starts))
+    if filled.size:
+        out[filled] = np.add.reduceat(values, starts[filled], axis=0)
+    return out
+
+
+def _solved(moments: Complex, right: Complex, order: int) -> Complex:
+    """Solve the groups' normal equations; NaN where they are nearly singular."""
+    size = 2 * order + 1
+    difference = np.arange(size)[None, :] - np.arange(size)[:, None]
+    gram = moments[:, np.abs(difference)]
+    gram = np.where(difference[None] < 0, np.conj(gram), gram)
+    out = np.full(right.shape, np.nan + 0j)
+    enough = moments[:, 0].real >= size
+    if enough.any():
+        spread = np.linalg.eigvalsh(gram[enough])
+        sound = np.flatnonzero(enough)[spread[:, 0] * _WORST_CONDITION > spread[:, -1]]
+        if sound.size:
+            out[sound] = np.linalg.solve(gram[sound], right[sound])
+    return out
+
+
+#: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.
+SECTORS, ORDER = 12, 4
+
+#: Bumped by hand when the numbers of folded samples change.
+FOLDING_VERSION = 2
+
+#: Turns an interval should hold (Plaschke et al. 2019, section 5), and seconds intervals may last: such as
+#: divide a day, with whole seconds from phase to phase.
+TURNS = 100
+
+_LENGTHS_S = tuple(length for length in range(SECTORS, 21_601, SECTORS) if 86_400 % length == 0)
+
+#: Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it: no
+#: magnetometer in space tells its spin's tone better than this in a few minutes.
+_QUIET_NT = 1e-3
+
+#: Power of all harmonics up to the fifth over that of the first two, by nature's spectrum (f^-5/3).
+_HIGHER = 1.25
+
+#: Turns whose means are this much of a turn apart are neighbours.
+_NEXT = 1.6
+
+#: An interval is used with this part of its samples.
+_LEAST = 0.5
+
+#: FourierSums of one turn's fit: offsets stand at the first in payload axes, gains at the second.
+_TURN_ORDER = 2
+
+#: A sample is wild when it is this many sigma from its turn's fit, by the median of the day's deviations.
+_WILD, _TO_SIGMA = 8.0, 1.4826
+
+_TWO_PI = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class Folding:
+    """How a day is folded.
+
+    Attributes
+    ----------
+    interval_ns : int
+        Length of an interval.
+    sectors : int
+        Samples of a synthetic turn.
+    """
+
+    interval_ns: int
+    sectors: int = SECTORS
+
+    @classmethod
+    def of_period(cls, spin_ns: int, turns: int = TURNS) -> Folding:
+        """Return the folding whose intervals hold about so many turns and divide a day."""
+        wanted = turns * spin_ns / SECOND
+        return cls(min(_LENGTHS_S, key=lambda one: abs(np.log(one / wanted))) * SECOND)
+
+    def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return rows of folded samples less their interval's mean, which the outside field decides.
+
+        A linear filter, the same for residuals and columns; NaN where a sample is not good.
+
+        Parameters
+        ----------
+        values : ndarray, shape (time, ...)
+        stamps : ndarray of int64, shape (time,)
+            TT2000 of the folded samples.
+        good : ndarray of bool, shape (time,)
+        """
+        flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+        used = good & np.isfinite(flat).all(axis=1)
+        interval = (
+            (stamps - day_bounds(day_of(stamps[:1])[0])[0]) // self.interval_ns if stamps.size else stamps
+        )
+        starts = np.flatnonzero(np.diff(interval, prepend=interval[:1] - 1))
+        lengths = np.diff(starts, append=interval.size)
+        count = np.add.reduceat(used.astype(np.float64), starts) if starts.size else np.zeros(0)
+        total = np.add.reduceat(np.where(used[:, None], flat, 0.0), starts, axis=0) if starts.size else flat
+        with np.errstate(invalid="ignore", divide="ignore"):
+            out = flat - np.repeat(total / count[:, None], lengths, axis=0)
+        out[~used] = np.nan
+        return out.reshape(np.shape(values))
+
+    def steady(self, field: Floats, phase: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return the field of each interval as it would be without spin tones; (time, 3) nT, turning axes.
+
+        Parameters
+        ----------
+        field : ndarray, shape (time, 3)
+            Folded, axes that turn with the spacecraft.
+        phase : ndarray, shape (time,)
+            Rad.
+        """
+        c, s = np.cos(phase), np.sin(phase)
+        payload = np.column_stack(
+            [c * field[:, 0] - s * field[:, 1], s * field[:, 0] + c * field[:, 1], field[:, 2]]
+        )
+        mean = payload - self.keep(payload, stamps, good)
+        return np.column_stack([c * mean[:, 0] + s * mean[:, 1], c * mean[:, 1] - s * mean[:, 0], mean[:, 2]])
+
+    @property
+    def cadence_ns(self) -> int:
+        """Distance of the folded samples."""
+        return self.interval_ns // self.sectors
+
+    @property
+    def phases(self) -> Floats:
+        """Phases of a synthetic turn, rad; (sector,)."""
+        return (np.arange(self.sectors) + 0.5) * _TWO_PI / self.sectors
+
+
+def fold(samples: xr.Dataset, folding: Folding, span: tuple[int, int]) -> xr.Dataset:
+    """Fold native samples of a turning sensor into synthetic turns.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        Aligned, with `vector` (time, axis) nT, `spin_phase` (time) rad, unwrapped, `tt2000`, `flag`; every
+        other variable along time is folded with its own sums.
+    folding : Folding
+    span : tuple of int
+        TT2000 bounds of the day.
+
+    Returns
+    -------
+    xarray.Dataset
+        Like samples, one turn an interval, evenly spaced; `spin_phase` within a turn. Intervals with less
+        than half of their samples are flagged and NaN; `weight` falls with the natural noise of an interval.
+
+    Raises
+    ------
+    SamplesError
+        When the samples have no phase.
+    """
+    if "spin_phase" not in samples:
+        raise SamplesError(
+            "the samples have no spin phase",
+            channel="spin_phase",
+            remedy="name a channel of kind 'sun_pulse' or 'spin_phase' in the mission YAML",
+        )
+    stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
+    phase = np.asarray(samples["spin_phase"].values, dtype=np.float64)
+    day = _Day(stamps, phase, folding, span)
+    field, good = day.field(samples)
+    made: dict[str, xr.Variable] = {"vector": xr.Variable(("time", "axis"), field, samples["vector"].attrs)}
+    for name in samples.data_vars:
+        if name not in _OWN and samples[name].dims[:1] == ("time",):
+            made[str(name)] = day.channel(samples[name], good)
+    return day.dressed(made, samples["spin_phase"].attrs)
+
+
+def fold_series(
+    values: Floats, stamps: Int64, phase: Floats, folding: Folding, span: tuple[int, int]
+) -> Floats:
+    """Return a channel on the synthetic turns of a day, (time, ...), as `fold` has it of its own.
+
+    Parameters
+    ----------
+    values : ndarray, shape (sample, ...)
+    stamps, phase : ndarray, shape (sample,)
+        TT2000, and the spin's phase there, rad.
+    folding : Folding
+    span : tuple of int
+        TT2000 bounds of the day.
+    """
+    day = _Day(stamps, phase, folding, span)
+    series = xr.DataArray(values, dims=("time", "component")[: np.ndim(values)])
+    return np.asarray(day.channel(series, day.known).values, dtype=np.float64)
+
+
+_OWN = ("vector", "spin_phase", "tt2000", "flag", "weight")
+
+
+class _Day:
+    """Stamps and phases of a day's samples, and the intervals they lie in."""
+
+    def __init__(self, stamps: Int64, phase: Floats, folding: Folding, span: tuple[int, int]) -> None:
+        self.stamps, self.phase, self.folding, self.span = stamps, phase, folding, span
+        self.intervals = max(1, -(-(span[1] - span[0]) // folding.interval_ns))
+        self.noise = np.zeros(self.intervals)
+        self.interval = np.clip((stamps - span[0]) // folding.interval_ns, 0, self.intervals - 1)
+        self.known = np.isfinite(phase)
+        turn = np.floor(np.where(self.known, phase, 0.0) / _TWO_PI).astype(np.int64)
+        # Turns count on where the phase is not known, and start anew with each interval.
+        turn = np.maximum.accumulate(np.where(self.known, turn, turn[self.known].min(initial=0)))
+        self.turn = np.unique(turn, return_inverse=True)[1].astype(np.int64)
+
+    @property
+    def turns(self) -> int:
+        return int(self.turn[-1]) + 1 if self.turn.size else 0
+
+    def field(self, samples: xr.Dataset) -> tuple[Floats, npt.NDArray[np.bool_]]:
+        """Return the synthetic turns of the reading, (time, axis), and which native samples made them."""
+        raw = np.asarray(samples["vector"].values, dtype=np.float64)
+        bad = np.uint32(UNUSABLE & ~Flag.CHANNEL_MISSING)
+        flag = np.asarray(samples["flag"].values)
+        good = self.known & np.isfinite(raw).all(axis=1) & ((flag & bad) == 0)
+        good &= ~self._spoilt(flag)
+        wheel = np.exp(1j * np.where(self.known, self.phase, 0.0))
+        # In payload axes the outside field hardly turns; along the axis it never did.
+        payload = np.column_stack([(raw[:, 0] + 1j * raw[:, 1]) * wheel, raw[:, 2]])
+        payload[~good] = 0.0
+        good = good & ~self._wild(payload, good)
+        slow = self._slow(payload, good)
+        steady = payload - (slow - self._interval_means(slow, good)[self.interval])
+        good = good & np.isfinite(steady).all(axis=1)
+        found = fourier_sums(
+            np.where(good[:, None], steady, 0.0),
+            np.where(self.known, self.phase, 0.0),
+            self.interval,
+            self.intervals,
+            ORDER + 1,
+            good,
+        )
+        # A harmonic k in the body is k + 1 in payload axes across the spin axis.
+        for place, harmonic in enumerate(range(-ORDER - 1, ORDER + 2)):
+            if not -ORDER <= harmonic - 1 <= ORDER:
+                found.coefficients[:, place, 0] = 0.0
+            if abs(harmonic) > ORDER:
+                found.coefficients[:, place, 1] = 0.0
+        turned = self._sectors(found, good)
+        back = np.exp(-1j * np.tile(self.folding.phases, self.intervals))
+        plane = turned[:, 0] * back
+        self.noise = self._natural(steady, good)
+        return np.column_stack([plane.real, plane.imag, turned[:, 1].real]), good
+
+    def _spoilt(self, flag: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+        """Return the samples of intervals in which the phase jumps or the sensor was saturated; (time,).
+
+        Turns on both sides of a jump are not of one phase, and those of a full sensor lack their tops.
+        """
+        hit = np.zeros(self.intervals, dtype=bool)
+        jump = np.uint32(Flag.PHASE_JUMP | Flag.NO_PHASE)
+        hit[self.interval[((flag & jump) == jump) | ((flag & np.uint32(Flag.SATURATED)) != 0)]] = True
+        return np.asarray(hit[self.interval])
+
+    def _natural(self, steady: Complex, good: npt.NDArray[np.bool_]) -> Floats:
+        """Return what nature adds to the rows, nT rms, by the scatter from turn to turn; (interval,)."""
+        modulus = np.abs(steady[:, 0])
+        rows = np.column_stack([steady[:, 1].real, np.where(np.isfinite(modulus), modulus, 0.0)])
+        rows[~good] = 0.0
+        fits = self._of_turns(rows.astype(np.complex128), good)
+        tones = fits.coefficients[:, _TURN_ORDER + 1 :].reshape(self.turns, -1)
+        # Half the square of what changes from turn to turn: tones that grow with the field change slowly.
+        change = 0.5 * np.sum(np.abs(np.diff(tones, axis=0)) ** 2, axis=1)
+        first, place = np.zeros(self.turns, dtype=np.int64), np.zeros(self.turns, dtype=np.int64)
+        place[self.turn], first[self.turn[::-1]] = self.interval, self.interval[::-1]
+        # Each interval has a mean of its own: a turn that lies in two is none.
+        known = np.isfinite(change) & (first[:-1] == place[1:])
+        count = np.bincount(place[1:][known], minlength=self.intervals).astype(np.float64)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            total = np.bincount(place[1:][known], change[known], self.intervals) / count
+            # Twice the real part of each tone, on average over two rows.
+            return np.asarray(np.sqrt(_HIGHER * total / count))
+
+    def _wild(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Return which samples stand far off their own turn's fit."""
+        fit = self._of_turns(payload, good)
+        off = np.abs(payload - fit.along(self.phase, self.turn)).max(axis=1)
+        usual = np.median(off[good & np.isfinite(off)]) if good.any() else 0.0
+        # A wild sample also pulls its turn's fit: its neighbours must not go with it.
+        around = np.full(self.turns, np.nan)
+        finite = good & np.isfinite(off)
+        np.fmax.at(around, self.turn[finite], off[finite])
+        worst = off >= np.where(np.isfinite(around), around, np.inf)[self.turn] * (1.0 - 1e-12)
+        return np.asarray(finite & worst & (off > _WILD * _TO_SIGMA * max(usual, 1e-6)))
+
+    def _of_turns(self, values: Complex, good: npt.NDArray[np.bool_]) -> FourierSums:
+        phase = np.where(self.known, self.phase, 0.0)
+        return fourier_sums(values, phase, self.turn, self.turns, _TURN_ORDER, good)
+
+    def _slow(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
+        """Return the change that is slower than the spin: a smooth line through the turns' means."""
+        means = self._of_turns(values, good).mean
+        phase = np.where(good, self.phase, 0.0)
+        count = np.bincount(self.turn[good], minlength=self.turns)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            centre = np.bincount(self.turn[good], phase[good], self.turns) / count
+        there = np.isfinite(means).all(axis=1) & np.isfinite(centre)
+        if there.sum() < 4:
+            return np.full(values.shape, np.nan + 0j)
+        knots = centre[there]
+        line = CubicSpline(knots, means[there], axis=0)
+        after = np.searchsorted(knots, phase)
+        inside = (after > 0) & (after < knots.size)
+        after = np.clip(after, 1, knots.size - 1)
+        # Beyond the ends, and beside a turn that is not there, the line is a guess.
+        sure = inside & (knots[after] - knots[after - 1] < _NEXT * _TWO_PI)
+        out = np.asarray(line(np.where(sure, phase, knots[0])))
+        out[~sure] = np.nan
+        return out
+
+    def _interval_means(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
+        used = good & np.isfinite(values).all(axis=1)
+        count = np.bincount(self.interval[used], minlength=self.intervals)
+        out = np.empty((self.intervals, values.shape[1]), dtype=np.complex128)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for column in range(values.shape[1]):
+                total = [
+                    np.bincount(self.interval[used], part[used], self.intervals)
+                    for part in (values[:, column].real, values[:, column].imag)
+                ]
+                out[:, column] = (total[0] + 1j * total[1]) / count
+        return out
+
+    def _sectors(self, found: FourierSums, good: npt.NDArray[np.bool_]) -> Complex:
+        """Return sums at the phases of a synthetic turn, one after another; (time, column)."""
+        usual = self.folding.interval_ns / max(1.0, float(np.median(np.diff(self.stamps))))
+        values = found.at(self.folding.phases)
+        values[found.count < _LEAST * usual] = np.nan
+        return np.asarray(values.reshape(-1, values.shape[2]))
+
+    def channel(self, series: xr.DataArray, good: npt.NDArray[np.bool_]) -> xr.Variable:
+        """Return a channel on the synthetic turns: its interval's mean, and what goes with the spin."""
+        values = np.asarray(series.values, dtype=np.float64)
+        flat = values.reshape(values.shape[0], -1)
+        known = good & np.isfinite(flat).all(axis=1)
+        complex_values = np.where(known[:, None], flat, 0.0).astype(np.complex128)
+        slow = self._slow(complex_values, known)
+        steady = complex_values - (slow - self._interval_means(slow, known)[self.interval])
+        usable = known & np.isfinite(steady).all(axis=1)
+        phase = np.where(self.known, self.phase, 0.0)
+        found = fourier_sums(
+            np.where(usable[:, None], steady, 0.0), phase, self.interval, self.intervals, ORDER, usable
+        )
+        out = self._sectors(found, usable).real
+        return xr.Variable(series.dims, out.reshape(-1, *values.shape[1:]), series.attrs)
+
+    def dressed(self, made: dict[str, xr.Variable], phase_attrs: dict[str, object]) -> xr.Dataset:
+        """Return the folded samples with stamps, phases and flags."""
+        count = self.intervals * self.folding.sectors
+        step = self.folding.cadence_ns
+        stamps = self.span[0] + step // 2 + step * np.arange(count, dtype=np.int64)
+        inside = stamps < self.span[1]
+        lost = ~np.isfinite(made["vector"].values).all(axis=1)
+        noise = np.repeat(self.noise, self.folding.sectors)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            weight = np.minimum(1.0, (_QUIET_NT / noise) ** 2)
+        flag = np.where(lost, np.uint32(Flag.VECTOR_MISSING), np.uint32(0)).astype(np.uint32)
+        phases = np.tile(self.folding.phases, self.intervals)
+        made |= {
+            "spin_phase": xr.Variable("time", phases, phase_attrs),
+            "tt2000": xr.Variable("time", stamps),
+            "flag": xr.Variable("time", flag),
+            "noise": xr.Variable("time", noise, {"units": "nT"}),
+            "weight": xr.Variable("time", np.where(lost | ~np.isfinite(weight), 0.0, weight)),
+        }
+        return xr.Dataset(made, coords={"time": to_utc(stamps)}).isel(time=inside)

@@ -1,0 +1,928 @@
+"""Eight parameters: each, selected, joint.
+
+The eight spin-related parameters from each sub-interval alone, each with its own uncertainty.
+
+Four pairs follow one after the other (Plaschke et al. 2019, section 5): the spin axis from the spin tone of
+Bz; gain ratio and azimuth from the modulus at twice the spin; and from the modulus at the spin either the
+spin-plane offsets or the elevation angles. That tone is `O + Ba (sP - dth)`: the axial field Ba says which
+of the two a sub-interval is good for, and the uncertainties say it in numbers.
+
+The paper's way to one set of parameters: the most accurate estimates, averaged, until nothing moves.
+
+Estimates below a threshold of uncertainty are averaged (Plaschke et al. 2019, sections 5.2 to 5.5), pair by
+pair: spin axis, gain ratio and azimuth, offsets, elevations. What a pair changes is passed on to the next by
+the derivatives of its estimates; then the record is corrected anew and all is estimated again.
+
+All eight parameters from all sub-intervals at once, each weighted by its own noise.
+
+Offsets and elevations share one tone, ``O + Ba (sP - dth)``; sub-intervals of different axial field Ba tell
+them apart in one linear system, with the correlation that is left in the covariance. Nothing is selected: a
+sub-interval counts by the noise its own neighbouring frequencies show, and gross ones lose their say.
+
+The parameters that the spin tells apart, fitted to folded samples; all else of a model stays in place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.errors import CalibrationError
+from inflight.lsq.covariance import long_run_covariance, sigma_of_mean
+from inflight.lsq.robust import biweight, biweight_slope
+from inflight.model import Model, ModelEffect
+from inflight.model.rows import rows_of
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from inflight.spin.intervals import Bools, Layout
+from inflight.spin.kernels import SERIES
+from inflight.spin.tones import SpinTones, first_tones, next_tones
+from inflight.time import Int64
+
+#: The pairs in the order they are determined in, and for each which tones show it.
+PAIRS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "spin axis": ("spin_axis[x]", "spin_axis[y]"),
+        "gain ratio and azimuth": ("gain_ratio", "azimuth"),
+        "offsets": ("offset[1]", "offset[2]"),
+        "elevations": ("elevation[1]", "elevation[2]"),
+    }
+)
+
+#: Rows of the equations of a sub-interval: Bz and modulus at the spin, modulus at twice the spin.
+_ROWS = {"spin axis": slice(0, 2), "gain ratio and azimuth": slice(4, 6)}
+
+_SPIN_ROWS = slice(2, 4)
+
+#: Step of the derivative of the coupling matrix; its error is of second order.
+_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class SpinEquations:
+    """What the tones of every sub-interval demand: ``residual + design @ change = 0``.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (sub, 6)
+        cos and sin of Bz at the spin, of the modulus at the spin, of the modulus at twice the spin; nT.
+    design : ndarray, shape (sub, 6, 8)
+        Derivatives by `SPIN_RELATED`.
+    noise : ndarray, shape (sub, 6)
+        Standard deviation of the residual by natural fluctuations, nT.
+    """
+
+    residual: Floats
+    design: Floats
+    noise: Floats
+
+
+@dataclass(frozen=True)
+class SpinEstimates:
+    """Estimates of the eight parameters from single sub-intervals.
+
+    Attributes
+    ----------
+    start, end : ndarray of int64, shape (sub,)
+        TT2000.
+    value : ndarray, shape (sub, 8)
+        In the order of `SPIN_RELATED`; NaN where a sub-interval gives none.
+    sigma : ndarray, shape (sub, 8)
+        Standard deviation by natural fluctuations alone, the other pairs held.
+    uncertainty : ndarray, shape (sub, 8)
+        As published (table 2): the larger neighbouring amplitude over the field, with what the uncertainty of
+        the other pairs adds. 1.7 times `sigma` in white noise.
+    sensitivity : ndarray, shape (sub, 8, 8)
+        By how much an estimate moves where a parameter held is raised by 1; 0 within a pair.
+    usable : ndarray of bool, shape (sub,)
+    parameters : TwelveParameters
+        Held while these were made.
+    spread : mapping of str to float
+        Uncertainty of spin axis, offsets and elevations that went into `uncertainty`.
+    blocks : int
+        As in `SpinTones`.
+    """
+
+    start: Int64
+    end: Int64
+    value: Floats
+    sigma: Floats
+    uncertainty: Floats
+    sensitivity: Floats
+    usable: Bools
+    parameters: TwelveParameters
+    spread: Mapping[str, float]
+    blocks: int
+
+    def of(self, name: str) -> tuple[Floats, Floats]:
+        """Return values and published uncertainties (sub,) of one parameter."""
+        at = SPIN_RELATED.index(name)
+        return self.value[:, at], self.uncertainty[:, at]
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma` and `uncertainty` by ``sub_interval`` and ``parameter``."""
+        dims = ("sub_interval", "parameter")
+        return xr.Dataset(
+            {
+                "value": (dims, self.value),
+                "sigma": (dims, self.sigma),
+                "uncertainty": (dims, self.uncertainty),
+                "usable": ("sub_interval", self.usable),
+                "start": ("sub_interval", self.start, {"scale": "TT2000"}),
+                "end": ("sub_interval", self.end, {"scale": "TT2000"}),
+            },
+            coords={
+                "parameter": list(SPIN_RELATED),
+                "units": ("parameter", [UNITS[name] for name in SPIN_RELATED]),
+            },
+            attrs={f"spread of {name}": value for name, value in self.spread.items()},
+        )
+
+
+def spin_equations(tones: SpinTones) -> SpinEquations:
+    """Return the linear equations of every sub-interval at the parameters of its tones.
+
+    Derivatives are those of the exact equation (9): with ``B = C (R - O)``, ``dB/dp = (dC/dp) C^-1 B`` and
+    ``dB/dO = -C``; the modulus changes by ``u dBx + v dBy``.
+    """
+    axial, plane = _derivatives(tones.parameters)
+    first, second = tones.tones[:, :2], tones.tones[:, 2:]
+    z, m = SERIES.index("z"), SERIES.index("m")
+    residual = np.concatenate([first[..., z], first[..., m], second[..., m]], axis=1)
+    design = np.concatenate([first @ axial.T, first @ plane.T, second @ plane.T], axis=1)
+    return SpinEquations(residual, design, np.repeat(tones.noise, 2, axis=1))
+
+
+def _derivatives(parameters: TwelveParameters) -> tuple[Floats, Floats]:
+    """Return derivatives of Bz and of the modulus as sums of `SERIES`; both (8, series)."""
+    at = {name: index for index, name in enumerate(SERIES)}
+    axial, plane = (np.zeros((len(SPIN_RELATED), len(SERIES))) for _ in range(2))
+    matrix = parameters.matrix()
+    for row, name in enumerate(SPIN_RELATED):
+        if name.startswith("offset"):
+            column = matrix[:, NAMES.index(name) - NAMES.index("offset[1]")]
+            plane[row, [at["u"], at["v"]]] = -column[:2]
+            continue
+        value = parameters.values()[NAMES.index(name)]
+        up, down = (parameters.changed({name: value + way * _STEP}).matrix() for way in (1.0, -1.0))
+        turn = (up - down) / (2.0 * _STEP) @ np.linalg.inv(matrix)
+        axial[row, :3] = turn[2]
+        # u By = v Bx, and v By = m - u Bx.
+        plane[row, at["xu"]] = turn[0, 0] - turn[1, 1]
+        plane[row, at["m"]] = turn[1, 1]
+        plane[row, at["xv"]] = turn[0, 1] + turn[1, 0]
+        plane[row, [at["zu"], at["zv"]]] = turn[0, 2], turn[1, 2]
+    return axial, plane
+
+
+def estimate_pairs(tones: SpinTones, spread: Mapping[str, float]) -> SpinEstimates:
+    """Return what each sub-interval says of each pair, the others held.
+
+    Parameters
+    ----------
+    tones : SpinTones
+    spread : mapping of str to float
+        Uncertainty of the pairs ``spin axis`` and ``elevations`` (rad) and ``offsets`` (nT) held.
+    """
+    equations = spin_equations(tones)
+    count = tones.start.size
+    value, sigma = (np.full((count, len(SPIN_RELATED)), np.nan) for _ in range(2))
+    sensitivity = np.zeros((count, len(SPIN_RELATED), len(SPIN_RELATED)))
+    present = tones.parameters.spin_related()
+    for pair, names in PAIRS.items():
+        rows = _ROWS.get(pair, _SPIN_ROWS)
+        columns = [SPIN_RELATED.index(name) for name in names]
+        change, own, moved = _solve(equations, rows, columns)
+        value[:, columns] = present[columns] + change
+        sigma[:, columns] = own
+        moved[:, :, columns] = 0.0
+        sensitivity[:, columns] = moved
+    lost = ~tones.usable
+    value[lost], sigma[lost] = np.nan, np.nan
+    return SpinEstimates(
+        tones.start,
+        tones.end,
+        value,
+        sigma,
+        published_uncertainty(tones, spread),
+        sensitivity,
+        tones.usable & np.isfinite(value).all(axis=1),
+        tones.parameters,
+        MappingProxyType(dict(spread)),
+        tones.blocks,
+    )
+
+
+def _solve(equations: SpinEquations, rows: slice, columns: list[int]) -> tuple[Floats, Floats, Floats]:
+    """Return the change (sub, 2) that removes two tones, its sigma, and its slopes by all parameters."""
+    design = equations.design[:, rows, columns]
+    scale = np.linalg.norm(design, axis=(1, 2), keepdims=True)
+    known = np.isfinite(scale[:, 0, 0]) & (
+        np.abs(np.linalg.det(np.nan_to_num(design))) > 1e-6 * scale[:, 0, 0] ** 2
+    )
+    safe = np.where(known[:, None, None], design, np.eye(2))
+    inverse = np.linalg.inv(safe)
+    inverse[~known] = np.nan
+    change = -np.einsum("sij,sj->si", inverse, equations.residual[:, rows])
+    own = np.sqrt(np.einsum("sij,sj->si", inverse**2, equations.noise[:, rows] ** 2))
+    return change, own, -inverse @ equations.design[:, rows]
+
+
+def published_uncertainty(tones: SpinTones, spread: Mapping[str, float]) -> Floats:
+    """Return the uncertainties of table 2 of Plaschke et al. (2019); (sub, 8).
+
+    ``Fa/Bp``, ``F2p/Bp``, ``2 F2p/Bp`` with the least modulus, ``Fp + Ba (dsigma + dth)`` with the largest
+    and ``(Fp + dO)/Ba + dsigma`` with the least size of Bz.
+    """
+    axial, spin, double = tones.amplitude.T
+    least = np.maximum(tones.least_modulus, 1e-12)
+    angle = spread["spin axis"]
+    offset = spin + tones.largest_axial * (angle + spread["elevations"])
+    elevation = (spin + spread["offsets"]) / np.maximum(tones.least_axial, 1e-12) + angle
+    by_name = {"gain_ratio": double / least, "azimuth": 2.0 * double / least}
+    by_name |= {f"spin_axis[{axis}]": axial / least for axis in "xy"}
+    by_name |= {f"offset[{axis}]": offset for axis in "12"}
+    by_name |= {f"elevation[{axis}]": elevation for axis in "12"}
+    found = np.stack([by_name[name] for name in SPIN_RELATED], axis=1)
+    found[~tones.usable] = np.nan
+    return found
+
+
+Statistic = Literal["mean", "median"]
+
+#: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al.
+#: 2019, section 7), offsets unknown beside any field the sensor is flown for.
+UNKNOWN: Mapping[str, float] = {
+    name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0)
+    for name in SPIN_RELATED
+}
+
+#: A mean is made of at least this many estimates.
+FEWEST = 5
+
+#: Passes over the record, rounds over the pairs within one, and the change that ends them, in sigmas.
+_SELECTION_PASSES, _SELECTION_ROUNDS, _SELECTION_SETTLED = 8, 20, 0.1
+
+
+@dataclass(frozen=True)
+class Selection:
+    """One value of each of the eight parameters from selected estimates.
+
+    Attributes
+    ----------
+    value, sigma : ndarray, shape (8,)
+        Means in the order of `SPIN_RELATED`, the present value where nothing was selected. Sigma is theirs:
+        natural fluctuations, overlap and memory of the estimates, uncertainty of the pairs held; infinite
+        where nothing was selected.
+    scatter : ndarray, shape (8,)
+        Standard deviation of the selected estimates, the paper's "error".
+    threshold : ndarray, shape (8,)
+        Largest uncertainty selected.
+    chosen : ndarray of bool, shape (sub, 8)
+    how : tuple of 8 str
+        How the threshold came about, or why nothing was selected.
+    estimates : SpinEstimates
+        Of the last pass.
+    parameters : TwelveParameters
+        With the values put in that are known better than the present ones.
+    passes : int
+    settled : bool
+        True when the last pass changed nothing beyond a tenth of its sigma.
+    """
+
+    value: Floats
+    sigma: Floats
+    scatter: Floats
+    threshold: Floats
+    chosen: Bools
+    how: tuple[str, ...]
+    estimates: SpinEstimates
+    parameters: TwelveParameters
+    passes: int
+    settled: bool
+
+    @property
+    def determined(self) -> Bools:
+        """Which parameters the record told; (8,)."""
+        return np.isfinite(self.sigma)
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `scatter`, `threshold`, `count` and `how` by ``parameter``."""
+        one = "parameter"
+        return xr.Dataset(
+            {
+                "value": (one, self.value),
+                "sigma": (one, self.sigma),
+                "scatter": (one, self.scatter),
+                "threshold": (one, self.threshold),
+                "count": (one, self.chosen.sum(axis=0)),
+                "determined": (one, self.determined),
+                "how": (one, list(self.how)),
+            },
+            coords={one: list(SPIN_RELATED), "units": (one, [UNITS[name] for name in SPIN_RELATED])},
+            attrs={"passes": self.passes, "settled": int(self.settled)},
+        )
+
+
+def choose(uncertainty: Floats, wanted: float | None = None, fewest: int = FEWEST) -> tuple[Bools, str]:
+    """Choose the estimates to average.
+
+    Parameters
+    ----------
+    uncertainty : ndarray, shape (sub,)
+        NaN for none.
+    wanted : float, optional
+        Estimates below it are chosen. When absent, as many of the best as make the expected error of their
+        mean, ``sqrt(sum u^2) / k``, smallest.
+    fewest : int
+
+    Returns
+    -------
+    chosen : ndarray of bool, shape (sub,)
+        None at all where fewer than `fewest` are good enough.
+    how : str
+    """
+    known = np.where(np.isfinite(uncertainty) & (uncertainty > 0.0), uncertainty, np.inf)
+    order = np.argsort(known, kind="stable")
+    ranked = known[order]
+    count = int(np.isfinite(ranked).sum())
+    none = np.zeros(known.size, dtype=np.bool_)
+    if count < fewest:
+        return none, f"{count} estimates, at least {fewest} needed"
+    if wanted is not None:
+        chosen = known < wanted
+        if chosen.sum() < fewest:
+            return (
+                none,
+                f"{int(chosen.sum())} below {wanted:.3g}, at least {fewest} needed; best {ranked[0]:.2g}",
+            )
+        return chosen, f"{int(chosen.sum())} below the accuracy wanted, {wanted:.3g}"
+    expected = np.sqrt(np.cumsum(ranked[:count] ** 2)) / np.arange(1, count + 1)
+    best = fewest + int(np.argmin(expected[fewest - 1 :]))
+    none[order[:best]] = True
+    return none, f"best {best} of {count}, up to {ranked[best - 1]:.2g}: least expected error of the mean"
+
+
+def calibrate_by_selection(
+    readings: Floats,
+    phase: Floats,
+    stamps: Int64,
+    layout: Layout,
+    present: TwelveParameters,
+    present_sigma: Mapping[str, float] | None = None,
+    *,
+    wanted: Mapping[str, float] | None = None,
+    statistic: Statistic = "mean",
+) -> Selection:
+    """Determine the eight parameters by selected estimates, corrected and estimated again until settled.
+
+    Parameters
+    ----------
+    readings, phase, stamps, layout
+        As for `spin_tones`.
+    present : TwelveParameters
+        Where to begin; what is not determined keeps its value.
+    present_sigma : mapping of str to float, optional
+        Uncertainties of the present values by name; `UNKNOWN` where absent. A parameter moves only where the
+        selected estimates know it better.
+    wanted : mapping of str to float, optional
+        Accuracy of an estimate by name; automatic where absent (see `choose`).
+    statistic : {"mean", "median"}
+
+    Raises
+    ------
+    CalibrationError
+        Nothing usable, or the field does not turn with the phase.
+    """
+    known = np.array([{**UNKNOWN, **(present_sigma or {})}[name] for name in SPIN_RELATED])
+    if statistic not in ("mean", "median"):
+        raise CalibrationError(f"no statistic is called '{statistic}'", remedy="take 'mean' or 'median'")
+    held, scatter, parameters = known.copy(), known.copy(), present
+    tones = first_tones(readings, phase, stamps, layout, present)
+    settled, passes = False, 0
+    while not settled and passes < _SELECTION_PASSES:
+        if passes:
+            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+        passes += 1
+        estimates = estimate_pairs(tones, spread_of(scatter))
+        found = _Rounds(estimates, known, held, scatter, wanted or {}, statistic)
+        found.run()
+        parameters, held, scatter = found.put_in(), found.held, found.scatter
+        moved = parameters.spin_related() - tones.parameters.spin_related()
+        settled = bool(np.all(np.abs(moved) <= _SELECTION_SETTLED * found.sigma))
+    return Selection(
+        found.mean,
+        found.sigma,
+        found.spread,
+        found.threshold,
+        found.chosen,
+        tuple(found.how),
+        estimates,
+        parameters,
+        passes,
+        settled,
+    )
+
+
+def spread_of(scatter: Floats) -> dict[str, float]:
+    """Return the uncertainty of the pairs held that the published uncertainties need."""
+    return {
+        pair: float(max(scatter[SPIN_RELATED.index(name)] for name in names)) for pair, names in PAIRS.items()
+    }
+
+
+class _Rounds:
+    """Rounds over the pairs on the estimates of one pass, the parameters moving by their derivatives."""
+
+    def __init__(
+        self,
+        estimates: SpinEstimates,
+        known: Floats,
+        held: Floats,
+        scatter: Floats,
+        wanted: Mapping[str, float],
+        statistic: Statistic,
+    ) -> None:
+        self.estimates, self.known, self.wanted, self.statistic = estimates, known, wanted, statistic
+        self.held, self.scatter = held.copy(), scatter.copy()
+        self.begin = estimates.parameters.spin_related()
+        self.value = self.begin.copy()
+        self.mean = self.value.copy()
+        self.sigma = np.full(self.value.size, np.inf)
+        self.spread = np.full(self.value.size, np.nan)
+        self.threshold = np.full(self.value.size, np.nan)
+        self.chosen = np.zeros(estimates.value.shape, dtype=np.bool_)
+        self.how = [""] * self.value.size
+        for at, name in enumerate(SPIN_RELATED):
+            chosen, self.how[at] = choose(estimates.uncertainty[:, at], wanted.get(name))
+            self.chosen[:, at] = chosen & estimates.usable
+            if chosen.any():
+                self.threshold[at] = float(estimates.uncertainty[chosen, at].max())
+
+    def run(self) -> None:
+        """Go round until no pair moves another."""
+        for _ in range(_SELECTION_ROUNDS):
+            before = self.value.copy()
+            for names in PAIRS.values():
+                for at in [SPIN_RELATED.index(name) for name in names]:
+                    self._average(at)
+            if np.all(np.abs(self.value - before) <= 0.01 * np.minimum(self.sigma, self.known)):
+                break
+
+    def _average(self, at: int) -> None:
+        """Average the chosen estimates of one parameter, moved to where the others are now."""
+        chosen = self.chosen[:, at]
+        if not chosen.any():
+            return
+        slopes = self.estimates.sensitivity[chosen, at]
+        values = self.estimates.value[chosen, at] + slopes @ (self.value - self.begin)
+        middle = float(np.median(values) if self.statistic == "median" else values.mean())
+        common = float(np.sqrt(np.sum((slopes.mean(axis=0) * self.held) ** 2)))
+        own = self._own_sigma(np.flatnonzero(chosen), at, values)
+        sigma = float(np.hypot(own, common))
+        self.mean[at], self.sigma[at], self.spread[at] = middle, sigma, float(values.std(ddof=1))
+        if sigma < self.known[at]:
+            self.value[at], self.held[at] = middle, sigma
+            self.scatter[at] = max(self.spread[at], sigma)
+
+    def _own_sigma(self, where: npt.NDArray[np.intp], at: int, values: Floats) -> float:
+        """Return the sigma of the mean by fluctuations: of sub-intervals that overlap and may remember."""
+        own = np.zeros(len(self.chosen))
+        own[where] = self.estimates.sigma[where, at]
+        total = float(np.sum(own**2))
+        for apart in range(1, min(self.estimates.blocks, own.size)):
+            total += 2.0 * (1.0 - apart / self.estimates.blocks) * float(np.sum(own[apart:] * own[:-apart]))
+        sigma = max(np.sqrt(total) / where.size, sigma_of_mean(values))
+        # The median of Gaussian numbers scatters by more than their mean.
+        return float(sigma * (np.sqrt(0.5 * np.pi) if self.statistic == "median" else 1.0))
+
+    def put_in(self) -> TwelveParameters:
+        """Return the parameters with the values found."""
+        return self.estimates.parameters.changed(
+            {name: float(self.value[at]) for at, name in enumerate(SPIN_RELATED)}
+        )
+
+
+#: Passes over the record, rounds of weights, and the change that ends both, in sigmas.
+_JOINT_PASSES, _TURNS, _JOINT_SETTLED = 8, 30, 0.1
+
+#: The three tones of a sub-interval: each is one pair of rows.
+_PAIR = 2
+
+#: The median of the length of two Gaussian numbers of sigma 1.
+_MEDIAN_LENGTH = 1.1774100225154747
+
+#: Directions that the data tell less than this part of the best are not determined.
+_SINGULAR = 1e-12
+
+
+@dataclass(frozen=True)
+class JointEstimate:
+    """The eight parameters and their covariance from all sub-intervals.
+
+    Attributes
+    ----------
+    value, sigma : ndarray, shape (8,)
+        In the order of `SPIN_RELATED`; sigma is infinite where the record tells nothing.
+    covariance : ndarray, shape (8, 8)
+        Rows and columns of what is not determined are NaN.
+    say : ndarray, shape (sub, 3)
+        1 for a tone (Bz, modulus, modulus at twice the spin) that counts wholly, 0 for one that does not.
+    excess : ndarray, shape (3,)
+        Size of the tones left over their own noise: 1 where natural fluctuations explain them.
+    tones : SpinTones
+        Of the last pass.
+    parameters : TwelveParameters
+        With the values put in.
+    passes : int
+    settled : bool
+        True when the last pass changed nothing beyond a tenth of its sigma.
+    """
+
+    value: Floats
+    sigma: Floats
+    covariance: Floats
+    say: Floats
+    excess: Floats
+    tones: SpinTones
+    parameters: TwelveParameters
+    passes: int
+    settled: bool
+
+    @property
+    def determined(self) -> Bools:
+        """Which parameters the record told; (8,)."""
+        return np.isfinite(self.sigma)
+
+    def correlation(self, one: str, other: str) -> float:
+        """Return the correlation of the errors of two parameters."""
+        a, b = SPIN_RELATED.index(one), SPIN_RELATED.index(other)
+        return float(self.covariance[a, b] / (self.sigma[a] * self.sigma[b]))
+
+    def table(self) -> xr.Dataset:
+        """Return `value`, `sigma`, `covariance` and `determined` by ``parameter``."""
+        one = "parameter"
+        return xr.Dataset(
+            {
+                "value": (one, self.value),
+                "sigma": (one, self.sigma),
+                "covariance": ((one, "other_parameter"), self.covariance),
+                "determined": (one, self.determined),
+            },
+            coords={
+                one: list(SPIN_RELATED),
+                "other_parameter": list(SPIN_RELATED),
+                "units": (one, [UNITS[name] for name in SPIN_RELATED]),
+            },
+            attrs={
+                "passes": self.passes,
+                "settled": int(self.settled),
+                "sub_intervals": self.tones.told(),
+                "excess": self.excess.tolist(),
+            },
+        )
+
+
+def joint_estimate(
+    readings: Floats,
+    phase: Floats,
+    stamps: Int64,
+    layout: Layout,
+    present: TwelveParameters,
+    present_sigma: Mapping[str, float] | None = None,
+) -> JointEstimate:
+    """Determine the eight parameters from all sub-intervals together.
+
+    Parameters
+    ----------
+    readings, phase, stamps, layout
+        As for `spin_tones`.
+    present : TwelveParameters
+        Where to begin; also the values of what the record does not tell.
+    present_sigma : mapping of str to float, optional
+        Knowledge that is put in as one more measurement of the parameters named.
+
+    Raises
+    ------
+    CalibrationError
+        Nothing usable, or the field does not turn with the phase.
+    """
+    tones = first_tones(readings, phase, stamps, layout, present)
+    known = _Known.of(present, present_sigma or {})
+    parameters, settled, passes = tones.parameters, False, 0
+    while not settled and passes < _JOINT_PASSES:
+        if passes:
+            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+        passes += 1
+        fit = _fit(spin_equations(tones), tones, known)
+        new = tones.parameters.spin_related() + fit.change
+        parameters = tones.parameters.changed(dict(zip(SPIN_RELATED, new.tolist(), strict=True)))
+        settled = bool(np.all(np.abs(fit.change) <= _JOINT_SETTLED * fit.sigma))
+    return JointEstimate(
+        new, fit.sigma, fit.covariance, fit.say, fit.excess, tones, parameters, passes, settled
+    )
+
+
+@dataclass(frozen=True)
+class _Known:
+    """Knowledge beforehand: values and inverse variances (8,), 0 for none."""
+
+    value: Floats
+    weight: Floats
+
+    @classmethod
+    def of(cls, present: TwelveParameters, sigma: Mapping[str, float]) -> _Known:
+        given = np.array([sigma.get(name, np.inf) for name in SPIN_RELATED], dtype=np.float64)
+        return cls(present.spin_related(), 1.0 / given**2)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    change: Floats
+    sigma: Floats
+    covariance: Floats
+    say: Floats
+    excess: Floats
+
+
+def _fit(equations: SpinEquations, tones: SpinTones, known: _Known) -> _Fit:
+    """Solve the whitened system with robust weights."""
+    usable = tones.usable & np.isfinite(equations.residual).all(axis=1)
+    size = np.maximum(np.abs(tones.least_modulus), 1.0)[:, None]
+    noise = np.maximum(equations.noise, 1e-12 * size)
+    use = usable[:, None]
+    design = np.where(use[..., None], equations.design / noise[..., None], 0.0)
+    target = np.where(use, -equations.residual / noise, 0.0)
+    unit = np.sqrt(np.maximum((design**2).sum(axis=(0, 1)) + known.weight, 1e-300))
+    design = design / unit
+    prior = known.weight / unit**2
+    shift = prior * (known.value - tones.parameters.spin_related()) * unit
+    say = np.ones((len(target), target.shape[1] // _PAIR))
+    change = np.zeros(unit.size)
+    for _ in range(_TURNS):
+        weight = np.repeat(say, _PAIR, axis=1)
+        inverse, told = _inverse(_crossed(design, design * weight[..., None]) + np.diag(prior))
+        new = inverse @ (_flat(design).T @ (weight * target).ravel() + shift)
+        moved, change = float(np.abs(new - change).max()), new
+        left = target - design @ change
+        say, excess, pull = _weights(left, usable)
+        if moved < 1e-3 * float(np.sqrt(np.max(np.diag(inverse)))):
+            break
+    covariance = _covariance(design, left, np.repeat(say, _PAIR, axis=1), pull, prior, excess, tones.blocks)
+    covariance = covariance / np.outer(unit, unit)
+    covariance[~told, :], covariance[:, ~told] = np.nan, np.nan
+    sigma = np.sqrt(np.where(told, np.diag(covariance), np.inf))
+    return _Fit(np.where(told, change / unit, 0.0), sigma, covariance, say, excess)
+
+
+def _flat(rows: Floats) -> Floats:
+    """Return equations (sub, row, parameter) one after the other."""
+    return rows.reshape(-1, rows.shape[-1])
+
+
+def _crossed(one: Floats, other: Floats) -> Floats:
+    """Return the sum of products of equations (sub, row, parameter); a matrix product, not a loop."""
+    return np.asarray(_flat(one).T @ _flat(other))
+
+
+def _inverse(normal: Floats) -> tuple[Floats, Bools]:
+    """Return the inverse over what is told, and which parameters lie wholly in it."""
+    size, turn = np.linalg.eigh(normal)
+    kept = size > _SINGULAR * max(float(size.max()), 1e-300)
+    inverse = (turn[:, kept] / size[kept]) @ turn[:, kept].T
+    return inverse, (turn[:, ~kept] ** 2).sum(axis=1) < 1e-6
+
+
+def _weights(left: Floats, usable: Bools) -> tuple[Floats, Floats, Floats]:
+    """Return the say of each tone (sub, 3), the excess over its noise (3,), and its pull."""
+    length = np.hypot(left[:, 0::2], left[:, 1::2])
+    excess = np.median(length[usable], axis=0) / _MEDIAN_LENGTH
+    pull = length / _widened(excess, int(usable.sum()))
+    return np.where(usable[:, None], biweight(pull), 0.0), excess, pull
+
+
+def _widened(excess: Floats, count: int) -> Floats:
+    """Return by how much the noise stated is too small, beyond what chance makes of `count` tones; (3,).
+
+    The median of n lengths of two Gaussian numbers has a relative error of ``0.61 / sqrt(n)``; half of them
+    overlap.
+    """
+    return np.where(excess > 1.0 + 2.0 * 0.61 / np.sqrt(max(0.5 * count, 1.0)), excess, 1.0)
+
+
+def _covariance(
+    design: Floats,
+    left: Floats,
+    weight: Floats,
+    pull: Floats,
+    prior: Floats,
+    excess: Floats,
+    blocks: int,
+) -> Floats:
+    """Return the covariance by the noise stated and by the scores themselves, whichever is larger.
+
+    Sub-intervals that share a part of their blocks share that part of their noise. Scores know what the
+    noise stated does not: lines at the spin, fluctuations that keep their phase.
+    """
+    # A tone gives way by the slope along its length and by the weight across it.
+    slope = 0.5 * (np.maximum(biweight_slope(pull), 0.0) + biweight(pull))
+    slope = np.repeat(slope, _PAIR, axis=1) * (weight > 0.0)
+    bread = np.linalg.pinv(_crossed(design, design * slope[..., None]) + np.diag(prior), hermitian=True)
+    wide = _widened(excess, int((weight.max(axis=1) > 0.0).sum()))
+    pushed = design * (weight * np.repeat(wide, _PAIR))[..., None]
+    stated = _crossed(pushed, pushed) + np.diag(prior)
+    for apart in range(1, min(blocks, len(pushed))):
+        shared = _crossed(pushed[apart:], pushed[:-apart])
+        stated += (1.0 - apart / blocks) * (shared + shared.T)
+    scores = (design * (weight * left)[..., None]).sum(axis=1)
+    seen = long_run_covariance(scores) + np.diag(prior)
+    lever = ((pushed @ bread) * design).sum(axis=(1, 2))
+    # The kernel of the long-run covariance reaches over twice the overlap, and sees so many fewer scores.
+    alike = float(lever.sum()) ** 2 / max(float(np.sum(lever**2)), 1e-300) / (2.0 * blocks)
+    # The largest eigenvalue that covariances of so few scores have by chance (Marchenko and Pastur 1967).
+    chance = (1.0 + np.sqrt(len(prior) / max(alike, 1.0))) ** 2
+    return np.asarray(bread @ _larger(stated, seen, chance) @ bread)
+
+
+def _larger(one: Floats, other: Floats, chance: float) -> Floats:
+    """Return a covariance, larger where another is by more than a factor that is chance."""
+    own, vectors = np.linalg.eigh(one)
+    kept = own > 1e-12 * own.max()
+    root, inverse = vectors[:, kept] * np.sqrt(own[kept]), vectors[:, kept] / np.sqrt(own[kept])
+    ratio, turn = np.linalg.eigh(inverse.T @ other @ inverse)
+    spread = root @ turn
+    return np.asarray((spread * np.where(ratio > chance, ratio, 1.0)) @ spread.T)
+
+
+#: Rounds of linearisation and reweighting, and the change, in sigmas, that ends them.
+_ROUNDS, _SETTLED = 8, 0.05
+
+
+@dataclass(frozen=True)
+class SpinFit:
+    """Fitted values of a spinning sensor.
+
+    Attributes
+    ----------
+    names : tuple of (str, int)
+        Parameter and component of each value.
+    value, sigma : ndarray, shape (parameter,)
+        In the parameters' own units.
+    covariance : ndarray, shape (parameter, parameter)
+    model : Model
+        With the values, constant in time, put in.
+    before, after : float
+        Weighted rms of the rows, nT.
+    """
+
+    names: tuple[tuple[str, int], ...]
+    value: Floats
+    sigma: Floats
+    covariance: Floats
+    model: Model
+    before: float
+    after: float
+
+
+def spinning_entry(model: Model) -> ModelEffect | None:
+    """Return the model's spinning sensor; None when it has none."""
+    return next((entry for entry in model.effects if isinstance(entry.effect, SpinningSensor)), None)
+
+
+def free_of(entry: ModelEffect) -> tuple[tuple[str, int], ...]:
+    """Return parameters and components of a spinning sensor that are free and show in the spin's tones."""
+    return tuple(
+        (name, index)
+        for name, indices in SpinningSensor.SPIN_RELATED.items()
+        if entry.parameters[name].free
+        for index in indices
+    )
+
+
+def at_values(model: Model, entry: ModelEffect, names: Sequence[tuple[str, int]], value: Floats) -> Model:
+    """Return a model whose spinning sensor has values, constant in time."""
+    parameters = dict(entry.parameters)
+    for (name, index), number in zip(names, value, strict=True):
+        told = parameters[name]
+        numbers = told.value[:, :1].copy() if told.table is None else told.at(0)[:, None]
+        numbers[index] = number
+        parameters[name] = replace(told, time="constant", value=numbers, sigma=told.sigma[:, :1], table=None)
+    return model.replace(replace(entry, parameters=parameters))
+
+
+def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
+    """Fit the free ones of the eight parameters to folded samples by robust weighted least squares.
+
+    Parameters
+    ----------
+    model : Model
+        With a spinning sensor; its values are the start, its sigmas the prior.
+    samples : sequence of Dataset
+        Folded: see `inflight.samples.spin_folding.fold`.
+
+    Raises
+    ------
+    CalibrationError
+        When there is nothing to fit to.
+    """
+    entry = spinning_entry(model)
+    if entry is None:
+        raise CalibrationError("the model has no spinning_sensor", remedy="add one to the model")
+    names = free_of(entry)
+    kinds = SpinningSensor.parameters()
+    middle = int(np.median(np.concatenate([one["tt2000"].values for one in samples])))
+    start = np.array([entry.parameters[name].at(middle)[index] for name, index in names])
+    sigma = np.array([_prior(entry, name, index) for name, index in names])
+    steps = np.array([kinds[name].step for name, _ in names])
+    value, weight, before = start.copy(), None, np.nan
+    for _ in range(_ROUNDS):
+        now = at_values(model, entry, names, value)
+        residual, base, interval = _rows(now, samples)
+        if weight is None:
+            weight, before = base, _rms(residual, base)
+        columns = np.stack(
+            [
+                (
+                    _rows(at_values(model, entry, names, value + step), samples)[0]
+                    - _rows(at_values(model, entry, names, value - step), samples)[0]
+                )
+                for step in np.diag(steps)
+            ],
+            axis=1,
+        ) / (2.0 * steps)
+        weight = base * _say(residual, base, interval)
+        change, covariance = _solved(columns, residual, weight, interval, (start - value), sigma)
+        value = value + change
+        if np.all(np.abs(change) <= _SETTLED * np.sqrt(np.diag(covariance))):
+            break
+    fitted = at_values(model, entry, names, value)
+    residual, base, _ = _rows(fitted, samples)
+    return SpinFit(
+        names, value, np.sqrt(np.diag(covariance)), covariance, fitted, before, _rms(residual, base)
+    )
+
+
+def _prior(entry: ModelEffect, name: str, index: int) -> float:
+    stated = float(entry.parameters[name].sigma[index, 0])
+    return stated if np.isfinite(stated) else SpinningSensor.parameters()[name].sigma
+
+
+def _rows(model: Model, samples: Sequence[xr.Dataset]) -> tuple[Floats, Floats, Floats]:
+    """Return residuals, weights and intervals of all rows, one after another."""
+    assert model.layout is not None
+    assert model.layout.folding is not None
+    length, parts = model.layout.folding.interval_ns, []
+    for one in samples:
+        rows = rows_of(model, one)
+        weight = np.where(rows.good, np.asarray(one["weight"].values), 0.0)
+        interval = one["tt2000"].values // length
+        wide = rows.residual.shape[1]
+        filled = np.where(rows.good[:, None], np.nan_to_num(rows.residual), 0.0)
+        parts.append((filled.ravel(), np.repeat(weight, wide), np.repeat(interval, wide)))
+    residual, weights, intervals = (np.concatenate(one) for one in zip(*parts, strict=True))
+    if not np.any(weights > 0):
+        raise CalibrationError(
+            "no interval of the days looked at is usable",
+            remedy="see 'inflight catalog gaps', the sun pulses and the flags of the deliveries",
+        )
+    return residual, weights, intervals
+
+
+def _rms(residual: Floats, weight: Floats) -> float:
+    return float(np.sqrt(np.sum(weight * residual**2) / max(np.sum(weight), 1e-300)))
+
+
+def _say(residual: Floats, weight: Floats, interval: Floats) -> Floats:
+    """Return how much each row counts: intervals whose tones stand out of the others lose their say."""
+    own, place = np.unique(interval, return_inverse=True)
+    square = np.bincount(place, weight * residual**2, own.size)
+    total = np.bincount(place, weight > 0, own.size)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.sqrt(square / total)
+    usual = np.nanmedian(size[total > 0])
+    pull = np.where(np.isfinite(size), size / max(float(usual), 1e-12), 0.0)
+    return np.asarray(biweight(pull)[place])
+
+
+def _solved(
+    columns: Floats, residual: Floats, weight: Floats, interval: Floats, from_prior: Floats, sigma: Floats
+) -> tuple[Floats, Floats]:
+    """Return the change of the values and their covariance, by the scores of the intervals."""
+    gram = (columns * weight[:, None]).T @ columns
+    scale = float(np.sum(weight * residual**2)) / max(int(np.sum(weight > 0)), 1)
+    prior = np.diag(scale / sigma**2)
+    bread = np.linalg.inv(gram + prior)
+    change = bread @ (-(columns * weight[:, None]).T @ residual + prior @ from_prior)
+    left = residual + columns @ change
+    own, place = np.unique(interval, return_inverse=True)
+    scores = np.zeros((own.size, columns.shape[1]))
+    np.add.at(scores, place, columns * (weight * left)[:, None])
+    meat = scores.T @ scores * own.size / max(own.size - columns.shape[1], 1) + scale * prior
+    return change, bread @ meat @ bread

@@ -1,0 +1,340 @@
+"""Which physical effect is missing: survey, pass, search, verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from inflight.catalog import Catalog
+from inflight.design.columns import MOST
+from inflight.design.terms import Term
+from inflight.diagnosis.candidates import make_library
+from inflight.diagnosis.residual import Material
+from inflight.diagnosis.result import Diagnosis
+from inflight.diagnosis.search import Rules, Search
+from inflight.diagnosis.time_changes import carriers_of
+from inflight.diagnosis.verdict import conclude
+from inflight.dual.unrecorded import Switched
+from inflight.effects.families import channels_of
+from inflight.errors import CatalogError
+from inflight.frames import GEOMETRY
+from inflight.mission import Mission
+from inflight.model.rows import folding_of
+from inflight.tasks.analysis.gram_pass import (
+    MEMORY_S,
+    DiagnoseSettings,
+    Loaded,
+    PassPlan,
+    Survey,
+    block_parts,
+    cadence_for,
+    load_evidence,
+    make_blocks,
+    placebo_shifts,
+    stretches_between,
+    survey,
+    switched_in,
+)
+from inflight.tasks.archive.channels import ChannelReader, shows_spin
+from inflight.tasks.archive.inputs import (
+    ArchiveIndex,
+    Need,
+    base_role,
+    channel_needs,
+    needs_of,
+    position_channel,
+)
+from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.report import Progress
+from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
+
+#: A record of so few days is cut to what was measured.
+_SHORT_DAYS = 3
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A pass that has been made: what the search reads."""
+
+    plan: PassPlan
+    used: UsedModel
+    survey: Survey
+    loaded: Loaded
+    context: str
+    run: str
+    days_failed: int
+    switched: Switched | None = None
+
+
+def diagnose(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: DiagnoseSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find out which physical effect is missing from a mission's present model.
+
+    Parameters
+    ----------
+    start, end : UTC date, optional
+        Half-open span of days; the whole archive when absent.
+    client : distributed.Client, optional
+        The pass runs on it.
+    progress : callable, optional
+        Called with (stage, done, total).
+
+    Raises
+    ------
+    MissionError, ModelError, CatalogError, CalibrationError
+        When there is nothing to work on, or the model does not fit the mission.
+    """
+    settings = settings or DiagnoseSettings()
+    made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
+    search, material = search_of(made, settings), material_of(made, mission)
+    # Columns that join make new evidence, gigabytes of it: nothing here may hold on to the old one.
+    del made
+    return conclude(search, material)
+
+
+def prepare(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None,
+    end: DayLike | None,
+    settings: DiagnoseSettings,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+    used: UsedModel | None = None,
+    narrow: Callable[[PassPlan], PassPlan] | None = None,
+) -> Prepared:
+    """Make or find the evidence of a span and a model, the present one if none; a narrow one stays apart."""
+    tell = progress or (lambda stage, done, total: None)
+    made = planned(cat, mission, settings, start, end, used, tell)
+    plan = narrow(made.plan) if narrow else made.plan
+    context = cat.save_context(mission.text, made.used.model.name, made.used.version, {})
+    dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
+    run, blocks = make_blocks(
+        cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell
+    )
+    loaded = load_evidence(cat, plan, blocks)
+    if loaded.outliers.share > MOST:
+        # So much of a span is no outlier: the evidence with it stands beside the one without.
+        plan = replace(plan, keep_bursts=True)
+        run, blocks = make_blocks(
+            cat, mission, plan, made.index, made.base, settings, context, f"{dataset}-bursts", client, tell
+        )
+        loaded = load_evidence(cat, plan, blocks)
+        dataset = f"{dataset}-bursts"
+    seen = switched_in(mission, plan, loaded.series)
+    if seen is not None:
+        # Rows at switchings go, and the levels between those that nobody recorded are free.
+        plan = replace(plan, stretches=stretches_between(seen, plan))
+        run, blocks = make_blocks(
+            cat,
+            mission,
+            plan,
+            made.index,
+            made.base,
+            settings,
+            context,
+            f"{dataset}-stretches",
+            client,
+            tell,
+        )
+        loaded = load_evidence(cat, plan, blocks)
+    failed = len(plan.blocks) - len(blocks)
+    return Prepared(plan, made.used, made.survey, loaded, context, run, failed, seen)
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A pass that is still to be made: what a worker is given, and the archive it reads."""
+
+    plan: PassPlan
+    index: ArchiveIndex
+    base: Need
+    used: UsedModel
+    survey: Survey
+
+
+def planned(
+    cat: Catalog,
+    mission: Mission,
+    settings: DiagnoseSettings,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    used: UsedModel | None = None,
+    tell: Progress = lambda stage, done, total: None,
+) -> Planned:
+    """Look at the span, linearise the model, and decide what is tried.
+
+    Raises
+    ------
+    CatalogError
+        When the archive has no day of the span.
+    """
+    used = used or current_model(cat, mission, settings.comparison)
+    needs = tuple(needs_of(mission, used.model))
+    channels = channel_needs(mission)
+    index = ArchiveIndex.of(cat, [*needs, *channels])
+    days = [day for day in index.with_all(needs) if is_within(day, start, end)]
+    if not days:
+        raise CatalogError(
+            "the archive has no day of the span on which every instrument measured",
+            remedy="ingest the files first; 'inflight catalog list' shows what is there",
+        )
+    base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
+    folding = folding_of(mission, settings.comparison)
+    whole = len(days) > _SHORT_DAYS or folding is not None
+    span = _span(index, base, days, whole)
+    # Bands and turns are lost on a coarser cadence.
+    platform = folding is not None or mission.comparisons[settings.comparison].kind == "platform"
+    native = max(need.cadence_ns for need in needs if need.channel == "field")
+    native = native if folding is None else folding.cadence_ns
+    cadence = native if platform else cadence_for(span[1] - span[0], native)
+    if settings.cadence_s is not None and not platform:
+        cadence = native * max(1, round(settings.cadence_s * SECOND / native))
+    reader = ChannelReader(cat, mission, channels, index, cadence, span, settings.comparison)
+    tell("survey", 0, 1)
+    found = survey(cat, mission, used.model, needs, index, days, reader)
+    tell("survey", 1, 1)
+    plan = _plan(mission, found, needs, channels, days, span, cadence)
+    return Planned(plan, index, base, used, found)
+
+
+def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64], whole: bool) -> tuple[int, int]:
+    """Return the first and the last TT2000 the record covers, or the bounds of its days."""
+    first, last = index.get(base, days[0]), index.get(base, days[-1])
+    assert first is not None
+    assert last is not None
+    if whole:
+        return day_bounds(days[0])[0], day_bounds(days[-1])[1]
+    return first.first_tt2000, last.last_tt2000 + base.cadence_ns
+
+
+def _plan(
+    mission: Mission,
+    found: Survey,
+    needs: Sequence[Need],
+    channels: Sequence[Need],
+    days: Sequence[np.datetime64],
+    span: tuple[int, int],
+    cadence: int,
+) -> PassPlan:
+    orbit = mission.periods.get("orbit")
+    length = span[1] - span[0]
+    parts, width = block_parts(len(days), length, orbit)
+    geometry = list(GEOMETRY) if position_channel(mission) else []
+    vectors = [name for name, channel in channels_of(mission).items() if len(channel.axis_names) == 3]
+    shifts = placebo_shifts(found, orbit, length)
+    library = make_library(
+        mission,
+        found.model,
+        found.channels,
+        [*geometry, *vectors],
+        shifts,
+        found.base,
+        (2.0 * cadence / SECOND, 0.5 * length / SECOND),
+        found.fixed,
+        frozenset(
+            need.name for need in channels if shows_spin(mission, found.model.comparison, need.cadence_ns)
+        ),
+    )
+    for name in found.still:
+        library.unscorable.append(
+            {"name": name, "family": "unknown", "reason": "the channel does not change"}
+        )
+    blocks = tuple(tuple(days[at : at + width]) for at in range(0, len(days), width))
+    memory = min(MEMORY_S, length / SECOND / 50.0)
+    return PassPlan(
+        found.model,
+        library,
+        tuple(needs),
+        tuple(channels),
+        tuple(days),
+        blocks,
+        parts,
+        cadence,
+        span,
+        memory,
+        found.channels,
+    )
+
+
+def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
+    """Return a search over the evidence, nothing taken yet."""
+    raw = made.loaded.raw
+    days = _groups(raw.start, DAY)
+    rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)
+    return Search(
+        raw,
+        made.loaded.white,
+        made.plan.library,
+        intervals_of(made, settings),
+        _within_groups(days, len(raw)),
+        rules,
+        made.loaded.within,
+        carriers=carriers_of(made.plan.library),
+    )
+
+
+def _groups(start: Any, width: int) -> list[list[int]]:
+    """Return blocks by consecutive spans of a length, from the first block's start."""
+    place = (start - start[0]) // width
+    return [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
+
+
+def _within_groups(days: list[list[int]], blocks: int) -> list[list[int]]:
+    """Return the days; of a record of one or two days, its quarters."""
+    if len(days) > 2 or blocks < 8:
+        return days
+    return [part.tolist() for part in np.array_split(np.arange(blocks), 4)]
+
+
+def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
+    """Return the blocks of each calibration interval; all in one when nothing it fits is a block's own."""
+    raw = made.loaded.raw
+    own = [
+        timed
+        for term in made.plan.library.base
+        for entry in made.used.model.effects
+        if entry.name == term.entry.name
+        for name, timed in entry.parameters.items()
+        if name in term.parameters
+    ]
+    if own and not any(timed.time == "block" for timed in own):
+        return [list(range(len(raw)))]
+    groups = _groups(raw.start, settings.interval_days * DAY)
+    # A short rest joins the interval before it.
+    if len(groups) > 1 and len(groups[-1]) < 0.5 * len(groups[0]):
+        rest = groups.pop()
+        groups[-1] += rest
+    return groups
+
+
+def material_of(made: Prepared, mission: Mission) -> Material:
+    """Return what a verdict needs beside the search."""
+    effects: dict[str, Term] = {term.key: term for term in made.plan.library.all_terms}
+    return Material(
+        mission,
+        made.used.model,
+        made.plan.model,
+        effects,
+        made.loaded.series,
+        dict(made.loaded.sums),
+        made.plan.cadence_ns / SECOND,
+        made.loaded.floor,
+        made.context,
+        made.run,
+        made.plan.memory_s,
+        made.loaded.outliers,
+        switched=made.switched,
+    )

@@ -1,0 +1,447 @@
+"""Page of diagnose.
+
+Sections of a diagnosis's report: each a heading, text that needs no script, and figures.
+
+The report of a diagnosis: one HTML file that needs nothing but itself.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from inflight import __version__
+from inflight.catalog import Catalog
+from inflight.diagnosis.residual import Material
+from inflight.diagnosis.result import Diagnosis, Signature
+from inflight.diagnosis.search import Search
+from inflight.diagnosis.spectra import Periodogram, fold, periodogram
+from inflight.diagnosis.verdict import conclude, known_periods, lag_profile
+from inflight.diagnosis.views import (
+    Seen,
+    along_field,
+    cross_talk,
+    epoch,
+    heat_maps,
+    responses,
+    seen_of,
+    shifts_of,
+    sizes_of,
+    trials,
+    waterfall,
+)
+from inflight.figures.dependence import (
+    along_field_figures,
+    epoch_figure,
+    fold_figure,
+    lag_figure,
+    response_figures,
+    response_key,
+)
+from inflight.figures.diagnosis import (
+    candidate_table,
+    drop_figure,
+    facts_list,
+    found_effects,
+    ledger_table,
+    order_figure,
+    rivals_apart,
+    telling,
+    unscorable_list,
+    verdict_strip,
+    waterfall_figure,
+)
+from inflight.figures.page import Section, html_page, write_page
+from inflight.figures.parameters import cross_talk_figure, shift_table, strongest_pairs
+from inflight.figures.residual import daily_figure, heat_map_figures, histogram_figure
+from inflight.figures.spectra import periodogram_figures
+from inflight.figures.style import short_name
+from inflight.mission import Mission
+from inflight.residual.lines import drawn_periods, told_period
+from inflight.residual.lines import known_periods as named_periods
+from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+from inflight.tasks.pipelines.states.tables import named_units
+from inflight.tasks.report import Progress
+from inflight.time import SECOND, DayLike, to_utc
+
+#: Channels whose response is drawn, beside those of found effects; and found effects drawn one by one.
+_CHANNELS, _EFFECTS = 6, 6
+
+_STATES = ("before", "after")
+
+# Fails here.
+
+
+def fails_here(seen: Seen) -> Section:
+    """Return heat maps, and the residual against the field's direction."""
+    plots = [plot for one in heat_maps(seen) for plot in heat_map_figures(one, seen.changed)]
+    note = [
+        "Vertical bands follow the orbit (an eclipse: edges that move with the season), horizontal ones are "
+        "days or steps. The calibration is fitted before and after; both share one scale of colours."
+    ]
+    if not seen.is_scalar:
+        note.append(f"The residual has several rows; row {'xyz'[seen.row]}, the largest, is drawn.")
+    along = along_field(seen)
+    if along:
+        note.append(
+            "Against the field's direction a field fixed in the sensor is a straight line: two lines are "
+            "two offsets."
+        )
+    return (
+        "Where it fails",
+        [f'<p class="quiet">{escape(" ".join(note))}</p>'],
+        plots + along_field_figures(along),
+    )
+
+
+def follows(seen: Seen, found: Diagnosis) -> Section:
+    """Return the responses to the channels of found effects and of the best candidates."""
+    found_ones = responses(seen, _channels(seen, found))
+    note = (
+        "Field along each sensor axis that would make the residual follow the channel, fitted bin by bin, "
+        "one scale a channel. Bars are one sigma between blocks; the grey band is what the same channel "
+        "explains at six other times, so only what leaves it counts. Branches that part and meet again are "
+        "a loop: hysteresis or a lag."
+    )
+    plots = [plot for one in found_ones for plot in response_figures(one)]
+    return "What it follows", [f'<p class="quiet">{escape(note)}</p>', response_key()] if plots else [], plots
+
+
+def _channels(seen: Seen, found: Diagnosis) -> list[str]:
+    """Return the channels of found effects, then those of the best candidates."""
+    there = [name for name in seen.series.channels if seen.series[name].ndim == 1]
+    own = [name for one in found.effects for name in one.channels if name in there]
+    others = [name for one in found.candidates if not one["placebo"] for name in one["channels"]]
+    more = [name for name in dict.fromkeys(others) if name in there and name not in own]
+    return [*dict.fromkeys(own), *more[:_CHANNELS]]
+
+
+def spectrum(seen: Seen, material: Material) -> Section:
+    """Return the periodograms along each axis before and after."""
+    after = _periodogram(seen, material, seen.after)
+    before = _periodogram(seen, material, seen.before) if seen.changed else None
+    if after is None:
+        return "Spectrum along each axis", [], []
+    stated = {name: period / SECOND for name, period in material.mission.periods.items()}
+    known = drawn_periods(named_periods(stated, None))
+    note = (
+        "The residual times the field's direction: a field along one axis shows at its own period there. "
+        "Grey dotted periods are known; a red one stands beyond chance and nothing known explains it."
+    )
+    return (
+        "Spectrum along each axis",
+        [f'<p class="quiet">{escape(note)}</p>'],
+        periodogram_figures(before, after, known),
+    )
+
+
+def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodogram | None:
+    series = seen.series
+    weight = np.where(seen.good, series["weight"], 0.0)
+    known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
+    if not turned.any():
+        # A platform's residual has no direction of its own: its spectrum stands in the first place.
+        turned[:, :, 0] = 1.0
+    return periodogram(series.tt2000, known, turned, weight, known_periods(material))
+
+
+# Which effect.
+
+
+def which_effect(search: Search, material: Material, found: Diagnosis) -> Section:
+    """Return the table of candidates and how their gains fall."""
+    names = [str(one["name"]) for one in found.candidates if not one["placebo"]]
+    rivals = {one.name: one.rivals for one in found.effects}
+    note = (
+        "Gain is the part of the mean square that a candidate alone takes off blocks it was not fitted to, "
+        "with its 95 % interval; the grey bar behind it is the best placebo, a channel shifted in time, "
+        "which explains by chance. p is family-wise over all candidates and forms. Values are those of the "
+        "candidate alone."
+    )
+    text = [
+        f'<p class="quiet">{escape(note)}</p>',
+        candidate_table(found.candidates, trials(search, material, names), rivals),
+        unscorable_list(found.unscorable),
+    ]
+    return "Which effect", [one for one in text if one], [drop_figure(found.candidates)]
+
+
+# The error falls.
+
+
+def error_falls(seen: Seen, search: Search, material: Material, found: Diagnosis) -> Section:
+    """Return the held-out error step by step, daily sizes and distributions."""
+    told = found.residual
+    floor = tuple(float(told[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
+    steps = waterfall(search, material)
+    start, end = float(told["held_out_before_nT"]), float(told["held_out_after_nT"])
+    sizes = sizes_of(seen)
+    states = _STATES if seen.changed else ("now", "now")
+    plots = [
+        waterfall_figure(steps, start, end, (floor[0], floor[1], floor[2])),
+        *([order_figure(steps, start)] if len(steps) > 1 else []),
+        daily_figure(to_utc(sizes.day), sizes.rms["before"], sizes.rms["after"], float("nan"), states),
+        histogram_figure(sizes.edges, sizes.counts["before"], sizes.counts["after"], states),
+    ]
+    note = (
+        "Steps of the error are held out, and what a step removes depends on what was there before it: "
+        "effects that share what they explain remove much when taken first and little when taken last. "
+        f"Daily sizes and the distribution are those of means of {seen.series.step_s:g} s, "
+        "so they lie below the sizes at the native cadence."
+    )
+    return "How the error falls", [f'<p class="quiet">{escape(note)}</p>'], plots
+
+
+def shapes(seen: Seen, search: Search, found: Diagnosis) -> Section:
+    """Lag profiles of responses, epochs of events, and the fold of a period that is left."""
+    plots: list[Any] = []
+    rows = float(search.forms["raw"].count.sum())
+    for option in search.accepted[:_EFFECTS]:
+        profile = lag_profile(search, option)
+        if profile is not None:
+            plots.append(lag_figure(option.name, profile, rows))
+        if option.change is not None:
+            plots += [epoch_figure(short_name(option.name), epoch(seen, when)) for when in option.change.at]
+    left: Signature | None = found.remaining.get("signature")
+    if left is not None and left.period_s:
+        plots.append(_folded(seen, left.period_s))
+    note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
+    return "Form of what was found", [f'<p class="quiet">{escape(note)}</p>'] if plots else [], plots
+
+
+def _folded(seen: Seen, period: float) -> Any:
+    good, series = seen.good, seen.series
+    rows = seen.after.shape[1]
+    seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, rows)
+    y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
+    return fold_figure(told_period(period), *fold(seconds, y, u, period))
+
+
+# Cross-talk.
+
+
+def stands_for(search: Search, found: Diagnosis) -> Section:
+    """Return the correlations of parameters, and what ignored effects do to the calibration."""
+    talk = cross_talk(search)
+    if not talk.names:
+        return "What stands for what", [], []
+    shifts = [
+        shift
+        for option, one, told in zip(search.accepted, found.effects, found.as_json()["effects"], strict=True)
+        for shift in shifts_of(search, option, one.coefficients)
+        if shift.coefficient in {value["name"] for value in telling(told["coefficients"])}
+    ]
+    text = [
+        '<p class="quiet">Correlations of errors, the whole span as one calibration interval: pairs near '
+        "+1 or -1 are one parameter to these data.</p>"
+    ]
+    pairs = strongest_pairs(talk)
+    if pairs:
+        text.append(f"<p>Strongest of what was found: {escape('; '.join(pairs))}.</p>")
+    if shifts:
+        text.append(
+            "<p>What each found coefficient does to the calibration when it is there but ignored (straight "
+            "in the coefficient; the whole span as one interval):</p>"
+        )
+        text.append(shift_table(shifts))
+    return "What stands for what", text, [cross_talk_figure(talk)]
+
+
+@dataclass(frozen=True)
+class DiagnosisReport:
+    """A diagnosis and the page that shows it."""
+
+    diagnosis: Diagnosis
+    path: Path
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+        told = self.diagnosis.as_json()
+        names = ("run", "context", "comparison", "model", "verdict", "sentence", "residual", "remaining")
+        effects = [{"name": one["name"], "family": one["family"]} for one in told["effects"]]
+        return (
+            {"command": "report", "path": str(self.path)}
+            | {name: told[name] for name in names}
+            | {"effects": effects}
+        )
+
+
+def report(
+    cat: Catalog,
+    mission: Mission,
+    output: Path,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: DiagnoseSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> DiagnosisReport:
+    """Diagnose a span and write the page of it; evidence that is there already is not made again.
+
+    Parameters
+    ----------
+    output : Path
+        Where the page goes; written whole, by one rename.
+    start, end : UTC date, optional
+        Half-open span of days; the whole archive when absent.
+    client : distributed.Client, optional
+        The pass runs on it.
+    progress : callable, optional
+        Called with (stage, done, total).
+
+    Raises
+    ------
+    MissionError, ModelError, CatalogError, CalibrationError
+        As `inflight.tasks.analysis.diagnosis.diagnose` raises them.
+    """
+    examined = examine(cat, mission, start, end, settings, client=client, progress=progress)
+    tell = progress or (lambda stage, done, total: None)
+    tell("report", 0, 1)
+    write_page(output, diagnosis_page(*examined))
+    tell("report", 1, 1)
+    return DiagnosisReport(examined.found, output)
+
+
+class Examined(NamedTuple):
+    """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
+
+    search: Search
+    material: Material
+    found: Diagnosis
+    settings: DiagnoseSettings
+    facts: Mapping[str, Any]
+
+
+def examine(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: DiagnoseSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Examined:
+    """Diagnose a span and return with the result what it was made from; arguments are those of `report`."""
+    settings = settings or DiagnoseSettings()
+    tell = progress or (lambda stage, done, total: None)
+    made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
+    tell("search", 0, 1)
+    search, material = search_of(made, settings), material_of(made, mission)
+    found = conclude(search, material)
+    tell("search", 1, 1)
+    facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
+    units = named_units(cat, mission, settings.comparison, start, end)
+    facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
+    return Examined(search, material, found, settings, facts)
+
+
+def diagnosis_page(
+    search: Search,
+    material: Material,
+    found: Diagnosis,
+    settings: DiagnoseSettings,
+    facts: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the page of a finished search as HTML; parameters are those of `diagnosis_sections`."""
+    raw = search.raw
+    first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
+    name = f"{material.mission.mission}: what is missing from the model, {first} to {last}"
+    sections = diagnosis_sections(search, material, found, settings, facts)
+    return html_page(name, sections, material.mission.acknowledgement)
+
+
+def diagnosis_sections(
+    search: Search,
+    material: Material,
+    found: Diagnosis,
+    settings: DiagnoseSettings,
+    facts: Mapping[str, Any] | None = None,
+) -> list[Section]:
+    """Return everything that is shown of a finished search.
+
+    Parameters
+    ----------
+    search : Search
+        As `conclude` left it.
+    facts : mapping, optional
+        More lines of the ledger.
+    """
+    seen = seen_of(search, material)
+    told = found.as_json()
+    strip = verdict_strip(found.verdict, found.sentence, told["residual"], told["remaining"]["verdict"])
+    sections: list[Section] = [
+        ("Verdict", [strip, *found_effects(told), *rivals_apart(told)], []),
+        fails_here(seen),
+        follows(seen, found),
+        spectrum(seen, material),
+        which_effect(search, material, found),
+        error_falls(seen, search, material, found),
+        shapes(seen, search, found),
+        stands_for(search, found),
+        _ledger(search, material, found, settings, facts or {}),
+    ]
+    return [section for section in sections if section[1] or section[2]]
+
+
+# Ledger.
+
+
+def _ledger(
+    search: Search,
+    material: Material,
+    found: Diagnosis,
+    settings: DiagnoseSettings,
+    facts: Mapping[str, Any],
+) -> Section:
+    y = search.raw.residuals[search.residual]
+    data = hashlib.sha256(np.ascontiguousarray(search.raw.gram[:, :, y]).tobytes()).hexdigest()
+    rules = search.rules
+    listed = {
+        "mission": material.mission.mission,
+        "comparison": found.comparison,
+        "model": f"{found.model.get('name')} version {found.model.get('version')}",
+        "blocks": f"{found.blocks['count']} of {found.blocks['length_s'] / 3600.0:.3g} h, "
+        f"{found.blocks['independent']:.0f} of them independent",
+        "samples left out": _left_out(found.outliers),
+        "cadence of the search": f"{material.cadence_s:g} s",
+        "settings": ", ".join(f"{name}={value}" for name, value in settings.model_dump().items()),
+        "rules": f"t > {rules.t:g}, gain > {rules.gain:g}, family-wise p < {rules.p:g}, "
+        f"over the best placebo t > {rules.t:g}",
+        "seed of the sign flips": rules.seed,
+        "sha256 of the data's products with the residual": data,
+        "run": found.run,
+        "context": found.context,
+        "software": f"inflight {__version__}",
+        **facts,
+    }
+    note = (
+        "The search changes nothing: 'inflight add' puts an effect into a new version of the model, "
+        "'inflight undo' returns to the version before it, 'inflight drop' takes out any effect."
+    )
+    text = [ledger_table(found.rounds), facts_list(listed), f'<p class="quiet">{escape(note)}</p>']
+    return "Ledger", text, []
+
+
+def _left_out(outliers: Mapping[str, Any]) -> str:
+    """Return how many samples are not in the evidence, and when the first bursts of them were."""
+    if not outliers:
+        return "none"
+    text = f"{outliers['samples']}, {outliers['spikes']} of them single"
+    if not outliers["burst_count"]:
+        return text
+    kept = ", kept because they hold too much of the span" if outliers["kept"] else ""
+    told = [
+        f"{one['start']} to {one['end']} ({one['times_usual']:.0f} times the usual scatter)"
+        for one in outliers["bursts"]
+    ]
+    more = "; ..." if len(told) < outliers["burst_count"] else ""
+    return f"{text}; {outliers['burst_count']} bursts{kept}: {'; '.join(told)}{more}"

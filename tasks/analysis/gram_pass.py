@@ -1,0 +1,850 @@
+"""The pass.
+
+The noise floor of a day, kept as sums in its report, and that of several days together.
+
+The pass: one look at every day of the archive makes the evidence that all later questions are put to.
+
+A worker turns some days into Gram matrices of [calibration | model | candidates | residual] and a
+coarse series for pictures and signatures. Days whose inputs did not change are not looked at again.
+
+Blocks of evidence of a span: those that are missing or out of date are made, the rest is kept.
+
+Before the pass: where the residual is linearised, what each channel does, how the span is cut.
+
+What switches in a dual comparison, with housekeeping and without, and the stretches between.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field
+
+from inflight.arrays import Floats
+from inflight.calibration import Reference, fit_block, split_chain, usable
+from inflight.calibration.scalar import PARTS
+from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.design.columns import Outliers, Rows, coarsen, design, turns_of
+from inflight.design.terms import Library, Term, Told
+from inflight.diagnosis.series import Features, Series, features_of, pack_blocks, thin
+from inflight.diagnosis.time_changes import Stretches
+from inflight.dual.unrecorded import Switched, switched
+from inflight.effects.families import channels_of
+from inflight.effects.sensors import VectorSensor
+from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.errors import CalibrationError, WorkerError
+from inflight.frames import GEOMETRY, add_geometry
+from inflight.lsq.gram_blocks import Evidence, gram_of, parts_of, prewhiten
+from inflight.mission import Mission, is_told_by_states, sensors_of
+from inflight.model import Model, ModelEffect, make_effect
+from inflight.model.rows import RowFilter, rows_of
+from inflight.residual.noise import NoiseFloor, joined_floor, level_of_rows
+from inflight.samples.spin_folding import FOLDING_VERSION, Folding
+from inflight.spin.estimate import fit_spin, spinning_entry
+from inflight.tasks.archive.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
+from inflight.tasks.archive.ingestion import each_result
+from inflight.tasks.archive.inputs import ArchiveIndex, Need
+from inflight.tasks.archive.samples import load_samples
+from inflight.tasks.pipelines.job import Job, Outcome, make_days
+from inflight.tasks.pipelines.publication import adopted_days, take_outcome
+from inflight.tasks.pipelines.states.tables import housekeeping
+from inflight.tasks.report import Progress
+from inflight.time import DAY, SECOND, day_bounds
+
+
+def floor_of_samples(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
+    """Return the white level of a day's residual, all rows together, as sums of squares over its samples."""
+    level = level_of_rows(residual, good, stamps)
+    if not np.isfinite(level.level_nT):
+        return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
+    return {
+        "floor_samples": float(level.samples),
+        "floor": level.samples * level.level_nT**2,
+        "floor_low": level.samples * level.low_nT**2,
+        "floor_high": level.samples * level.high_nT**2,
+    }
+
+
+def floor_of_turns(samples: xr.Dataset, good: np.ndarray, sectors: int) -> dict[str, float]:
+    """Return what nature leaves in a day's synthetic turns, by the scatter of the turns they are made of."""
+    noise = np.asarray(samples["noise"].values)
+    used = good & np.isfinite(noise) & (samples["weight"].values > 0)
+    total = float(samples["weight"].values[used].sum())
+    if not total > 0:
+        return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
+    square = float(np.sum((samples["weight"].values * noise**2)[used])) / total
+    # Two rows an interval with a sine and a cosine at two harmonics each.
+    unsure = 2.0 * np.sqrt(2.0 / (8.0 * max(used.sum() / sectors, 1.0)))
+    count = float(used.sum())
+    return {
+        "floor_samples": count,
+        "floor": count * square,
+        "floor_low": count * square * max(1.0 - unsure, 0.0),
+        "floor_high": count * square * (1.0 + unsure),
+    }
+
+
+def joined_floors(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
+    """Return the white level of several blocks together."""
+    known = [report for report in reports if report.get("floor_samples")]
+    return joined_floor(
+        [
+            NoiseFloor(
+                float(np.sqrt(report["floor"] / report["floor_samples"])),
+                float(np.sqrt(report["floor_low"] / report["floor_samples"])),
+                float(np.sqrt(report["floor_high"] / report["floor_samples"])),
+                int(report["floor_samples"]),
+            )
+            for report in known
+        ]
+    )
+
+
+#: Bumped by hand when the numbers of the evidence change.
+EVIDENCE_VERSION = 14
+
+#: Days lose the bins without geometry when these are at most this part of them.
+_GEOMETRY_GAPS = 0.3
+
+#: Rows of the series are at least so far apart in long records, seconds.
+_SERIES_S, _LONG_DAYS = 60.0, 100
+
+#: Sums over the native samples that the reports of blocks hold.
+SUMS = (
+    "count",
+    "square",
+    "inside",
+    "spikes",
+    "burst_samples",
+    "floor_samples",
+    "floor",
+    "floor_low",
+    "floor_high",
+)
+
+
+@dataclass(frozen=True)
+class PassPlan:
+    """All a worker needs to make evidence; no database behind it.
+
+    Attributes
+    ----------
+    model : Model
+        At the values the residual is linearised at.
+    library : Library
+    needs, channel_needs : tuple of Need
+        Series of the model's samples, and every channel of the mission.
+    days : tuple of datetime64[D]
+        The whole span.
+    blocks : tuple of tuple of datetime64[D]
+        Days of each block, or single days that hold several.
+    parts : int
+        Blocks of a day.
+    cadence_ns : int
+    span : tuple of int
+        TT2000 of the record.
+    memory_s : float
+        Correlation time of the prewhitened form.
+    told : mapping of str to Told
+    keep_bursts : bool
+        Bursts are counted and stay in.
+    stretches : Stretches, optional
+        Each has a level of its own: something nobody recorded switches between them.
+    """
+
+    model: Model
+    library: Library
+    needs: tuple[Need, ...]
+    channel_needs: tuple[Need, ...]
+    days: tuple[np.datetime64, ...]
+    blocks: tuple[tuple[np.datetime64, ...], ...]
+    parts: int
+    cadence_ns: int
+    span: tuple[int, int]
+    memory_s: float
+    told: Mapping[str, Told]
+    keep_bursts: bool = False
+    stretches: Stretches | None = None
+
+    @property
+    def scale(self) -> list[float]:
+        """Physical size of one unit of each column."""
+        return [one for term in self.library.all_terms for one in term.scale]
+
+    @property
+    def series_step(self) -> int:
+        """Bins that become one row of the series."""
+        if self.folding is not None:
+            return 1
+        wanted = _SERIES_S if len(self.days) > _LONG_DAYS else 0.0
+        return max(1, round(wanted * SECOND / self.cadence_ns))
+
+    @property
+    def folding(self) -> Folding | None:
+        """How samples were folded; None of a comparison that folds nothing."""
+        return self.model.layout.folding if self.model.layout is not None else None
+
+    @property
+    def kept(self) -> RowFilter | None:
+        """The filter residuals and columns go through."""
+        return (
+            self.folding
+            or self.stretches
+            or (self.model.layout.band if self.model.layout is not None else None)
+        )
+
+    @property
+    def within_blocks(self) -> bool:
+        """True when blocks hold several days, so that days are calibrated while they are made."""
+        return any(len(block) > 1 for block in self.blocks)
+
+    @property
+    def key(self) -> str:
+        """sha256 of everything but the archive that the evidence is made from."""
+        told = {
+            "version": EVIDENCE_VERSION,
+            "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
+            "model": self.model.text,
+            "columns": self.library.columns,
+            "shifts": dict(self.library.placebos),
+            "parts": self.parts,
+            "cadence": self.cadence_ns,
+            "memory": self.memory_s,
+            "span": self.span,
+            "means": {name: one.mean for name, one in self.told.items()},
+            "keep_bursts": self.keep_bursts,
+            "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,
+        }
+        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
+    """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
+    reader = ChannelReader(
+        cat, mission, made.channel_needs, index, made.cadence_ns, made.span, made.model.comparison
+    )
+    derived = DerivedChannels(reader, made.days, made.told, made.library.placebos)
+    days_of = {block[0]: block for block in made.blocks}
+    return make_days(
+        cat,
+        job,
+        lambda day: block_evidence(cat, mission, made, index, derived, days_of[day]),
+    )
+
+
+def block_evidence(
+    cat: Catalog,
+    mission: Mission,
+    made: PassPlan,
+    index: ArchiveIndex,
+    derived: DerivedChannels,
+    days: Sequence[np.datetime64],
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return the evidence of a block of days (or of the blocks of a day), and sums over its samples."""
+    found = [_day_evidence(cat, mission, made, index, derived, day) for day in days]
+    raw, white, _, sums = found[0]
+    total = dict(sums)
+    for more_raw, more_white, _, more in found[1:]:
+        raw, white = _summed(raw, more_raw), _summed(white, more_white)
+        total = {name: total[name] + more[name] for name in total}
+    kept = [_as_recorded(one[2], derived.reader.day(day)) for one, day in zip(found, days, strict=True)]
+    series, features = _series(made, raw, kept)
+    dataset = raw.as_dataset().assign(gram_white=white.as_dataset()["gram"])
+    dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
+    if made.within_blocks:
+        names = [name for term in made.library.base for name in term.columns]
+        inside = [one[0].absorbed(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
+        within = inside[0]
+        for more_raw in inside[1:]:
+            within = _summed(within, more_raw)
+        packed = within.as_dataset()["gram"].rename(entry="entry_within")
+        dataset = dataset.assign(gram_within=packed)
+    return dataset.assign_attrs(cadence_ns=made.cadence_ns), total
+
+
+def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
+    """Return rows whose channels are missing where they were not recorded; a series tells where that was."""
+    samples = {
+        name: rows.samples[name].copy(data=values)
+        for name, values in recorded.items()
+        if name in rows.samples and rows.samples[name].shape == values.shape
+    }
+    return replace(rows, samples=rows.samples.assign(samples))
+
+
+def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
+    """Return the coarse series of a block (or of the blocks of a day), and what it holds."""
+    plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
+    channels = list(dict.fromkeys([*made.told, *plain, *GEOMETRY]))
+    features = features_of(rows[0], channels)
+    thinned = [thin(one, features, made.series_step) for one in rows]
+    stamps = np.concatenate([one[0] for one in thinned])
+    values = np.concatenate([one[1] for one in thinned])
+    days = max(len(block) for block in made.blocks)
+    samples = -(-DAY // (made.cadence_ns * made.series_step)) * days // made.parts + 2
+    record = made.span[1] - made.span[0]
+    samples = min(samples, record // (made.cadence_ns * made.series_step) + 2)
+    return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples)), features
+
+
+def _summed(one: Evidence, other: Evidence) -> Evidence:
+    return one.joined([other]).merged([range(len(one) + len(other))])
+
+
+def _day_evidence(
+    cat: Catalog,
+    mission: Mission,
+    made: PassPlan,
+    index: ArchiveIndex,
+    derived: DerivedChannels,
+    day: np.datetime64,
+) -> tuple[Evidence, Evidence, Rows, dict[str, Any]]:
+    rows, sums = day_rows(cat, mission, made, index, derived, day)
+    columns = design(made.library.all_terms, rows)
+    stamps = rows.samples["tt2000"].values
+    edges = derived.reader.edges(day)
+    cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
+    parts = parts_of(stamps, cuts)
+    residual = rows.residual[:, :, None]
+    white = [prewhiten(values, rows.weight, stamps, made.memory_s) for values in (columns, residual)]
+    count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
+    names = (*made.library.columns, "residual")
+    common = (
+        np.array(cuts[:-1], dtype=np.int64),
+        np.array(cuts[1:], dtype=np.int64),
+        count,
+        np.array([*made.scale, 1.0]),
+    )
+    return (
+        Evidence(names, gram_of(columns, residual, rows.weight, parts), *common),
+        Evidence(names, gram_of(white[0], white[1], rows.weight, parts), *common),
+        rows,
+        sums,
+    )
+
+
+def day_rows(
+    cat: Catalog,
+    mission: Mission,
+    made: PassPlan,
+    index: ArchiveIndex,
+    derived: DerivedChannels,
+    day: np.datetime64,
+) -> tuple[Rows, dict[str, Any]]:
+    """Return a day's rows on the library's cadence, and sums over its native samples."""
+    samples = load_samples(cat, mission, made.model, day, list(made.needs), index, geometry=False)
+    native = rows_of(made.model, samples)
+    if made.stretches is not None:
+        lost = made.stretches.is_lost(samples["tt2000"].values)
+        native = replace(native, good=native.good & ~lost)
+    if made.folding is not None:
+        # What a sensor reads that turns in the steady field: effects are linearised there.
+        steady = samples.assign(vector=(samples["vector"].dims, native.field, samples["vector"].attrs))
+        samples = samples.assign(vector=made.model.disturb(steady)["vector"])
+    start, end = day_bounds(day)
+    geometry = _geometry(mission, derived.reader, day, samples)
+    there = {name: np.asarray(geometry[name].values) for name in GEOMETRY if name in geometry}
+    values = derived.on(day, made.library.channels, there)
+    variables = as_variables(mission, values, geometry if there else None)
+    edges = derived.reader.edges(day)
+    turn = turns_of(made.model, (start + end) // 2)
+    recorded = derived.reader.day(day)
+    rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
+    rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
+    if made.stretches is not None:
+        rows = _in_stretches(rows, made.stretches)
+    if made.folding is None:
+        sums |= floor_of_samples(native.residual, native.good, samples["tt2000"].values)
+    else:
+        sums |= floor_of_turns(samples, native.good, made.folding.sectors)
+    return rows, sums
+
+
+def _in_stretches(rows: Rows, stretches: Stretches) -> Rows:
+    """Return rows whose residual is relative to its stretch; those in none weigh nothing."""
+    stamps = rows.samples["tt2000"].values
+    weight = np.where(stretches.is_lost(stamps), 0.0, rows.weight)
+    residual = np.nan_to_num(stretches.keep(rows.residual, stamps, weight > 0))
+    return replace(rows, residual=residual, weight=weight, kept=stretches)
+
+
+def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
+    """Return which bins have no geometry, when most have: what is not there must not pass for a shadow."""
+    out = np.zeros(used.size, dtype=bool)
+    for values in geometry.values():
+        missing = ~np.isfinite(values.reshape(used.size, -1)).all(axis=1)
+        if (missing & used).sum() <= _GEOMETRY_GAPS * max(used.sum(), 1):
+            out |= missing
+    return out
+
+
+def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
+    """Return what position and attitude say of a day's bins."""
+    data = orbit_of(mission, reader, day)
+    bins = data["tt2000"].size
+    for role in ("vector", "outboard"):
+        if role in samples:
+            attrs = {"orientation": samples[role].attrs.get("orientation", (0.0, 0.0, 0.0, 1.0))}
+            data[role] = xr.Variable(("time", "axis"), np.zeros((bins, 3)), attrs)
+            break
+    found = add_geometry(xr.Dataset(data))
+    return found.drop_vars([name for name in ("position", "attitude", "vector", "outboard") if name in found])
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The evidence of a span: raw, prewhitened, within-day when it was made apart, the series, outliers."""
+
+    raw: Evidence
+    white: Evidence
+    within: Evidence | None
+    series: Series
+    sums: Mapping[str, float]
+    floor: NoiseFloor
+    outliers: Outliers
+
+
+def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
+    """Read the evidence of blocks, in order of time."""
+    names = (*made.library.columns, "residual")
+    scale = np.array([*made.scale, 1.0])
+    ordered = sorted(days, key=lambda day: day.day)
+    parts = [cat.read(day) for day in ordered]
+    raw = [Evidence.of(part, names, scale) for part in parts]
+    white = [Evidence.of(part, names, scale, "gram_white") for part in parts]
+    within = None
+    if made.within_blocks:
+        base = {name for term in made.library.base for name in term.columns}
+        kept = [place for place, name in enumerate(names) if name not in base]
+        left = tuple(names[place] for place in kept)
+        apart = [Evidence.of(part, left, scale[kept], "gram_within") for part in parts]
+        within = apart[0].joined(apart[1:])
+    packed = np.concatenate([part["series"].values for part in parts])
+    starts = np.concatenate([part["start"].values for part in parts])
+    features = Features.of_json(parts[0]["series"].attrs["features"])
+    filled = {need.name: stands_in(made.told, need.name) for need in made.channel_needs}
+    series = Series.of(packed, starts, features, filled)
+    sums = {
+        name: sum(float(day.report[name]) for day in ordered)
+        for name in ("count", "square", "inside", "spikes")
+    }
+    return Loaded(
+        raw[0].joined(raw[1:]),
+        white[0].joined(white[1:]),
+        within,
+        replace(series, kept=made.kept),
+        sums,
+        joined_floors([day.report for day in ordered]),
+        Outliers.of([day.report for day in ordered], made.keep_bursts),
+    )
+
+
+def make_blocks(
+    cat: Catalog,
+    mission: Mission,
+    plan: PassPlan,
+    index: ArchiveIndex,
+    base: Need,
+    settings: DiagnoseSettings,
+    context: str,
+    dataset: str,
+    client: Any,
+    tell: Progress,
+) -> tuple[str, list[Day]]:
+    """Make the blocks that are missing or out of date; return the run and all blocks' days."""
+    keys, parents = {}, {}
+    for block in plan.blocks:
+        sources = [
+            source for day in block for source in index.sources([*plan.needs, *plan.channel_needs], day, base)
+        ]
+        unique = sorted({source.key for source in sources})
+        keys[block[0]] = idempotency_key(dataset, block[0], 0, context, [plan.key, *unique])
+        parents[block[0]] = tuple(sorted({source.id for source in sources}))
+    there = {day.day: day for day in cat.days(dataset, states=("published",))}
+    kept = {day: there[day] for day in keys if day in there and there[day].key == keys[day]}
+    todo = [block[0] for block in plan.blocks if block[0] not in kept]
+    if not todo:
+        return "", [kept[day] for day in sorted(kept)]
+    with cat.run("diagnose", settings.model_dump(), context=context) as run:
+        kept |= adopted_days(run, dataset, keys, todo)
+        todo = [day for day in todo if day not in kept]
+        size = settings.batch_blocks
+        batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
+        jobs = [
+            Job(batch, _of(keys, batch), _of(parents, batch), index, plan.needs, run.id, dataset)
+            for batch in batches
+        ]
+        tell("pass", 0, len(todo))
+        done = 0
+        failed: dict[np.datetime64, dict[str, str]] = {}
+        for job, outcome in zip(
+            jobs,
+            each_result(client, evidence_batch, [(cat, mission, plan, index, job) for job in jobs]),
+            strict=True,
+        ):
+            kept |= {day.day: day for day in take_outcome(run, dataset, outcome, failed)}
+            done += len(job.days)
+            tell("pass", done, len(todo))
+        if not kept:
+            raise WorkerError(
+                f"no block of the span could be made; the first: {next(iter(failed.values()))['message']}",
+                remedy="see the message; 'inflight compare' shows single days",
+            )
+        run.publish(supersede=True)
+        return run.id, [kept[day] for day in sorted(kept)]
+
+
+def _of(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
+    return {day: told[day] for day in days}
+
+
+#: Channels that get a placebo.
+_PLACEBOS = 16
+
+#: Days looked at, evenly spread, and samples of each that enter the fit.
+_DAYS, _SAMPLES = 12, 20_000
+
+#: Blocks that are wanted of a record, and blocks of a long one at most.
+WANTED_BLOCKS, MOST_BLOCKS = 96, 200
+
+#: Correlation time the prewhitened form assumes, s; a fiftieth of the span when that is less.
+MEMORY_S = 600.0
+
+#: The library's cadence for spans of up to so many days, s.
+_CADENCES = ((2.0, 10.0), (20.0, 10.0), (70.0, 20.0), (np.inf, 30.0))
+
+#: A channel whose values spread by less than this part of their size does not change.
+_STILL = 1e-9
+
+#: Rows of a short record: it is not thinned below so many.
+_ROWS = 5000
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known before the pass.
+
+    Attributes
+    ----------
+    model : Model
+        The present model at the values the residual is linearised at.
+    base : tuple of Term
+        What each calibration interval fits anew.
+    fixed : tuple of Term
+        Parameters of the vector sensor that the model holds fixed: candidates like any other.
+    channels : dict of str to Told
+        Every channel of one number a time that changes.
+    still : tuple of str
+        Channels that do not change in the span.
+    """
+
+    model: Model
+    base: tuple[Term, ...]
+    fixed: tuple[Term, ...]
+    channels: Mapping[str, Told]
+    still: tuple[str, ...]
+
+
+def survey(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+    days: Sequence[np.datetime64],
+    reader: ChannelReader,
+) -> Survey:
+    """Look at some days of the span.
+
+    Raises
+    ------
+    CalibrationError
+        When no day has enough usable samples.
+    """
+    some = _spread(days)
+    fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
+    told, still = _channels(reader, some)
+    return Survey(fitted, base, fixed, told, still)
+
+
+def _spread(days: Sequence[np.datetime64]) -> list[np.datetime64]:
+    places = np.unique(np.linspace(0, len(days) - 1, min(_DAYS, len(days))).round().astype(int))
+    return [days[place] for place in places]
+
+
+def _linearised(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+    days: Sequence[np.datetime64],
+) -> tuple[Model, tuple[Term, ...], tuple[Term, ...]]:
+    """Return the model at its fitted nine parameters, and the terms of these."""
+    kind = mission.comparisons[model.comparison].kind
+    if kind == "spin":
+        return _turning(cat, mission, model, needs, index, days)
+    if kind == "platform":
+        return model, (), ()
+    if kind == "dual":
+        return model, (_dual_base(mission, model),), ()
+    own = [entry for entry in model.effects if isinstance(entry.effect, VectorSensor)]
+    if not own:
+        return model, (_extra_base(mission, model),), ()
+    middle = sum(day_bounds(days[len(days) // 2])) // 2
+    prior = prior_of(own[0], middle)
+    parts = [_thinned(cat, mission, model, day, needs, index) for day in days]
+    whole = [np.concatenate(one) for one in zip(*parts, strict=True)]
+    if whole[3].sum() < 2 * prior.value.size:
+        raise CalibrationError(
+            f"{int(whole[3].sum())} usable samples on {len(days)} days looked at",
+            remedy="see 'inflight catalog gaps' and the flags of the deliveries",
+        )
+    value = prior.value
+    if np.any(prior.sigma > 0):
+        value = fit_block(whole[0], whole[1], whole[2], whole[3], prior).value
+    entry = _at(own[0], value)
+    effects = tuple(entry if one is own[0] else one for one in model.effects)
+    return replace(model, effects=effects), *_nine_terms(entry, prior)
+
+
+def _turning(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+    days: Sequence[np.datetime64],
+) -> tuple[Model, tuple[Term, ...], tuple[Term, ...]]:
+    """Return the model at its fitted parameters of the spin, and their terms."""
+    own = spinning_entry(model)
+    if own is None:
+        sensors = sensors_of(mission, model.comparison)
+        vector = next(iter(sensors.values()))
+        extra = {"effect": "spinning_sensor", "name": "calibration", "sensor": vector.name}
+        model = model.add(make_effect(extra, sensors))
+    folded = [load_samples(cat, mission, model, day, list(needs), index, geometry=False) for day in days]
+    model = fit_spin(model, folded).model
+    entry = spinning_entry(model)
+    assert entry is not None
+    base, fixed = [], []
+    for name in SpinningSensor.SPIN_RELATED:
+        told = entry.parameters[name]
+        if told.free:
+            kinds = SpinningSensor.parameters()[name]
+            known = np.where(np.isfinite(told.sigma[:, 0]), told.sigma[:, 0], kinds.sigma)
+            base.append(Term(entry.name, entry, (name,), tuple(known.tolist())))
+        else:
+            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * told.parameter.size))
+    return model, tuple(base), tuple(fixed)
+
+
+def prior_of(entry: ModelEffect, tt2000: int) -> Reference:
+    """Return values and prior sigmas of the nine parameters; 0 for those the model holds fixed."""
+    timed = [entry.parameters[part] for part in PARTS]
+    kinds = VectorSensor.parameters()
+    sigma = [
+        np.where(np.isfinite(one.sigma[:, 0]), one.sigma[:, 0], kinds[part].sigma)
+        if one.free
+        else np.zeros(3)
+        for part, one in zip(PARTS, timed, strict=True)
+    ]
+    return Reference(np.concatenate([one.at(tt2000) for one in timed]), np.concatenate(sigma), entry.name)
+
+
+def _at(entry: ModelEffect, value: Floats) -> ModelEffect:
+    parameters = dict(entry.parameters)
+    for place, part in enumerate(PARTS):
+        numbers = value[3 * place : 3 * place + 3][:, None]
+        sigma = entry.parameters[part].sigma[:, :1]
+        parameters[part] = replace(parameters[part], time="constant", value=numbers, sigma=sigma, table=None)
+    return replace(entry, parameters=parameters)
+
+
+def _nine_terms(entry: ModelEffect, prior: Reference) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
+    base, fixed = [], []
+    for place, part in enumerate(PARTS):
+        sigma = prior.sigma[3 * place : 3 * place + 3]
+        if np.any(sigma > 0):
+            base.append(Term(entry.name, entry, (part,), tuple(sigma.tolist())))
+        else:
+            fixed.append(Term(entry.name, entry, (part,), (np.inf,) * 3))
+    return tuple(base), tuple(fixed)
+
+
+def _extra_base(mission: Mission, model: Model) -> Term:
+    """Nine parameters around what a model without a `vector_sensor` leaves."""
+    sensors = sensors_of(mission, model.comparison)
+    vector = next(sensor for sensor in sensors.values() if sensor.role == "vector")
+    entry = make_effect({"effect": "vector_sensor", "name": "calibration", "sensor": vector.name}, sensors)
+    return Term("calibration", entry, PARTS, (np.inf,) * 9)
+
+
+def _dual_base(mission: Mission, model: Model) -> Term:
+    """A matrix and a shift between two vector sensors: what their difference leaves to calibration."""
+    sensors = sensors_of(mission, model.comparison)
+    inboard = next(sensor for sensor in sensors.values() if sensor.role == "inboard")
+    entry = make_effect({"effect": "affine", "name": "calibration", "sensor": inboard.name}, sensors)
+    return Term("calibration", entry, ("matrix", "shift"), (np.inf,) * 12)
+
+
+def _thinned(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+) -> tuple[Floats, Floats, Floats, np.ndarray]:
+    samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
+    reading, additive, scalar = split_chain(model, samples)
+    good = usable(samples, reading, additive, scalar)
+    step = max(1, len(reading) // _SAMPLES)
+    additive = np.broadcast_to(additive, reading.shape)
+    return reading[::step], additive[::step], scalar[::step], good[::step]
+
+
+def _channels(
+    reader: ChannelReader, days: Sequence[np.datetime64]
+) -> tuple[dict[str, Told], tuple[str, ...]]:
+    told, still, kinds = {}, [], channels_of(reader.mission)
+    read = {day: reader.day(day) for day in days}
+    for name in reader.scalars:
+        values = np.concatenate([read[day][name] for day in days])
+        finite = values[np.isfinite(values)]
+        if finite.size < 2:
+            still.append(name)
+            continue
+        low, high = np.quantile(finite, [0.05, 0.95])
+        spread = float(high - low) or float(np.ptp(finite))
+        if spread <= _STILL * max(float(np.abs(finite).max()), 1e-300):
+            still.append(name)
+            continue
+        told[name] = Told(float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind)
+    return told, tuple(still)
+
+
+def cadence_for(span_ns: int, native_ns: int) -> int:
+    """Return the library's cadence for a span: native when it is slow or the record short, nanoseconds."""
+    wanted = next(seconds for days, seconds in _CADENCES if span_ns <= days * DAY) * SECOND
+    wanted = min(wanted, span_ns / _ROWS)
+    return native_ns * max(1, int(wanted // native_ns))
+
+
+def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int]:
+    """Return parts of a day and days of a block.
+
+    A block of a short span is a part of a day, of an orbit or more where one is known; of a long one,
+    some days.
+    """
+    if days > MOST_BLOCKS:
+        return 1, -(-days // MOST_BLOCKS)
+    day_ns = span_ns / days
+    most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
+    return int(np.clip(-(-WANTED_BLOCKS // days), 1, most)), 1
+
+
+def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
+    """Return the shift of each placebo, s: a day or more and part of an orbit, or part of the record."""
+    generator = np.random.default_rng(20_000)
+    names = sorted(found.channels)
+    chosen = (
+        [names[place] for place in np.unique(np.linspace(0, len(names) - 1, _PLACEBOS).round().astype(int))]
+        if names
+        else []
+    )
+    period = orbit or DAY
+    out = {}
+    for name in chosen:
+        part = generator.uniform(0.15, 0.85)
+        if length >= 4 * DAY and length >= 4 * period:
+            shift = float((generator.integers(1, 3) * DAY + part * period) / SECOND)
+        else:
+            shift = generator.uniform(0.25, 0.75) * length / SECOND
+        out[f"{name}~1"] = shift
+    return out
+
+
+#: A stretch between unexplained switchings is cut to this, s.
+_LONGEST_S = 3 * 3600
+
+
+def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | None:
+    """Return the switchings in the residual of a pass without stretches.
+
+    Parameters
+    ----------
+    series : Series
+        Of that pass; its residual is the difference of both sensors less what the model explains.
+
+    Returns
+    -------
+    Switched or None
+        None of another comparison than one of two sensors that tell of states, or when there are none.
+    """
+    if not is_told_by_states(mission, plan.model.comparison):
+        return None
+    residual = series["residual"].reshape(len(series.tt2000), -1)
+    there = (series["weight"] > 0) & np.asarray(np.isfinite(residual).all(axis=1))
+    names = [name for name in housekeeping(mission) if name in series.channels]
+    channels = {}
+    for name in names:
+        values = series[name].copy()
+        if name in series.missing:
+            values[series.missing[name]] = np.nan
+        channels[name] = values[there]
+    row_ns = series.step_s * SECOND
+    cadence = {need.name: need.cadence_ns for need in plan.channel_needs}
+    reach = {name: int(np.ceil(cadence[name] / row_ns)) + 1 for name in names}
+    return switched(series.tt2000[there], residual[there], channels, reach)
+
+
+def stretches_between(found: Switched, plan: PassPlan) -> Stretches:
+    """Return the stretches between switchings that no channel follows, and what belongs to none.
+
+    A channel is late or early by some of its own cadence: around every switching the residual holds what
+    the channel does not tell of, in proportion to the field that the calibration rests on. These rows go.
+    Offsets wander by hours, which no scatter between blocks tells of: no stretch is longer than some of them.
+    """
+    half = plan.cadence_ns * plan.series_step // 2
+    lost = tuple(zip((found.last + half).tolist(), (found.first - half).tolist(), strict=True))
+    step = _LONGEST_S * SECOND
+    regular = [at for day in plan.days for at in range(day_bounds(day)[0], day_bounds(day)[1], step)]
+    middle = found.last + (found.first - found.last) // 2
+    return Stretches(tuple(sorted({*regular, *middle[~found.follows].tolist()})), lost)
+
+
+class DiagnoseSettings(BaseModel):
+    """What a user may choose of a diagnosis.
+
+    Attributes
+    ----------
+    comparison : str
+        Entry of the mission's `comparisons`.
+    cadence_s : float, optional
+        Of the search; chosen from the span's length when absent.
+    interval_days : int
+        Days of a calibration interval: what the nine parameters are fitted to anew.
+    rounds : int
+        Additions at most; 0 only ranks.
+    draws, seed : int
+        Sign flips.
+    batch_blocks : int
+        Blocks a worker makes at once; it bounds the memory.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    comparison: str = "main"
+    cadence_s: float | None = Field(None, gt=0)
+    interval_days: int = Field(15, ge=1)
+    rounds: int = Field(8, ge=0, le=40)
+    draws: int = Field(2000, ge=100, le=100_000)
+    seed: int = Field(0, ge=0)
+    batch_blocks: int = Field(10, ge=1)

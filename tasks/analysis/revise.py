@@ -1,0 +1,637 @@
+"""Workbench, diagnose_span.
+
+What a change of the model did: residual before and after, and which other parameters moved.
+
+The model revised: an effect added, dropped or taken back, everything fitted anew, a new version saved.
+
+`Workbench` holds the evidence of one pass in memory. Its *root* is the version of the model the
+evidence was made at; what later versions added or dropped is algebra on that evidence. Only an effect
+whose columns are not in it costs a pass, over the model's columns and its own.
+
+A diagnosis as the command line and the flow run it, and where its last result is kept.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from inflight.catalog import Catalog
+from inflight.catalog.workspace import Workspace
+from inflight.design.columns import EQUATIONS
+from inflight.design.terms import Library, Term
+from inflight.diagnosis.additions import (
+    Addition,
+    Fitted,
+    Ground,
+    Maker,
+    addition_of,
+    held_at_nothing,
+    values_of,
+    variance_of,
+)
+from inflight.diagnosis.requests import best_lag, find_wanted, known_addition
+from inflight.diagnosis.result import Diagnosis
+from inflight.diagnosis.search import Search
+from inflight.diagnosis.time_changes import DRIFTS, carriers_of
+from inflight.diagnosis.verdict import conclude
+from inflight.effects.base import did_you_mean
+from inflight.errors import ModelError, SettingsError
+from inflight.lsq.gram_blocks import Evidence
+from inflight.mission import Mission
+from inflight.model import Model, ModelEffect
+from inflight.model.rows import folding_of
+from inflight.tasks.analysis.diagnosis import Prepared, intervals_of, material_of, prepare, search_of
+from inflight.tasks.analysis.gram_pass import DiagnoseSettings, PassPlan
+from inflight.tasks.models import UsedModel, before_last, current_model, evidence_root
+from inflight.tasks.pipelines.states.tables import named_units
+from inflight.tasks.report import Progress, to_json
+from inflight.time import DayLike
+
+#: A parameter's uncertainty that changes by this factor tells of cross-talk made or removed.
+_CROSS_TALK = 1.5
+
+
+@dataclass
+class Revision:
+    """What a change of the model did.
+
+    Attributes
+    ----------
+    command, effect : str
+        What was asked for.
+    model : UsedModel
+        The new version.
+    parent : int
+        The version before.
+    in_sample, held_out : tuple of float
+        Residual before and after, nT rms at the cadence of the comparison.
+    moved : list of dict
+        Other parameters that moved, or whose uncertainty did.
+    values : list of dict
+        The effect's own numbers, when one was added.
+    """
+
+    command: str
+    effect: str
+    model: UsedModel
+    parent: int
+    in_sample: tuple[float, float]
+    held_out: tuple[float, float]
+    moved: list[dict[str, Any]]
+    values: list[dict[str, Any]] = field(default_factory=list)
+    run: str = ""
+    context: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+        return {
+            "command": self.command,
+            "run": self.run,
+            "context": self.context,
+            "effect": self.effect,
+            "model": {"name": self.model.model.name, "version": self.model.version, "parent": self.parent},
+            "error": {"in_sample_nT": list(self.in_sample), "held_out_nT": list(self.held_out)},
+            "moved": self.moved,
+            "coefficients": self.values,
+        }
+
+
+def moved(before: Fitted, after: Fitted, units: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return the parameters of two fits that moved by more than a sigma, or whose sigma did.
+
+    Parameters
+    ----------
+    units : mapping of str to str
+        By the model's names.
+
+    Returns
+    -------
+    list of dict
+        ``parameter``, ``by``, ``sigma`` (after), ``sigma_before``, ``unit`` and ``why``: moved, cross-talk
+        made or cross-talk removed. The calibration's parameters are means over its intervals.
+    """
+    found = []
+    for was, now, was_sigma, sigma in (
+        (before.value, after.value, before.sigma, after.sigma),
+        (before.base_value, after.base_value, before.base_sigma, after.base_sigma),
+    ):
+        for name in (name for name in was if name in now):
+            by = now[name] - was[name]
+            why = _why(by, was_sigma[name], sigma[name])
+            if why:
+                plain = name.removeprefix("model:")
+                told = {"parameter": plain, "by": by, "sigma": sigma[name], "sigma_before": was_sigma[name]}
+                found.append(told | {"unit": units.get(plain, ""), "why": why})
+    return sorted(found, key=lambda one: -abs(one["by"]) / max(one["sigma_before"], 1e-300))
+
+
+def _why(by: float, was: float, now: float) -> str:
+    if now > _CROSS_TALK * was:
+        return "cross-talk made"
+    if was > _CROSS_TALK * now:
+        return "cross-talk removed"
+    return "moved" if abs(by) > min(was, now) else ""
+
+
+def numbers(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]]:
+    """Return the fitted numbers of some of a model's effects: name, value, sigma and unit."""
+    return [
+        {
+            "name": name,
+            "value": float(value),
+            "sigma": float(sigma),
+            # The growth of a trend is per day, as additions write it.
+            "unit": timed.parameter.unit + ("/d" if name.endswith("*b") else ""),
+        }
+        for entry in entries
+        for timed in model.effect(entry.name).parameters.values()
+        for name, value, sigma in zip(timed.columns, timed.value.ravel(), timed.sigma.ravel(), strict=True)
+        if 0 < sigma < np.inf
+    ]
+
+
+@dataclass
+class Workbench:
+    """The evidence of a span in memory, and the model that is being revised on it.
+
+    Parameters
+    ----------
+    cat : Catalog
+    mission : Mission
+    settings : DiagnoseSettings
+    start, end : UTC date or None
+        The span of the evidence.
+    fresh : bool
+        Make the evidence at the present version, even if an earlier one has some.
+    client, progress
+        As of `inflight.tasks.analysis.diagnosis.diagnose`.
+    """
+
+    cat: Catalog
+    mission: Mission
+    settings: DiagnoseSettings = field(default_factory=DiagnoseSettings)
+    start: DayLike | None = None
+    end: DayLike | None = None
+    fresh: bool = False
+    client: Any = None
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        self.current = current_model(self.cat, self.mission, self.settings.comparison)
+        root = evidence_root(self.cat, self.mission, self.current)
+        if self.fresh and root and root[0].text != self.current.text:
+            root = None
+        #: The mission as it was when the evidence was made; it keys the evidence.
+        used, self._measured = root or (self.current, self.mission)
+        self.made = self._prepared(used, None)
+        if used.text == self.current.text:
+            self.made = replace(self.made, used=self.current)
+        self._narrow: tuple[tuple[str, ...], Prepared] | None = None
+        #: The fit of the model as it stands is asked for again with the next change.
+        self._last: tuple[Evidence, tuple[Any, ...], Fitted] | None = None
+        self._restore()
+
+    def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> Prepared:
+        def narrow(plan: PassPlan) -> PassPlan:
+            own = plan.library
+            there = {name for term in (*own.base, *own.refined) for name in term.columns}
+            more = {term.key: term for term in needs or () if not set(term.columns) <= there}
+            return replace(plan, library=Library(own.base, own.refined, more))
+
+        narrower = None if needs is None else narrow
+        how: Any = {"client": self.client, "progress": self.progress, "used": used, "narrow": narrower}
+        return prepare(self.cat, self._measured, self.start, self.end, self.settings, **how)
+
+    def _restore(self) -> None:
+        """Find out what the present version added to the root, and dropped of it."""
+        root = {entry.name for entry in self.root.model.effects}
+        now = {entry.name for entry in self.current.model.effects}
+        self.dropped = sorted(root - now)
+        added = [entry for entry in self.current.model.effects if entry.name not in root]
+        self.additions: list[Addition] = [known_addition(self.maker, entry) for entry in added]
+        for entry in self.root.model.effects:
+            if isinstance(entry.effect, EQUATIONS) and entry.name in now:
+                self.additions += self._freed(entry.name)
+
+    def _freed(self, name: str) -> list[Addition]:
+        """Return the sensor's own parameters that the present version lets free and the root did not."""
+        was, now = self.root.model.effect(name), self.current.model.effect(name)
+        keys = [key for key in was.parameters if now.parameters[key].free and not was.parameters[key].free]
+        candidates = {one.name: one for one in self.made.plan.library.candidates}
+        return [
+            self.maker.of_candidate(candidates[f"{name}.{key}"])
+            for key in keys
+            if f"{name}.{key}" in candidates
+        ]
+
+    @property
+    def root(self) -> UsedModel:
+        """The version the evidence was made at."""
+        return self.made.used
+
+    @property
+    def maker(self) -> Maker:
+        """What makes additions, with names that are free now."""
+        names = {one.name for model in (self.root.model, self.current.model) for one in model.effects}
+        plan = self.made.plan
+        return Maker(
+            self.mission,
+            plan.model,
+            plan.library,
+            carriers_of(plan.library),
+            self.made.loaded.raw,
+            frozenset(names),
+        )
+
+    @cached_property
+    def _search(self) -> Search:
+        return search_of(self.made, self.settings)
+
+    def candidates(self) -> list[str]:
+        """Return the names of everything that `add` knows without a pass, in the library's order."""
+        kinds = [kind for kind in DRIFTS if self._has_carrier(kind)]
+        return [one.name for one in self.made.plan.library.candidates if not one.placebo] + kinds
+
+    def _has_carrier(self, drift: str) -> bool:
+        return bool(getattr(self.maker.carriers, drift.removesuffix("_drift")))
+
+    # Changes of the model.
+
+    def add(self, effect: str | Mapping[str, Any]) -> Revision:
+        """Put an effect into the model and fit everything anew.
+
+        Parameters
+        ----------
+        effect : str or mapping
+            A candidate's name, mechanism, effect or channel; ``offset_step@2024-03-01``; or an entry of
+            the model YAML, as text or mapping. An effect of the bank gets the lag that fits best.
+
+        Raises
+        ------
+        ModelError
+            When nothing is called so, or it cannot be fitted.
+        """
+        wanted = find_wanted(self.maker, effect)
+        addition = wanted.addition
+        if wanted.bank:
+            ground, fixed = self._ground([*self.additions, addition], self.dropped)
+            lag = best_lag(ground, fixed, [c for one in self.additions for c in one.columns], wanted.bank)
+            addition = wanted.at_lag(lag)
+        more = [*self.additions, addition]
+        return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
+
+    def drop(self, name: str) -> Revision:
+        """Take an effect out of the model and fit everything anew.
+
+        Raises
+        ------
+        ModelError
+            When the model has none of that name, or cannot be without it.
+        """
+        added = [one for one in self.additions if name in (one.name, *(entry.name for entry in one.entries))]
+        if added:
+            rest = [one for one in self.additions if one is not added[0]]
+            return self._revise("drop", f"drop {added[0].name}", rest, self.dropped)
+        known = [entry.name for entry in self.current.model.effects]
+        if name not in known:
+            raise ModelError(
+                f"model '{self.current.model.name}' has no effect {name!r}{did_you_mean(name, known)}",
+                remedy=f"it has {', '.join(known)}",
+            )
+        if isinstance(self.current.model.effect(name).effect, EQUATIONS):
+            raise ModelError(
+                f"'{name}' holds the parameters every calibration fits",
+                remedy="drop another, or hold its parameters by 'free: false' in the pre-flight model",
+            )
+        return self._revise("drop", f"drop {name}", self.additions, [*self.dropped, name])
+
+    def undo(self) -> Revision:
+        """Go back to the version before the last change: a new version with its text.
+
+        Raises
+        ------
+        ModelError
+            When there is nothing to go back to.
+        """
+        found = before_last(self.cat, self.mission, self.current)
+        ground, fixed = self._ground(self.additions, self.dropped)
+        before, first = self._fit(ground, fixed, self.additions), self.current
+        message = f"undo version {first.version}: back to version {found.version}"
+        self.current = self._saved(found.model, message, found.text)
+        self._restore()
+        ground, fixed = self._ground(self.additions, self.dropped)
+        after = self._fit(ground, fixed, self.additions)
+        return self._told("undo", message, first.version, before, after)
+
+    def _revise(
+        self,
+        command: str,
+        message: str,
+        additions: list[Addition],
+        dropped: list[str],
+        addition: Addition | None = None,
+    ) -> Revision:
+        ground, fixed = self._ground(additions, dropped)
+        interleaved = any(one.interleaved for one in (*additions, *self.additions))
+        same = self._held(dropped)[1] == self._held(self.dropped)[1]
+        old = self._ground(self.additions, self.dropped, ground if same else None)
+        before = self._fit(*old, self.additions, interleaved)
+        after = self._fit(ground, fixed, additions, interleaved)
+        model, parent = self._model(ground, additions, dropped, after), self.current.version
+        self.current = self._saved(model, message, model.text)
+        self.additions, self.dropped = additions, dropped
+        told = self._told(command, message, parent, before, after)
+        told.values = numbers(model, addition.entries) if addition else []
+        return told
+
+    def _saved(self, model: Model, message: str, text: str) -> UsedModel:
+        version = self.cat.save_model(model.name, text, self.current.version, message, again=True)
+        return UsedModel(model, version, text)
+
+    # The fit.
+
+    def _fit(
+        self,
+        ground: Ground,
+        fixed: Mapping[str, float],
+        additions: Sequence[Addition],
+        interleaved: bool | None = None,
+    ) -> Fitted:
+        columns = [column for one in additions for column in one.columns]
+        apart = any(one.interleaved for one in additions) if interleaved is None else interleaved
+        key = (tuple(one.name for one in additions), tuple(sorted(fixed)), apart)
+        if self._last is None or self._last[0] is not ground.raw or self._last[1] != key:
+            self._last = ground.raw, key, ground.fit(columns, fixed, interleaved=apart)
+        return self._last[2]
+
+    def _ground(
+        self, additions: Sequence[Addition], dropped: Sequence[str], beside: Ground | None = None
+    ) -> tuple[Ground, dict[str, float]]:
+        """Return what a fit stands on, and the parameters held at nothing for what was dropped.
+
+        Parameters
+        ----------
+        beside : Ground, optional
+            Taken when it serves: what is compared should stand on the same.
+        """
+        held, hard = self._held(dropped)
+        names = {part for one in additions for column in one.columns for part, _ in column.parts}
+        if beside is not None and names <= set(beside.raw.names):
+            return beside, held
+        if names <= set(self.made.loaded.raw.names) and not hard:
+            return self._whole, held
+        needs = [term for one in additions for term in one.needs]
+        key = (*sorted(names), "", *hard)
+        if self._narrow is None or self._narrow[0] != key:
+            model = self.root.model
+            for name in hard:
+                model = model.drop(name)
+            used = UsedModel(model, self.root.version, model.text)
+            self._narrow = key, self._prepared(used, needs)
+        return _ground_of(self._narrow[1], self.settings), held
+
+    @cached_property
+    def _whole(self) -> Ground:
+        return _ground_of(self.made, self.settings)
+
+    def _held(self, dropped: Sequence[str]) -> tuple[dict[str, float], tuple[str, ...]]:
+        """Return changes that take dropped effects out, and those that ask for a pass without them."""
+        held: dict[str, float] = {}
+        hard = []
+        terms = {term.entry.name: term for term in self.made.plan.library.refined}
+        for name in dropped:
+            found = held_at_nothing(self.root.model.effect(name), terms[name]) if name in terms else None
+            if found is None:
+                hard.append(name)
+            else:
+                held |= found
+        return held, tuple(hard)
+
+    def _model(
+        self, ground: Ground, additions: Sequence[Addition], dropped: Sequence[str], fitted: Fitted
+    ) -> Model:
+        """Return the root's model with everything at its fitted values."""
+        model = self.root.model
+        value, sigma = {}, {}
+        for term in ground.refined:
+            starts = values_of(term.entry)
+            for name in (name for name in starts if f"model:{name}" in fitted.value):
+                value[name] = starts[name] + fitted.value[f"model:{name}"]
+                sigma[name] = fitted.sigma[f"model:{name}"]
+        model = model.with_values(value, sigma)
+        for name in dropped:
+            model = model.drop(name)
+        for one in additions:
+            model = one.put_into(model, fitted.value, fitted.sigma)
+        return model
+
+    # What is told.
+
+    def _told(self, command: str, effect: str, parent: int, before: Fitted, after: Fitted) -> Revision:
+        inside = self.made.loaded.sums["inside"] / max(self.made.loaded.sums["count"], 1.0)
+        sizes = [
+            float(np.sqrt(one + inside))
+            for one in (before.in_sample, after.in_sample, before.held_out, after.held_out)
+        ]
+        return Revision(
+            command,
+            effect,
+            self.current,
+            parent,
+            (sizes[0], sizes[1]),
+            (sizes[2], sizes[3]),
+            moved(before, after, self._units()),
+            run=self.made.run,
+            context=self.made.context,
+        )
+
+    def _units(self) -> dict[str, str]:
+        entries = [*self.made.plan.model.effects, *(one.entry for one in self.made.plan.library.base)]
+        entries += [entry for one in self.additions for entry in one.entries]
+        made = {column.name: one.unit for one in self.additions for column in one.columns}
+        return made | {
+            name: timed.parameter.unit
+            for entry in entries
+            for timed in entry.parameters.values()
+            for name in timed.columns
+        }
+
+    # The search.
+
+    def diagnose(self) -> Diagnosis:
+        """Search what is missing from the present version; its evidence is made anew when it has none."""
+        self._refresh()
+        material = material_of(self.made, self.mission)
+        model = replace(material.model, version=self.root.version)
+        return conclude(self._search, replace(material, model=model))
+
+    def auto(self) -> tuple[Diagnosis, list[Revision]]:
+        """Search, and save one version for every effect the search took, in order."""
+        found = self.diagnose()
+        # Lags, widths and products that the search made have their columns in its evidence.
+        self.made = replace(self.made, loaded=replace(self.made.loaded, raw=self._search.raw))
+        self.__dict__.pop("_whole", None)
+        steps = []
+        for option in self._search.accepted:
+            addition = addition_of(self.maker, option)
+            message = f"auto: add {addition.name}"
+            steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
+        return found, steps
+
+    def _refresh(self) -> None:
+        if self.root.version != self.current.version or self.additions or self.dropped:
+            self._measured = self.mission
+            self.made = self._prepared(self.current, None)
+            self._narrow = None
+        for name in ("_search", "_whole"):
+            self.__dict__.pop(name, None)
+        self._restore()
+
+
+def _ground_of(made: Prepared, settings: DiagnoseSettings) -> Ground:
+    library = made.plan.library
+    return Ground(
+        made.loaded.raw,
+        tuple(library.base),
+        tuple(library.refined),
+        intervals_of(made, settings),
+        variance_of(made.loaded.white, library.base),
+    )
+
+
+#: Kinds of comparisons that have a residual at every sample.
+SAMPLED_KINDS = ("scalar", "dual", "platform")
+
+
+def diagnose_span(
+    workspace: Workspace,
+    start: str | None = None,
+    end: str | None = None,
+    settings: DiagnoseSettings | None = None,
+    *,
+    save: bool = False,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Diagnose a span, and keep the result in the workspace's reports.
+
+    Parameters
+    ----------
+    start, end : UTC date, optional
+        Half-open span of days; the whole archive when absent.
+    save : bool
+        Save one version of the model for every effect that was found, in the order they were taken.
+
+    Returns
+    -------
+    dict
+        `Diagnosis.as_json`; when versions are saved, ``command`` is ``auto`` and ``versions`` has what
+        `Revision.as_json` tells of each.
+
+    Raises
+    ------
+    SettingsError
+        When the mission has no such comparison, or one without a residual at every sample.
+    InflightError
+        As `inflight.tasks.analysis.diagnosis.diagnose`.
+    """
+    settings = settings or DiagnoseSettings()
+    mission = workspace.mission()
+    require_sampled(mission, settings.comparison)
+    bench = Workbench(
+        Catalog(workspace.root), mission, settings, start, end, fresh=True, client=client, progress=progress
+    )
+    if save:
+        found, steps = bench.auto()
+        fields = found.as_json() | {"command": "auto", "versions": [one.as_json() for one in steps]}
+    else:
+        fields = bench.diagnose().as_json()
+    units = named_units(bench.cat, mission, settings.comparison, start, end)
+    if units is not None:
+        fields["units"] = units
+    keep(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
+    return fields
+
+
+def require_sampled(mission: Mission, comparison: str) -> None:
+    """Refuse a comparison that the mission has not, or whose residual is not one a sample.
+
+    Raises
+    ------
+    SettingsError
+        Naming those that can be diagnosed.
+    """
+    usable = [name for name in mission.comparisons if _has_rows(mission, name)]
+    choice = f"choose one of {', '.join(usable)}" if usable else "the mission has none that can be diagnosed"
+    if comparison not in mission.comparisons:
+        raise SettingsError(
+            f"--comparison: mission {mission.mission!r} has no comparison {comparison!r}"
+            f"{did_you_mean(comparison, mission.comparisons)}",
+            remedy=choice,
+        )
+    if comparison not in usable:
+        kind = mission.comparisons[comparison].kind
+        raise SettingsError(
+            f"--comparison: {comparison!r} is of kind '{kind}', and nothing tells how it is turned",
+            remedy="state 'spin' under periods and a channel of kind 'sun_pulse' or 'spin_phase'"
+            + (f", or {choice}" if usable else ""),
+        )
+
+
+def _has_rows(mission: Mission, comparison: str) -> bool:
+    """Return True when a comparison has a residual: of a spin comparison, when its turns are known."""
+    if mission.comparisons[comparison].kind in SAMPLED_KINDS:
+        return True
+    kinds = {channel.kind for _, _, channel in mission.channel_instruments()}
+    return folding_of(mission, comparison) is not None and bool({"sun_pulse", "spin_phase"} & kinds)
+
+
+def keep(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Write a diagnosis whole or not at all, with what was asked for; a read-only workspace keeps none."""
+    path = workspace.reports / f"diagnosis-{fields['comparison']}.json"
+    part = path.with_suffix(f".{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(to_json({**fields, "asked": asked}), encoding="utf-8")
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+
+
+def last_diagnosis(workspace: Workspace, comparison: str = "main") -> dict[str, Any] | None:
+    """Return the last diagnosis of a comparison, with ``asked`` (span, settings); None without any."""
+    path = workspace.reports / f"diagnosis-{comparison}.json"
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def open_workbench(
+    workspace: Workspace,
+    comparison: str = "main",
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+) -> Workbench:
+    """Return a workbench on the evidence of the last diagnosis; without one, evidence is made of all days.
+
+    Raises
+    ------
+    SettingsError, InflightError
+        As `diagnose_span`.
+    """
+    mission = workspace.mission()
+    require_sampled(mission, comparison)
+    asked = (last_diagnosis(workspace, comparison) or {}).get("asked") or {}
+    settings = DiagnoseSettings.model_validate(asked.get("settings") or {"comparison": comparison})
+    span = asked.get("start"), asked.get("end")
+    return Workbench(Catalog(workspace.root), mission, settings, *span, client=client, progress=progress)

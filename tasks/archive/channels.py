@@ -1,0 +1,310 @@
+"""Channels for the search.
+
+How a day's spacecraft was turned, and channels that go with the spin folded like the field.
+
+Every channel of a mission on the library's cadence, day by day, with history and placebos.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog
+from inflight.design.columns import channel_on, grid
+from inflight.design.terms import Told
+from inflight.effects.families import NO_CAUSE
+from inflight.frames import add_geometry
+from inflight.mission import Mission, is_told_by_states
+from inflight.model.rows import folding_of
+from inflight.residual.channel_steps import without_noise
+from inflight.samples.derived import Part, parse, product
+from inflight.samples.spin_folding import Folding, fold_series
+from inflight.tasks.archive.inputs import ArchiveIndex, Need, channel_homes, clock_of
+from inflight.tasks.archive.samples import channel_series, spin_phase
+from inflight.time import SECOND, Int64, day_bounds
+
+#: A channel shows the spin with this many readings a turn.
+_READINGS = 4
+
+
+def shows_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
+    """Return True when a channel of a cadence shows what goes with a spin comparison's spin."""
+    if folding_of(mission, comparison) is None:
+        return False
+    return _READINGS * cadence_ns <= mission.periods["spin"]
+
+
+@dataclass(frozen=True)
+class Turning:
+    """The clock of a spin comparison on one day."""
+
+    cat: Catalog
+    mission: Mission
+    comparison: str
+    index: ArchiveIndex
+    day: np.datetime64
+    folding: Folding
+    clock: Need
+
+    @classmethod
+    def of(
+        cls, cat: Catalog, mission: Mission, comparison: str, index: ArchiveIndex, day: np.datetime64
+    ) -> Turning | None:
+        """Return the clock; None of a comparison that folds nothing."""
+        folding = folding_of(mission, comparison)
+        if folding is None:
+            return None
+        return cls(cat, mission, comparison, index, day, folding, clock_of(mission, comparison)[0])
+
+    def is_seen_by(self, cadence_ns: int) -> bool:
+        """Return True when a channel of a cadence shows what goes with the spin."""
+        return shows_spin(self.mission, self.comparison, cadence_ns)
+
+    def phase(self, stamps: Int64) -> Floats:
+        """Return the phase at the stamps of an instrument's channels, rad; NaN where nothing tells it."""
+        told = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
+        found = spin_phase(self.mission, self.comparison, self.clock, told, stamps)
+        return np.asarray(found.phase.values, dtype=np.float64)
+
+    def folded(self, values: Floats, stamps: Int64, phase: Floats, edges: Int64) -> Floats:
+        """Return a channel on the synthetic turns whose bins have these edges; NaN without a phase."""
+        flat = np.asarray(values, dtype=np.float64)
+        out = np.full((edges.size - 1, *flat.shape[1:]), np.nan)
+        if not np.isfinite(phase).any():
+            return out
+        found = fold_series(flat, stamps, phase, self.folding, day_bounds(self.day))
+        count = min(len(out), len(found))
+        out[:count] = found[:count]
+        return out
+
+
+_DAY = np.timedelta64(1, "D")
+
+#: Days kept in memory: a day, its history, and those of placebos.
+_KEPT = 12
+
+
+@dataclass
+class ChannelReader:
+    """Reads channels of single days, onto bins; keeps the last days it read.
+
+    Attributes
+    ----------
+    index : ArchiveIndex
+        The days there are; one list of needs, one need a channel.
+    cadence_ns : int
+        Of the bins.
+    span : tuple of int
+        First and last TT2000 of the whole record: bins do not reach beyond it.
+    comparison : str
+        Of a spin comparison, channels fast enough to go with the spin are folded like its field.
+    """
+
+    cat: Catalog
+    mission: Mission
+    needs: Sequence[Need]
+    index: ArchiveIndex
+    cadence_ns: int
+    span: tuple[int, int]
+    comparison: str = "main"
+    _read: dict[np.datetime64, dict[str, Floats]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        #: Where currents stand for fields many times the noise, their own noise must not.
+        self._by_levels = is_told_by_states(self.mission, self.comparison)
+
+    @property
+    def scalars(self) -> list[str]:
+        """Names of the channels of one number a time, attitudes and positions not among them."""
+        homes = channel_homes(self.mission)
+        found = []
+        for need in self.needs:
+            instrument, name = homes[need.name]
+            channel = self.mission.instruments[instrument].channels[name]
+            if not channel.axis_names and channel.kind not in NO_CAUSE:
+                found.append(need.name)
+        return found
+
+    def edges(self, day: np.datetime64) -> Int64:
+        """Return the edges of a day's bins."""
+        start, end = day_bounds(day)
+        return grid(max(start, self.span[0]), min(end, self.span[1]), self.cadence_ns)
+
+    def forget(self) -> None:
+        """Let go of the days that were read."""
+        self._read.clear()
+
+    def day(self, day: np.datetime64) -> dict[str, Floats]:
+        """Return every channel of a day on its bins; NaN where there is nothing."""
+        if day not in self._read:
+            while len(self._read) >= _KEPT:
+                self._read.pop(next(iter(self._read)))
+            self._read[day] = self._load(day)
+        return self._read[day]
+
+    def _load(self, day: np.datetime64) -> dict[str, Floats]:
+        edges = self.edges(day)
+        homes = channel_homes(self.mission)
+        turning = Turning.of(self.cat, self.mission, self.comparison, self.index, day)
+        by_dataset: dict[str, list[Need]] = {}
+        for need in self.needs:
+            by_dataset.setdefault(need.dataset, []).append(need)
+        out: dict[str, Floats] = {}
+        for needs in by_dataset.values():
+            there = self.index.get(needs[0], day)
+            data = (
+                self.cat.read(there, [need.channel for need in needs], dated=False)
+                if there is not None
+                else None
+            )
+            phase: Floats | None = None
+            for need in needs:
+                instrument, name = homes[need.name]
+                width = len(self.mission.instruments[instrument].channels[name].axis_names)
+                if data is None:
+                    out[need.name] = np.full((edges.size - 1, width) if width else edges.size - 1, np.nan)
+                    continue
+                cadence = need.cadence_ns
+                # A mean of quaternions or of positions is none: the nearest ones on a straight line.
+                if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
+                    cadence = max(cadence, self.cadence_ns + 1)
+                values, stamps = data[need.channel].values, data["tt2000"].values
+                if self._by_levels and values.ndim == 1:
+                    values = without_noise(np.asarray(values, dtype=np.float64))
+                if turning is not None and turning.is_seen_by(cadence):
+                    # One instrument's channels have the same stamps.
+                    phase = turning.phase(stamps) if phase is None else phase
+                    out[need.name] = turning.folded(values, stamps, phase, edges)
+                else:
+                    out[need.name] = channel_on(values, stamps, edges, cadence)
+        return out
+
+
+def orbit_of(mission: Mission, reader: ChannelReader, day: np.datetime64) -> dict[str, xr.Variable]:
+    """Return stamps, position and attitude on a day's bins, by their kinds; those there are."""
+    read = reader.day(day)
+    edges = reader.edges(day)
+    data: dict[str, xr.Variable] = {"tt2000": xr.Variable("time", edges[:-1] + np.diff(edges) // 2)}
+    for kind in ("position", "attitude"):
+        for instrument, name, channel in mission.channel_instruments():
+            home = name if name in read else f"{instrument}.{name}"
+            if channel.kind == kind and kind not in data and home in read:
+                width = "axis" if kind == "position" else "quaternion"
+                attrs = {"units": channel.unit, "frame": channel.frame or "", "kind": kind}
+                data[kind] = xr.Variable(("time", width), read[home], attrs)
+    return data
+
+
+@dataclass
+class DerivedChannels:
+    """Makes the channels the library's terms ask for, one day after the other.
+
+    Attributes
+    ----------
+    reader : ChannelReader
+    days : sequence of datetime64[D]
+        All days of the span: placebos come from other days of it.
+    told : mapping of str to Told
+        Means, which stand in for what is missing.
+    shifts : mapping of str to float
+        Placebo, such as ``heater~1`` -> seconds.
+    """
+
+    reader: ChannelReader
+    days: Sequence[np.datetime64]
+    told: Mapping[str, Told]
+    shifts: Mapping[str, float]
+    _by_orbit: dict[np.datetime64, xr.Dataset] = field(default_factory=dict, init=False, repr=False)
+
+    def on(
+        self, day: np.datetime64, names: Sequence[str], geometry: Mapping[str, Floats]
+    ) -> dict[str, Floats]:
+        """Return channels of a day by their derived names; (bin,) or (bin, axis)."""
+        out = {}
+        for name in names:
+            if name in geometry or not name:
+                continue
+            known = set(self.reader.day(day)) | set(geometry)
+            parts = (Part(name),) if name in known else parse(name).parts
+            out[name] = product([self._part(day, part, geometry) for part in parts])
+        return out
+
+    def _part(self, day: np.datetime64, part: Part, geometry: Mapping[str, Floats]) -> Floats:
+        if part.channel in geometry and part.is_plain:
+            return geometry[part.channel]
+        place = list(self.days).index(day)
+        bins = self.reader.edges(day).size - 1
+        step = self.reader.cadence_ns / SECOND
+        if part.channel in geometry:
+            earlier = [self._told_by_orbit(one, part.channel) for one in self._before(place)]
+            return part.of(np.concatenate([*earlier, geometry[part.channel]]), step)[-bins:]
+        if not part.placebo:
+            history = self._before(place) if not part.is_plain else []
+            whole = np.concatenate([self._filled(one, part.channel) for one in [*history, day]])
+            return part.of(whole, step)[-bins:] if not part.is_plain else whole
+        shift = round(self.shifts[f"{part.channel}~{part.placebo}"] / step)
+        need = bins + int(np.ceil(part.history_s / step))
+        return part.of(self._wrapped(place, part.channel, shift, need), step)[-bins:]
+
+    def _told_by_orbit(self, day: np.datetime64, name: str) -> Floats:
+        if day not in self._by_orbit:
+            while len(self._by_orbit) >= _KEPT:
+                self._by_orbit.pop(next(iter(self._by_orbit)))
+            self._by_orbit[day] = add_geometry(xr.Dataset(orbit_of(self.reader.mission, self.reader, day)))
+        return np.asarray(self._by_orbit[day][name].values, dtype=np.float64)
+
+    def _before(self, place: int) -> list[np.datetime64]:
+        adjacent = place > 0 and self.days[place] - self.days[place - 1] == _DAY
+        return [self.days[place - 1]] if adjacent else []
+
+    def _wrapped(self, place: int, channel: str, shift: int, need: int) -> Floats:
+        """Return `need` bins of a channel, `shift` bins before the day's own, around the span's end."""
+        pieces: list[Floats] = []
+        at, left = place, shift + need
+        while left > 0:
+            piece = self._filled(self.days[at], channel)
+            pieces.insert(0, piece)
+            left -= len(piece)
+            at = (at - 1) % len(self.days)
+        whole = np.concatenate(pieces)
+        end = len(whole) - shift
+        return whole[end - need : end]
+
+    def _filled(self, day: np.datetime64, channel: str) -> Floats:
+        values = self.reader.day(day)[channel]
+        return np.where(np.isfinite(values), values, stands_in(self.told, channel))
+
+
+def stands_in(told: Mapping[str, Told], channel: str) -> float:
+    """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
+    return told[channel].mean if channel in told else 0.0
+
+
+def as_variables(
+    mission: Mission, values: Mapping[str, Floats], geometry: xr.Dataset | None
+) -> dict[str, xr.Variable]:
+    """Return channels as variables of samples, with their units."""
+    homes = channel_homes(mission)
+    out: dict[str, xr.Variable] = {}
+    for name, array in values.items():
+        unit = "1"
+        parts = [name] if name in homes else [part.channel for part in parse(name).parts]
+        if len(parts) == 1 and parts[0] in homes:
+            instrument, channel = homes[parts[0]]
+            unit = mission.instruments[instrument].channels[channel].unit
+        elif len(parts) > 1:
+            units = [
+                mission.instruments[homes[p][0]].channels[homes[p][1]].unit if p in homes else "1"
+                for p in parts
+            ]
+            unit = "*".join(f"({one})" for one in units)
+        dims = ("time", "axis" if array.ndim == 2 and array.shape[1] == 3 else f"{name}_component")
+        out[name] = xr.Variable(dims[: array.ndim], array, {"units": unit})
+    if geometry is not None:
+        out |= {str(name): geometry[name].variable for name in geometry.data_vars if name != "tt2000"}
+    return out

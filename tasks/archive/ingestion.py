@@ -1,0 +1,702 @@
+"""Ingest.
+
+What has been delivered: which files there are, what is known of them, and which days they hold.
+
+A file whose size and time of change are those on record is not opened. Any other is hashed and its times
+are read, so that every row is known by its own UTC day before a day is made.
+
+One batch of an ingest: files are read one after the other, days made, one segment written.
+
+It needs no database, so Dask workers run it.
+
+Ingest: delivered files become level-1 days ``l1/<instrument>`` of the archive.
+
+A day is made from every file that holds rows of it and gets a key from their hashes and from what the
+mission YAML says: same key, nothing to do. So a file delivered twice changes nothing, a corrected one
+makes new revisions of exactly its days, and an ingest that was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog, Day, DayData, FileRecord, Run, Segment, idempotency_key, write_segment
+from inflight.catalog.readers import (
+    Delivered,
+    NameSpan,
+    RawTable,
+    assemble_day,
+    describe,
+    find_files,
+    newest,
+    read_file,
+    read_times,
+    split_days,
+)
+from inflight.errors import InflightError, MissionError, ReadError, StorageError, WorkerError
+from inflight.instruments import Files, Instrument
+from inflight.mission import Mission
+from inflight.tasks.report import Progress, RunReport, problem_of
+from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_tt2000, to_utc
+
+#: Bumped when the same files would give other archive days.
+INGEST_VERSION = 1
+
+#: Jobs given to a cluster before the first result is waited for.
+IN_FLIGHT = 16
+
+#: Days that an unreadable file may take with it by what its name says.
+_LONGEST_NAME_SPAN = 366
+
+Problem = dict[str, str]
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class FileIndex:
+    """One delivered file: its hash, the UTC days of its rows, and what is wrong with it."""
+
+    delivered: Delivered
+    sha256: str
+    size: int
+    mtime_ns: int
+    days: tuple[str, ...]
+    problem: Problem | None = None
+    #: True when nothing about it has changed since it was taken in.
+    known: bool = False
+
+    @property
+    def name(self) -> str:
+        """Path below the data folder."""
+        return self.delivered.name
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """All files of one instrument, in order of time; old name -> new name of superseded versions."""
+
+    instrument: str
+    key: str
+    files: tuple[FileIndex, ...]
+    superseded: dict[str, str]
+
+    def by_day(self) -> dict[str, list[FileIndex]]:
+        """Return the files of each day: by their rows, or by their name where they cannot be read."""
+        days: dict[str, list[FileIndex]] = {}
+        for file in self.files:
+            for day in file.days:
+                days.setdefault(day, []).append(file)
+        return dict(sorted(days.items()))
+
+
+def content_key(files: Files, instrument: Instrument) -> str:
+    """Return the sha256 of everything in the mission YAML that decides what a file becomes.
+
+    Patterns, positions and orientations do not: changing them makes no new revision of any day.
+    """
+    told = {
+        "version": INGEST_VERSION,
+        "files": files.model_dump(mode="json", exclude={"pattern", "same_as"}),
+        "instrument": instrument.model_dump(mode="json", exclude={"files", "position", "orientation"}),
+    }
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
+def survey(
+    cat: Catalog,
+    mission: Mission,
+    name: str,
+    data: Path,
+    *,
+    span: tuple[int | None, int | None] = (None, None),
+    client: Any = None,
+) -> Delivery:
+    """Find and index an instrument's files.
+
+    Parameters
+    ----------
+    cat : Catalog
+        Knows what was taken in before.
+    mission : Mission
+        Patterns and options.
+    name : str
+        Instrument.
+    data : Path
+        Folder that the patterns start from.
+    span : tuple
+        TT2000 bounds (or None) outside which new files are not opened.
+    client : distributed.Client, optional
+        Reads files in parallel.
+    """
+    files, instrument = mission.files(name), mission.instruments[name]
+    key = content_key(files, instrument)
+    records = cat.files(name)
+    present, superseded = find_files(data, files)
+    gone = [
+        told for path in records if not (data / path).exists() and (told := describe(path, files)) is not None
+    ]
+    # A delivery that was taken in and cleared away since still stands for its days.
+    listed, also = newest([*present, *gone])
+    known = {file.name: _unchanged(file, data, records.get(file.name), key) for file in listed}
+    fresh = [file for file in listed if known[file.name] is None and _touches(file.span, span, files.spill)]
+    jobs = [(data / file.name, file, files, instrument) for file in fresh]
+    found = {index.name: index for index in each_result(client, index_file, jobs)}
+    indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
+    return Delivery(name, key, tuple(indexed), superseded | also)
+
+
+def _unchanged(file: Delivered, data: Path, record: FileRecord | None, key: str) -> FileIndex | None:
+    """Return what is on record of a file when its size, time of change and options are the same."""
+    if record is None:
+        return None
+    path = data / file.name
+    if path.exists():
+        status = path.stat()
+        same = (status.st_size, status.st_mtime_ns) == (record.size, record.mtime_ns)
+        if not same or record.report.get("key") != key:
+            return None
+    return FileIndex(
+        file,
+        record.sha256,
+        record.size,
+        record.mtime_ns,
+        tuple(record.days),
+        record.report.get("problem"),
+        known=True,
+    )
+
+
+def _touches(span: NameSpan, wanted: tuple[int | None, int | None], spill: int) -> bool:
+    start, end = wanted
+    before = start is not None and span.end is not None and span.end + spill <= start
+    after = end is not None and span.start is not None and span.start - spill >= end
+    return not (before or after)
+
+
+def index_file(path: Path, file: Delivered, files: Files, instrument: Instrument) -> FileIndex:
+    """Hash a file and read the days of its rows; what is wrong with it is returned, not raised."""
+    try:
+        sha256, size, mtime_ns = fingerprint(path)
+    except OSError as error:
+        unreadable = ReadError(f"cannot be read: {error}", remedy="check the file", file=file.name)
+        return FileIndex(file, "", 0, 0, named_days(file.span), problem_of(unreadable))
+    try:
+        times = read_times(path, files, instrument, file.span)
+    except InflightError as error:
+        error.file = file.name  # as every later step and the catalog name it
+        return FileIndex(file, sha256, size, mtime_ns, named_days(file.span), problem_of(error))
+    days = tuple(str(day) for day in np.unique(day_of(times)))
+    return FileIndex(file, sha256, size, mtime_ns, days)
+
+
+def fingerprint(path: Path) -> tuple[str, int, int]:
+    """Return sha256, size in bytes and time of change (ns) of a file."""
+    status = path.stat()
+    with path.open("rb") as stream:
+        sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
+    return sha256, status.st_size, status.st_mtime_ns
+
+
+def named_days(span: NameSpan) -> tuple[str, ...]:
+    """Return the UTC days a file's name claims."""
+    first = span.day
+    if first is None:
+        return ()
+    last = first if span.end is None else as_day(str(to_utc(span.end - 1)))
+    return tuple(str(day) for day in day_range(first, last + 1)[:_LONGEST_NAME_SPAN])
+
+
+def each_result(
+    client: Any, function: Callable[..., Result], jobs: Sequence[Sequence[Any]]
+) -> Iterator[Result]:
+    """Yield the results of a function in the order of its jobs, on a Dask client when there is one.
+
+    At most `IN_FLIGHT` jobs are out at once, so results never pile up.
+    """
+    if client is None:
+        for job in jobs:
+            yield function(*job)
+        return
+    waiting: deque[Any] = deque()
+    for job in jobs:
+        waiting.append(client.submit(function, *job, pure=False))
+        if len(waiting) >= IN_FLIGHT:
+            yield result_of(waiting.popleft())
+    while waiting:
+        yield result_of(waiting.popleft())
+
+
+def result_of(future: Any) -> Any:
+    """Return the result of a Dask future.
+
+    Raises
+    ------
+    WorkerError
+        When several processes in turn died of it. What the function itself raised is raised as it is.
+    """
+    from distributed import KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise WorkerError(
+            f"{error.allowed_failures + 1} Dask processes in turn ended while they did one piece of work",
+            remedy="look for what ends them, most often too little memory: fewer '--workers' or "
+            "'--batch-days' need less; then run again",
+        ) from error
+
+
+def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str]:
+    """Return the days that lie in a half-open TT2000 span."""
+    start, end = span
+    return [
+        day
+        for day in days
+        if (start is None or day_bounds(day)[1] > start) and (end is None or day_bounds(day)[0] < end)
+    ]
+
+
+def file_report(index: FileIndex, key: str, told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the catalog keeps of a file beside its hash and days."""
+    problem = {"problem": index.problem} if index.problem else {}
+    return {"key": key, **problem, **told}
+
+
+#: Samples of one batch in memory, before packing; it bounds the memory of a worker.
+BATCH_BYTES = 64_000_000
+
+MOST_DAYS = 60
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A file to be read, and its size and time of change when it was hashed."""
+
+    name: str
+    path: Path
+    span: NameSpan
+    size: int
+    mtime_ns: int
+
+    def require_unchanged(self) -> None:
+        """Raise `ReadError` when the file is gone or another one than was hashed."""
+        if not self.path.exists():
+            raise ReadError(
+                "is not there any more, and a day it has rows of must be made anew",
+                remedy="restore the file",
+                file=self.name,
+            )
+        status = self.path.stat()
+        if (status.st_size, status.st_mtime_ns) != (self.size, self.mtime_ns):
+            raise ReadError("changed while it was taken in", remedy="ingest again", file=self.name)
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """Days of one instrument that a worker makes into one segment; it needs no database."""
+
+    workspace: Path
+    run: str
+    instrument_name: str
+    instrument: Instrument
+    files: Files
+    #: Every file that holds rows of these days.
+    sources: tuple[SourceFile, ...]
+    #: Day, key, names of its files, their hashes.
+    days: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...]
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """What came of a batch: a segment of the days that could be made, and why the others could not."""
+
+    segment: Segment | None
+    failures: dict[str, Problem]
+    #: What was dropped and noted, per file.
+    told: dict[str, dict[str, Any]]
+
+
+def source_file(file: FileIndex, data: Path) -> SourceFile:
+    """Return what a worker needs to know of an indexed file."""
+    return SourceFile(file.name, data / file.name, file.delivered.span, file.size, file.mtime_ns)
+
+
+def days_of_batch(instrument: Instrument) -> int:
+    """Return how many days of an instrument fit `BATCH_BYTES`, at least 1."""
+    numbers = sum(max(1, len(channel.axis_names)) for channel in instrument.channels.values())
+    per_day = 86_400_000_000_000 / instrument.cadence * (12 + 8 * numbers)
+    return int(np.clip(BATCH_BYTES // per_day, 1, MOST_DAYS))
+
+
+def make_batch(job: BatchJob) -> BatchResult:
+    """Read the files of a batch one after the other, make its days, write them as one segment.
+
+    Raises
+    ------
+    StorageError
+        When the disk refuses the write. What is wrong with files and days is returned instead.
+    """
+    parts, broken, told = _read_parts(job)
+    made: list[DayData] = []
+    failures: dict[str, Problem] = {}
+    for day, key, names, hashes in job.days:
+        problem = next((broken[name] for name in names if name in broken), None)
+        if problem is not None:
+            failures[day] = problem | {"day": day}
+            continue
+        try:
+            made.append(_make_day(job, day, key, parts.pop(day, []), hashes))
+        except StorageError:
+            raise
+        except InflightError as error:
+            failures[day] = problem_of(error, day)
+    if not made:
+        return BatchResult(None, failures, told)
+    segment = write_segment(job.workspace, job.run, f"l1/{job.instrument_name}", _alike(made))
+    return BatchResult(segment, failures, told)
+
+
+def _read_parts(
+    job: BatchJob,
+) -> tuple[dict[str, list[RawTable]], dict[str, Problem], dict[str, dict[str, Any]]]:
+    wanted = {day for day, *_ in job.days}
+    parts: dict[str, list[RawTable]] = {}
+    broken: dict[str, Problem] = {}
+    told: dict[str, dict[str, Any]] = {}
+    for source in job.sources:
+        name = source.name
+        try:
+            source.require_unchanged()
+            table = read_file(source.path, job.files, job.instrument, source.span, name)
+        except InflightError as error:
+            error.file = name  # below the data folder, as the catalog names it
+            broken[name] = problem_of(error)
+            continue
+        told[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
+        for day, part in split_days(table).items():
+            if str(day) in wanted:
+                parts.setdefault(str(day), []).append(part)
+    return parts, broken, told
+
+
+def _make_day(job: BatchJob, day: str, key: str, parts: list[RawTable], hashes: Iterable[str]) -> DayData:
+    if not parts:
+        raise InflightError("no file holds rows of this day any more", remedy="ingest again", day=day)
+    date = np.datetime64(day, "D")
+    dataset, report = assemble_day(date, parts, job.instrument_name, job.instrument)
+    channels = report["channels"]
+    main = [channels["field"]] if "field" in channels else list(channels.values())
+    report["coverage"] = min(channel["coverage"] for channel in main)
+    return DayData(date, dataset, key, tuple(f"file:{sha256}" for sha256 in hashes), report)
+
+
+def _alike(days: list[DayData]) -> list[DayData]:
+    """Give a channel one number type in all days of a segment, the one that holds them all exactly."""
+    types: dict[str, np.dtype[Any]] = {}
+    for item in days:
+        for name, array in item.dataset.variables.items():
+            types[str(name)] = np.result_type(array.dtype, types.get(str(name), array.dtype))
+    return [
+        DayData(item.day, _cast(item.dataset, types), item.key, item.parents, item.report) for item in days
+    ]
+
+
+def _cast(dataset: xr.Dataset, types: dict[str, np.dtype[Any]]) -> xr.Dataset:
+    return dataset.assign(
+        {
+            name: array.astype(types[str(name)])
+            for name, array in dataset.data_vars.items()
+            if array.dtype != types[str(name)]
+        }
+    )
+
+
+@dataclass
+class _Plan:
+    """What one instrument's days need."""
+
+    delivery: Delivery
+    keys: dict[str, str] = field(default_factory=dict)
+    todo: list[str] = field(default_factory=list)
+    adopt: list[str] = field(default_factory=list)
+    unchanged: list[str] = field(default_factory=list)
+    #: Failures that are on record with the same key, and new ones.
+    failed: dict[str, Problem] = field(default_factory=dict)
+    fresh_failures: dict[str, Problem] = field(default_factory=dict)
+    #: Days between the first and the last that no file holds; those not on record yet.
+    empty: list[str] = field(default_factory=list)
+    fresh_empty: list[str] = field(default_factory=list)
+    told: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    @property
+    def dataset(self) -> str:
+        return f"l1/{self.delivery.instrument}"
+
+    @property
+    def has_work(self) -> bool:
+        fresh = any(not file.known for file in self.delivery.files)
+        return bool(fresh or self.todo or self.adopt or self.fresh_failures or self.fresh_empty)
+
+
+def ingest(
+    cat: Catalog,
+    mission: Mission,
+    data: Path | str,
+    instruments: Sequence[str] | None = None,
+    start: str | np.datetime64 | None = None,
+    end: str | np.datetime64 | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+    batch_days: int | None = None,
+) -> RunReport:
+    """Take delivered files into the archive.
+
+    Parameters
+    ----------
+    cat : Catalog
+        The workspace's catalog.
+    mission : Mission
+        Instruments, channels and file patterns.
+    data : Path
+        Folder that the patterns start from.
+    instruments : sequence of str, optional
+        Only these.
+    start, end : UTC date, optional
+        Half-open span of days.
+    client : distributed.Client, optional
+        Batches run on it; the archive is the same byte for byte as without.
+    progress : callable, optional
+        Told (stage, done, total).
+    batch_days : int, optional
+        Days of one segment; chosen from the cadence when absent.
+
+    Returns
+    -------
+    RunReport
+        Days by outcome, and each problem with file, day, channel and remedy. What went wrong with one
+        file or day does not stop the others. Extra fields: ``datasets``, ``files``.
+
+    Raises
+    ------
+    MissionError
+        When an instrument is not in the mission.
+    StorageError
+        When the disk refuses a write; nothing is published then.
+    """
+    names, folder = _instruments(mission, instruments), Path(data).resolve()
+    span = (_bound(start), _bound(end))
+    tell = progress or (lambda stage, done, total: None)
+    plans = []
+    for count, name in enumerate(names):
+        tell("index", count, len(names))
+        plans.append(_plan(cat, survey(cat, mission, name, folder, span=span, client=client), span))
+    tell("index", len(names), len(names))
+    if not any(plan.has_work for plan in plans):
+        return _report("", plans, [])
+    settings = {"mission": mission.mission, "mission_sha": mission.sha, "instruments": names}
+    with cat.run("ingest", settings | {"start": str(start or ""), "end": str(end or "")}) as run:
+        jobs = [job for plan in plans for job in _jobs(cat, mission, run, folder, plan, batch_days)]
+        _make_days(run, {plan.delivery.instrument: plan for plan in plans}, jobs, client, tell)
+        for plan in plans:
+            _record(cat, run, plan)
+        published = run.publish()
+    return _report(run.id, plans, published)
+
+
+def _instruments(mission: Mission, named: Sequence[str] | None) -> list[str]:
+    """Return the instruments to take in: those named, or all."""
+    names = list(named) if named is not None else list(mission.instruments)
+    if unknown := [name for name in names if name not in mission.instruments]:
+        raise MissionError(
+            f"the mission has no instrument {', '.join(unknown)}",
+            remedy=f"choose from {', '.join(mission.instruments)}",
+        )
+    return names
+
+
+def _bound(day: str | np.datetime64 | None) -> int | None:
+    return None if day is None else int(to_tt2000(parse_utc(str(day))))
+
+
+def _plan(cat: Catalog, delivery: Delivery, span: tuple[int | None, int | None]) -> _Plan:
+    """Compare what was delivered with what is published, recorded as failed, or left by a dead run."""
+    plan = _Plan(delivery)
+    published = {str(day.day): day for day in cat.days(plan.dataset, states=["published"])}
+    failed = {str(day.day): day for day in cat.days(plan.dataset, states=["failed"])}
+    verified = {(str(day.day), day.key) for day in cat.days(plan.dataset, states=["verified"])}
+    by_day = delivery.by_day()
+    for day in within(by_day, span):
+        files = by_day[day]
+        hashes = sorted(file.sha256 for file in files)
+        key = idempotency_key(plan.dataset, day, INGEST_VERSION, delivery.key, hashes)
+        plan.keys[day] = key
+        broken = next((file.problem for file in files if file.problem), None)
+        if day in published and published[day].key == key:
+            plan.unchanged.append(day)
+        elif day in failed and failed[day].key == key and failed[day].cause == "repeatable":
+            plan.failed[day] = dict(failed[day].report.get("problem", {"message": failed[day].message}))
+        elif broken is not None:
+            plan.fresh_failures[day] = broken | {"day": day}
+        elif (day, key) in verified:
+            plan.adopt.append(day)
+        else:
+            plan.todo.append(day)
+    _plan_empty(cat, plan, {*published, *failed})
+    return plan
+
+
+def _plan_empty(cat: Catalog, plan: _Plan, known: set[str]) -> None:
+    """List the days between the first and the last one that no file holds, so that each gap has its cause."""
+    if not plan.keys:
+        return
+    first, last = min(plan.keys), max(plan.keys)
+    told = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
+    held = set(plan.delivery.by_day()) | known
+    plan.empty = [str(day) for day in day_range(first, last) if str(day) not in held]
+    plan.fresh_empty = [day for day in plan.empty if day not in told]
+
+
+def _jobs(
+    cat: Catalog, mission: Mission, run: Run, data: Path, plan: _Plan, batch_days: int | None
+) -> list[BatchJob]:
+    for day in plan.adopt:
+        if run.adopt(plan.dataset, day, plan.keys[day]) is None:
+            plan.todo.append(day)
+    name = plan.delivery.instrument
+    files, instrument = mission.files(name), mission.instruments[name]
+    size = batch_days or days_of_batch(instrument)
+    by_day, todo = plan.delivery.by_day(), sorted(plan.todo)
+    jobs = []
+    for begin in range(0, len(todo), size):
+        days = todo[begin : begin + size]
+        wanted = {file.name: file for day in days for file in by_day[day]}
+        jobs.append(
+            BatchJob(
+                cat.workspace,
+                run.id,
+                name,
+                instrument,
+                files,
+                tuple(source_file(file, data) for file in wanted.values()),
+                tuple(
+                    (
+                        day,
+                        plan.keys[day],
+                        tuple(file.name for file in by_day[day]),
+                        tuple(file.sha256 for file in by_day[day]),
+                    )
+                    for day in days
+                ),
+            )
+        )
+    return jobs
+
+
+def _make_days(
+    run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, tell: Progress
+) -> None:
+    results = each_result(client, make_batch, [(job,) for job in jobs])
+    for count, (job, result) in enumerate(zip(jobs, results, strict=True), start=1):
+        plan = plans[job.instrument_name]
+        if result.segment is not None:
+            run.attach(result.segment)
+        plan.fresh_failures |= result.failures
+        plan.told |= result.told
+        tell("ingest", count, len(jobs))
+
+
+def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
+    """Record failures, empty days and files; files count as taken in when the run publishes."""
+    for day, problem in plan.fresh_failures.items():
+        run.record(
+            plan.dataset,
+            day,
+            "failed",
+            problem.get("cause") or "repeatable",
+            problem.get("message", ""),
+            {"problem": problem},
+            plan.keys[day],
+        )
+    run.record_no_work(
+        plan.dataset, dict.fromkeys(plan.fresh_empty, "no delivered file holds rows of this day")
+    )
+    cat.record_files(
+        run,
+        [
+            FileRecord(
+                plan.delivery.instrument,
+                file.name,
+                file.sha256,
+                file.size,
+                file.mtime_ns,
+                tuple(map(str, file.days)),
+                file_report(file, plan.delivery.key, plan.told.get(file.name, {})),
+                run.id,
+            )
+            for file in plan.delivery.files
+            if not file.known
+        ],
+    )
+
+
+def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunReport:
+    done: dict[str, list[Day]] = {plan.dataset: [] for plan in plans}
+    for day in published:
+        done[day.dataset].append(day)
+    problems = []
+    for plan in plans:
+        name = plan.delivery.instrument
+        days_told = plan.failed | plan.fresh_failures
+        problems += [
+            {"instrument": name, **problem, "day": day} for day, problem in sorted(days_told.items())
+        ]
+        problems += [
+            {"instrument": name, **file.problem}
+            for file in plan.delivery.files
+            if file.problem and not file.days
+        ]
+    counts = {
+        "planned": sum(len(plan.keys) for plan in plans),
+        "done": len(published),
+        "unchanged": sum(len(plan.unchanged) for plan in plans),
+        "failed": sum(len(plan.failed) + len(plan.fresh_failures) for plan in plans),
+        "no_work": sum(len(plan.empty) for plan in plans),
+    }
+    extra = {
+        "datasets": {plan.dataset: _told_of(plan, done[plan.dataset]) for plan in plans},
+        "files": {
+            "read": sum(not file.known for plan in plans for file in plan.delivery.files),
+            "unchanged": sum(file.known for plan in plans for file in plan.delivery.files),
+            "superseded": {
+                old: new for plan in plans for old, new in sorted(plan.delivery.superseded.items())
+            },
+        },
+    }
+    outputs = sorted({day.segment for day in published})
+    return RunReport("ingest", run=run, days=counts, problems=problems, outputs=outputs, extra=extra)
+
+
+def _told_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
+    dropped: Counter[str] = Counter()
+    for told in plan.told.values():
+        dropped.update(told["dropped"])
+    return {
+        "days": len(plan.keys),
+        "done": len(done),
+        "mean_coverage": round(float(np.mean([day.coverage for day in done])), 6) if done else None,
+        "first": min(plan.keys, default=""),
+        "last": max(plan.keys, default=""),
+        "dropped": dict(dropped),
+        "notes": sorted({note for told in plan.told.values() for note in told["notes"]})[:20],
+    }

@@ -1,0 +1,405 @@
+"""Need, archive index, sources.
+
+What a model's samples are made from: which channels of which instruments, and how far back in time.
+
+Which days of the archive some needs are made from: read once, and sent to workers without the database.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inflight.catalog import Catalog, Day
+from inflight.effects.families import NO_CAUSE
+from inflight.errors import SamplesError
+from inflight.frames import GEOMETRY
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.samples.alignment import FIELD_ROLES
+from inflight.samples.derived import Part, base_channels, parse
+from inflight.time import DAY, SECOND
+
+#: Name of the spin's phase in samples.
+SPIN_PHASE = "spin_phase"
+
+#: Name of the need of the channel that tells the direction of the spin axis; samples do not hold it.
+SPIN_AXIS = "spin_axis"
+
+#: Name of the known ambient field in samples.
+AMBIENT = "ambient"
+
+#: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
+MARGIN_CADENCES = 40
+
+
+@dataclass(frozen=True)
+class Need:
+    """One series the samples hold: its name there, and the instrument and channel it comes from.
+
+    Attributes
+    ----------
+    part : Part, optional
+        What is made of the channel: a slow response or a play, which need earlier data.
+    products : tuple of str
+        Products of channels that the series is a factor of.
+    smooth_ns : int
+        Readings are averaged over this long, centred.
+    replaceable : bool
+        A typical value may stand in where the channel is missing: see `replaceable_needs`.
+    """
+
+    name: str
+    instrument: str
+    channel: str
+    cadence_ns: int
+    lag_ns: int = 0
+    part: Part | None = None
+    products: tuple[str, ...] = ()
+    smooth_ns: int = 0
+    replaceable: bool = False
+
+    @property
+    def dataset(self) -> str:
+        """Name of the instrument's archive dataset."""
+        return f"l1/{self.instrument}"
+
+    @property
+    def history_ns(self) -> int:
+        """How much earlier data the series is made from, beside its margin."""
+        return round(self.part.history_s * SECOND) if self.part else 0
+
+    @property
+    def days_before(self) -> int:
+        """Days before its own that a day of the series is made from."""
+        return max(1, -(-(self.history_ns + self.margin_ns) // DAY))
+
+    @property
+    def margin_ns(self) -> int:
+        """How much of the neighbouring days a day is made with."""
+        return MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
+
+
+def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
+    """Return name in the samples -> (instrument, channel).
+
+    A name that several instruments use is written ``instrument.channel``; the plain name then
+    means none of them.
+    """
+    plain = [name for _, name, _ in mission.channel_instruments()]
+    return {
+        (name if plain.count(name) == 1 else f"{instrument}.{name}"): (instrument, name)
+        for instrument, name, _ in mission.channel_instruments()
+    }
+
+
+def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[Need]:
+    """Return what the samples of a model's comparison are made from.
+
+    Parameters
+    ----------
+    extra : iterable of str
+        More channels by name, derived ones too; those the mission has not are left out.
+
+    Raises
+    ------
+    SamplesError
+        When the model uses a channel the mission has not, or a placebo.
+    """
+    roles = mission.comparisons[model.comparison].instruments()
+    needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
+    known = _Known(mission)
+    needs += [*known.clock(model.comparison), *known.axis(model.comparison)]
+    needs += ambient_of(mission, model.comparison)
+    used = {channel for entry in model.effects for channel in entry.effect.channels}
+    if unknown := {base for name in used for base in known.bases(name)} - known.names:
+        raise SamplesError(
+            f"the model uses channels the mission has not: {', '.join(sorted(unknown))}",
+            remedy=f"the mission has {', '.join(sorted(known.names))}",
+        )
+    wanted = used | {name for name in extra if set(known.bases(name)) <= known.names}
+    return needs + known.needs(wanted)
+
+
+def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> list[Need]:
+    """Return needs, those marked whose typical value may stand in: what the model's effects are made from.
+
+    Attitudes and positions have no typical value, and fields are what it is all about.
+    """
+    used = {
+        part.name for entry in model.effects for name in entry.effect.channels for part in parse(name).parts
+    }
+    used |= {channel for entry in model.effects for channel in entry.effect.channels}
+    out = []
+    for need in needs:
+        kind = mission.instruments[need.instrument].channels[need.channel].kind
+        typical = need.channel != "field" and kind not in NO_CAUSE
+        out.append(replace(need, replaceable=typical and need.name in used))
+    return out
+
+
+def geometry_channels(mission: Mission) -> list[str]:
+    """Return the names of attitude and position channels, which products use when they exist."""
+    return [
+        name
+        for name, (instrument, channel) in channel_homes(mission).items()
+        if mission.instruments[instrument].channels[channel].kind in ("attitude", "position")
+    ]
+
+
+def channel_needs(mission: Mission) -> tuple[Need, ...]:
+    """Return one need for every channel of the mission."""
+    return tuple(
+        Need(name, instrument, channel, mission.instruments[instrument].cadence)
+        for name, (instrument, channel) in channel_homes(mission).items()
+    )
+
+
+def clock_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the channel that tells how a spin comparison's spacecraft is turned; none for others.
+
+    Raises
+    ------
+    SamplesError
+        When the mission has no such channel, or several and the comparison names none.
+    """
+    return _Known(mission).clock(comparison)
+
+
+def axis_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the channel that tells how a spin comparison's spin axis lies; none where there is none.
+
+    Raises
+    ------
+    SamplesError
+        When the comparison names a channel the mission has not, or one of another kind.
+    """
+    return _Known(mission).axis(comparison)
+
+
+def ambient_of(mission: Mission, comparison: str) -> list[Need]:
+    """Return the known ambient field of a dual comparison; none where there is none."""
+    entry = mission.comparisons[comparison]
+    if entry.kind != "dual" or entry.ambient is None:
+        return []
+    return [Need(AMBIENT, entry.ambient, "field", mission.instruments[entry.ambient].cadence)]
+
+
+class _Known:
+    """The names a model may use of a mission: its channels, what geometry adds, what is made of both."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.homes = channel_homes(mission)
+        self.geometry = geometry_channels(mission)
+        self.position = position_channel(mission)
+        self.names = set(self.homes) | (set(GEOMETRY) if self.position else set())
+
+    def clock(self, comparison: str) -> list[Need]:
+        """Return the series of `clock_of`."""
+        entry = self.mission.comparisons[comparison]
+        if entry.kind != "spin":
+            return []
+        kinds = {
+            name: self.mission.instruments[home[0]].channels[home[1]].kind
+            for name, home in self.homes.items()
+        }
+        found = [name for name, kind in kinds.items() if kind in ("sun_pulse", "spin_phase")]
+        if entry.phase is not None:
+            found = [name for name in found if name == entry.phase]
+        if len(found) != 1:
+            raise SamplesError(
+                f"{len(found)} channels tell the phase of the spin"
+                + (
+                    f" by the name {entry.phase!r}"
+                    if entry.phase
+                    else f": {', '.join(found)}"
+                    if found
+                    else ""
+                ),
+                remedy="give one channel the kind 'sun_pulse' or 'spin_phase' and name it as the 'phase'",
+            )
+        return [replace(self._need(found[0], None, ()), name=SPIN_PHASE)]
+
+    def axis(self, comparison: str) -> list[Need]:
+        """Return the series of `axis_of`."""
+        entry = self.mission.comparisons[comparison]
+        if entry.kind != "spin" or not isinstance(entry.spin_axis, str):
+            return []
+        home = self.homes.get(entry.spin_axis)
+        if home is None or self.mission.instruments[home[0]].channels[home[1]].kind != "spin_axis":
+            raise SamplesError(
+                f"no channel of kind 'spin_axis' has the name {entry.spin_axis!r}",
+                remedy="name one as the 'spin_axis' of the comparison, or state frame and direction there",
+            )
+        return [replace(self._need(entry.spin_axis, None, ()), name=SPIN_AXIS)]
+
+    def bases(self, name: str) -> tuple[str, ...]:
+        """Return the channels a name is made from; a channel of the mission may be called anything."""
+        return (name,) if name in self.homes else base_channels(name)
+
+    def needs(self, names: Iterable[str]) -> list[Need]:
+        """Return the series that names are made from, each once, in the order of their names."""
+        found: dict[str, Need] = {}
+        for name in sorted(names):
+            parts = (Part(name),) if name in self.homes else parse(name).parts
+            for part in parts:
+                for need in self._of_part(part, (name,) if len(parts) > 1 else ()):
+                    before = found.get(need.name)
+                    products = (*before.products, *need.products) if before else need.products
+                    found[need.name] = replace(need, products=products)
+        return [found[name] for name in sorted(found)]
+
+    def _of_part(self, part: Part, products: tuple[str, ...]) -> list[Need]:
+        """Return the series a part is made from; what geometry adds comes from position and attitude."""
+        if part.placebo:
+            raise SamplesError(
+                f"'{part.name}' is a placebo, which only a search makes", remedy="drop it from the model"
+            )
+        if part.channel in self.homes:
+            return [self._need(part.channel, None if part.is_plain else part, products)]
+        needs = [self._need(name, None, products) for name in self.geometry]
+        if not part.is_plain:
+            needs.append(replace(self._need(self.position, part, products), name=part.name))
+        return needs
+
+    def _need(self, name: str, part: Part | None, products: tuple[str, ...]) -> Need:
+        instrument, channel = self.homes[name]
+        home = self.mission.instruments[instrument]
+        called = part.name if part else name
+        told = home.channels[channel]
+        return Need(called, instrument, channel, home.cadence, told.lag, part, products, told.smooth)
+
+
+def position_channel(mission: Mission) -> str:
+    """Return the channel that tells where the spacecraft is over the Earth; empty when there is none."""
+    for name, (instrument, channel) in channel_homes(mission).items():
+        told = mission.instruments[instrument].channels[channel]
+        if told.kind == "position" and told.frame in ("itrf", "gcrf"):
+            return name
+    return ""
+
+
+def base_role(mission: Mission, comparison: str) -> str:
+    """Return the role whose stamps carry the samples: the stated one, else the slowest instrument."""
+    entry = mission.comparisons[comparison]
+    roles = entry.instruments()
+    if entry.base:
+        return next(role for role, name in roles.items() if name == entry.base)
+    return max(roles, key=lambda role: mission.instruments[roles[role]].cadence)
+
+
+_DAY = np.timedelta64(1, "D")
+
+#: A channel's typical value comes from its own day when this part of it is known, else from other days.
+_ENOUGH = 0.1
+
+#: Other days are looked for this far on both sides.
+STAND_IN_DAYS = 15
+
+
+@dataclass(frozen=True)
+class ArchiveIndex:
+    """The published days of the archive that some needs are made from; no database behind it.
+
+    Attributes
+    ----------
+    days : mapping of (dataset, day) to Day
+        What is there.
+    before : int
+        Days before its own that a day's samples are made from.
+    replaceable : tuple of Need
+        Those whose typical value is taken where they are missing.
+    """
+
+    days: Mapping[tuple[str, np.datetime64], Day]
+    before: int = 1
+    replaceable: tuple[Need, ...] = ()
+
+    @classmethod
+    def of(cls, cat: Catalog, needs: Sequence[Need], time: slice | None = None) -> ArchiveIndex:
+        """Read the index from the catalog, one query a dataset."""
+        return cls(
+            {
+                (name, day.day): day
+                for name in sorted({need.dataset for need in needs})
+                for day in cat.days(name, time, states=("published",))
+            },
+            max((need.days_before for need in needs), default=1),
+            tuple(need for need in needs if need.replaceable),
+        )
+
+    def get(self, need: Need, day: np.datetime64) -> Day | None:
+        """Return the published day a need is read from."""
+        return self.days.get((need.dataset, day))
+
+    def around(self, days: Sequence[np.datetime64]) -> ArchiveIndex:
+        """Return the part some days need, their neighbours included: what a worker is sent."""
+        wanted = {day + step * _DAY for day in days for step in range(-self.before, 2)}
+        others = {
+            (one.dataset, one.day)
+            for need in self.replaceable
+            for day in days
+            for one in self.typical_days(need, day)
+        }
+        return ArchiveIndex(
+            {key: day for key, day in self.days.items() if key[1] in wanted or key in others},
+            self.before,
+            self.replaceable,
+        )
+
+    def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
+        """Return the days that tell what a channel usually reads on a day: its own, else the nearest two.
+
+        One before and one after, at most `STAND_IN_DAYS` away; none when there is none. A day that
+        hardly has the channel counts only when no other does.
+        """
+        far = STAND_IN_DAYS + 1
+        for least in (_ENOUGH, np.finfo(float).tiny):
+            for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
+                near = [self._first(need, [day + step * _DAY for step in side], least) for side in sides]
+                if found := [one for one in near if one is not None]:
+                    return found
+        return []
+
+    def _first(self, need: Need, days: Sequence[np.datetime64], least: float) -> Day | None:
+        """Return the first of some days of which at least a part has the channel."""
+        there = (self.get(need, day) for day in days)
+        return next((one for one in there if one is not None and _known_part(one, need) >= least), None)
+
+    def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
+        """Return the days on which every field is there."""
+        sets = [
+            {day for name, day in self.days if name == need.dataset}
+            for need in needs
+            if need.name in FIELD_ROLES
+        ]
+        return sorted(set.intersection(*sets)) if sets else []
+
+    def sources(self, needs: Sequence[Need], day: np.datetime64, base: Need) -> list[Day]:
+        """Return the archive days one day's samples are made from, in a fixed order."""
+        found = []
+        for need in needs:
+            steps = range(1) if self.stands_alone(need, base, day) else range(-need.days_before, 2)
+            found += [self.get(need, day + step * _DAY) for step in steps]
+            if need.replaceable:
+                found += self.typical_days(need, day)
+        unique = {source.id: source for source in found if source is not None}
+        return [unique[key] for key in sorted(unique)]
+
+    def stands_alone(self, need: Need, base: Need, day: np.datetime64) -> bool:
+        """Return True when a series has the base's stamps, so that nothing is interpolated."""
+        own, other = self.get(need, day), self.get(base, day)
+        if own is None or other is None:
+            return True
+        if need.lag_ns or need.part or need.smooth_ns or need.cadence_ns != base.cadence_ns:
+            return False
+        return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
+
+
+def _known_part(day: Day, need: Need) -> float:
+    """Return the part of a day on which a channel has values; 1 where the archive does not tell."""
+    told = day.report.get("channels", {}).get(need.channel, {})
+    return float(told.get("coverage", 1.0))

@@ -1,0 +1,629 @@
+"""Samples of a day.
+
+One channel of one day as the archive has it, with a margin of its neighbours and what is made of it.
+
+A flipper's two positions: which one each day is calibrated for.
+
+Events of kind ``flip`` and ``flip_back`` tell when sensors 1 and 3 change places (see
+`inflight.zero_level.flipper`); readings are delivered in the spacecraft's axes throughout, so that a flip
+changes the offsets of x and z. A day is calibrated for the position that holds longest on it.
+
+What stands in for missing channels: typical values from the archive, read without the database.
+
+The phase of the spin at samples, from what a mission delivers: sun pulses, or an angle.
+
+From the archive to samples: the channels a model needs, on one time base, for one day.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day
+from inflight.errors import CalibrationError, SamplesError
+from inflight.flags import Flag
+from inflight.frames import GEOMETRY, SLOW_GEOMETRY, add_geometry
+from inflight.instruments import Channel
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.model.rows import folding_of
+from inflight.model.substitution import Substituted, Treated, Typical, missing_rows, substitute
+from inflight.samples.alignment import FIELD_ROLES, align
+from inflight.samples.derived import Part, parse, product
+from inflight.samples.spin_folding import fold
+from inflight.spin.phase import Fault, SpinPhase, phase_from_angle, phase_from_pulses
+from inflight.tasks.archive.inputs import (
+    SPIN_AXIS,
+    SPIN_PHASE,
+    ArchiveIndex,
+    Need,
+    base_role,
+    channel_homes,
+    geometry_channels,
+    position_channel,
+)
+from inflight.time import SECOND, Int64, as_day, day_bounds, utc_text
+from inflight.units import parse_unit
+
+
+class _Rows(NamedTuple):
+    """Rows of one day of a channel, as plain arrays: xarray is slow for many small pieces."""
+
+    values: np.ndarray[Any, Any]
+    stamps: np.ndarray[Any, np.dtype[np.int64]]
+    flag: np.ndarray[Any, np.dtype[np.uint32]] | None
+    attrs: dict[str, Any]
+
+    def between(self, low: int, high: int) -> _Rows:
+        """Return the rows of a half-open TT2000 span."""
+        first, last = np.searchsorted(self.stamps, (low, high))
+        rows = slice(int(first), int(last))
+        flag = self.flag[rows] if self.flag is not None else None
+        return _Rows(self.values[rows], self.stamps[rows], flag, self.attrs)
+
+
+def channel_series(
+    cat: Catalog, need: Need, day: np.datetime64, index: ArchiveIndex, alone: bool
+) -> xr.DataArray | None:
+    """Return a channel of a day, with a margin of its neighbours unless it stands alone."""
+    today = index.get(need, day)
+    if today is None:
+        return None
+    rows = _read(cat, today, need)
+    parts = [rows]
+    if not alone:
+        reach = need.margin_ns
+        start, end = day_bounds(day)
+        for step in range(1, need.days_before + 1):
+            before = index.get(need, day - step * _DAY)
+            if before is not None:
+                parts.insert(0, _read(cat, before, need).between(start - reach - need.history_ns, start))
+        after = index.get(need, day + _DAY)
+        if after is not None:
+            parts.append(_read(cat, after, need).between(end, end + reach))
+    # The mission's lag and cadence hold, not those of the day the files were taken in.
+    attrs = {**rows.attrs, "cadence_ns": need.cadence_ns, "lag_ns": need.lag_ns}
+    values = np.concatenate([part.values for part in parts])
+    if need.smooth_ns:
+        values = _smoothed(values, np.concatenate([part.stamps for part in parts]), need.smooth_ns)
+    coords: dict[str, Any] = {"tt2000": ("time", np.concatenate([part.stamps for part in parts]))}
+    flags = [part.flag for part in parts if part.flag is not None]
+    if len(flags) == len(parts):
+        coords["flag"] = ("time", np.concatenate(flags))
+    series = xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
+    return _made(series, need.part) if need.part else series
+
+
+def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
+    """Return means of the readings within half of `over_ns` on either side; NaN stays where it is.
+
+    Both sides reach equally far, so that at a gap or an end nothing is shifted in time.
+    """
+    flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    known = np.isfinite(flat).all(axis=1)
+    own, told = stamps[known], flat[known]
+    sums = np.concatenate([np.zeros((1, told.shape[1])), np.cumsum(told - told[:1], axis=0)])
+    place = np.arange(own.size)
+    after = np.searchsorted(own, own + over_ns // 2, side="right") - 1 - place
+    before = place - np.searchsorted(own, own - over_ns // 2)
+    each = np.minimum(after, before)
+    out = flat.copy()
+    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + told[:1]
+    return out.reshape(np.shape(values))
+
+
+def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
+    """Return a slow response or a play of a channel, or of what its positions tell, at its own stamps."""
+    stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
+    attrs = dict(series.attrs)
+    values = np.asarray(series.values, dtype=np.float64)
+    if part.channel in GEOMETRY and series.attrs.get("kind") == "position":
+        values = _told_by_position(series, part)
+        attrs = {
+            "cadence_ns": attrs["cadence_ns"],
+            "lag_ns": attrs["lag_ns"],
+            "units": GEOMETRY[part.channel],
+        }
+    made = part.of(values, np.diff(stamps) / SECOND)
+    return xr.DataArray(made, dims=("time", "component")[: made.ndim], coords=series.coords, attrs=attrs)
+
+
+def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
+    """Return sunlight or latitude at the positions' own stamps; (time,)."""
+    if part.channel not in SLOW_GEOMETRY:
+        raise SamplesError(
+            f"'{part.channel}' has no slow response here",
+            channel=part.name,
+            remedy="of what the orbit tells, only 'sunlit' and 'latitude' may carry a lag or a width",
+        )
+    position = (("time", "axis"), series.values, series.attrs)
+    told = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", series["tt2000"].values)}))
+    return np.asarray(told[part.channel].values, dtype=np.float64)
+
+
+class _Kept(threading.local):
+    """Channels that were read last, by place and name, where a batch of days asks for it."""
+
+    rows: OrderedDict[tuple[Any, ...], _Rows] | None = None
+
+
+_KEPT = _Kept()
+
+#: Channels kept: those of some three days.
+_MOST_KEPT = 48
+
+
+@contextmanager
+def kept_readings() -> Iterator[None]:
+    """Keep channels that were read last: margins of a day are its neighbours', which a batch reads, too."""
+    before, _KEPT.rows = _KEPT.rows, OrderedDict()
+    try:
+        yield
+    finally:
+        _KEPT.rows = before
+
+
+def own_readings(
+    cat: Catalog, index: ArchiveIndex, need: Need, day: np.datetime64
+) -> np.ndarray[Any, Any] | None:
+    """Return a channel's readings of a day as they were archived; None without an archived day."""
+    today = index.get(need, day)
+    return None if today is None else _read(cat, today, need).values
+
+
+def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
+    kept, flagged = _KEPT.rows, need.name in FIELD_ROLES
+    key = (day.segment, day.rows, need.channel, flagged)
+    found = kept.pop(key, None) if kept is not None else None
+    if found is None:
+        data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], dated=False)
+        series = data[need.channel]
+        flag = data["flag"].values if flagged else None
+        found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
+    if kept is not None:
+        kept[key] = found
+        if len(kept) > _MOST_KEPT:
+            kept.popitem(last=False)
+    return found
+
+
+_KINDS = ("flip", "flip_back")
+
+_DAY = np.timedelta64(1, "D")
+
+
+def flips_of(mission: Mission) -> list[tuple[int, bool]]:
+    """Return the flips in order of time: TT2000, and whether the sensors lie flipped from then on."""
+    return sorted((event.at, event.kind == "flip") for event in mission.events if event.kind in _KINDS)
+
+
+def kept_span(mission: Mission, day: np.datetime64) -> tuple[int, int]:
+    """Return the half-open TT2000 span of a day's position: that which holds longest."""
+    start, end = day_bounds(day)
+    edges = [start, *(at for at, _ in flips_of(mission) if start < at < end), end]
+    return max(itertools.pairwise(edges), key=lambda span: span[1] - span[0])
+
+
+def flip_flags(mission: Mission, day: np.datetime64, stamps: Int64) -> np.ndarray:
+    """Return ``FLIPPED`` for the samples of a day that its calibration is not for; (time,) uint32."""
+    low, high = kept_span(mission, day)
+    outside = (stamps < low) | (stamps >= high)
+    return np.where(outside, np.uint32(Flag.FLIPPED), np.uint32(0))
+
+
+def position_edges(mission: Mission) -> list[np.datetime64]:
+    """Return the first days of each position after the first one."""
+    edges = []
+    for at, _ in flips_of(mission):
+        day = as_day(utc_text(at)[:10])
+        edges.append(day if kept_span(mission, day)[0] >= at else day + _DAY)
+    return sorted(set(edges))
+
+
+def cut_at_flips(edges: Sequence[np.datetime64], mission: Mission) -> list[np.datetime64]:
+    """Return edges of windows with those of the positions among them: no window holds two."""
+    inside = [day for day in position_edges(mission) if edges[0] < day < edges[-1]]
+    return sorted({*edges, *inside})
+
+
+#: Cause of a day that is there, though not all of it was measured.
+PARTIAL = "partial"
+
+_REMEDY = "ingest the missing housekeeping; until then the samples carry the flag channel_missing"
+
+
+def stand_ins(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    needs: Iterable[Need],
+    index: ArchiveIndex,
+    day: np.datetime64,
+    samples: xr.Dataset,
+) -> Substituted | None:
+    """Return a day's samples with typical values where channels of the model are missing; None if none is.
+
+    Parameters
+    ----------
+    needs : iterable of Need
+        Of the model; those that are `replaceable` have typical values.
+    index : ArchiveIndex
+        The days around, and those that `ArchiveIndex.typical_days` names.
+    samples : xarray.Dataset
+        The day's, as `inflight.tasks.archive.samples.load_samples` returns them.
+    """
+    missing = missing_rows(model, samples)
+    if not missing:
+        return None
+    wanted = [need for need in needs if need.name in missing]
+    found = {
+        need.name: typical_value(cat, need, index.typical_days(need, day), day)
+        for need in wanted
+        if need.replaceable
+    }
+    channels = {
+        need.name: mission.instruments[need.instrument].channels[need.channel]
+        for need in wanted
+        if need.part is None
+    }
+    ranges = {
+        name: told.range for name, told in channels.items() if told.range is not None and not told.axis_names
+    }
+    known = {name: one for name, one in found.items() if one is not None}
+    return substitute(model, samples, known, ranges, missing)
+
+
+def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetime64) -> Typical | None:
+    """Return what a channel usually reads, from days of the archive; None when they do not tell."""
+    known = list(days)
+    if not known:
+        return None
+    read = [cat.read(one, [need.channel], dated=False) for one in known]
+    values = np.concatenate([np.asarray(one[need.channel].values, dtype=np.float64) for one in read])
+    stamps = np.concatenate([one["tt2000"].values for one in read])
+    own = [one.day for one in known] == [day]
+    return Typical.of(values, stamps, "the day" if own else " and ".join(str(one.day) for one in known))
+
+
+def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str, Any]:
+    """Return what a day's report says of stand-ins: by effect, and as the day's message.
+
+    Parameters
+    ----------
+    scalar_nT : float
+        By how much they make the scalar field uncertain, rms over the samples treated.
+    """
+    told = {
+        name: {"samples": one.samples, "channels": list(one.channels), "instead": one.instead}
+        for name, one in treated.items()
+    }
+    sentence = "; ".join(f"{name}: {one}" for name, one in treated.items())
+    return {"stand_ins": told, "stand_ins_scalar_nT": scalar_nT, PARTIAL: sentence}
+
+
+def partial_problems(days: Iterable[Day]) -> list[dict[str, str]]:
+    """Return the entries of a run's problems for days whose products have stand-ins.
+
+    Parameters
+    ----------
+    days : iterable of Day
+        Products, as the catalog has them.
+    """
+    return [
+        {
+            "day": str(day.day),
+            "channel": ", ".join(
+                sorted({name for one in day.report["stand_ins"].values() for name in one["channels"]})
+            ),
+            "cause": PARTIAL,
+            "remedy": _REMEDY,
+            "message": str(day.report[PARTIAL]),
+        }
+        for day in days
+        if day.report.get("stand_ins")
+    ]
+
+
+#: Entry of a day's report, of estimates and of products: what was not as it should be of its spin.
+FAULTS = "spin_faults"
+
+
+@dataclass(frozen=True)
+class Turned:
+    """How a day's samples were turned.
+
+    Attributes
+    ----------
+    phase : Variable (time,)
+        Radians, unwrapped; NaN where nothing tells it. Attributes: `kind`, `told`, `found` and `remedies`
+        (lists of sentences about what was not as it should be), `period_s` (0 when not known).
+    flag : ndarray of uint32, shape (time,)
+        NO_PHASE, PHASE_BRIDGED, PHASE_JUMP.
+    """
+
+    phase: xr.Variable
+    flag: npt.NDArray[np.uint32]
+
+
+def spin_phase(
+    mission: Mission, comparison: str, need: Need, told: xr.DataArray | None, stamps: Int64
+) -> Turned:
+    """Return the phase of the spin at stamps, and what was not as it should be.
+
+    A day whose phase nothing tells has none, and says so: its field is still that of turning axes.
+
+    Parameters
+    ----------
+    need : Need
+        Of the channel that tells it.
+    told : DataArray or None
+        Its day with a margin of its neighbours, as the archive has it; a row whose value is missing is no
+        pulse.
+    stamps : ndarray of int64
+        TT2000.
+
+    Raises
+    ------
+    SamplesError
+        When the mission does not say how fast it spins.
+    """
+    entry = mission.comparisons[comparison]
+    if entry.kind != "spin" or "spin" not in mission.periods:
+        raise SamplesError(
+            "the mission does not say how fast it spins", remedy="state 'spin' under the mission's periods"
+        )
+    kind = mission.instruments[need.instrument].channels[need.channel].kind
+    common = {"units": "rad", "kind": kind}
+    try:
+        found = _found(kind, told, stamps, mission.periods["spin"] / SECOND, entry.phase_at_pulse)
+    except CalibrationError as error:
+        fault = Fault(f"nothing tells the phase of the spin: {error.message}", error.remedy)
+        attrs = {**common, "told": fault.found, **_listed([fault]), "period_s": 0.0}
+        nothing = np.full(stamps.size, np.nan)
+        return Turned(
+            xr.Variable("time", nothing, attrs), np.full(stamps.size, Flag.NO_PHASE, dtype=np.uint32)
+        )
+    attrs = {**common, "told": found.told(), **_listed(found.faults), "period_s": found.period}
+    return Turned(xr.Variable("time", found.phase, attrs), found.flag)
+
+
+def _found(kind: str, told: xr.DataArray | None, stamps: Int64, period: float, at_pulse: float) -> SpinPhase:
+    if told is None:
+        raise CalibrationError(
+            "no day of it in the archive", remedy="ingest the day's file; samples carry the flag no_phase"
+        )
+    times = np.asarray(told["tt2000"].values, dtype=np.int64)
+    values = np.asarray(told.values, dtype=np.float64)
+    if kind == "sun_pulse":
+        times = times[np.isfinite(values)]
+        return phase_from_pulses(times, stamps, nominal_period=period, mark_phase=np.deg2rad(at_pulse))
+    return phase_from_angle(times, values, stamps, nominal_period=period)
+
+
+def _listed(faults: Iterable[Fault]) -> dict[str, list[str]]:
+    whole = list(faults)
+    return {"found": [one.found for one in whole], "remedies": [one.remedy for one in whole]}
+
+
+def saturated(readings: npt.NDArray[np.float64], channel: Channel) -> npt.NDArray[np.uint32]:
+    """Return the flag SATURATED where a component stands at an end of the range its channel states; (time,).
+
+    Parameters
+    ----------
+    readings : ndarray, shape (time, axis)
+        As delivered, in the channel's unit: what lies beyond the range is missing already.
+    channel : Channel
+    """
+    if channel.range is None:
+        return np.zeros(len(readings), dtype=np.uint32)
+    low, high = channel.range
+    half = 0.5 * (channel.resolution or 0.0)
+    with np.errstate(invalid="ignore"):
+        at_end = ((readings <= low + half) | (readings >= high - half)).any(axis=1)
+    return np.where(at_end, np.uint32(Flag.SATURATED), np.uint32(0)).astype(np.uint32)
+
+
+def day_faults(
+    samples: xr.Dataset, needs: Iterable[Need], index: ArchiveIndex, day: np.datetime64
+) -> list[dict[str, str]]:
+    """Return what was not as it should be of a day's spin: `channel`, `message` and `remedy` of each.
+
+    Parameters
+    ----------
+    samples : xarray.Dataset
+        With `spin_phase` as `spin_phase` makes it, and `flag`.
+    needs : iterable of Need
+        Of the samples; files of the channels are named.
+    index : ArchiveIndex
+    """
+    by_name = {need.name: need for need in needs}
+    told = samples["spin_phase"].attrs
+    found = [
+        (by_name[SPIN_PHASE], Fault(*both)) for both in zip(told["found"], told["remedies"], strict=True)
+    ]
+    full = int(np.count_nonzero(samples["flag"].values & np.uint32(Flag.SATURATED)))
+    if full:
+        remedy = "they carry the flag saturated; turns around them are in no fit"
+        fault = Fault(f"{full} readings stand at an end of the sensor's range", remedy)
+        found.append((by_name["vector"], fault))
+    out = []
+    for need, fault in found:
+        source = index.get(need, day)
+        files = ", ".join(source.report.get("files", ())) if source is not None else ""
+        message = f"{files}: {fault.found}" if files else fault.found
+        out.append(
+            {"channel": f"{need.instrument}.{need.channel}", "message": message, "remedy": fault.remedy}
+        )
+    return out
+
+
+def spin_problems(days: Iterable[Day]) -> list[dict[str, str]]:
+    """Return the entries of a run's problems for days of a turning sensor that are there, with faults.
+
+    Parameters
+    ----------
+    days : iterable of Day
+        Estimates and products, as the catalog has them.
+    """
+    return [
+        {
+            "day": str(day.day),
+            "channel": fault["channel"],
+            "cause": PARTIAL,
+            "remedy": fault["remedy"],
+            "message": fault["message"],
+        }
+        for day in days
+        for fault in day.report.get(FAULTS, ())
+    ]
+
+
+def load_samples(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    needs: list[Need],
+    index: ArchiveIndex,
+    geometry: bool = True,
+    folded: bool = True,
+) -> xr.Dataset:
+    """Read one day from the archive and align it.
+
+    Parameters
+    ----------
+    needs : list of Need
+        As `needs_of` returns them.
+    index : ArchiveIndex
+        The days around.
+    geometry : bool
+        False leaves out what `add_geometry` makes unless a need or the model asks for it.
+    folded : bool
+        False leaves a spin comparison's samples as they were measured.
+
+    Returns
+    -------
+    xarray.Dataset
+        Samples of `inflight.align`, cut to the UTC day; attitude and position under these names,
+        derived channels under theirs, and what `inflight.frames.add_geometry` makes of them. Those of
+        a spin comparison have `spin_phase`, and are folded (`inflight.samples.spin_folding.fold`).
+
+    Raises
+    ------
+    SamplesError
+        When a field's day is not in the archive.
+    """
+    base = next(need for need in needs if need.name == base_role(mission, model.comparison))
+    needs = [need for need in needs if need.name != SPIN_AXIS]
+    clock = next((need for need in needs if need.name == SPIN_PHASE), None)
+    present = _present(cat, [need for need in needs if need is not clock], base, day, index)
+    stamps = present[base.name]["tt2000"].values
+    start, end = day_bounds(day)
+    samples = align(present, stamps[(stamps >= start) & (stamps < end)])
+    if clock is not None:
+        told = channel_series(cat, clock, day, index, alone=False)
+        turned = spin_phase(mission, model.comparison, clock, told, samples["tt2000"].values)
+        _add_phase(samples, mission, base, day, turned)
+    for need in needs:
+        if need.name not in samples:
+            samples[need.name] = _absent(mission, need, samples.sizes["time"])
+    samples = _oriented(mission, model, _name_geometry(mission, samples))
+    wanted = GEOMETRY if geometry else _asked_geometry(model, needs)
+    if wanted:
+        samples = add_geometry(samples, wanted)
+    samples = _with_products(samples, needs)
+    folding = folding_of(mission, model.comparison) if folded else None
+    return samples if folding is None else fold(samples, folding, (start, end))
+
+
+def _present(
+    cat: Catalog, needs: Sequence[Need], base: Need, day: np.datetime64, index: ArchiveIndex
+) -> dict[str, xr.DataArray]:
+    """Return the series of what is needed and there; refused where a field is not."""
+    channels = {
+        need.name: channel_series(cat, need, day, index, index.stands_alone(need, base, day))
+        for need in needs
+    }
+    missing = [need for need in needs if need.name in FIELD_ROLES and channels[need.name] is None]
+    if missing:
+        raise SamplesError(
+            f"no measurements of '{missing[0].instrument}'", day=str(day), remedy="ingest the day's files"
+        )
+    return {name: series for name, series in channels.items() if series is not None}
+
+
+def _add_phase(samples: xr.Dataset, mission: Mission, base: Need, day: np.datetime64, turned: Turned) -> None:
+    """Put the spin phase beside the samples, and flag what it, saturation and the flipper make unusable."""
+    samples[SPIN_PHASE] = turned.phase
+    channel = mission.instruments[base.instrument].channels[base.channel]
+    flag = samples["flag"] | turned.flag | saturated(samples[base.name].values, channel)
+    samples["flag"] = flag | flip_flags(mission, day, samples["tt2000"].values)
+
+
+def _asked_geometry(model: Model, needs: Sequence[Need]) -> set[str]:
+    """Return the factors of a model or a product that only geometry makes."""
+    names = {channel for entry in model.effects for channel in entry.effect.channels}
+    names |= {name for need in needs for name in need.products}
+    return {factor for name in names for factor in name.split("*")} & set(GEOMETRY)
+
+
+def _oriented(mission: Mission, model: Model, samples: xr.Dataset) -> xr.Dataset:
+    """Tell each vector reading how its sensor is mounted."""
+    for role, name in mission.comparisons[model.comparison].instruments().items():
+        if role in samples and samples[role].ndim == 2:
+            samples[role].attrs["orientation"] = tuple(mission.instruments[name].orientation)
+    return samples
+
+
+def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:
+    """Add the products of channels; a factor that is missing makes a product of nothing but gaps."""
+    for name in sorted({name for need in needs for name in need.products}):
+        factors = [samples[part.name] for part in parse(name).parts]
+        values = product([np.asarray(factor.values, dtype=np.float64) for factor in factors])
+        dims = next((factor.dims for factor in factors if factor.ndim == values.ndim), ("time",))
+        unit = parse_unit("1")
+        for factor in factors:
+            unit = unit * parse_unit(str(factor.attrs.get("units", "1")))
+        samples[name] = xr.Variable(dims, values, {"units": str(unit), "kind": "other"})
+    return samples
+
+
+def _absent(mission: Mission, need: Need, count: int) -> xr.DataArray:
+    """Return a channel of nothing but gaps, so that the samples say what is missing."""
+    channel = mission.instruments[need.instrument].channels[need.channel]
+    from_geometry = need.part is not None and need.part.channel in GEOMETRY
+    width = 0 if from_geometry else len(channel.axis_names)
+    shape = (count, width) if width else (count,)
+    dims = ("time", "axis" if width == 3 else f"{need.name}_component")[: len(shape)]
+    attrs = {"units": channel.unit, "kind": channel.kind} | (
+        {"frame": channel.frame} if channel.frame else {}
+    )
+    return xr.DataArray(np.full(shape, np.nan), dims=dims, attrs=attrs)
+
+
+def _name_geometry(mission: Mission, samples: xr.Dataset) -> xr.Dataset:
+    """Call the attitude and the position by their kinds, whatever the mission names them."""
+    first = {"position": position_channel(mission)}
+    for name in geometry_channels(mission):
+        instrument, channel = channel_homes(mission)[name]
+        kind = mission.instruments[instrument].channels[channel].kind
+        if name in samples:
+            first[kind] = first.get(kind) or name
+    return samples.rename(
+        {
+            name: kind
+            for kind, name in first.items()
+            if name in samples and name != kind and kind not in samples
+        }
+    )

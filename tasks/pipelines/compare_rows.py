@@ -1,0 +1,299 @@
+"""What a comparison keeps of a day: means over short spans of the residual and of all it may follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day
+from inflight.effects.families import NO_CAUSE
+from inflight.errors import CatalogError
+from inflight.frames import add_geometry
+from inflight.instruments import Channel
+from inflight.mission import Mission
+from inflight.tasks.archive.inputs import channel_homes, geometry_channels, position_channel
+from inflight.tasks.pipelines.planning import product_of
+from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
+
+#: Blocks of the uncertainties: a day when the span has at least so many days, else three hours.
+_DAY_BLOCKS, _BLOCK = 10, 3 * 3600.0
+
+#: Channels of these kinds are no coordinates: geometry makes coordinates of them, or they are no numbers.
+_NO_COORDINATE = (*NO_CAUSE, "flag")
+
+#: Angles and hours on a circle are taken at one instant: their mean would be wrong at the seam.
+_GEOMETRY = ("latitude", "longitude", "orbit_phase", "sun_phase", "local_time", "sunlit", "sun_direction")
+
+
+def published_products(cat: Catalog, comparison: str, span: slice) -> list[Day]:
+    """Return the days of a comparison's products in a span.
+
+    Raises
+    ------
+    CatalogError
+        When there are none.
+    """
+    product = product_of(comparison)
+    days = cat.days(product, span, states=("published",))
+    if not days:
+        raise CatalogError(
+            f"'{product}' has no published days in the span", remedy="run 'inflight reprocess' first"
+        )
+    return days
+
+
+def blocks_of(tt2000: Floats, days: int) -> tuple[np.ndarray[Any, np.dtype[np.int64]], str]:
+    """Return the block of each row for uncertainties, and what a block is."""
+    if days >= _DAY_BLOCKS:
+        first = day_bounds(np.datetime64("2000-01-01", "D"))[0]
+        return np.floor((tt2000 - first) / DAY).astype(np.int64), "day"
+    return (tt2000 / (_BLOCK * SECOND)).astype(np.int64), "3 h"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The published archive days behind a comparison, one query an instrument."""
+
+    days: Mapping[tuple[str, np.datetime64], Day]
+
+    @classmethod
+    def of(cls, cat: Catalog, mission: Mission, span: slice) -> Sources:
+        """Read which days are there of every instrument whose channels are compared."""
+        instruments = {instrument for instrument, _ in channel_homes(mission).values()}
+        return cls(
+            {
+                (instrument, day.day): day
+                for instrument in sorted(instruments)
+                for day in cat.days(f"l1/{instrument}", span, states=("published",))
+            }
+        )
+
+
+def scalar_channels(mission: Mission, flags: bool = False) -> dict[str, tuple[str, str, Channel]]:
+    """Return the coordinates that channels make: name -> (instrument, channel, description).
+
+    Components of vector channels are named ``channel[axis]``; channels of kind ``flag`` are states, taken
+    when asked for.
+    """
+    found: dict[str, tuple[str, str, Channel]] = {}
+    for name, (instrument, channel) in channel_homes(mission).items():
+        told = mission.instruments[instrument].channels[channel]
+        if told.kind in _NO_COORDINATE and not (flags and told.kind == "flag"):
+            continue
+        names = [f"{name}[{axis}]" for axis in told.axis_names] or [name]
+        found |= dict.fromkeys(names, (instrument, channel, told))
+    return found
+
+
+@dataclass(frozen=True)
+class Spans:
+    """Short spans of one day: `first` sample of each, and the span of each sample; `length` in seconds."""
+
+    stamps: Int64
+    length: float
+    midnight: int
+
+    @classmethod
+    def of(cls, stamps: Int64, length: float) -> Spans:
+        """Cut a day's stamps, which are not empty, into spans that begin at midnight."""
+        return cls(stamps, length, day_bounds(day_of(stamps[:1])[0])[0])
+
+    def number(self, stamps: Int64) -> Int64:
+        """Return the number of the span that each stamp is in, from midnight."""
+        return np.asarray((stamps - self.midnight) // round(self.length * SECOND), dtype=np.int64)
+
+    @cached_property
+    def numbers(self) -> Int64:
+        """Numbers of the spans that hold samples."""
+        return np.unique(self.number(self.stamps))
+
+    @property
+    def middle(self) -> Int64:
+        """TT2000 of the spans' middles."""
+        return self.midnight + np.asarray((self.numbers + 0.5) * self.length * SECOND).astype(np.int64)
+
+    def mean(self, values: Floats, stamps: Int64 | None = None) -> Floats:
+        """Return means of finite values; (span,), or (span, component); NaN where there are none."""
+        number = self.number(self.stamps if stamps is None else stamps)
+        place = np.searchsorted(self.numbers, number)
+        inside = (place < self.numbers.size) & (
+            self.numbers[np.minimum(place, self.numbers.size - 1)] == number
+        )
+        columns = values.reshape(len(values), -1)
+        out = np.full((self.numbers.size, columns.shape[1]), np.nan)
+        for index, column in enumerate(columns.T):
+            used = inside & np.isfinite(column)
+            count = np.bincount(place[used], minlength=self.numbers.size)
+            total = np.bincount(place[used], weights=column[used], minlength=self.numbers.size)
+            out[:, index] = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        return out.reshape(self.numbers.size, *values.shape[1:])
+
+    def extremes(self, values: Floats) -> tuple[Floats, Floats]:
+        """Return least and largest finite value of each span; NaN where there are none."""
+        place = np.searchsorted(self.numbers, self.number(self.stamps))
+        used = np.isfinite(values)
+        low, high = np.full(self.numbers.size, np.inf), np.full(self.numbers.size, -np.inf)
+        np.minimum.at(low, place[used], values[used])
+        np.maximum.at(high, place[used], values[used])
+        return np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
+
+
+def rows_of_day(
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    sources: Sources,
+    product: xr.Dataset,
+    before: Floats,
+    after: Floats,
+    spans: Spans,
+) -> dict[str, Floats]:
+    """Return one day's means: residuals, field, geometry, every channel; (span,) each.
+
+    Parameters
+    ----------
+    product : xarray.Dataset
+        The day's level-2 product.
+    before, after : ndarray, shape (time,)
+        Residuals, NaN where they are not to be used.
+    spans : Spans
+        Of the product's stamps.
+    """
+    field_ = np.where(np.isfinite(after)[:, None], product["field_sensor"].values, np.nan)
+    size = np.linalg.norm(field_, axis=1)
+    low, high = spans.extremes(after)
+    # Where the middle of the span lies, the coordinate is taken: a day's rows never leave their day.
+    out = {
+        "tt2000": spans.middle.astype(np.float64),
+        "before": spans.mean(before),
+        "after": spans.mean(after),
+        "low": low,
+        "high": high,
+        "time of day": (spans.middle - spans.midnight) / (3600.0 * SECOND),
+        "field strength": spans.mean(size),
+    }
+    directions, components = spans.mean(field_ / size[:, None]), spans.mean(field_)
+    out |= {f"field direction {axis}": directions[:, i] for i, axis in enumerate("xyz")}
+    out |= {f"field component {axis}": components[:, i] for i, axis in enumerate("xyz")}
+    day = day_of(spans.stamps[:1])[0]
+    out |= channel_means(cat, mission, sources, day, spans)
+    return out | geometry_means(cat, mission, comparison, sources, day, spans)
+
+
+def channel_means(
+    cat: Catalog, mission: Mission, sources: Sources, day: np.datetime64, spans: Spans, flags: bool = False
+) -> dict[str, Floats]:
+    """Return the means of every channel's components; NaN where the day has none."""
+    wanted = scalar_channels(mission, flags)
+    found = {name: np.full(spans.numbers.size, np.nan) for name in wanted}
+    for instrument in dict.fromkeys(instrument for instrument, _, _ in wanted.values()):
+        source = sources.days.get((instrument, day))
+        if source is None:
+            continue
+        names = dict.fromkeys(channel for home, channel, _ in wanted.values() if home == instrument)
+        data = cat.read(source, list(names))
+        stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
+        for channel in names:
+            values = np.asarray(data[channel].values, dtype=np.float64)
+            means = _filled(spans, values, stamps, mission.instruments[instrument].cadence)
+            mine = [name for name, (home, own, _) in wanted.items() if (home, own) == (instrument, channel)]
+            columns = means.reshape(len(means), -1).T
+            found |= dict(zip(mine, columns, strict=False))
+    return found
+
+
+def _filled(spans: Spans, values: Floats, stamps: Int64, cadence: int) -> Floats:
+    """Return means over the spans; of a channel slower than they are, the nearest reading."""
+    if cadence <= spans.length * SECOND:
+        return spans.mean(values, stamps)
+    index = _nearest(stamps, spans.middle)
+    near = np.abs(stamps[index] - spans.middle) <= cadence if stamps.size else np.zeros(0, dtype=bool)
+    if not stamps.size:
+        return np.full((spans.numbers.size, *values.shape[1:]), np.nan)
+    return np.where(near.reshape(-1, *(1,) * (values.ndim - 1)), values[index], np.nan)
+
+
+def _nearest(stamps: Int64, wanted: Int64) -> Int64:
+    right = np.clip(np.searchsorted(stamps, wanted), 0, max(stamps.size - 1, 0))
+    left = np.maximum(right - 1, 0)
+    if not stamps.size:
+        return np.zeros(0, dtype=np.int64)
+    return np.where(np.abs(stamps[right] - wanted) < np.abs(wanted - stamps[left]), right, left)
+
+
+def geometry_means(
+    cat: Catalog, mission: Mission, comparison: str, sources: Sources, day: np.datetime64, spans: Spans
+) -> dict[str, Floats]:
+    """Return orbit, Sun and local time at the middles of the spans, as far as positions are there."""
+    name = position_channel(mission)
+    if not name:
+        return {}
+    homes = channel_homes(mission)
+    wanted = {"position": name}
+    for each in geometry_channels(mission):
+        instrument, channel = homes[each]
+        if mission.instruments[instrument].channels[channel].kind == "attitude":
+            wanted.setdefault("attitude", each)
+    samples = xr.Dataset({"tt2000": ("time", spans.middle)})
+    for kind, each in wanted.items():
+        found = _at_middles(cat, mission, sources, day, spans, *homes[each])
+        if found is not None:
+            samples[kind] = found
+    roles = mission.comparisons[comparison].instruments()
+    mounted = mission.instruments[roles["vector"]].orientation
+    samples["vector"] = (("time", "axis"), np.full((spans.numbers.size, 3), np.nan), {"orientation": mounted})
+    return _named(add_geometry(samples), spans.numbers.size)
+
+
+def _at_middles(
+    cat: Catalog,
+    mission: Mission,
+    sources: Sources,
+    day: np.datetime64,
+    spans: Spans,
+    instrument: str,
+    channel: str,
+) -> Any:
+    """Return a vector channel at the middles of the spans: (dims, values, attributes); None without one."""
+    source = sources.days.get((instrument, day))
+    if source is None:
+        return None
+    data = cat.read(source, [channel])
+    stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
+    values = np.asarray(data[channel].values, dtype=np.float64)
+    if stamps.size < 2:
+        return None
+    index = _nearest(stamps, spans.middle)
+    chosen, off = values[index], np.abs(stamps[index] - spans.middle)
+    if data[channel].attrs.get("kind") != "attitude":
+        chosen = np.stack([np.interp(spans.middle, stamps, column) for column in values.T], axis=1)
+    chosen = np.where((off <= 1.5 * mission.instruments[instrument].cadence)[:, None], chosen, np.nan)
+    return (
+        ("time", "axis" if chosen.shape[1] == 3 else f"{channel}_component"),
+        chosen,
+        dict(data[channel].attrs),
+    )
+
+
+def _named(told: xr.Dataset, count: int) -> dict[str, Floats]:
+    """Return the coordinates by the names that people read; the Sun's direction as two angles."""
+    out = {
+        name.replace("_", " "): np.asarray(told[name].values, dtype=np.float64)
+        for name in _GEOMETRY
+        if name in told and name != "sun_direction"
+    }
+    out = out or {
+        name.replace("_", " "): np.full(count, np.nan) for name in _GEOMETRY if name != "sun_direction"
+    }
+    if "sun_direction" in told:
+        x, y, z = told["sun_direction"].values.T
+        out["Sun azimuth"] = np.rad2deg(np.arctan2(y, x))
+        out["Sun elevation"] = np.rad2deg(np.arcsin(np.clip(z, -1.0, 1.0)))
+        return out
+    return out | {name: np.full(count, np.nan) for name in ("Sun azimuth", "Sun elevation")}

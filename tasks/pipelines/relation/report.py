@@ -1,0 +1,132 @@
+"""What two vector sensors against each other told: fields for programs, and one page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight import __version__
+from inflight.catalog import Catalog
+from inflight.errors import CatalogError
+from inflight.figures.dual import PARTS, corners_figure, relation_days_figure, relation_figure
+from inflight.figures.page import html_page, html_table, write_page
+from inflight.mission import Mission, is_told_by_states
+from inflight.tasks.pipelines.mission.sections import Part, with_error
+from inflight.tasks.pipelines.relation.reprocess import NO_PRODUCT, TABLES
+from inflight.tasks.pipelines.tables import newest_tables
+from inflight.time import day_of
+
+
+def dual_report(
+    cat: Catalog, mission: Mission, comparison: str, output: Path | None = None
+) -> dict[str, Any]:
+    """Return the fields of a dual comparison's tables, and write the page when a path is given.
+
+    Raises
+    ------
+    CatalogError
+        When none is certified, or the spacecraft's states tell the sensors: these have tables of their own.
+    """
+    if is_told_by_states(mission, comparison):
+        raise CatalogError(
+            f"'{comparison}' is told by the spacecraft's states: no table says how its sensors stand to each "
+            "other",
+            remedy="'inflight compare' shows states, units and what is left",
+        )
+    tables, parts = dual_parts(cat, comparison)
+    daily = tables["relation-daily"]
+    days = [str(one)[:10] for one in day_of(daily["start"].values[[0, -1]])]
+    if output is not None:
+        title = f"{mission.mission}: {comparison}, {days[0]} to {days[1]}"
+        footer = f"{daily.sizes['interval']} days; inflight {__version__}. {mission.acknowledgement}"
+        page = html_page(title, [(part.heading, part.text, part.plots) for part in parts], footer)
+        write_page(output, page)
+    return {
+        "command": "chain",
+        "comparison": comparison,
+        "note": NO_PRODUCT,
+        "span": days,
+        "days": int(daily.sizes["interval"]),
+        "tables": {name: f"{comparison}-{name}" for name in sorted(tables)},
+        "sections": {part.key: part.fields | {"absent": part.absent} for part in parts},
+        "path": str(output) if output else "",
+    }
+
+
+def dual_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tuple[Part, ...]]:
+    """Return the newest tables of a dual comparison, and what is told of them.
+
+    Raises
+    ------
+    CatalogError
+        When none is certified.
+    """
+    tables = newest_tables(cat, comparison, TABLES)
+    if "relation-daily" not in tables:
+        raise CatalogError(
+            f"no tables are published for comparison '{comparison}'",
+            remedy=f"run 'inflight reprocess --comparison {comparison}' first",
+        )
+    return tables, (_relation(tables), _corners(tables))
+
+
+def _relation(tables: Mapping[str, xr.Dataset]) -> Part:
+    part = Part("relation", "How the two sensors stand to each other")
+    part.say(NO_PRODUCT[:1].upper() + NO_PRODUCT[1:] + ".")
+    whole, daily = tables.get("relation"), tables["relation-daily"]
+    if whole is None:
+        part.lack("Relation of all days", "too few days with both products")
+    else:
+        part.say(f"All days together leave {whole.attrs['rms_nT']:.4g} nT a component.")
+        part.fields = {"items": _items(whole), "rms_nT": float(whole.attrs["rms_nT"])}
+        rows = [
+            (one["name"], with_error(one["value"], one["sigma"]), one["unit"]) for one in part.fields["items"]
+        ]
+        part.text.append(html_table(("", "value ± sigma", "unit"), rows))
+        part.plots += [relation_figure(whole, name) for name in PARTS]
+    part.plots += [relation_days_figure(daily, name) for name in ("rotation", "shift")]
+    part.fields["scatter"] = {
+        str(name): float(one)
+        for name, one in zip(daily["parameter"].values, np.nanstd(daily["value"].values, axis=0), strict=True)
+    }
+    return part
+
+
+def _items(table: xr.Dataset) -> list[dict[str, Any]]:
+    """Return a relation's numbers in units people read."""
+    out = []
+    for name, value, sigma in zip(
+        *(table[one].values.tolist() for one in ("parameter", "value", "sigma")), strict=True
+    ):
+        _, factor, unit = PARTS[name.partition("[")[0]]
+        out.append({"name": name, "value": factor * value, "sigma": factor * sigma, "unit": unit})
+    return out
+
+
+def _corners(tables: Mapping[str, xr.Dataset]) -> Part:
+    part = Part("corners", "Which of the three disagrees")
+    table = tables.get("corners")
+    if table is None:
+        part.lack("Corners", "too few days with both products")
+        return part
+    names = [str(name) for name in table["sensor"].values]
+    part.fields = {
+        "items": [
+            {"sensor": name, "variance": float(value), "sigma": float(sigma), "unit": "nT2"}
+            for name, value, sigma in zip(names, table["value"].values, table["sigma"].values, strict=True)
+        ],
+        "closure_nT": float(table.attrs["closure_nT"]),
+    }
+    part.say(
+        "Variance of each sensor's own error, when errors of different sensors are unrelated; what is the "
+        f"same at both vector sensors counts as the scalar one's. The three residuals close to "
+        f"{table.attrs['closure_nT']:.2g} nT."
+    )
+    rows = [(one["sensor"], with_error(one["variance"], one["sigma"])) for one in part.fields["items"]]
+    part.text.append(html_table(("sensor", "variance ± sigma, nT^2"), rows))
+    part.plots.append(corners_figure(table))
+    return part

@@ -1,0 +1,299 @@
+"""The page of a comparison: the report's numbers and figures in one static HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.figures.dependence import axis_figure, dependence_figure
+from inflight.figures.page import Inside, Later, html_table
+from inflight.figures.parameters import parameter_figures, wander_figure
+from inflight.figures.residual import daily_figure, histogram_figure, series_figure
+from inflight.figures.spectra import spectrum_figure
+from inflight.mission import Mission
+from inflight.residual.dependence import Dependence, Failure
+from inflight.residual.lines import Line, drawn_periods, told_period
+from inflight.residual.noise import NoiseFloor, Size, Wander
+from inflight.residual.spectrum import SERIES, Power
+from inflight.tasks.pipelines.compared import Structure
+from inflight.time import to_utc
+
+#: Points of the figure of the residual in time.
+_POINTS = 20_000
+
+#: Lines of the spectrum in the page's table.
+_SHOWN = 24
+
+
+@dataclass
+class CompareReport:
+    """What `compare` found; `path` is the page, when one was written."""
+
+    comparison: str
+    context: str
+    before: Size
+    after: Size
+    floor: NoiseFloor
+    by_day: list[dict[str, Any]]
+    fails_where: Sequence[Structure]
+    directions: list[str]
+    determined: list[str]
+    block: str
+    lines: list[Line]
+    wander: list[Wander]
+    path: Path | None = None
+    left_out: int = 0
+    outliers: int = 0
+    acknowledgement: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+        return {
+            "command": "compare",
+            "run": "",
+            "context": self.context,
+            "comparison": self.comparison,
+            "residual": {
+                "before_nT": self.before.rms,
+                "after_nT": self.after.rms,
+                "before_less_mean_nT": self.before.std,
+                "after_less_mean_nT": self.after.std,
+                "noise_floor_nT": self.floor.level_nT,
+                "noise_floor_interval_nT": [self.floor.low_nT, self.floor.high_nT],
+                "before": self.before.as_json(),
+                "after": self.after.as_json(),
+                "samples_left_out": self.left_out,
+                "outliers": self.outliers,
+            },
+            "by_day": self.by_day,
+            "fails_where": [
+                {
+                    "coordinate": one.coordinate,
+                    "amplitude_nT": one.amplitude,
+                    "sigma_nT": one.sigma,
+                    "sentence": one.sentence,
+                }
+                for one in self.fails_where
+            ],
+            "block": self.block,
+            "parameters": {
+                "determined": self.determined,
+                "combinations": self.directions,
+                "wander": [one.as_json() for one in self.wander],
+            },
+            "spectrum_lines": [line.as_json() for line in self.lines],
+            "path": str(self.path) if self.path else "",
+        }
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Spectra of days (after, before) and of weeks, the lines in them, and the periods that are known."""
+
+    fast: Power | None
+    before: Power | None
+    slow: Power | None
+    lines: list[Line]
+    known: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Aggregates that the figures are drawn from: histograms, means of short spans, spectra, tables."""
+
+    counts: dict[str, Floats]
+    rows: dict[str, Floats]
+    spectra: Spectra
+    found: list[Dependence]
+    tables: tuple[xr.Dataset, xr.Dataset]
+
+
+def compare_parts(report: CompareReport, drawn: Drawn) -> list[Later]:
+    """Return everything that is shown of a comparison, as the page and the explorer have it."""
+    return [
+        ("Residual", lambda: _residual(report, drawn)),
+        ("Where it fails", lambda: _failing(report)),
+        ("What the residual follows", lambda: _following(report, drawn)),
+        ("Spectrum", lambda: (_lines(report), _spectrum_figures(drawn.spectra))),
+        ("Parameters", lambda: _parameters(report, drawn)),
+    ]
+
+
+def _residual(report: CompareReport, drawn: Drawn) -> Inside:
+    rows, counts = drawn.rows, drawn.counts
+    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
+    before = np.array([entry["before_nT"] for entry in report.by_day])
+    after = np.array([entry["after_nT"] for entry in report.by_day])
+    plots = [
+        daily_figure(day, before, after, report.floor.level_nT),
+        histogram_figure(counts["edges"], counts["before"], counts["after"]),
+        series_figure(*_thinned(rows)),
+    ]
+    return _told(report), plots
+
+
+def _failing(report: CompareReport) -> Inside:
+    axes = [
+        axis_figure(one.response)
+        for one in report.fails_where
+        if isinstance(one, Failure) and one.response is not None
+    ]
+    return fails_text(report), axes
+
+
+def _following(report: CompareReport, drawn: Drawn) -> Inside:
+    order = sorted(drawn.found, key=lambda one: (not one.is_clear, -one.amplitude))
+    return [_legend(report)], [dependence_figure(one) for one in order]
+
+
+def _parameters(report: CompareReport, drawn: Drawn) -> Inside:
+    plots = [*parameter_figures(*drawn.tables), wander_figure(report.wander)]
+    return [*_known(report), wandering_text(report)], plots
+
+
+def page_title(report: CompareReport, mission: Mission) -> str:
+    """Return what the page is headed with."""
+    first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
+    return f"{mission.mission}: model against measurement, {first} to {last}"
+
+
+def _thinned(rows: dict[str, Floats]) -> tuple[Any, Floats, Floats, Floats]:
+    """Return UTC, mean, lowest and highest of at most `_POINTS` groups of rows: what a browser can draw."""
+    shown = np.flatnonzero(np.isfinite(rows["after"]))
+    if not shown.size:
+        return to_utc(np.empty(0, dtype=np.int64)), np.empty(0), np.empty(0), np.empty(0)
+    first = np.arange(0, shown.size, -(-shown.size // _POINTS))
+    count = np.diff(np.append(first, shown.size))
+    return (
+        to_utc(rows["tt2000"][shown][first].astype(np.int64)),
+        np.add.reduceat(rows["after"][shown], first) / count,
+        np.minimum.reduceat(rows["low"][shown], first),
+        np.maximum.reduceat(rows["high"][shown], first),
+    )
+
+
+def _told(report: CompareReport) -> list[str]:
+    rows = [
+        ("pre-flight model", report.before),
+        ("calibrated", report.after),
+    ]
+    head = ("nT", "rms", "mean", "std", "robust sigma", "least", "largest", "samples")
+    cells = [
+        (name, *(f"{v:.4f}" for v in (s.rms, s.mean, s.std, s.robust, s.least, s.largest)), f"{s.count}")
+        for name, s in rows
+    ]
+    note = (
+        f"Noise floor {report.floor.level_nT:.4f} nT, 95 % interval {report.floor.low_nT:.4f} to "
+        f"{report.floor.high_nT:.4f} (white level of the calibrated residual between a tenth of the Nyquist "
+        f"frequency and the Nyquist frequency, what falls with the frequency taken off). "
+        f"{report.left_out} samples without a measurement are "
+        f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
+    )
+    return [html_table(head, cells), escape(note)]
+
+
+def _known(report: CompareReport) -> list[str]:
+    names = ", ".join(name.split(".", 1)[-1] for name in report.determined) or "none"
+    text = [f"Parameters that the span's data determine by themselves: {escape(names)}."]
+    if len(report.determined) < len(report.directions) or not report.determined:
+        listed = "".join(f"<li>{escape(line)}</li>" for line in report.directions)
+        text.append(
+            f"The data determine {len(report.directions)} combinations, in units of each prior's sigma, "
+            f"best known first; everything else stays at its prior:<ol>{listed}</ol>"
+        )
+    return text
+
+
+def fails_text(report: CompareReport) -> list[str]:
+    """Return the structures of a residual as HTML."""
+    if not report.fails_where:
+        return [f"No structure stands out by five sigma between blocks of one {report.block}."]
+    listed = "".join(f"<li>{escape(one.sentence)}</li>" for one in report.fails_where)
+    return [f"<ol>{listed}</ol>", "Each structure is measured after the stronger ones were taken off."]
+
+
+def _legend(report: CompareReport) -> str:
+    return (
+        f"Mean residual in bins of each coordinate, clear ones first; bands and bars are one sigma between "
+        f"blocks of one {report.block}. Where a channel's rising and falling branches differ by five sigma, "
+        "both are drawn."
+    )
+
+
+def _spectrum_figures(spectra: Spectra) -> list[Any]:
+    """Return the spectra of days along each series, then those of weeks."""
+    drawn, plots = drawn_periods(spectra.known), []
+    if spectra.fast is not None:
+        earlier = spectra.before
+        same = earlier is not None and earlier.frequency.size == spectra.fast.frequency.size
+        for index, series in enumerate(SERIES):
+            before = earlier.density[index] if earlier is not None and same else None
+            after = spectra.fast.density[index]
+            plots.append(spectrum_figure(spectra.fast.frequency, before, after, drawn, spectra.lines, series))
+    if spectra.slow is not None:
+        slow = spectra.slow
+        plots.append(spectrum_figure(slow.frequency, None, slow.density[0], drawn, spectra.lines))
+    return plots
+
+
+def _lines(report: CompareReport) -> list[str]:
+    """Return the lines of the spectrum as a table: unknown periods first."""
+    if not report.lines:
+        return ["No line stands above the spectrum around it."]
+    head = (
+        "period",
+        "what it is",
+        "times background",
+        "residual, nT",
+        "along x, nT",
+        "along y, nT",
+        "along z, nT",
+    )
+    rows = [
+        (
+            told_period(line.period_s),
+            line.label or line.follows or "unknown",
+            f"{line.ratio:.0f}",
+            *(
+                f"{a:.4f} +- {s:.4f}" if np.isfinite(a) else ""
+                for a, s in zip(line.amplitude, line.sigma, strict=True)
+            ),
+        )
+        for line in report.lines[:_SHOWN]
+    ]
+    more = len(report.lines) - len(rows)
+    note = (f"{more} weaker ones are in the JSON. " if more > 0 else "") + (
+        "A field along one axis shows at its own period in the residual times that axis's direction; in the "
+        "residual itself it shows at sidebands. Amplitudes along an axis are those of a field that acts "
+        "there alone."
+    )
+    return [html_table(head, rows), escape(note)]
+
+
+def wandering_text(report: CompareReport) -> str:
+    """Return the daily scatter of parameters as HTML."""
+    rows = [
+        (
+            one.name.split(".", 1)[-1],
+            one.unit,
+            f"{one.std:.3g}",
+            f"{one.sigma:.3g}",
+            f"{one.ratio:.2f}",
+            f"{one.days}",
+        )
+        for one in report.wander
+        if np.isfinite(one.ratio)
+    ]
+    if not rows:
+        return "Fewer than three days determine any parameter by themselves: no scatter from day to day."
+    head = ("parameter", "unit", "daily scatter", "stated sigma", "ratio", "days")
+    return html_table(head, rows) + (
+        "A ratio well above 1 says that something missing from the model drives the parameter."
+    )

@@ -1,0 +1,494 @@
+"""Comparison of a spinning sensor with its model.
+
+The page of a spin comparison's `compare`: tones before and after, and what they follow.
+
+Compare of a spin comparison: what of the products still goes with the spin, and what it follows.
+
+The residual of a turning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
+folded into synthetic turns (`inflight.samples.spin_folding`), and so is the pre-flight calibration of the
+same readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, Day
+from inflight.errors import InflightError, MissionError
+from inflight.figures.page import Later, html_table
+from inflight.figures.parameters import wander_figure
+from inflight.figures.residual import daily_figure
+from inflight.figures.spin import mean_turn_figure, tone_dependence_figure, tone_name, tones_over_time_figure
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.model.rows import folding_of, rows_of, turn_residual
+from inflight.residual.noise import NO_FLOOR, NoiseFloor, Size, daily_wander
+from inflight.samples.spin_folding import Complex, Folding, fold
+from inflight.spin.residual import (
+    TONES,
+    ToneCoordinate,
+    ToneDependence,
+    Tones,
+    find_tone_failures,
+    tone_dependence,
+    tones_of,
+)
+from inflight.tasks.archive.channels import Turning
+from inflight.tasks.archive.inputs import ArchiveIndex, Need, needs_of
+from inflight.tasks.archive.samples import load_samples
+from inflight.tasks.models import current_model
+from inflight.tasks.pipelines.compare_rows import (
+    Sources,
+    Spans,
+    blocks_of,
+    channel_means,
+    geometry_means,
+    scalar_channels,
+)
+from inflight.tasks.pipelines.compared import Compared
+from inflight.tasks.pipelines.scalar.compare_page import CompareReport, fails_text, wandering_text
+from inflight.tasks.report import Progress
+from inflight.time import DAY, SECOND, Int64, day_bounds
+
+#: Tones drawn over time.
+_SHOWN = 2
+
+
+@dataclass
+class SpinCompareReport(CompareReport):
+    """What `compare` found of a turning sensor; `tones` are the rms of each before and after, nT."""
+
+    tones: tuple[Floats, Floats] = (np.zeros(len(TONES)), np.zeros(len(TONES)))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+        return super().as_json() | {
+            "tones": [
+                {
+                    "row": ("axial", "modulus")[row],
+                    "harmonic": harmonic,
+                    "before_nT": before,
+                    "after_nT": after,
+                }
+                for (row, harmonic), before, after in zip(
+                    TONES, *(one.tolist() for one in self.tones), strict=True
+                )
+            ]
+        }
+
+
+@dataclass(frozen=True)
+class SpinDrawn:
+    """What the page draws: intervals' times and tones, mean turns, and what the tones follow."""
+
+    time: Int64
+    before: Tones
+    after: Tones
+    turns: tuple[ToneDependence | None, ToneDependence | None]
+    found: Sequence[ToneDependence]
+
+
+def spin_parts(report: SpinCompareReport, drawn: SpinDrawn) -> list[Later]:
+    """Return everything that is shown of a spin comparison, as the page and the explorer have it."""
+    return [
+        ("Residual", lambda: (_told(report), _residual_figures(report, drawn))),
+        ("Where it fails", lambda: (fails_text(report), [])),
+        (
+            "What the tones follow",
+            lambda: ([_legend(report), _in_step(drawn.found)], _dependence_figures(drawn)),
+        ),
+        ("Parameters", lambda: ([wandering_text(report)], [wander_figure(report.wander)])),
+    ]
+
+
+def _residual_figures(report: SpinCompareReport, drawn: SpinDrawn) -> list[Any]:
+    day = np.array([entry["day"] for entry in report.by_day], dtype="datetime64[ns]")
+    before, after = (np.array([entry[name] for entry in report.by_day]) for name in ("before_nT", "after_nT"))
+    daily = daily_figure(day, before, after, report.floor.level_nT)
+    daily.title.text = "What goes with the spin, each day"
+    strongest = np.argsort(-drawn.after.size)[:_SHOWN]
+    over_time = [
+        tones_over_time_figure(drawn.time, drawn.before, drawn.after, int(tone)) for tone in strongest
+    ]
+    return [daily, mean_turn_figure(*drawn.turns), *over_time]
+
+
+def _dependence_figures(drawn: SpinDrawn) -> list[Any]:
+    varying = [one for one in drawn.found if len(one.centre) > 1]
+    varying.sort(key=lambda one: (not one.clear.any(), -one.amplitude[one.strongest]))
+    return [tone_dependence_figure(one, one.strongest) for one in varying]
+
+
+def spin_title(report: SpinCompareReport, mission: Mission) -> str:
+    """Return what the page is headed with."""
+    first, last = report.by_day[0]["day"], report.by_day[-1]["day"]
+    return f"{mission.mission}: what still goes with the spin, {first} to {last}"
+
+
+def _told(report: SpinCompareReport) -> list[str]:
+    rows = [
+        (tone_name(tone), f"{before:.5f}", f"{after:.5f}")
+        for tone, (before, after) in enumerate(zip(*report.tones, strict=True))
+    ]
+    rows.append(("all, a row", f"{report.before.rms:.5f}", f"{report.after.rms:.5f}"))
+    floor = report.floor
+    note = (
+        f"Rms over intervals, by weights that fall with nature's own noise in each. Nature's noise at the "
+        f"neighbouring frequencies would alone leave {floor.level_nT:.5f} nT a row (95 % interval "
+        f"{floor.low_nT:.5f} to {floor.high_nT:.5f}): how much a turn's tones differ from the next turn's. "
+        f"{report.left_out} samples of turns with too few readings are left out."
+    )
+    return [html_table(("tone", "pre-flight, nT", "calibrated, nT"), rows), f"<p>{escape(note)}</p>"]
+
+
+def _legend(report: SpinCompareReport) -> str:
+    return (
+        "Of each coordinate the tone that follows it most, less its mean: cosine and sine of the spin's "
+        f"phase, clear ones first; bars are one sigma between blocks of one {report.block}."
+    )
+
+
+def _in_step(found: Sequence[ToneDependence]) -> str:
+    """Return the table of channels that go with the spin themselves."""
+    rows = []
+    for one in (one for one in found if one.coordinate.wheel is not None):
+        tone = one.strongest
+        slope, sigma = np.abs(one.mean[0, tone]), one.sigma[0, tone]
+        unit = f"nT/{one.coordinate.unit}" if one.coordinate.unit else "nT"
+        told = f"{one.amplitude[tone]:.4f} +- {one.sigma_amplitude[tone]:.4f}"
+        rows.append((one.coordinate.name, tone_name(tone), told, f"{slope:.3g} +- {sigma:.1g} {unit}"))
+    if not rows:
+        return ""
+    head = ("channel", "residual tone in step with it", "rms, nT", "size for each unit")
+    return html_table(head, rows)
+
+
+_ONE_DAY = np.timedelta64(1, "D")
+
+#: Channels that show the spin are looked at, at the spin and at twice it.
+_TIMES = {"at the spin": 0, "at twice the spin": 1}
+
+#: Periods are looked at in spans of so many.
+_TURNS = 1.5
+
+#: What the field and time are called, with unit and kind.
+_OWN = {
+    "field along the spin axis": ("nT", "field_along"),
+    "field across the spin axis": ("nT", "field_across"),
+    "time of day": ("h", "time_of_day"),
+    "orbit phase": ("deg", "orbit_phase"),
+    "sun phase": ("deg", "sun_phase"),
+    "sunlit": ("1", "sunlit"),
+    "local time": ("h", "local_time"),
+    "latitude": ("deg", "latitude"),
+    "longitude": ("deg", "longitude"),
+}
+
+
+@dataclass
+class _Gathered:
+    """What stays of the days: one row an interval."""
+
+    time: list[Int64] = field(default_factory=list)
+    before: list[Tones] = field(default_factory=list)
+    after: list[Tones] = field(default_factory=list)
+    rows: list[tuple[Size, Size]] = field(default_factory=list)
+    named: list[dict[str, Floats]] = field(default_factory=list)
+    wheels: list[dict[str, Complex]] = field(default_factory=list)
+    left_out: int = 0
+
+    @property
+    def stamps(self) -> Int64:
+        """TT2000 of the intervals' middles."""
+        return np.concatenate(self.time)
+
+    def tones(self, state: str) -> Tones:
+        """Return all intervals' tones ``before`` or ``after``."""
+        parts: list[Tones] = getattr(self, state)
+        return Tones(
+            np.concatenate([one.value for one in parts]),
+            np.concatenate([one.weight for one in parts]),
+            np.concatenate([one.noise for one in parts]),
+        )
+
+
+def compare_spin(
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    days: Sequence[Day],
+    tell: Progress,
+) -> Compared[SpinCompareReport]:
+    """Measure the tones of published products before and after calibration.
+
+    Parameters
+    ----------
+    days : sequence of Day
+        Of the products.
+
+    Raises
+    ------
+    MissionError
+        When the mission does not say how fast it spins.
+    """
+    folding = folding_of(mission, comparison)
+    if folding is None:
+        raise MissionError(
+            "the mission does not say how fast it spins", remedy="state 'spin' under its periods"
+        )
+    reader = _Reader.of(cat, mission, comparison, days, folding)
+    found = _Gathered()
+    for done, day in enumerate(days):
+        tell("compare", done, len(days))
+        reader.take(found, day)
+    tell("compare", len(days), len(days))
+    before, after = found.tones("before"), found.tones("after")
+    coordinates = {one.name: one for one in _tone_coordinates(found, mission)}
+    block, block_name = blocks_of(found.stamps.astype(np.float64), len(days))
+    failures, whole = find_tone_failures(after, coordinates, block)
+    daily, used = (cat.table(f"{comparison}-{kind}", str(days[0].day)) for kind in ("daily", "window"))
+    report = SpinCompareReport(
+        comparison,
+        days[-1].context or "",
+        _whole([one for one, _ in found.rows], before),
+        _whole([one for _, one in found.rows], after),
+        _floor(after, block),
+        [_spin_day_summary(*told) for told in zip(days, found.rows, found.after, strict=True)],
+        failures,
+        [],
+        [
+            str(name)
+            for name, known in zip(used["parameter"].values, used["determined"].values[-1], strict=True)
+            if known
+        ],
+        block_name,
+        [],
+        daily_wander(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
+        left_out=found.left_out,
+        acknowledgement=mission.acknowledgement,
+        tones=(before.size, after.size),
+    )
+    steady = coordinates["spin phase"]
+    turns = [tone_dependence(one, steady, block) for one in (before, after)]
+    drawn = SpinDrawn(found.stamps, before, after, (turns[0], turns[1]), whole)
+    return Compared(report, spin_title(report, mission), spin_parts(report, drawn))
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """What a day's tones are read with."""
+
+    cat: Catalog
+    mission: Mission
+    comparison: str
+    model: Model
+    folding: Folding
+    needs: list[Need]
+    index: ArchiveIndex
+    sources: Sources
+
+    @classmethod
+    def of(
+        cls, cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], folding: Folding
+    ) -> _Reader:
+        model = current_model(cat, mission, comparison).model
+        needs = needs_of(mission, model)
+        around = slice(str(days[0].day - _ONE_DAY), str(days[-1].day + 2 * _ONE_DAY))
+        sources = Sources.of(cat, mission, slice(str(days[0].day), str(days[-1].day + _ONE_DAY)))
+        index = ArchiveIndex.of(cat, needs, around)
+        return cls(cat, mission, comparison, model, folding, needs, index, sources)
+
+    def take(self, found: _Gathered, day: Day) -> None:
+        """Add one day's tones and everything they may follow."""
+        samples = load_samples(
+            self.cat,
+            self.mission,
+            self.model,
+            day.day,
+            self.needs,
+            self.index,
+            geometry=False,
+            folded=False,
+        )
+        span = day_bounds(day.day)
+        raw = fold(samples, self.folding, span)
+        folded = fold(self._product(day, samples), self.folding, span)
+        calibrated = np.asarray(folded["vector"].values, dtype=np.float64)
+        after, good = turn_residual(self.folding, calibrated, folded)
+        before = np.where(good[:, None], rows_of(self.model, raw).residual, np.nan)
+        # The weights that 'inflight reprocess' takes: both tell one number.
+        weight = np.where(good, raw["weight"].values, 0.0)
+        noise = raw["noise"].values
+        states = [self._tones(rows, weight, noise) for rows in (before, after)]
+        found.before.append(states[0])
+        found.after.append(states[1])
+        found.rows.append((_size(before, weight), _size(after, weight)))
+        found.left_out += int((~good).sum())
+        stamps = np.asarray(folded["tt2000"].values, dtype=np.int64)
+        spans = Spans.of(stamps, self.folding.interval_ns / SECOND)
+        spans = replace(spans, stamps=stamps[: len(states[0].value) * self.folding.sectors])
+        found.time.append(spans.middle)
+        found.named.append(self._named(day.day, spans, calibrated))
+        found.wheels.append(self._wheels(day.day, len(states[0].value)))
+
+    def _product(self, day: Day, samples: xr.Dataset) -> xr.Dataset:
+        """Return the product's field as samples to be folded, with the phase unwrapped as it was used."""
+        product = self.cat.read(day, ["field_sensor", "flag", "tt2000"])
+        if not np.array_equal(product["tt2000"].values, samples["tt2000"].values):
+            raise InflightError(
+                "the product has other samples than the archive",
+                day=str(day.day),
+                remedy="run 'inflight reprocess' again",
+            )
+        return xr.Dataset(
+            {
+                "vector": (("time", "axis"), product["field_sensor"].values),
+                "spin_phase": ("time", samples["spin_phase"].values),
+                "tt2000": ("time", samples["tt2000"].values),
+                "flag": ("time", product["flag"].values),
+            }
+        )
+
+    def _tones(self, rows: Floats, weight: Floats, noise: Floats) -> Tones:
+        sectors = self.folding.sectors
+        value = tones_of(rows, sectors)
+        first = slice(0, len(value) * sectors, sectors)
+        # A turn with a bad sample has no harmonics.
+        each = weight[: len(value) * sectors].reshape(-1, sectors).min(axis=1)
+        return Tones(value, each, np.asarray(noise[first]))
+
+    def _named(self, day: np.datetime64, spans: Spans, field_: Floats) -> dict[str, Floats]:
+        """Return the coordinates of a day's intervals by name."""
+        count = spans.numbers.size * self.folding.sectors
+        turned = field_[:count].reshape(-1, self.folding.sectors, 3)
+        out = {
+            "field along the spin axis": turned[:, :, 2].mean(axis=1),
+            "field across the spin axis": np.hypot(turned[:, :, 0], turned[:, :, 1]).mean(axis=1),
+            "time of day": (spans.middle - spans.midnight) / (3600.0 * SECOND),
+        }
+        out |= channel_means(self.cat, self.mission, self.sources, day, spans, flags=True)
+        return out | geometry_means(self.cat, self.mission, self.comparison, self.sources, day, spans)
+
+    def _wheels(self, day: np.datetime64, count: int) -> dict[str, Complex]:
+        """Return the tones of channels that show the spin; (interval,) by name."""
+        turning = Turning.of(self.cat, self.mission, self.comparison, self.index, day)
+        out: dict[str, Complex] = {}
+        if turning is None:
+            return out
+        sectors, (start, _) = self.folding.sectors, day_bounds(day)
+        edges = start + self.folding.cadence_ns * np.arange(count * sectors + 1, dtype=np.int64)
+        for name, (instrument, channel, told) in scalar_channels(self.mission).items():
+            source = self.sources.days.get((instrument, day))
+            cadence = self.mission.instruments[instrument].cadence
+            if told.axis_names or source is None or not turning.is_seen_by(cadence):
+                continue
+            data = self.cat.read(source, [channel])
+            stamps = np.asarray(data["tt2000"].values, dtype=np.int64)
+            values = np.asarray(data[channel].values, dtype=np.float64)
+            folded = turning.folded(values, stamps, turning.phase(stamps), edges)
+            tones = tones_of(folded[:, None], sectors)
+            out |= {f"{name} {times}": tones[:, at] for times, at in _TIMES.items()}
+        return out
+
+
+def _tone_coordinates(found: _Gathered, mission: Mission) -> Iterator[ToneCoordinate]:
+    """Yield everything the tones may follow: the spin itself, time, field, geometry, channels."""
+    stamps = found.stamps
+    yield ToneCoordinate("spin phase", "", "spin_phase", np.zeros(stamps.size))
+    yield ToneCoordinate("time", "d", "time", (stamps - stamps[0]) / DAY)
+    for name, period in mission.periods.items():
+        # Not of a period that the span is shorter than: it would be time by another name.
+        if name != "spin" and stamps[-1] - stamps[0] > _TURNS * period:
+            phase = 360.0 * ((stamps - stamps[0]) / period % 1.0)
+            yield ToneCoordinate(f"phase of the period '{name}'", "deg", "orbit_phase", phase)
+    channels = scalar_channels(mission, flags=True)
+    sizes = [one.size for one in found.time]
+    for name, values in _joined(found.named, sizes, np.nan).items():
+        if name in channels:
+            yield ToneCoordinate(name, channels[name][2].unit, channels[name][2].kind, values)
+        else:
+            yield ToneCoordinate(name, *_OWN.get(name, ("deg", "sun_angle")), values)
+    for name, tone in _joined(found.wheels, sizes, np.nan + 0j).items():
+        told = channels[name.rsplit(" at ", 1)[0]][2]
+        # What is rounded to nothing has no tone to be in step with; what is missing may have one.
+        wheel = np.where(np.abs(tone) <= 0.5 * (told.resolution or 0.0), 0.0, tone)
+        yield ToneCoordinate(name, told.unit, told.kind, np.abs(wheel), wheel)
+
+
+def _joined(parts: Sequence[Mapping[str, Any]], sizes: Sequence[int], empty: complex) -> dict[str, Any]:
+    """Return series of all days, of so many intervals each; what a day has not is `empty` there."""
+    names = dict.fromkeys(name for part in parts for name in part)
+    return {
+        name: np.concatenate(
+            [part.get(name, np.full(size, empty)) for part, size in zip(parts, sizes, strict=True)]
+        )
+        for name in names
+    }
+
+
+def _size(rows: Floats, weight: Floats) -> Size:
+    """Return the size of rows (time, 2), rms by their weights; nT."""
+    known = np.isfinite(rows).all(axis=1) & (weight > 0.0)
+    values, shares = rows[known], weight[known]
+    if not len(values):
+        nan = float("nan")
+        return Size(0, nan, nan, nan, nan, nan, nan)
+    rms = float(np.sqrt(shares @ (values**2).sum(axis=1) / (2.0 * shares.sum())))
+    # Rows are less their turn's mean: nothing else is left.
+    order = np.argsort(np.abs(values).max(axis=1), kind="stable")
+    half = np.searchsorted(np.cumsum(shares[order]), 0.5 * shares.sum())
+    robust = 1.4826 * float(np.median(np.abs(values[order[: 2 * int(half) + 1]])))
+    return Size(int(known.sum()), 0.0, rms, rms, robust, float(values.min()), float(values.max()))
+
+
+def _whole(sizes: Sequence[Size], tones: Tones) -> Size:
+    """Return the size of all days together: rms by the intervals' weights."""
+    rms = float(np.sqrt(np.sum(tones.size**2) / 2.0))
+    known = [one for one in sizes if one.count]
+    if not known:
+        return sizes[0]
+    return Size(
+        sum(one.count for one in known),
+        0.0,
+        rms,
+        rms,
+        float(np.median([one.robust for one in known])),
+        min(one.least for one in known),
+        max(one.largest for one in known),
+    )
+
+
+def _floor(tones: Tones, block: np.ndarray) -> NoiseFloor:
+    """Return nature's noise by the intervals' weights, with its 95 % interval between blocks."""
+    level = tones.floor
+    each = []
+    for one in np.unique(block):
+        rest = block != one
+        if rest.any():
+            each.append(Tones(tones.value[rest], tones.weight[rest], tones.noise[rest]).floor)
+    if len(each) < 2 or not level > 0.0:
+        return NO_FLOOR if not level > 0.0 else NoiseFloor(level, float("nan"), float("nan"))
+    count = len(each)
+    sigma = float(np.sqrt((count - 1) / count * np.sum((np.array(each) - np.mean(each)) ** 2)))
+    return NoiseFloor(level, max(level - 1.96 * sigma, 0.0), level + 1.96 * sigma)
+
+
+def _spin_day_summary(day: Day, sizes: tuple[Size, Size], after: Tones) -> dict[str, Any]:
+    before, now = sizes
+    return {
+        "day": str(day.day),
+        "version": day.version,
+        "before_nT": before.rms,
+        "after_nT": now.rms,
+        "before_less_mean_nT": before.std,
+        "after_less_mean_nT": now.std,
+        "noise_floor_nT": after.floor,
+        "samples": now.count,
+    }

@@ -1,0 +1,323 @@
+"""What the tables of a turning sensor tell: fields for programs, and one page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight import __version__
+from inflight.arrays import Floats
+from inflight.catalog import Catalog
+from inflight.figures.page import html_page, html_table, write_page
+from inflight.figures.spin import (
+    correlation_figure,
+    estimates_figure,
+    moved_figure,
+    parameter_days_figure,
+    uncertainty_figure,
+    zero_drift_figure,
+    zero_methods_figure,
+)
+from inflight.flags import Flag
+from inflight.mission import Mission
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS
+from inflight.tasks.pipelines.mission.sections import Part, with_error
+from inflight.tasks.pipelines.spin.tables import METHODS, TABLES, SpinResults
+from inflight.time import DAY, day_of
+
+#: Days with an update, and days of phase, that the page lists.
+_SHOWN = 40
+
+
+def spin_report(
+    cat: Catalog, mission: Mission, comparison: str, output: Path | None = None
+) -> dict[str, Any]:
+    """Return the fields of a spin comparison's tables, and write the page when a path is given.
+
+    Raises
+    ------
+    CatalogError
+        When none is published.
+    """
+    found = SpinResults.of(cat, mission, comparison)
+    parts = spin_table_parts(found)
+    if output is not None:
+        title = f"{mission.mission}: calibration by the spin, {found.span[0]} to {found.span[1]}"
+        footer = f"{len(found.days)} days; inflight {__version__}. {mission.acknowledgement}"
+        write_page(
+            output, html_page(title, [(part.heading, part.text, part.plots) for part in parts], footer)
+        )
+    return {
+        "command": "chain",
+        "comparison": comparison,
+        "span": found.span,
+        "days": len(found.days),
+        "tables": {name: f"{comparison}-{name}" for name in TABLES},
+        "sections": {part.key: part.fields | {"absent": part.absent} for part in parts},
+        "path": str(output) if output else "",
+    }
+
+
+def spin_table_parts(found: SpinResults) -> list[Part]:
+    """Return everything that is shown of a turning sensor's tables."""
+    return [_twelve(found), _days(found), _estimates(found), _zero(found), _phase(found)]
+
+
+def _twelve(found: SpinResults) -> Part:
+    part = Part("twelve", "The twelve parameters")
+    table = found.tables["window"]
+    part.fields = {"items": _items(table.isel(interval=-1)), "intervals": int(table.sizes["interval"])}
+    rows = [
+        (
+            one["name"],
+            one["unit"],
+            with_error(one["preflight"], one["preflight_sigma"]),
+            with_error(one["value"], one["sigma"]),
+            one["origin"],
+            one["decision"] or "as on the ground",
+            one["reason"],
+        )
+        for one in part.fields["items"]
+    ]
+    part.say(
+        f"The newest of {table.sizes['interval']} windows: what is in use, where it came from, and what the "
+        "window's own estimate decided."
+    )
+    head = ("parameter", "unit", "pre-flight", "in use", "from", "decision", "why")
+    part.text.append(f'<div class="wide told">{html_table(head, rows)}</div>')
+    remaining = ", ".join(one["name"] for one in part.fields["items"] if one["origin"] == "ground")
+    part.fields["ground"] = remaining.split(", ") if remaining else []
+    part.say(f"These remain at their ground values: {remaining or 'none'}. The spin tells nothing of them.")
+    return part
+
+
+def _items(row: xr.Dataset) -> list[dict[str, Any]]:
+    """Return one interval's parameters by name."""
+    columns = ("prior", "prior_sigma", "value", "sigma", "own", "own_sigma")
+    keys = ("preflight", "preflight_sigma", "value", "sigma", "own", "own_sigma")
+    return [
+        {"name": name, "unit": UNITS[name]}
+        | {key: float(row[column].values[at]) for key, column in zip(keys, columns, strict=True)}
+        | {key: str(row[key].values[at]) for key in ("origin", "decision", "reason")}
+        for at, name in enumerate(NAMES)
+    ]
+
+
+def _days(found: SpinResults) -> Part:
+    part = Part("days", "What each day decided")
+    table = found.tables["daily"]
+    days = [str(one)[:10] for one in day_of(table["start"].values)]
+    items = [{"day": day} | one for at, day in enumerate(days) for one in _items(table.isel(interval=at))]
+    part.fields = {"items": [one for one in items if one["decision"]]}
+    update = [one for one in part.fields["items"] if one["decision"] == "update"]
+    later = [one for one in update if one["day"] != days[0]]
+    looks = sum(one["day"] != days[0] for one in part.fields["items"])
+    part.say(
+        f"{len(later)} of {looks} decisions after the first day replace a value; the "
+        "rest would only add jitter, or the day does not tell. Each parameter keeps its "
+        "value (red) until a day's own estimate warrants another."
+    )
+    rows = [
+        (one["day"], one["name"], with_error(one["own"], one["own_sigma"]), one["unit"], one["reason"])
+        for one in later[-_SHOWN:]
+    ]
+    if rows:
+        head = ("day", "replaced", "by", "unit", "why")
+        part.text.append(f'<div class="wide told">{html_table(head, rows)}</div>')
+    part.plots.append(parameter_days_figure(table, found.selected))
+    if table.sizes["interval"] > 1:
+        part.plots.append(moved_figure(table))
+    return part
+
+
+def _estimates(found: SpinResults) -> Part:
+    part = Part("estimates", "Selection against joint estimate")
+    cloud = found.cloud
+    value, sigma = _joint(found.days)
+    if not len(cloud.start):
+        part.lack("Estimates of sub-intervals", "no day has any")
+        return part
+    rows, items = _side_by_side(found, value, sigma)
+    part.fields = {"items": items}
+    part.say(
+        "Each point is a sub-interval, against its own uncertainty from the neighbouring frequencies. The "
+        "dotted line is the threshold, red points are chosen and the blue line is their mean; dashed is the "
+        "joint estimate of all days. Both assume that nothing changed over the span; offsets go with the "
+        "pre-flight offset along the spin axis."
+    )
+    head = ("parameter", "unit", "pre-flight", "selection", "joint", "apart, sigma", "chosen", "threshold")
+    part.text.append(html_table(head, rows))
+    covariance = np.mean([_correlation(day["covariance"].values[0]) for day in found.days], axis=0)
+    part.plots += [estimates_figure(cloud, (value, sigma)), correlation_figure(covariance)]
+    part.plots.append(uncertainty_figure(cloud))
+    return part
+
+
+def _side_by_side(
+    found: SpinResults, value: Floats, sigma: Floats
+) -> tuple[list[tuple[str, ...]], list[dict[str, Any]]]:
+    """Return the selection's and the joint estimate's values as rows of a table, and as JSON."""
+    cloud, table = found.cloud, found.tables["daily"]
+    rows: list[tuple[str, ...]] = []
+    items: list[dict[str, Any]] = []
+    for at, name in enumerate(SPIN_RELATED):
+        prior = float(table["prior"].values[NAMES.index(name)])
+        spread = float(table["prior_sigma"].values[NAMES.index(name)])
+        count = int(cloud.chosen[:, at].sum())
+        apart = abs(cloud.value[at] - value[at]) / float(np.hypot(cloud.sigma[at], sigma[at]))
+        items.append(
+            {
+                "name": name,
+                "unit": UNITS[name],
+                "selection": float(cloud.value[at]),
+                "selection_sigma": float(cloud.sigma[at]),
+                "joint": float(value[at]),
+                "joint_sigma": float(sigma[at]),
+                "chosen": count,
+                "threshold": float(cloud.threshold[at]),
+            }
+        )
+        told = with_error(cloud.value[at], cloud.sigma[at]) if count else "none chosen"
+        rows.append(
+            (
+                name,
+                UNITS[name],
+                with_error(prior, spread),
+                told,
+                with_error(value[at], sigma[at]),
+                f"{apart:.1f}" if count else "",
+                f"{count} of {int(np.isfinite(cloud.estimate[:, at]).sum())}",
+                f"{cloud.threshold[at]:.2g}" if count else "",
+            )
+        )
+    return rows, items
+
+
+def _joint(days: list[xr.Dataset]) -> tuple[Floats, Floats]:
+    """Return the mean of the days' joint estimates and its error, widened where they scatter; (8,)."""
+    value = np.array([day["value"].values[0] for day in days])
+    weight = np.array([day["sigma"].values[0] for day in days]) ** -2.0
+    total = np.maximum(weight.sum(axis=0), 1e-300)
+    mean = np.sum(weight * np.where(weight > 0.0, value, 0.0), axis=0) / total
+    free = np.maximum((weight > 0.0).sum(axis=0) - 1, 1)
+    excess = np.sum(weight * np.where(weight > 0.0, value - mean, 0.0) ** 2, axis=0) / free
+    return mean, np.sqrt(np.maximum(excess, 1.0) / total)
+
+
+def _correlation(covariance: Floats) -> Floats:
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    return np.asarray(covariance / np.outer(sigma, sigma))
+
+
+def _zero(found: SpinResults) -> Part:
+    part = Part("zero_level", "Zero levels")
+    zero = found.tables["zero-level"]
+    days = [str(one)[:10] for one in day_of(zero["start"].values)]
+    items = []
+    for at, day in enumerate(days):
+        row = zero.isel(interval=at)
+        each = {
+            name: {"value": float(value), "sigma": float(sigma), "intervals": int(used)}
+            for name, value, sigma, used in zip(
+                METHODS,
+                *(row[f"method_{one}"].values for one in ("value", "sigma", "used")),
+                strict=True,
+            )
+            if np.isfinite(sigma)
+        }
+        told = {key: str(row[key].values) for key in ("method", "reason")}
+        numbers = {key: float(row[key]) for key in ("value", "sigma")}
+        items.append({"from": day, "intervals": int(row["intervals"]), "methods": each} | told | numbers)
+    rates = _rates(found.tables["daily"])
+    part.fields = {
+        "items": items,
+        "drift": {
+            name: {"nT_per_day": rate, "sigma": sigma, "sentence": f"{rate:+.3g} +- {sigma:.1g} nT a day"}
+            for name, (rate, sigma) in rates.items()
+        },
+    }
+    part.say(
+        "Offsets 1 and 2 come from the spin; the third, along the spin axis, from nature's own statistics in "
+        "each window, by every method on the intervals of 15 minutes that suit it; days of a window share it."
+    )
+    head = ("window from", "combined", *METHODS, "intervals")
+    part.text.append(html_table(head, [_zero_row(one) for one in items]))
+    part.plots += [zero_drift_figure(found.tables["daily"], rates), zero_methods_figure(zero)]
+    return part
+
+
+def _zero_row(one: Mapping[str, Any]) -> tuple[str, ...]:
+    combined = with_error(one["value"], one["sigma"]) if np.isfinite(one["sigma"]) else "not told"
+    each = (one["methods"].get(name) for name in METHODS)
+    cells = (
+        f"{with_error(two['value'], two['sigma'])} ({two['intervals']})" if two else "not told"
+        for two in each
+    )
+    return (one["from"], combined, *cells, str(one["intervals"]))
+
+
+def _rates(table: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Return the drift of offsets 1 and 2, nT a day, with its error; none of fewer than three days."""
+    out = {}
+    time = (table["start"].values // 2 + table["end"].values // 2) / DAY
+    for name in ("offset[1]", "offset[2]"):
+        at = NAMES.index(name)
+        value, sigma = table["own"].values[:, at], table["own_sigma"].values[:, at]
+        known = np.isfinite(sigma)
+        if known.sum() < 3:
+            continue
+        weight = sigma[known] ** -2.0
+        when = time[known] - np.average(time[known], weights=weight)
+        spread = float(np.sum(weight * when**2))
+        middle = np.average(value[known], weights=weight)
+        rate = float(np.sum(weight * when * (value[known] - middle)) / spread)
+        left = value[known] - middle - rate * when
+        excess = max(1.0, float(np.sum(weight * left**2)) / (known.sum() - 2))
+        out[name] = (rate, float(np.sqrt(excess / spread)))
+    return out
+
+
+def _phase(found: SpinResults) -> Part:
+    part = Part("phase", "Phase of the spin")
+    items: list[dict[str, Any]] = []
+    products = {product.day: product for product in found.products}
+    for record in found.records:
+        # A day whose product failed has its estimates all the same.
+        product = products.get(record.day)
+        flag = np.empty(0, np.uint32) if product is None else found.cat.read(product, ["flag"])["flag"].values
+        items.append(
+            {
+                "day": str(record.day),
+                "told": str(record.report.get("phase", "")),
+                "sub_intervals": str(record.report.get("told", "")),
+                "bridged": _share(flag, Flag.PHASE_BRIDGED),
+                "jump": _share(flag, Flag.PHASE_JUMP),
+                "lost": _share(flag, Flag.NO_PHASE),
+            }
+        )
+    part.fields = {"items": items}
+    rows = [
+        (
+            one["day"],
+            *(_percent(one[name]) for name in ("bridged", "jump", "lost")),
+            one["told"],
+            one["sub_intervals"],
+        )
+        for one in items[-_SHOWN:]
+    ]
+    head = ("day", "bridged, %", "at a jump, %", "no phase, %", "what the phase tells", "sub-intervals")
+    part.text.append(f'<div class="wide told">{html_table(head, rows)}</div>')
+    return part
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2f}" if np.isfinite(share) else "no product"
+
+
+def _share(flag: np.ndarray, which: Flag) -> float:
+    """Return the part of samples that carry a flag; NaN without any."""
+    return float(np.mean((flag & np.uint32(which)) != 0)) if flag.size else float("nan")

@@ -1,0 +1,536 @@
+"""A window and a day of two sensors.
+
+What two sensors on one boom deliver, looked through before anything is learnt from it.
+
+A sensor that is dead or not plugged in reads one value, and so does an axis that is stuck or full. The
+difference to the other sensor is then the ambient field itself, and a gradiometer would take that off:
+readings that stay the same while the other sensor's change are no measurements.
+
+What a window of days tells of two sensors: the table of states, and whether the correction helps.
+
+One day of two sensors with the table of states that holds: the product, and what it tells of itself.
+
+Windows of states and the keys of what is made from them: what has to be done, told before it is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
+
+from inflight.arrays import Floats
+from inflight.catalog import Catalog, TableRecord, idempotency_key
+from inflight.dual.assignment import process
+from inflight.dual.candidates import Candidates, correction_by_both
+from inflight.dual.correction import (
+    WHOLE,
+    Correction,
+    Part,
+    no_correction,
+    part_of_day,
+    part_variables,
+    partly,
+)
+from inflight.dual.do_no_harm import Judgement, judge
+from inflight.dual.geometry import Body
+from inflight.dual.gradiometer import (
+    FORMS,
+    correction_by_gradiometer,
+    gradiometer_of,
+    gradiometer_variables,
+    has_gradiometer,
+)
+from inflight.dual.product import dual_level2, readings_of
+from inflight.dual.readings import Readings
+from inflight.dual.tracking import from_dataset, to_dataset
+from inflight.dual.unrecorded import quiet_steps, quietest_width, rms, steps_across, switchings
+from inflight.errors import InflightError, SamplesError
+from inflight.flags import Flag
+from inflight.mission import DualComparison, Mission
+from inflight.model import Model
+from inflight.tasks.archive.inputs import AMBIENT, ArchiveIndex, Need, ambient_of
+from inflight.tasks.archive.samples import kept_readings, load_samples, saturated
+from inflight.tasks.pipelines.job import Failure, Job, Outcome, failure_of, make_days
+from inflight.tasks.pipelines.planning import Plan, ReprocessSettings
+from inflight.tasks.pipelines.product import rounded
+from inflight.tasks.pipelines.states.tables import (
+    OWN,
+    Chain,
+    chained_key,
+    constant_of,
+    constant_part,
+    gradiometer_in_states,
+    gradiometer_with_states,
+    with_remark,
+)
+from inflight.tasks.pipelines.tables import window_edges
+from inflight.time import SECOND, Int64, day_bounds, usual_step
+from inflight.units import factor_and_offset
+
+#: So many samples in which an axis reads the very same: noise does not do that.
+_STILL = 100
+
+#: The other sensor moves by so many of the smallest steps that the still axis takes before and after, noise
+#: averaged over so many parts of the time.
+_MOVES, _PARTS = 5.0, 10
+
+#: Part of the inboard sensor's moves that the outboard one makes at least: units are nearer to the former.
+_SEEN_OUTBOARD = 0.05
+
+#: Steps before and after that tell how small steps are: a sensor may change its range.
+_NEARBY = 1000
+
+#: Readings that are nearer than this part of the largest are the same: those between two stamps are computed.
+_SAME = 1e-12
+
+#: nT; no sensor on a boom reads this: a fill value that nobody declared.
+_IMPOSSIBLE = 1e7
+
+_ROLES = ("inboard", "outboard")
+
+
+def boom_samples(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    day: np.datetime64,
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+) -> xr.Dataset:
+    """Return a day's samples of both sensors, readings that are no measurements flagged.
+
+    Raises
+    ------
+    SamplesError
+        When a sensor's day is not in the archive, or an axis of it reads one and the same value all day.
+    """
+    samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
+    values = {role: np.asarray(samples[role].values, dtype=np.float64) for role in _ROLES}
+    flag = np.asarray(samples["flag"].values, dtype=np.uint32).copy()
+    for role in _ROLES:
+        with np.errstate(invalid="ignore"):
+            wild = np.asarray((np.abs(values[role]) > _IMPOSSIBLE).any(axis=1))
+        flag[wild] |= np.uint32(Flag.OUT_OF_RANGE)
+        values[role] = np.where(wild[:, None], np.nan, values[role])
+    turns = {role: Rotation.from_quat(samples[role].attrs["orientation"]) for role in _ROLES}
+    for role, other in (_ROLES, _ROLES[::-1]):
+        need = next(one for one in needs if one.name == role)
+        flag |= saturated(values[role], mission.instruments[need.instrument].channels[need.channel])
+        # In the axes of the sensor: one of those is what sticks.
+        seen = turns[role].inv().apply(turns[other].apply(values[other]))
+        still = still_axes(values[role], seen * (_SEEN_OUTBOARD if role == "outboard" else 1.0))
+        _refuse_stuck(still, values[role], role, need.instrument, day)
+        flag[still.any(axis=1)] |= np.uint32(Flag.STILL)
+    samples["flag"] = samples["flag"].copy(data=flag)
+    return samples
+
+
+def _refuse_stuck(
+    still: npt.NDArray[np.bool_], values: Floats, role: str, name: str, day: np.datetime64
+) -> None:
+    read = np.isfinite(values).all(axis=1)
+    stuck = still[read].all(axis=0) if read.any() else np.zeros(3, dtype=bool)
+    if stuck.any():
+        along = "" if stuck.all() else f" along {'xyz'[int(np.argmax(stuck))]}, an axis of its own,"
+        raise SamplesError(
+            f"'{name}', the {role} sensor, reads one and the same value{along} while the other one's change",
+            day=str(day),
+            remedy="its readings are no measurements: leave the day's file out, or flag it ('good_when')",
+        )
+
+
+def still_axes(values: Floats, other: Floats) -> npt.NDArray[np.bool_]:
+    """Return where an axis of a sensor reads the very same for long while another sensor's changes.
+
+    Parameters
+    ----------
+    values, other : ndarray, shape (time, axis)
+        nT, at the same times and in the same axes, NaN where missing; of the other what both must see.
+
+    Returns
+    -------
+    ndarray of bool, shape (time, axis)
+    """
+    out = np.zeros(values.shape, dtype=bool)
+    rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if rows.size < _STILL:
+        return out
+    for axis in range(values.shape[1]):
+        own = values[rows, axis]
+        steps = np.abs(np.diff(own))
+        steps[steps <= _SAME * float(np.abs(own).max())] = 0.0
+        edges = np.concatenate([[0], np.flatnonzero(steps) + 1, [rows.size]])
+        for first, last in pairwise(edges.tolist()):
+            if last - first < _STILL:
+                continue
+            before, after = steps[max(first - _NEARBY, 0) : first], steps[last - 1 : last - 1 + _NEARBY]
+            least = _MOVES * max(_smallest(before), _smallest(after))
+            if _moved(other[rows[first:last], axis]) > least:
+                out[rows[first:last], axis] = True
+    return out
+
+
+def _smallest(steps: Floats) -> float:
+    """Return the smallest step that is one, nT; 0 for none."""
+    taken = steps[steps > 0.0]
+    return float(taken.min()) if taken.size else 0.0
+
+
+def _moved(values: Floats) -> float:
+    """Return how far a component moves, nT: the range of means over parts of the time; 0 without readings."""
+    known = values[np.isfinite(values)]
+    if known.size < _PARTS:
+        return 0.0
+    return float(np.ptp([one.mean() for one in np.array_split(known, _PARTS)]))
+
+
+#: Bumped by hand when the numbers of the tables change.
+STATES_VERSION = 8
+
+#: Samples that are learnt from at most; of faster records means are taken.
+_MOST = 3_000_000
+
+
+def states_window(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    days: Sequence[np.datetime64],
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+) -> xr.Dataset | Failure:
+    """Learn from a window of days; return its table, or why there is none.
+
+    Returns
+    -------
+    Dataset
+        Of `inflight.dual.tracking.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`,
+        `benefit`,
+        `chance_of_harm` over `candidate` say what held-out stretches tell of each correction, `share` and
+        `slower` which part of it is sure to help. Attributes
+        `method`, `applied` (yes or no), `verdict`, `remark`.
+    """
+    with threadpool_limits(1), kept_readings():
+        try:
+            readings, ambient = window_readings(cat, mission, model, days, needs, index)
+            candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
+            found = judge(readings, candidates.fit, candidates.expectations)
+            return with_remark(table_of(candidates, found))
+        except Exception as error:  # one window must not stop the others; its cause is recorded
+            return failure_of(error)
+
+
+def body_of(mission: Mission, comparison: str) -> Body | None:
+    """Return where both sensors and the spacecraft's units are, m; None where the mission is silent."""
+    told = mission.comparisons[comparison]
+    if not isinstance(told, DualComparison) or told.body is None:
+        return None
+    roles = told.instruments()
+    places = [mission.instruments[roles[role]].position for role in ("inboard", "outboard")]
+    if any(place is None for place in places):
+        return None
+    factor, _ = factor_and_offset(mission.positions.unit, "m")
+    sensors, middle, size = (
+        np.asarray(one, dtype=np.float64) * factor for one in (places, told.body.middle, told.body.size)
+    )
+    return Body(sensors, middle, 0.5 * size)
+
+
+class WindowReadings(NamedTuple):
+    """What both sensors read in a window, and the ambient field (time, axis) nT where it is known."""
+
+    readings: Readings
+    ambient: Floats | None
+
+
+def window_readings(
+    cat: Catalog,
+    mission: Mission,
+    model: Model,
+    days: Sequence[np.datetime64],
+    needs: Sequence[Need],
+    index: ArchiveIndex,
+) -> WindowReadings:
+    """Return the readings of a window in spacecraft axes; days that cannot be read are left out.
+
+    Raises
+    ------
+    SamplesError
+        When no day can be read.
+    """
+    parts, ambient, last = [], [], None
+    for day in days:
+        try:
+            samples = boom_samples(cat, mission, model, day, needs, index)
+            parts.append(readings_of(model, samples)[0])
+            ambient.append(_ambient(mission, model.comparison, samples))
+        except InflightError as error:
+            last = error
+    if not parts:
+        raise last or SamplesError("no day of the window has both sensors", remedy="ingest both")
+    joined = Readings(
+        np.concatenate([one.stamps for one in parts]),
+        np.concatenate([one.inboard for one in parts]),
+        np.concatenate([one.outboard for one in parts]),
+    )
+    return thinned(joined, np.concatenate(ambient), -(-len(joined) // _MOST))
+
+
+def _ambient(mission: Mission, comparison: str, samples: xr.Dataset) -> Floats:
+    """Return the known ambient field of samples, (time, axis) nT, spacecraft axes; NaN where it is not."""
+    (need,) = ambient_of(mission, comparison) or (None,)
+    if need is None:
+        return np.full((samples.sizes["time"], 3), np.nan)
+    turn = Rotation.from_quat(mission.instruments[need.instrument].orientation)
+    return np.asarray(turn.apply(np.asarray(samples[AMBIENT].values, dtype=np.float64)))
+
+
+def thinned(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
+    """Return means of `size` neighbouring samples; means over a gap or a missing reading are left out."""
+    told = ambient if np.isfinite(ambient).all(axis=1).any() else None
+    if size <= 1:
+        return WindowReadings(readings, told)
+    count = len(readings) // size
+    cut = slice(0, count * size)
+    stamps = readings.stamps[cut].reshape(count, size)
+    whole = stamps[:, -1] - stamps[:, 0] < (size + 1) * readings.step
+    inboard, outboard, known = (
+        one[cut].reshape(count, size, 3).mean(axis=1)[whole]
+        for one in (readings.inboard, readings.outboard, ambient)
+    )
+    middle: Int64 = stamps[:, 0] + (stamps[:, -1] - stamps[:, 0]) // 2
+    return WindowReadings(Readings(middle[whole], inboard, outboard), None if told is None else known)
+
+
+def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
+    """Return the table of what was learnt from a window and of what was said of its correction."""
+    evidence = list(found.evidence.values())
+    one = ("candidate",)
+    table = to_dataset(candidates.training)
+    chosen = found.chosen
+    if candidates.gradiometers:
+        form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
+        gradiometer = gradiometer_variables(form, candidates.readings)
+        table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
+    told = table.assign(
+        slope=(one, np.array([each.slope for each in evidence])),
+        slope_sigma=(one, np.array([each.sigma for each in evidence])),
+        benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
+        chance_of_harm=(one, np.array([each.chance_of_harm for each in evidence]), {"units": "1"}),
+        share=(one, np.array([each.part.share for each in evidence]), {"units": "1"}),
+        slower=(one, np.array([each.part.seconds for each in evidence]), {"units": "s"}),
+        share_away=(one, np.array([each.away for each in evidence]), {"units": "1"}),
+        helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
+        candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
+    ).assign_attrs(
+        method="gradiometer" if chosen in FORMS else chosen,
+        applied="no" if chosen == "none" else "yes",
+        verdict=found.correction.reason,
+    )
+    if chosen in FORMS:
+        told = gradiometer_in_states(told, candidates.readings)
+    part = found.evidence[chosen].part if chosen in found.evidence else WHOLE
+    if part == WHOLE:
+        return told
+    whole = whole_correction(told, candidates.readings)
+    return told.merge(part_variables(whole, candidates.readings, part, constant_part(told)))
+
+
+def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
+    """Return what a table takes off a day's readings, by the method it chose and as much as is sure to help.
+
+    One that does not help is kept, and not applied.
+    """
+    found = whole_correction(table, readings)
+    method = str(table.attrs["method"])
+    told = _told_of(table, str(table.attrs["gradiometer_form"]) if method == "gradiometer" else method)
+    if not found.applied or told is None:
+        return found
+    part = Part(float(told["share"]), float(told["slower"]))
+    slow, middle = part_of_day(table, found, readings, part, constant_part(table))
+    return partly(found, part, float(told["share_away"]), slow, middle)
+
+
+def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
+    """Return the correction by the method that a table chose, all of it.
+
+    In states that the table does not know a gradiometer stands in when held-out stretches say that it helps
+    by itself.
+    """
+    method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
+    if method == "gradiometer":
+        return replace(gradiometer_with_states(table, readings), reason=verdict)
+    training = from_dataset(table)
+    if not len(training):
+        return no_correction(len(readings), verdict)
+    if method == "combined":
+        found = correction_by_both(readings, training, gradiometer_of(table))
+        return replace(found, reason=verdict)
+    fallback = correction_by_gradiometer(table, readings) if gradiometer_helps(table) else None
+    found = process(readings, training, fallback=fallback)
+    return replace(found, reason=verdict) if str(table.attrs["applied"]) == "yes" else found.withheld(verdict)
+
+
+def _told_of(table: xr.Dataset, candidate: str) -> xr.Dataset | None:
+    """Return what was said of one candidate; None where it was not tried."""
+    names = table["candidate"].values.tolist()
+    return table.isel(candidate=names.index(candidate)) if candidate in names else None
+
+
+def gradiometer_helps(table: xr.Dataset) -> bool:
+    """Return True when held-out stretches say that a table's gradiometer helps by itself."""
+    if not has_gradiometer(table):
+        return False
+    told = _told_of(table, str(table.attrs.get("gradiometer_form")))
+    return told is not None and bool(told["helps"])
+
+
+#: Bumped by hand when the numbers of the products change.
+STATES_PRODUCT_VERSION = 2
+
+#: Flags of samples that are as good as the rest for the eye that asks what is there.
+_HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.NOT_CORRECTED
+
+
+def states_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job) -> Outcome:
+    """Make the products of a batch of days with one table, and write them as one segment."""
+    return make_days(cat, job, lambda day: states_day(cat, mission, model, table, day, job))
+
+
+def states_day(
+    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return one day's product (`inflight.dual.product.dual_level2`) and a report.
+
+    The report's residual is the rms step of the outboard field at the day's switchings, nT a component:
+    as measured, corrected, and the floor, that of the corrected field where nothing switches.
+    """
+    samples = boom_samples(cat, mission, model, day, job.needs, job.index)
+    readings, flag = readings_of(model, samples)
+    correction = correction_of(table, readings)
+    flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
+    product = dual_level2(readings, correction, flag, model.comparison)
+    product = rounded(product)
+    product.attrs |= {
+        "mission": mission.mission,
+        "acknowledgement": mission.acknowledgement,
+        "day": str(day),
+        "constant": constant_of(table),
+    }
+    return product, report_of(product, day)
+
+
+def report_of(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
+    """Return what a product tells of itself, as plain numbers."""
+    stamps = np.asarray(product["tt2000"].values, dtype=np.int64)
+    step = usual_step(stamps, SECOND)
+    state = np.asarray(product["state"].values, dtype=np.int64)
+    at = switchings(state, stamps, step)
+    field = np.asarray(product["field_spacecraft"].values)
+    width = quietest_width(field, at)
+    begin, end = day_bounds(day)
+    good = (product["flag"].values & ~np.uint32(_HARMLESS)) == 0
+    steps = {
+        "before_nT": rms(steps_across(np.asarray(product["outboard"].values), at, width)),
+        "after_nT": rms(steps_across(field, at, width)),
+        "floor_nT": rms(quiet_steps(field, at, width)),
+    }
+    return {
+        "coverage": float(good.sum() * step / (end - begin)),
+        "samples": int(good.sum()),
+        "switchings": len(at),
+        "states": np.unique(state[state >= 0]).tolist(),
+        "unknown_part": float(np.mean(state == -1)),
+        "applied": str(product.attrs["applied"]),
+        "method": str(product.attrs["method"]),
+        "reason": str(product.attrs["reason"]),
+        "constant": str(product.attrs["constant"]),
+        **{name: value if np.isfinite(value) else None for name, value in steps.items()},
+    }
+
+
+#: The table, by name without the comparison.
+STATES = "states"
+
+
+def windows(days: Sequence[np.datetime64], settings: ReprocessSettings) -> list[list[np.datetime64]]:
+    """Return the days of each window that has any: days, windows of the fixed grid, or all together."""
+    if settings.table == "span":
+        return [list(days)]
+    size = 1 if settings.table == "daily" else settings.window_days
+    edges = window_edges(min(days), max(days), size)
+    groups = [[day for day in days if low <= day < high] for low, high in pairwise(edges)]
+    return [group for group in groups if group]
+
+
+def table_name(made: Plan) -> str:
+    """Return the name of a plan's table of states."""
+    return f"{made.settings.comparison}-{STATES}"
+
+
+def window_key(made: Plan, group: Sequence[np.datetime64]) -> str:
+    """Return the key of what a window tells by itself: of its days' readings, mission and model."""
+    told = [STATES, str(STATES_VERSION), made.context, *(made.keys[day] for day in group)]
+    return hashlib.sha256("".join(told).encode()).hexdigest()
+
+
+def product_key(made: Plan, day: np.datetime64, table_key: str) -> str:
+    """Return the key of a day's product, from its readings and the table that holds."""
+    inputs = [made.keys[day], table_key]
+    return idempotency_key(made.product, day, STATES_PRODUCT_VERSION, made.context, inputs)
+
+
+@dataclass
+class KnownTables:
+    """The tables of states that the archive has, certified or left by a run that was ended.
+
+    Attributes
+    ----------
+    joined : dict of str to TableRecord
+        By the whole key.
+    learnt : dict of str to TableRecord
+        By the part of the key that tells a window's own inputs: what it tells by itself need not be
+        learnt again, whatever it was joined to.
+    """
+
+    joined: dict[str, TableRecord] = field(default_factory=dict)
+    learnt: dict[str, TableRecord] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, cat: Catalog, name: str) -> KnownTables:
+        """Return those of a name; damaged ones are not known."""
+        records = [one for one in cat.tables(name) if not one.damaged]
+        return cls({one.key: one for one in records}, {one.key[:OWN]: one for one in records})
+
+
+def days_to_do(cat: Catalog, made: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
+    """Return the days whose products a run would make, and those it would leave alone.
+
+    A window that is to be learnt from changes those behind it: they are joined to it anew.
+    """
+    name = table_name(made)
+    known = KnownTables.of(cat, name)
+    current = {day.day: day.key for day in cat.days(made.product, states=("published",))}
+    groups = windows(made.days, made.settings)
+    chain = Chain.before(cat, name, groups[0][0])
+    todo: list[np.datetime64] = []
+    same: list[np.datetime64] = []
+    for group in groups:
+        key = chained_key(window_key(made, group), chain.keys)
+        for day in group:
+            unchanged = key in known.joined and current.get(day) == product_key(made, day, key)
+            (same if unchanged else todo).append(day)
+        if key in known.joined:
+            chain.add(key, cat.table_by_id(known.joined[key].id))
+        else:
+            chain.add_unknown(key)
+    return todo, same

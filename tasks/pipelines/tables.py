@@ -1,0 +1,172 @@
+"""Calibration tables from stored normal equations: a day, a window of days, the whole span."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+
+from inflight.arrays import Floats
+from inflight.calibration import Interval, NormalEquations, calibration_table, empty_block, reference_of
+from inflight.calibration.scalar import bend
+from inflight.catalog import Catalog, Day, TableRecord
+from inflight.lsq.robust import WEIGHTED_RMS
+from inflight.lsq.solver import Solution, residual_sum
+from inflight.model import Model
+from inflight.time import as_day, day_bounds
+
+#: Bumped by hand when the numbers of the tables change.
+TABLES_VERSION = 4
+
+#: The first day of the grid of windows.
+GRID_ORIGIN = np.datetime64("2000-01-01", "D")
+
+#: Equations are linearised again when the fit bends the residual by more than this; nT.
+MOST_BEND = 1e-3
+
+
+def newest_record(cat: Catalog, name: str) -> TableRecord | None:
+    """Return the record of the table of a name that was certified last and is whole; None without one."""
+    records = [one for one in cat.tables(name) if one.certified and not one.damaged]
+    return records[-1] if records else None
+
+
+def newest_table(cat: Catalog, name: str) -> xr.Dataset | None:
+    """Return the table of a name that was certified last and is whole; None without one."""
+    record = newest_record(cat, name)
+    return None if record is None else cat.table_by_id(record.id)
+
+
+def newest_tables(cat: Catalog, comparison: str, names: Sequence[str]) -> dict[str, xr.Dataset]:
+    """Return the newest tables of a comparison by name, those that there are."""
+    found = {name: newest_table(cat, f"{comparison}-{name}") for name in names}
+    return {name: table for name, table in found.items() if table is not None}
+
+
+def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
+    """Read the normal equations of days, published or verified, in order of time."""
+    parts = [cat.read(day) for day in sorted(days, key=lambda day: day.day)]
+    static = parts[0][["scale"]]
+    rows = xr.concat(
+        [part.drop_vars("scale") for part in parts], "block", join="exact", combine_attrs="override"
+    )
+    return NormalEquations(rows.assign(scale=static["scale"]))
+
+
+def window_edges(first: np.datetime64, last: np.datetime64, days: int) -> list[np.datetime64]:
+    """Return the edges of the fixed grid of windows that covers the days first to last (inclusive)."""
+    step = np.timedelta64(days, "D")
+    begin = GRID_ORIGIN + ((as_day(first) - GRID_ORIGIN) // step) * step
+    count = int((as_day(last) - begin) // step) + 1
+    return [begin + index * step for index in range(count + 1)]
+
+
+def month_edges(first: np.datetime64, last: np.datetime64) -> list[np.datetime64]:
+    """Return the edges of the calendar months that hold the days first to last (inclusive)."""
+    begin, end = (as_day(day).astype("datetime64[M]") for day in (first, last))
+    months = np.arange(begin, end + np.timedelta64(2, "M"), dtype="datetime64[M]")
+    return list(months.astype("datetime64[D]"))
+
+
+def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
+    """Return the table of the blocks' own fits, one interval a block."""
+    data = equations.dataset
+    rows = []
+    for index in range(len(equations)):
+        one = NormalEquations(data.isel(block=[index]))
+        start, end = int(data["start"].values[index]), int(data["end"].values[index])
+        prior = reference_of(model, (start + end) // 2)
+        if not len(one.filled):
+            rows.append(_prior_interval(one, model, start, end))
+            continue
+        solution = one.solve(prior.sigma, prior.value)
+        rows.append(
+            Interval(
+                start,
+                end,
+                np.asarray(data["fit"].values[index, :-1]),
+                np.asarray(data["fit_covariance"].values[index, :-1, :-1]),
+                solution,
+                float(data["used"].values[index]),
+                float(data["before"].values[index]),
+                float(data["after"].values[index]),
+            )
+        )
+    return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, "daily"))
+
+
+def window_table(
+    equations: NormalEquations, model: Model, edges: Sequence[np.datetime64], kind: str
+) -> xr.Dataset:
+    """Return the table of windows solved from the sums of their blocks; empty windows are left out."""
+    bounds = [day_bounds(edge)[0] for edge in edges]
+    rows = []
+    for start, end in itertools.pairwise(bounds):
+        part = equations.within(start, end)
+        if len(part):
+            rows.append(_interval(part, model, start, end))
+    return calibration_table(rows, reference_of(model, rows[0].start), _attributes(model, kind))
+
+
+def _prior_interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
+    """Return the row of a span of which the data tell nothing: what the model says, as unsure as it is."""
+    prior = reference_of(model, (start + end) // 2)
+    nothing, nan = empty_block(prior, prior), float("nan")
+    return Interval(start, end, prior.value, nothing.covariance, nothing.solution, 0.0, nan, nan, len(part))
+
+
+def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Interval:
+    if not len(part.filled):
+        return _prior_interval(part, model, start, end)
+    part = part.filled
+    centre = int(part.dataset["start"].values[0] // 2 + part.dataset["end"].values[-1] // 2)
+    prior = reference_of(model, centre)
+    common = part.at(prior.value)
+    solution = common.solve(prior.sigma, prior.value)
+    value, covariance = common.physical(solution)
+    gram, count = common.dataset["gram"].values.sum(axis=0), float(common.dataset["count"].values.sum())
+    return Interval(
+        start,
+        end,
+        value,
+        covariance,
+        solution,
+        float(part.dataset["used"].values.sum()),
+        float(np.sqrt(gram[-1, -1] / count)),
+        float(np.sqrt(residual_sum(gram, solution.value) / count)) / WEIGHTED_RMS,
+        len(part),
+    )
+
+
+def span_solution(equations: NormalEquations, model: Model) -> Solution:
+    """Solve all blocks together with the model's prior; scaled, relative to that prior."""
+    equations = equations.filled if len(equations.filled) else equations
+    prior = reference_of(model, int(equations.dataset["start"].values[0]))
+    return equations.at(prior.value).solve(prior.sigma, prior.value)
+
+
+def _attributes(model: Model, kind: str) -> dict[str, str]:
+    return {"comparison": model.comparison, "kind": kind, "model": model.sha, "model_name": model.name}
+
+
+def relinearise_at(equations: NormalEquations, model: Model, strength: float) -> Floats | None:
+    """Return where the equations should be linearised again, or None when they are good enough.
+
+    Each block states where it was linearised. A solution that bends the residual by more than
+    `MOST_BEND` against that asks for another pass.
+    """
+    equations = equations.filled
+    if not len(equations):
+        return None
+    whole = equations.at(equations.reference)
+    prior = reference_of(model, int(whole.dataset["start"].values[0]))
+    value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
+    places = equations.dataset["linearised_at"].values[:, :-1]
+    return value if max(bend(value, at, strength) for at in places) > MOST_BEND else None
+
+
+def content_keys(days: Mapping[np.datetime64, Day]) -> list[str]:
+    """Return the keys of days in order: what a table's own key is made from."""
+    return [days[day].key for day in sorted(days)]
