@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog, DayData, Segment, write_segment
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, DayData, Segment, Workspace, write_segment
 from inflight.mission import Mission
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.time import day_range

@@ -13,11 +13,9 @@ from pathlib import Path
 
 from benchmarks.archive import simulated_workspace
 from benchmarks.pipeline import clone
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.flows.cluster import dask_client
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.catalog import Catalog, Workspace
+from inflight.flows import dask_client
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 #: The model that holds everything the simulator puts in.
 MODEL = "champ-chain.yaml"

@@ -14,17 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration.normal_equations import NINE, joined
+from inflight.calibration import NINE, joined
 from inflight.catalog import Catalog
-from inflight.effects.base import slope
+from inflight.effects import slope
 from inflight.errors import CalibrationError
 from inflight.mission import Mission, sensors_of
-from inflight.mission_fit.temperature import CoilBlock, coil_equations, compare_temperatures, fit_coil
-from inflight.model import Model, make_effect
-from inflight.model.rows import Layout, rows_of
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
+from inflight.mission_fit import CoilBlock, coil_equations, compare_temperatures, fit_coil
+from inflight.model import Layout, Model, make_effect, rows_of
+from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
 from inflight.time import SECOND, Int64
 
 ROOT = Path(__file__).parents[1]

@@ -14,9 +14,7 @@ import numpy as np
 
 from benchmarks.thresholds import published_jumps
 from inflight.arrays import Floats
-from inflight.dual.assignment import process
-from inflight.dual.readings import Readings
-from inflight.dual.training import Training, train
+from inflight.dual import Readings, Training, process, train
 from inflight.time import SECOND
 
 SAMPLES, UNITS, SWITCHES, TRAINED = 1_000_000, 4, 300, 200_000

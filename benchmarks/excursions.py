@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
-from inflight.residual.channel_steps import SIGNIFICANCE, CurrentSteps, noise_of, readings_of
+from inflight.residual import SIGNIFICANCE, CurrentSteps, noise_of, readings_of
 from inflight.time import SECOND, Int64
 
 #: A reading is away from the level from this many sigma on.

@@ -12,11 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
 from inflight.calibration import Reference, fit_block, reference_of, split_chain, usable
-from inflight.catalog import Catalog, Day
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
-from inflight.tasks.models import current_model
+from inflight.catalog import Catalog, Day, Workspace
+from inflight.tasks import current_model
+from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
 from inflight.time import day_bounds
 
 #: The fits begin so far from the solution: 20 ppm, 7 arcsec, 0.5 nT, as after some weeks of ageing.

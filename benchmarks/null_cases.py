@@ -13,12 +13,22 @@ from dataclasses import replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.diagnosis.scoring import Index, Present, activity, folds_of, grouped, projected, score
-from inflight.diagnosis.search import Search
-from inflight.diagnosis.time_changes import Carriers, batches, drifts, episodes, steps
-from inflight.lsq.covariance import promised_t
-from inflight.lsq.gram_blocks import Evidence
-from inflight.lsq.solver import half_inverse
+from inflight.diagnosis import (
+    Carriers,
+    Index,
+    Present,
+    Search,
+    activity,
+    batches,
+    drifts,
+    episodes,
+    folds_of,
+    grouped,
+    projected,
+    score,
+    steps,
+)
+from inflight.lsq import Evidence, half_inverse, promised_t
 
 
 def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[int, list[str]]:

@@ -16,23 +16,18 @@ import numpy as np
 
 from benchmarks.coil_temperature import ROOT, real_data
 from inflight.arrays import Floats
-from inflight.calibration.table import table_jumps
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.design.columns import bin_means
-from inflight.effects.base import slope
+from inflight.calibration import table_jumps
+from inflight.catalog import Catalog, Workspace
+from inflight.design import bin_means
+from inflight.effects import slope
 from inflight.errors import InflightError
 from inflight.frames import direction_of
-from inflight.lsq.solver import grams_by_cluster, solve_clusters
-from inflight.mission_fit.parameters import clock_faults, event_steps
-from inflight.mission_fit.temperature import CoilBlock
-from inflight.model.rows import rows_of
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
-from inflight.tasks.models import preflight_model
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.lsq import grams_by_cluster, solve_clusters
+from inflight.mission_fit import CoilBlock, clock_faults, event_steps
+from inflight.model import rows_of
+from inflight.tasks import preflight_model
+from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.time import SECOND, Int64, mjd_of, to_tt2000
 
 #: Readings faster than this are averaged, s.

@@ -14,14 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.flows.cluster import dask_client
+from inflight.catalog import Catalog, Workspace
+from inflight.flows import dask_client
 from inflight.simulate import SimulationSettings
-from inflight.tasks.archive.deliveries import simulate
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ingest, simulate
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 
 def clone(source: Path, target: Path) -> Catalog:

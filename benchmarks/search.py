@@ -13,10 +13,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.nine import timed
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.diagnosis.scoring import Present, family_wise, flip_ratios, flip_signs, folds_of, score
-from inflight.lsq.gram_blocks import Evidence
+from inflight.catalog import Catalog, Workspace
+from inflight.diagnosis import Present, family_wise, flip_ratios, flip_signs, folds_of, score
+from inflight.lsq import Evidence
 from inflight.time import DAY, SECOND
 
 #: Blocks of a mission of 3000 days, candidates, columns of each, rows that stand for a block's.
@@ -78,11 +77,9 @@ def ranking(draws: int = 2000) -> list[str]:
 
 def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
     """Return the lines to print: the pass of a mission against its floor, a day and core."""
+    from inflight.tasks.analysis import block_evidence
     from inflight.tasks.analysis import diagnosis as diagnose
-    from inflight.tasks.analysis.gram_pass import block_evidence
-    from inflight.tasks.archive.channels import ChannelReader, DerivedChannels
-    from inflight.tasks.archive.inputs import ArchiveIndex
-    from inflight.tasks.archive.samples import load_samples
+    from inflight.tasks.archive import ArchiveIndex, ChannelReader, DerivedChannels, load_samples
 
     mission = Workspace.open(cat.workspace).mission()
     made = diagnose.planned(cat, mission, diagnose.DiagnoseSettings())

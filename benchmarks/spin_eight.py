@@ -21,10 +21,16 @@ from zarr.codecs import BloscCodec
 from zarr.codecs.numcodecs import Delta
 
 from inflight.arrays import Floats
-from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.estimate import calibrate_by_selection, joint_estimate, spin_equations
-from inflight.spin.intervals import Layout, lay_out
-from inflight.spin.tones import spin_tones
+from inflight.spin import (
+    SPIN_RELATED,
+    Layout,
+    TwelveParameters,
+    calibrate_by_selection,
+    joint_estimate,
+    lay_out,
+    spin_equations,
+    spin_tones,
+)
 from inflight.time import SECOND, Int64
 
 _CADENCE, _PERIOD, _SAMPLES = 0.25, 3.0, 345_600

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.spin.fits import spin_fits
+from inflight.spin import spin_fits
 from inflight.time import SECOND, Int64
 
 SPINS, READINGS, PERIOD = 28_800, 12, 3.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import Places
+from inflight.dual import Places
 from inflight.errors import SettingsError
 
 

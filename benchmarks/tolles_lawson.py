@@ -23,11 +23,8 @@ from benchmarks.ridge import Fold, block_folds, cautious_ridge, least_squares, r
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.mission import Mission, sensors_of
-from inflight.model import Model, ModelEffect, make_effect
-from inflight.model.rows import Band, Layout, ResidualRows, filter_rows, rows_of
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
+from inflight.model import Band, Layout, Model, ModelEffect, ResidualRows, filter_rows, make_effect, rows_of
+from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
 
 ROOT = Path(__file__).parents[1]
 #: Columns by mechanism, in the order of the effect's parameters.

@@ -11,10 +11,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.analysis.comparing import compare
-from inflight.tasks.analysis.diagnosis_page import report
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks.analysis import compare, report
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _QUIET = [

@@ -1,1 +1,5 @@
 """The web page: model against measurement, the missing effect, the falling error; of every mission."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

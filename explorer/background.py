@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
-from inflight.tasks.report import Progress, told_error
+from inflight.tasks import Progress, told_error
 
 
 @dataclass

@@ -9,8 +9,8 @@ from typing import Any
 import panel as pn
 
 from inflight.explorer.background import Job
-from inflight.figures.page import TEXT_STYLE, Section
-from inflight.tasks.report import place_of
+from inflight.figures import TEXT_STYLE, Section
+from inflight.tasks import place_of
 
 #: Panes stand apart from the page's own style, so each brings that of the text.
 _STYLES = [f":host {{ font: 15px/1.5 system-ui, sans-serif; color: #222 }} {TEXT_STYLE}"]

@@ -13,19 +13,22 @@ from inflight.explorer import drawing
 from inflight.explorer.offer import Offer
 from inflight.explorer.sitting import Days, Sitting
 from inflight.explorer.watching import Place
-from inflight.figures.diagnosis import (
+from inflight.figures import (
+    Inside,
+    Section,
     candidate_table,
     change_tables,
+    distinct,
     drop_figure,
     error_figure,
     found_effects,
+    html_table,
     ledger_table,
     rivals_apart,
+    short_name,
     unscorable_list,
     verdict_strip,
 )
-from inflight.figures.page import Inside, Section, html_table
-from inflight.figures.style import distinct, short_name
 
 Fields = Mapping[str, Any]
 _NOTE = (

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission, is_told_by_states
-from inflight.tasks.models import Versions
-from inflight.tasks.pipelines.planning import product_of
+from inflight.tasks import Versions
+from inflight.tasks.pipelines import product_of
 
 #: Days shown when nobody asked for a span: reading more takes longer than one cares to wait unasked.
 UNASKED_DAYS = 30

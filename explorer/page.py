@@ -13,7 +13,7 @@ from inflight.explorer.missing_view import MissingView
 from inflight.explorer.offer import Offer, comparisons, first_step, offer_of
 from inflight.explorer.sitting import Days, Sitting
 from inflight.explorer.views import MeasurementView, TablesView, View
-from inflight.tasks.report import told_error
+from inflight.tasks import told_error
 
 _COLOUR = "#1f3a52"
 #: Of the widgets on the left, pixels.

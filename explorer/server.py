@@ -7,7 +7,7 @@ from typing import Any
 
 import panel as pn
 
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Workspace
 from inflight.errors import SettingsError
 from inflight.explorer.page import Page
 from inflight.explorer.sitting import Sitting

@@ -13,22 +13,24 @@ from typing import Any
 
 import numpy as np
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.explorer.background import Background
-from inflight.figures.page import Later, Section
-from inflight.flows.cluster import client_when_needed
+from inflight.figures import Later, Section
+from inflight.flows import client_when_needed
 from inflight.mission import Mission
-from inflight.model.diff import tree_of
-from inflight.tasks.analysis.comparing import measured
-from inflight.tasks.analysis.diagnosis_page import diagnosis_sections, examine
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.analysis.revise import Workbench, diagnose_span, last_diagnosis, open_workbench
-from inflight.tasks.models import Versions, find_model
-from inflight.tasks.pipelines.compared import Compared
-from inflight.tasks.pipelines.planning import product_of
-from inflight.tasks.pipelines.published_tables import table_sections
-from inflight.tasks.report import Progress
+from inflight.model import tree_of
+from inflight.tasks import Progress, Versions, find_model
+from inflight.tasks.analysis import (
+    DiagnoseSettings,
+    Workbench,
+    diagnose_span,
+    diagnosis_sections,
+    examine,
+    last_diagnosis,
+    measured,
+    open_workbench,
+)
+from inflight.tasks.pipelines import Compared, product_of, table_sections
 
 #: Comparisons kept in memory: the aggregates of 3000 days are some hundred megabytes.
 _KEPT = 3

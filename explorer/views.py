@@ -11,8 +11,8 @@ from inflight.explorer import drawing
 from inflight.explorer.offer import Offer
 from inflight.explorer.sitting import Days, Sitting
 from inflight.explorer.watching import Place, later_tabs
-from inflight.figures.page import Section
-from inflight.tasks.pipelines.relation.reprocess import NO_PRODUCT
+from inflight.figures import Section
+from inflight.tasks.pipelines.relation import NO_PRODUCT
 
 
 class View(Protocol):

@@ -10,8 +10,8 @@ import panel as pn
 
 from inflight.explorer import drawing
 from inflight.explorer.background import Background, Job
-from inflight.figures.page import Later
-from inflight.tasks.report import Progress
+from inflight.figures import Later
+from inflight.tasks import Progress
 
 #: How often the page looks how far a job is, ms.
 _PERIOD = 300

@@ -8,13 +8,13 @@ from typing import Any
 
 from prefect import flow
 
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Workspace
 from inflight.flows.cluster import dask_client
 from inflight.flows.ingest import take_in
 from inflight.flows.reprocess import DEFAULT_SETTINGS, reprocess_span
 from inflight.flows.span import Span
 from inflight.flows.stages import batch_runner, unsearched
-from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines import ReprocessSettings
 
 
 @flow(name="backfill", task_runner=batch_runner(), persist_result=False)

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from prefect import flow
 
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Workspace
 from inflight.flows.cluster import client_when_needed
 from inflight.flows.progress import tell
 from inflight.flows.span import DateOrNone, Span
 from inflight.flows.stages import batch_runner, step, unsearched
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.analysis.revise import diagnose_span
+from inflight.tasks.analysis import DiagnoseSettings, diagnose_span
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from prefect import flow
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.flows.cluster import dask_client
 from inflight.flows.progress import tell
 from inflight.flows.span import DateOrNone, Span
 from inflight.flows.stages import batch_runner, step, unsearched
-from inflight.tasks.archive import ingestion as steps
-from inflight.tasks.report import RunReport
+from inflight.tasks import RunReport
+from inflight.tasks import ingest as ingest_files
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -61,7 +60,7 @@ def take_in(
 ) -> RunReport:
     """Index, read and write; the batches of days run on the client."""
     place = Workspace.open(workspace)
-    return steps.ingest(
+    return ingest_files(
         Catalog(place.root),
         place.mission(),
         data or place.data,

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Workspace
 from inflight.errors import SettingsError
 from inflight.flows.progress import told_to
 from inflight.flows.settings import prefect_settings
-from inflight.tasks.report import Progress, RunReport
+from inflight.tasks import Progress, RunReport
 
 #: Flows there are; each lives in the module of its name.
 FLOWS = ("ingest", "reprocess", "backfill", "monthly", "diagnose", "release")

@@ -11,7 +11,7 @@ from prefect import flow
 from inflight.flows.backfill import bring_up_to_date
 from inflight.flows.span import month_span
 from inflight.flows.stages import batch_runner
-from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.tasks.pipelines import ReprocessSettings
 
 #: Each day's own parameters with the month's offset along the spin axis.
 MONTHLY_SETTINGS = ReprocessSettings(table="daily")

@@ -7,12 +7,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.flows.cluster import client_when_needed, dask_client
 from inflight.flows.span import Span, month_span
-from inflight.tasks.release import make_release
-from inflight.tasks.report import Progress, RunReport
+from inflight.tasks import Progress, RunReport, make_release
 
 Parameters = Mapping[str, Any]
 
@@ -25,7 +23,7 @@ def ingest(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
     """Take delivered files into the archive."""
-    from inflight.tasks.archive.ingestion import ingest as take_in
+    from inflight.tasks.archive import ingest as take_in
 
     data = Path(parameters.get("data") or workspace.data)
     names = parameters.get("instruments")
@@ -38,8 +36,8 @@ def reprocess(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
     """Calibrate and write level-2 products of a span."""
-    from inflight.tasks.pipelines.planning import ReprocessSettings
-    from inflight.tasks.pipelines.reprocessing import reprocess as work
+    from inflight.tasks.pipelines import ReprocessSettings
+    from inflight.tasks.pipelines import reprocess as work
 
     settings = ReprocessSettings.model_validate(parameters.get("settings") or {})
     catalog, mission, span = Catalog(workspace.root), workspace.mission(), _span(parameters)
@@ -72,8 +70,7 @@ def diagnose(
     workspace: Workspace, parameters: Parameters, workers: int | None, progress: Progress | None
 ) -> RunReport:
     """Find which effect is missing from the model of a span."""
-    from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-    from inflight.tasks.analysis.revise import diagnose_span
+    from inflight.tasks.analysis import DiagnoseSettings, diagnose_span
 
     settings = DiagnoseSettings.model_validate(parameters.get("settings") or {})
     save, span = bool(parameters.get("save")), _span(parameters)

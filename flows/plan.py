@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.flows.span import Span
 from inflight.mission import is_told_by_states
-from inflight.tasks.pipelines.planning import ReprocessSettings, plan
-from inflight.tasks.pipelines.states.day import days_to_do
+from inflight.tasks.pipelines import ReprocessSettings, plan
+from inflight.tasks.pipelines.states import days_to_do
 
 
 def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-from inflight.tasks.report import Progress
+from inflight.tasks import Progress
 
 
 def _nobody(stage: str, done: int, total: int) -> None:

@@ -7,10 +7,9 @@ from typing import Any
 
 from prefect import flow
 
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Workspace
 from inflight.flows.stages import batch_runner, step
-from inflight.tasks.release import make_release
-from inflight.tasks.report import RunReport
+from inflight.tasks import RunReport, make_release
 
 
 @flow(name="release", task_runner=batch_runner(), persist_result=False)

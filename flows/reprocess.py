@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from prefect import flow
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.flows.batches import batch_tasks
 from inflight.flows.cluster import dask_client
 from inflight.flows.span import DateOrNone, Span
 from inflight.flows.stages import batch_runner
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess as run_chain
-from inflight.tasks.report import RunReport
+from inflight.tasks import RunReport
+from inflight.tasks.pipelines import ReprocessSettings
+from inflight.tasks.pipelines import reprocess as run_chain
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -1,1 +1,5 @@
 """Pipeline steps: each reads from the catalog, calls the physics and stages its result."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

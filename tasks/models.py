@@ -17,13 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from inflight.catalog import Catalog, ModelRecord
-from inflight.effects import EffectSource
-from inflight.effects.base import did_you_mean
-from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.effects import EffectSource, SpinningSensor, did_you_mean
 from inflight.errors import CatalogError, MissionError, ModelError, SettingsError
 from inflight.mission import Mission, sensors_of
-from inflight.model import Model, make_effect
-from inflight.model.rows import Layout
+from inflight.model import Layout, Model, make_effect
 
 #: What a model's text says of the files its effects come from.
 _SOURCE = re.compile(r"^\s*source: (\S+)\n", re.MULTILINE)

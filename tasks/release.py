@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.tasks.report import RunReport
 
 

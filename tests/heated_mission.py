@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 from tiny_mission import TINY_START, TINY_YAML, deliver_tiny_day
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive.ingestion import ingest
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks.archive import ingest
 
 #: What a sensor reads beside what the tiny mission knows: (day, reading (time, component) nT) -> nT.
 Hidden = Callable[[str, np.ndarray], np.ndarray]

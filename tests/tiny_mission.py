@@ -52,7 +52,7 @@ def deliver_tiny_day(folder: Path, day: str, seed: int = 0, offset: np.ndarray =
 
 def make_tiny_workspace(root: Path, days: int = 2) -> Path:
     """Make a workspace of the tiny mission with so many delivered days."""
-    from inflight.catalog.workspace import Workspace
+    from inflight.catalog import Workspace
 
     yaml = root.parent / f"{root.name}.yaml"
     yaml.parent.mkdir(parents=True, exist_ok=True)

@@ -7,8 +7,8 @@ from bokeh.plotting import figure
 from scipy import signal
 
 from inflight.arrays import Floats
-from inflight.calibration.product import Distribution
-from inflight.figures.style import AFTER, BEFORE, NEW, REFERENCE, legend_below, plain_figure
+from inflight.calibration import Distribution
+from inflight.figures import AFTER, BEFORE, NEW, REFERENCE, legend_below, plain_figure
 
 #: Points drawn, and samples of a segment of the spectrum.
 _POINTS, _SEGMENT = 1200, 4096

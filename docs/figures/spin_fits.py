@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from bokeh.plotting import figure
 
-from inflight.figures.style import (
+from inflight.figures import (
     AFTER,
     BEFORE,
     COMPONENTS,
@@ -16,9 +16,7 @@ from inflight.figures.style import (
     legend_below,
     plain_figure,
 )
-from inflight.spin.farrell_1995 import FarrellFit, ZeroDrift
-from inflight.spin.fits import SpinFits
-from inflight.spin.phase import SpinPhase
+from inflight.spin import FarrellFit, SpinFits, SpinPhase, ZeroDrift
 from inflight.time import mjd_of
 
 #: More points than this are drawn as every n-th.

@@ -9,7 +9,7 @@ from bokeh.models import FixedTicker, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.figures.style import (
+from inflight.figures import (
     AFTER,
     BEFORE,
     COMPONENTS,
@@ -21,10 +21,7 @@ from inflight.figures.style import (
     plain_figure,
 )
 from inflight.time import DAY
-from inflight.zero_level.combination import Combined
-from inflight.zero_level.intervals import AXES
-from inflight.zero_level.methods import ALFVENIC, COMPRESSIONAL, Kinds
-from inflight.zero_level.published import PUBLISHED, Scatter, Sets
+from inflight.zero_level import ALFVENIC, AXES, COMPRESSIONAL, PUBLISHED, Combined, Kinds, Scatter, Sets
 
 #: Distance of an axis' mark from the method's place.
 _APART = 0.18

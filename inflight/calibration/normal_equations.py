@@ -34,11 +34,10 @@ from inflight.calibration.scalar import (
     score_scatter,
     shift_reference,
 )
-from inflight.effects.base import AXES
+from inflight.effects import AXES
 from inflight.errors import CalibrationError
 from inflight.frames import direction_of
-from inflight.lsq.robust import biweight, robust_sigma
-from inflight.lsq.solver import Solution, gram_inverse, solve
+from inflight.lsq import Solution, biweight, gram_inverse, robust_sigma, solve
 from inflight.time import Int64
 
 #: A function of time: from TT2000 nanoseconds (block,) to numbers (block,).

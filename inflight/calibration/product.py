@@ -20,11 +20,11 @@ from scipy import interpolate, linalg, signal
 
 from inflight.arrays import Floats
 from inflight.calibration.scalar import Reference, sensor_reading, usable
-from inflight.effects.base import strength
+from inflight.effects import strength
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE, Flag, meanings
 from inflight.frames import latitude_longitude, rotate, to_nec
-from inflight.lsq.robust import BIWEIGHT_WIDTH, robust_sigma
+from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
 from inflight.model import Model
 from inflight.time import SECOND, Int64, to_utc, usual_step
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, ModelError
-from inflight.lsq.solver import SINGULAR
+from inflight.lsq import SINGULAR
 
 
 def _least_squares(rows: Floats, right: Floats) -> Floats:

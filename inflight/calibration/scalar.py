@@ -27,16 +27,20 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.base import with_field
-from inflight.effects.sensors import VectorSensor
+from inflight.effects import VectorSensor, with_field
 from inflight.errors import CalibrationError, ModelError
 from inflight.flags import UNUSABLE
-from inflight.lsq.robust import BIWEIGHT_WIDTH, WEIGHTED_RMS, robust_sigma
-from inflight.lsq.solver import MIN_INFORMATION, Solution, posterior, solve
-from inflight.model import Model, ModelEffect
-from inflight.model.apply import corrected
-from inflight.model.time_dependence import component_names
-from inflight.samples.alignment import PlainSamples
+from inflight.lsq import (
+    BIWEIGHT_WIDTH,
+    MIN_INFORMATION,
+    WEIGHTED_RMS,
+    Solution,
+    posterior,
+    robust_sigma,
+    solve,
+)
+from inflight.model import Model, ModelEffect, component_names, corrected
+from inflight.samples import PlainSamples
 from inflight.time import Int64
 
 #: Rows handled at once: the block of columns stays in the cache and BLAS forms its Gram matrix.

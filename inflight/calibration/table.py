@@ -17,7 +17,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration.scalar import PARTS, UNITS, Reference
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import Solution
+from inflight.lsq import Solution
 from inflight.time import Int64
 
 #: Where a value comes from: codes of the variable `source`.

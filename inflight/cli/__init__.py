@@ -4,6 +4,6 @@ One module holds one group of verbs. Everything heavy is imported inside the ver
 that ``inflight --help`` answers at once.
 """
 
-from inflight.cli.app import main
+import lazy_loader
 
-__all__ = ["main"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

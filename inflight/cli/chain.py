@@ -48,9 +48,9 @@ def chain(
     Of a spinning spacecraft: the twelve parameters, where each came from, and what each day decided.
     """
     from inflight.mission import dual_comparisons
-    from inflight.tasks.pipelines.mission.report import chain_report
-    from inflight.tasks.pipelines.relation.report import dual_report
-    from inflight.tasks.pipelines.spin.report import spin_report
+    from inflight.tasks.pipelines.mission import chain_report
+    from inflight.tasks.pipelines.relation import dual_report
+    from inflight.tasks.pipelines.spin import spin_report
 
     workspace = session.open_workspace()
     page = page_path(html) if html else None

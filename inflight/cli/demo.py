@@ -15,12 +15,12 @@ from inflight.cli.pipeline import NoPrefectOption, WorkersOption, run_flow
 from inflight.cli.results import compare_span, print_comparison
 from inflight.cli.session import Session, verb
 from inflight.cli.start import SIMULATED_MISSION, write_deliveries
-from inflight.tasks.report import RunReport, print_report
+from inflight.tasks import RunReport, print_report
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.catalog.workspace import Workspace
+    from inflight.catalog import Workspace
 
 #: Where the demo goes when no workspace is named.
 DEMO_FOLDER = Path("demo")
@@ -67,7 +67,7 @@ def demo(
 
 
 def _workspace(folder: Path) -> Workspace:
-    from inflight.catalog.workspace import Workspace
+    from inflight.catalog import Workspace
 
     exists = Workspace(folder).mission_file.exists()
     return Workspace.open(folder) if exists else Workspace.create(folder, SIMULATED_MISSION)

@@ -15,7 +15,7 @@ from inflight.errors import SettingsError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.tasks.analysis.revise import Revision, Workbench
+    from inflight.tasks.analysis import Revision, Workbench
 
 ComparisonOption = Annotated[
     str | None, typer.Option("--comparison", help="What is held against what (default: main).")
@@ -91,7 +91,7 @@ def _search(
 
 def _comparison(session: Session, named: str | None) -> str:
     """Return the comparison to work on: the one named, ``main``, or the only one; wrong ones are refused."""
-    from inflight.tasks.analysis.revise import require_sampled
+    from inflight.tasks.analysis import require_sampled
 
     mission = session.open_workspace().mission()
     only = next(iter(mission.comparisons)) if len(mission.comparisons) == 1 else "main"
@@ -150,8 +150,8 @@ def _revise(
     session: Session, comparison: str | None, workers: int | None, change: Callable[[Workbench], Revision]
 ) -> None:
     from inflight.cli.telling import print_revision
-    from inflight.flows.cluster import client_when_needed
-    from inflight.tasks.analysis.revise import open_workbench
+    from inflight.flows import client_when_needed
+    from inflight.tasks.analysis import open_workbench
 
     name = _comparison(session, comparison)
     workspace = session.open_workspace()

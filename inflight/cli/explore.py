@@ -35,7 +35,7 @@ def explore(
     """
     workspace = session.open_workspace()
     workspace.mission()
-    from inflight.explorer.server import Server
+    from inflight.explorer import Server
 
     server = Server(workspace, port, workers)
 

@@ -12,7 +12,7 @@ from inflight.cli.session import Session, verb
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.tasks.models import Versions
+    from inflight.tasks import Versions
 
 model = typer.Typer(
     help="Look into the model: its effects, versions and what they change.", no_args_is_help=True
@@ -39,7 +39,7 @@ def show_model(
     comparison: ComparisonOption = None,
 ) -> None:
     """Show the effects of a model in the order of correction, with values and uncertainties."""
-    from inflight.model.diff import tree_of
+    from inflight.model import tree_of
 
     found = _versions(session, comparison).named(named)
     tree = tree_of(found.text)
@@ -69,7 +69,7 @@ def diff_models(
     comparison: ComparisonOption = None,
 ) -> None:
     """Tell what one version of a model changes of another."""
-    from inflight.model.diff import changes, tree_of
+    from inflight.model import changes, tree_of
 
     versions = _versions(session, comparison)
     old, new = versions.named(before), versions.named(after)
@@ -101,7 +101,7 @@ def model_history(session: Session, *, comparison: ComparisonOption = None) -> N
 
 
 def _versions(session: Session, comparison: str | None) -> Versions:
-    from inflight.tasks.models import Versions, comparison_of
+    from inflight.tasks import Versions, comparison_of
 
     mission = session.open_workspace().mission()
     return Versions(session.open_catalog(), mission, comparison_of(mission, comparison))

@@ -18,7 +18,7 @@ from inflight.errors import SettingsError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.tasks.report import RunReport
+    from inflight.tasks import RunReport
 
 StartOption = Annotated[
     str | None, typer.Option(help="First day, YYYY-MM-DD (default: all)", show_default=False)
@@ -85,7 +85,7 @@ def run_flow(
     prefect : bool
         False runs the plain function.
     """
-    from inflight.flows.launch import run_embedded, run_plain
+    from inflight.flows import run_embedded, run_plain
 
     workspace = session.open_workspace()
     run: Callable[..., RunReport] = run_embedded if prefect else run_plain
@@ -193,7 +193,7 @@ def _not_made(report: RunReport) -> Iterator[str]:
 
 def _left_alone(report: RunReport) -> Iterator[str]:
     """Yield which windows of two sensors are left as measured and why, and where their field may step."""
-    from inflight.tasks.pipelines.states.tables import constant_sentences
+    from inflight.tasks.pipelines.states import constant_sentences
 
     for one in report.extra.get("windows", []):
         if one["applied"] != "yes":
@@ -222,7 +222,7 @@ def backfill(
 
 
 def _print_plan(session: Session, start: str, end: str, settings: Mapping[str, Any]) -> None:
-    from inflight.flows.plan import plan_span
+    from inflight.flows import plan_span
 
     fields = plan_span(session.open_workspace(), start, end, settings)
 

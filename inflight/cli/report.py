@@ -15,9 +15,8 @@ from inflight.cli.session import Session, verb
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.catalog.workspace import Workspace
-    from inflight.tasks.analysis.diagnosis_page import DiagnosisReport
-    from inflight.tasks.analysis.gram_pass import DiagnoseSettings
+    from inflight.catalog import Workspace
+    from inflight.tasks.analysis import DiagnoseSettings, DiagnosisReport
 
 
 def register(app: typer.Typer) -> None:
@@ -69,9 +68,8 @@ def report_span(
     SettingsError, InflightError
         As `inflight.tasks.analysis.diagnosis_page.report`.
     """
-    from inflight.flows.cluster import client_when_needed
-    from inflight.flows.span import Span
-    from inflight.tasks.analysis.diagnosis_page import report as write_report
+    from inflight.flows import Span, client_when_needed
+    from inflight.tasks.analysis import report as write_report
 
     mission = workspace.mission()
     name = comparison or ("main" if "main" in mission.comparisons else next(iter(mission.comparisons)))
@@ -87,8 +85,7 @@ def _asked(
     workspace: Workspace, comparison: str, span: tuple[str | None, str | None]
 ) -> tuple[tuple[str | None, str | None], DiagnoseSettings]:
     """Return span and settings: those of the last diagnosis where nothing else is said."""
-    from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-    from inflight.tasks.analysis.revise import last_diagnosis, require_sampled
+    from inflight.tasks.analysis import DiagnoseSettings, last_diagnosis, require_sampled
 
     require_sampled(workspace.mission(), comparison)
     asked: Mapping[str, Any] = (last_diagnosis(workspace, comparison) or {}).get("asked") or {}

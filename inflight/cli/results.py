@@ -16,9 +16,9 @@ from inflight.errors import SettingsError, StorageError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.catalog.workspace import Workspace
-    from inflight.tasks.pipelines.scalar.compare_page import CompareReport
-    from inflight.tasks.pipelines.states.compare import DualCompareReport
+    from inflight.catalog import Workspace
+    from inflight.tasks.pipelines.scalar import CompareReport
+    from inflight.tasks.pipelines.states import DualCompareReport
 
 
 def register(app: typer.Typer) -> None:
@@ -66,8 +66,8 @@ def compare_span(
     StorageError
         When the page cannot be written to `output`.
     """
-    from inflight.flows.span import Span
-    from inflight.tasks.analysis.comparing import compare as measure
+    from inflight.flows import Span
+    from inflight.tasks.analysis import compare as measure
 
     mission = workspace.mission()
     if comparison not in mission.comparisons:

@@ -23,14 +23,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from inflight.errors import SettingsError, WorkspaceError
-from inflight.tasks.report import Progress, as_settings_error, place_of, told_error
+from inflight.tasks import Progress, as_settings_error, place_of, told_error
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.catalog import Catalog
-    from inflight.catalog.workspace import Workspace
-    from inflight.tasks.report import RunReport
+    from inflight.catalog import Catalog, Workspace
+    from inflight.tasks import RunReport
 
 WorkspaceOption = Annotated[
     Path | None,
@@ -62,7 +61,7 @@ class Session:
 
     def open_workspace(self) -> Workspace:
         """Return the workspace; a folder that is none raises `WorkspaceError`."""
-        from inflight.catalog.workspace import Workspace
+        from inflight.catalog import Workspace
 
         return Workspace.open(self.workspace)
 
@@ -109,7 +108,7 @@ class Session:
     def emit(self, fields: Mapping[str, Any], show: Callable[[Console], None]) -> None:
         """Print a result: the fields with ``--json``, else whatever `show` prints."""
         if self.json:
-            from inflight.tasks.report import to_json
+            from inflight.tasks import to_json
 
             print(to_json(fields))
         else:
@@ -117,7 +116,7 @@ class Session:
 
     def finish(self, report: RunReport, remarks: Iterable[str] = ()) -> None:
         """Print a run's report, and remarks on it for a person; end the command with its exit code."""
-        from inflight.tasks.report import print_report
+        from inflight.tasks import print_report
 
         def show(console: Console) -> None:
             print_report(report, console)
@@ -131,7 +130,7 @@ class Session:
     def fail(self, fields: Mapping[str, str]) -> None:
         """Print an error: an object with ``--json``, else one red paragraph with its remedy."""
         if self.json:
-            from inflight.tasks.report import to_json
+            from inflight.tasks import to_json
 
             print(to_json({"error": fields}))
             return

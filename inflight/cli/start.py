@@ -10,13 +10,13 @@ import typer
 
 from inflight.cli.session import Session, verb
 from inflight.errors import SettingsError
-from inflight.tasks.report import Progress
+from inflight.tasks import Progress
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from inflight.catalog.workspace import Workspace
-    from inflight.simulate.mission import MissionSettings
+    from inflight.catalog import Workspace
+    from inflight.simulate import MissionSettings
 
 
 #: The shipped mission that the simulator flies.
@@ -43,8 +43,8 @@ def new(
     folder: Annotated[Path | None, typer.Argument(help="Folder to make.", metavar="DIR")] = None,
 ) -> None:
     """Make a workspace for a mission."""
-    from inflight.catalog.workspace import Workspace
-    from inflight.tasks.report import RunReport
+    from inflight.catalog import Workspace
+    from inflight.tasks import RunReport
 
     if mission is None:
         return _list_missions(session)
@@ -59,7 +59,7 @@ def new(
 
 
 def _list_missions(session: Session) -> None:
-    from inflight.catalog.workspace import shipped_missions
+    from inflight.catalog import shipped_missions
     from inflight.mission import Mission
 
     shipped = shipped_missions()
@@ -104,9 +104,9 @@ def simulate(
     champ-two-fluxgates gets the files of a second fluxgate, too; one of themis, imp8 or helios those of a
     spinning spacecraft, and one of venus-express those of two sensors on one boom.
     """
-    from inflight.catalog.workspace import Workspace
-    from inflight.tasks.archive.deliveries import SECOND_FLUXGATE
-    from inflight.tasks.report import RunReport
+    from inflight.catalog import Workspace
+    from inflight.tasks import RunReport
+    from inflight.tasks.archive import SECOND_FLUXGATE
 
     workspace = Workspace(session.workspace)
     if not workspace.mission_file.exists():
@@ -151,7 +151,7 @@ def write_deliveries(
     progress: Progress,
 ) -> list[Path]:
     """Simulate day files of a mission into a folder; `settings` are those of its kind."""
-    from inflight.flows.cluster import available_cores
+    from inflight.flows import available_cores
 
     kind, write_files = _simulator(mission)
     return write_files(
@@ -166,15 +166,15 @@ def _simulator(mission: str) -> tuple[type[MissionSettings], Callable[..., list[
     """Return the settings of a simulated mission, and what writes its days."""
     if mission in SPINNING:
         from inflight.simulate.spinning import SpinningSettings
-        from inflight.tasks.archive.deliveries import simulate_spinning
+        from inflight.tasks.archive import simulate_spinning
 
         return SpinningSettings, simulate_spinning
     if mission == TWO_SENSORS:
         from inflight.simulate.dual import DualSettings
-        from inflight.tasks.archive.deliveries import simulate_dual
+        from inflight.tasks.archive import simulate_dual
 
         return DualSettings, simulate_dual
     from inflight.simulate import SimulationSettings
-    from inflight.tasks.archive.deliveries import simulate as simulate_champ
+    from inflight.tasks.archive import simulate as simulate_champ
 
     return SimulationSettings, simulate_champ

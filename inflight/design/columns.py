@@ -29,15 +29,12 @@ from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
 from inflight.design.terms import Term, within_span
-from inflight.effects.base import multiply
-from inflight.effects.sensors import VectorSensor
-from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.effects import SpinningSensor, VectorSensor, multiply
 from inflight.frames import direction_of
-from inflight.lsq.robust import TO_SIGMA
-from inflight.model import Model
-from inflight.model.rows import ResidualRows, RowFilter
-from inflight.model.rows import ResidualRows as NativeRows
-from inflight.samples.alignment import PlainSamples
+from inflight.lsq import TO_SIGMA
+from inflight.model import Model, ResidualRows, RowFilter
+from inflight.model import ResidualRows as NativeRows
+from inflight.samples import PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
 #: Effects that are the equation of a whole sensor: what stands before them is turned by their matrix.

@@ -5,3 +5,7 @@ make the evidence of a block; ``evidence``, ``scoring``, ``flips`` and ``search`
 alone; ``rounds``, ``refine``, ``second`` and ``changes`` take and drop; ``findings``, ``unknown``,
 ``verdict`` and ``words`` say what it means.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

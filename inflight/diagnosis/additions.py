@@ -23,19 +23,18 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design.columns import EQUATIONS, turns_of
-from inflight.design.terms import Candidate, Library, Term
+from inflight.design import EQUATIONS, Candidate, Library, Term, turns_of
 from inflight.diagnosis.refine import dated_columns, dated_term, mixture
 from inflight.diagnosis.scoring import Present, folds_of, score
 from inflight.diagnosis.search import Option
 from inflight.diagnosis.stepwise import sandwich
 from inflight.diagnosis.time_changes import Carriers, moment_text
-from inflight.effects.sensors import ANGLES
+from inflight.effects import ANGLES
 from inflight.errors import ModelError
-from inflight.lsq.gram_blocks import Evidence, solve_scaled
+from inflight.lsq import Evidence, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
-from inflight.samples.derived import parse
+from inflight.samples import parse
 from inflight.time import DAY, to_utc
 
 

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from inflight.design.terms import Candidate, Library, Term, Told, term_of
-from inflight.effects import Effect, known_effects
-from inflight.effects.families import family_of
+from inflight.design import Candidate, Library, Term, Told, term_of
+from inflight.effects import Effect, family_of, known_effects
 from inflight.errors import InflightError
 from inflight.mission import Mission, Sensor, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
-from inflight.samples.derived import base_channels
+from inflight.samples import base_channels
 from inflight.time import SECOND, parse_duration
 
 #: First-order responses tried of every channel, s; combinations of neighbours reach what lies between.

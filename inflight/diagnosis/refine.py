@@ -31,8 +31,7 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design.columns import Rows, design
-from inflight.design.terms import Term, within_span
+from inflight.design import Rows, Term, design, within_span
 from inflight.diagnosis.candidates import SLOW
 from inflight.diagnosis.residual import (
     Material,
@@ -47,12 +46,10 @@ from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.time_changes import Change, moment_text
 from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
-from inflight.lsq.covariance import hac_t
-from inflight.lsq.gram_blocks import Evidence, prewhiten, solve_scaled
-from inflight.lsq.solver import half_inverse
+from inflight.lsq import Evidence, hac_t, half_inverse, prewhiten, solve_scaled
 from inflight.mission import sensors_of
 from inflight.model import make_effect
-from inflight.samples.derived import Derived, parse
+from inflight.samples import Derived, parse
 from inflight.time import DAY, SECOND, Int64, to_tt2000, to_utc
 
 #: Angular frequencies a combination must be right at: from two days to a minute.

@@ -13,19 +13,17 @@ import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from inflight.design.terms import Candidate, term_of
+from inflight.design import Candidate, term_of
 from inflight.diagnosis.additions import Addition, Column, Ground, Maker, drift_of, step_of
 from inflight.diagnosis.refine import profile
 from inflight.diagnosis.scoring import fit, folds_of
 from inflight.diagnosis.time_changes import DRIFTS
-from inflight.effects import known_effects
-from inflight.effects.base import did_you_mean
-from inflight.effects.families import channels_of
+from inflight.effects import channels_of, did_you_mean, known_effects
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.mission import sensors_of
 from inflight.model import ModelEffect, make_effect
-from inflight.samples.derived import base_channels, parse
+from inflight.samples import base_channels, parse
 from inflight.time import SECOND, parse_duration, parse_utc, to_tt2000
 
 _LAG = re.compile(r"^(?P<mechanism>.+)@lag=(?P<lag>[^@]+)$")

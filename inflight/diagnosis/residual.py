@@ -22,17 +22,16 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design.columns import Outliers, Rows, design, turns_of
-from inflight.design.terms import Term
+from inflight.design import Outliers, Rows, Term, design, turns_of
 from inflight.diagnosis.scoring import Present, folds_of, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
-from inflight.dual.unrecorded import Switched
-from inflight.lsq.gram_blocks import Evidence, solve_scaled
+from inflight.dual import Switched
+from inflight.lsq import Evidence, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.residual.noise import NoiseFloor, joined_floor, level_of_rows
-from inflight.samples.derived import Part, parse, product, respond
+from inflight.residual import NoiseFloor, joined_floor, level_of_rows
+from inflight.samples import Part, parse, product, respond
 from inflight.time import DAY, SECOND, utc_text
 
 #: Lags of the residual's covariance that tell structure from noise, in rows of the series.

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from inflight.residual.lines import told_period
+from inflight.residual import told_period
 
 Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "NOTHING_LEFT"]
 

@@ -21,9 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.lsq.covariance import Fits, hac_t, promised_t
-from inflight.lsq.gram_blocks import Evidence, solve_scaled
-from inflight.lsq.solver import half_inverse
+from inflight.lsq import Evidence, Fits, hac_t, half_inverse, promised_t, solve_scaled
 
 Index = npt.NDArray[np.int64]
 

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.design.terms import Library
+from inflight.design import Library
 from inflight.diagnosis.scoring import (
     Index,
     Present,
@@ -40,7 +40,7 @@ from inflight.diagnosis.scoring import (
     with_changes,
 )
 from inflight.diagnosis.time_changes import Carriers, Change, batches, drifts, episodes, steps
-from inflight.lsq.gram_blocks import Evidence
+from inflight.lsq import Evidence
 
 Groups = Sequence[Sequence[int]]
 

@@ -14,10 +14,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design.columns import Rows
+from inflight.design import Rows
 from inflight.frames import direction_of
-from inflight.model.rows import RowFilter
-from inflight.samples.spin_folding import Folding
+from inflight.model import RowFilter
+from inflight.samples import Folding
 from inflight.time import SECOND, Int64
 
 _ROLES = ("vector", "scalar", "inboard", "outboard")

@@ -22,14 +22,12 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.design.terms import Term
+from inflight.design import Term
 from inflight.diagnosis.refine import Trials
 from inflight.diagnosis.residual import Material, correlation_s
 from inflight.diagnosis.scoring import Present, fit, projected
 from inflight.diagnosis.search import FORMS, Option, Round, Rules, Search, Table
-from inflight.lsq.covariance import promised_p
-from inflight.lsq.gram_blocks import Evidence
-from inflight.lsq.solver import gram_inverse, half_inverse, taken_over
+from inflight.lsq import Evidence, gram_inverse, half_inverse, promised_p, taken_over
 from inflight.time import SECOND
 
 #: Reach of the scores' correlation, in blocks.

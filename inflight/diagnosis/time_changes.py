@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.design.terms import Library
-from inflight.effects.sensors import Affine, ScalarBias, TimeShift, VectorSensor
-from inflight.lsq.gram_blocks import Evidence
+from inflight.design import Library
+from inflight.effects import Affine, ScalarBias, TimeShift, VectorSensor
+from inflight.lsq import Evidence
 from inflight.time import Int64, to_utc
 
 #: Block edges at which steps are tried, at most.

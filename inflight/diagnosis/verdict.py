@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design.terms import Term
+from inflight.design import Term
 from inflight.diagnosis.refine import LagProfile, look_again, profile, refine
 from inflight.diagnosis.residual import (
     Material,
@@ -56,8 +56,8 @@ from inflight.diagnosis.stepwise import (
     settle,
     within_and_raw,
 )
-from inflight.effects.families import coefficient_unit
-from inflight.residual.noise import NoiseFloor
+from inflight.effects import coefficient_unit
+from inflight.residual import NoiseFloor
 from inflight.time import SECOND, utc_text
 
 #: Rows of the candidate table.

@@ -4,3 +4,7 @@ The ambient field is the same at both sensors, so that their difference ``d = B_
 spacecraft's field alone (and both sensors' offsets and noise). Delva et al. (Venus Express) recognise
 the spacecraft's switching states in it; Ness et al. (1971) scale it to the outboard sensor.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

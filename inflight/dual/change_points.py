@@ -33,7 +33,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.readings import trimmed_covariance, white_covariance
-from inflight.lsq.robust import TO_SIGMA
+from inflight.lsq import TO_SIGMA
 
 Places = npt.NDArray[np.int64]
 

@@ -13,8 +13,7 @@ from inflight.dual.correction import Correction
 from inflight.dual.readings import Readings, white_covariance
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag, meanings
-from inflight.model import Model
-from inflight.model.rows import Layout
+from inflight.model import Layout, Model
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
-from inflight.lsq.robust import TO_SIGMA
+from inflight.lsq import TO_SIGMA
 from inflight.time import GAP, SECOND, Int64, usual_step
 
 #: The noise is estimated from about this many samples, in stretches spread evenly over the record.

@@ -27,7 +27,7 @@ from inflight.arrays import Floats
 from inflight.dual.change_points import Places, find_jumps
 from inflight.dual.correction import TRANSIENT
 from inflight.dual.readings import white_covariance
-from inflight.lsq.robust import TO_SIGMA
+from inflight.lsq import TO_SIGMA
 from inflight.time import Int64
 
 #: Samples of a mean on either side; longer ones see more of the ambient field, shorter ones more noise.

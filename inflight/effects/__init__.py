@@ -4,9 +4,6 @@ An effect states what it *adds to the reading* of a sensor. Time dependence belo
 never to an effect.
 """
 
-from inflight.effects.base import AXES, Effect, Parameter
-from inflight.effects.families import family_of
-from inflight.effects.registry import effect_class, known_effects
-from inflight.effects.sources import EffectSource
+import lazy_loader
 
-__all__ = ["AXES", "Effect", "EffectSource", "Parameter", "effect_class", "family_of", "known_effects"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -27,7 +27,7 @@ from inflight.effects.families import product_factor
 from inflight.errors import ModelError, SamplesError
 from inflight.frames import direction_of
 from inflight.mission import Sensor
-from inflight.samples.derived import parse
+from inflight.samples import parse
 from inflight.time import GAP, SECOND, parse_duration, parse_utc, to_tt2000, to_utc, usual_step
 from inflight.units import factor_and_offset
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
-from inflight.samples.derived import parse
+from inflight.samples import parse
 from inflight.units import REGISTRY, factor_and_offset, parse_unit
 
 if TYPE_CHECKING:

@@ -3,20 +3,6 @@
 They draw aggregates, never raw samples.
 """
 
-from inflight.figures.dependence import axis_figure, dependence_figure
-from inflight.figures.page import html_page
-from inflight.figures.parameters import parameter_figures, wander_figure
-from inflight.figures.residual import daily_figure, histogram_figure, series_figure
-from inflight.figures.spectra import spectrum_figure
+import lazy_loader
 
-__all__ = [
-    "axis_figure",
-    "daily_figure",
-    "dependence_figure",
-    "histogram_figure",
-    "html_page",
-    "parameter_figures",
-    "series_figure",
-    "spectrum_figure",
-    "wander_figure",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

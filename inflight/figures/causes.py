@@ -23,8 +23,7 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, Range1d, Span, Whisker
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.effects.base import AXES
-from inflight.effects.spacecraft import schedule
+from inflight.effects import AXES, schedule
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -36,13 +35,21 @@ from inflight.figures.style import (
     legend_below,
     plain_figure,
 )
-from inflight.mission_fit.day_night import SERIES, DayNightField
-from inflight.mission_fit.epochs import Stack
-from inflight.mission_fit.panels import LocalTimeCourse, PanelModel
-from inflight.mission_fit.temperature import CoilFit, TemperatureChoice
-from inflight.mission_fit.torquers import BAND, STATES, CarriedMean
-from inflight.mission_fit.z_offset import OffsetsFromSpread, SpreadLaw
-from inflight.residual.channel_steps import CurrentSteps
+from inflight.mission_fit import (
+    BAND,
+    SERIES,
+    STATES,
+    CarriedMean,
+    CoilFit,
+    DayNightField,
+    LocalTimeCourse,
+    OffsetsFromSpread,
+    PanelModel,
+    SpreadLaw,
+    Stack,
+    TemperatureChoice,
+)
+from inflight.residual import CurrentSteps
 from inflight.time import Int64, mjd_of, to_utc
 
 

@@ -15,8 +15,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis.refine import LagProfile
-from inflight.diagnosis.views import Curve, Response
+from inflight.diagnosis import Curve, LagProfile, Response
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -30,7 +29,7 @@ from inflight.figures.style import (
     plain_figure,
     short_name,
 )
-from inflight.residual.dependence import AxisResponse, Dependence
+from inflight.residual import AxisResponse, Dependence
 
 
 def dependence_figure(found: Dependence) -> figure:

@@ -26,7 +26,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis.views import Step, Trial
+from inflight.diagnosis import Step, Trial
 from inflight.figures.page import html_table
 from inflight.figures.style import (
     AFTER,
@@ -41,7 +41,7 @@ from inflight.figures.style import (
     short_name,
     short_parameter,
 )
-from inflight.residual.lines import told_period
+from inflight.residual import told_period
 
 #: What each verdict means to somebody who reads the page for the first time.
 MEANING = {

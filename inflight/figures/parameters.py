@@ -21,8 +21,8 @@ from bokeh.models import ColorBar, ColumnDataSource, LinearColorMapper, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.calibration.table import Jumps
-from inflight.diagnosis.views import CrossTalk, Shift
+from inflight.calibration import Jumps
+from inflight.diagnosis import CrossTalk, Shift
 from inflight.figures.page import html_table
 from inflight.figures.residual import DIVERGING
 from inflight.figures.style import (
@@ -40,13 +40,18 @@ from inflight.figures.style import (
     short_name,
     short_parameter,
 )
-from inflight.mission_fit.crosstalk import SHOWN, CrossTalkTable
-from inflight.mission_fit.parameters import ClockFaults, EventSteps, RunningMean
-from inflight.mission_fit.periods import ParameterSpectrum
-from inflight.mission_fit.temperature import HysteresisLoop
-from inflight.mission_fit.trend_selection import TrendComparison
-from inflight.mission_fit.trends import TrendFit
-from inflight.residual.noise import Wander
+from inflight.mission_fit import (
+    SHOWN,
+    ClockFaults,
+    CrossTalkTable,
+    EventSteps,
+    HysteresisLoop,
+    ParameterSpectrum,
+    RunningMean,
+    TrendComparison,
+    TrendFit,
+)
+from inflight.residual import Wander
 from inflight.time import mjd_of, to_utc
 
 #: How parts of the nine parameters are called; others by their own name.

@@ -14,7 +14,7 @@ from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.diagnosis.views import HeatMap
+from inflight.diagnosis import HeatMap
 from inflight.figures.style import AFTER, BEFORE, REFERENCE, log_ticks, place_legend, plain_figure
 from inflight.time import to_utc
 

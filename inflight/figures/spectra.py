@@ -14,10 +14,9 @@ from bokeh.models import Label, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.diagnosis.spectra import Periodogram
+from inflight.diagnosis import Periodogram
 from inflight.figures.style import AFTER, BEFORE, NEW, REFERENCE, log_ticks, place_legend, plain_figure
-from inflight.residual.lines import Line, told_period
-from inflight.residual.spectrum import SERIES, thinned
+from inflight.residual import SERIES, Line, thinned, told_period
 
 #: What each series is called above its figure.
 _TITLES = {

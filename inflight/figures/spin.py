@@ -32,11 +32,8 @@ from inflight.figures.style import (
     place_legend,
     plain_figure,
 )
-from inflight.samples.spin_folding import Complex
-from inflight.spin.equation import SPIN_RELATED, UNITS
-from inflight.spin.estimate import Selection
-from inflight.spin.intervals import Bools
-from inflight.spin.residual import ROWS, TONES, ToneDependence, Tones
+from inflight.samples import Complex
+from inflight.spin import ROWS, SPIN_RELATED, TONES, UNITS, Bools, Selection, ToneDependence, Tones
 from inflight.time import Int64, to_utc
 
 #: Parts of an interval by which marks of different kinds stand apart.

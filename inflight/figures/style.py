@@ -16,7 +16,7 @@ from bokeh.models import ColumnDataSource, FixedTicker, Whisker
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.residual.lines import told_period
+from inflight.residual import told_period
 
 #: Before calibration, after it, and a reference line.
 BEFORE, AFTER, REFERENCE = "#b0532c", "#1f5c99", "#7a7a7a"

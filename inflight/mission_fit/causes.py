@@ -29,12 +29,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
-from inflight.calibration.normal_equations import NINE, NINE_UNITS
-from inflight.effects.base import AXES
-from inflight.effects.environment import DayNight, DayNightSeries
+from inflight.calibration import NINE, NINE_UNITS, NormalEquations
+from inflight.effects import AXES, DayNight, DayNightSeries
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import ClusteredFit, correlation_of, left, mean_of_clusters, retained_fraction
+from inflight.lsq import ClusteredFit, correlation_of, left, mean_of_clusters, retained_fraction
 from inflight.mission_fit.continuous import Continuous, daily_parameters, fitted_beside, shift_columns
 from inflight.mission_fit.crosstalk import SHOWN, CrossTalkTable, Ignored, cross_talk
 from inflight.mission_fit.daily_equations import (

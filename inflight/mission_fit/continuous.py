@@ -23,12 +23,9 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
-from inflight.calibration.scalar import PARTS, UNITS, reference_of, vector_sensor_of
-from inflight.calibration.table import SOURCES
+from inflight.calibration import PARTS, SOURCES, UNITS, NormalEquations, reference_of, vector_sensor_of
 from inflight.errors import CalibrationError
-from inflight.lsq.robust import TO_SIGMA
-from inflight.lsq.solver import residual_sum, retained_fraction
+from inflight.lsq import TO_SIGMA, residual_sum, retained_fraction
 from inflight.mission_fit.daily_equations import DayDrift, about_offsets, rates, terms_of
 from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
 from inflight.mission_fit.trends import TrendFit, at_one_reference, fit_trends, make_trend, middles

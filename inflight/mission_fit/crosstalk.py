@@ -16,9 +16,9 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration.normal_equations import NINE, NINE_UNITS, NormalEquations, places
+from inflight.calibration import NINE, NINE_UNITS, NormalEquations, places
 from inflight.errors import CalibrationError, SamplesError
-from inflight.lsq.solver import taken_over
+from inflight.lsq import taken_over
 
 #: Units in which people read shifts of the nine: unit of the column -> factor and unit shown.
 SHOWN = {"1": (1e6, "ppm"), "deg": (3600.0, "arcsec"), "nT": (1.0, "nT")}

@@ -28,20 +28,16 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
-from inflight.calibration.normal_equations import RESIDUAL
-from inflight.calibration.scalar import PARTS, vector_sensor_of
-from inflight.design.columns import Rows, bin_means, bridged, coarsen, design, grid, turns_of
-from inflight.design.terms import Term, term_of
+from inflight.calibration import PARTS, RESIDUAL, NormalEquations, vector_sensor_of
+from inflight.design import Rows, Term, bin_means, bridged, coarsen, design, grid, term_of, turns_of
 from inflight.errors import CalibrationError
 from inflight.frames import add_geometry
-from inflight.lsq.gram_blocks import gram_of
-from inflight.lsq.robust import TO_SIGMA
+from inflight.lsq import TO_SIGMA, gram_of
 from inflight.mission_fit.day_night import series_columns, switched_columns
 from inflight.mission_fit.temperature import KINDS, coil_columns
 from inflight.mission_fit.trends import TrendFit, middles
 from inflight.model import Model, ModelEffect
-from inflight.model.rows import ResidualRows as NativeRows
+from inflight.model import ResidualRows as NativeRows
 from inflight.time import DAY, SECOND, Int64, usual_step
 
 #: Degrees Celsius where a rival temperature's change is 0, when the model states none.

@@ -24,12 +24,11 @@ import xarray as xr
 from scipy.stats import t as student
 
 from inflight.arrays import Floats
-from inflight.calibration.normal_equations import NINE, NINE_UNITS, NormalEquations, field_columns, places
-from inflight.effects.base import AXES
-from inflight.effects.environment import DayNight, DayNightSeries, of_orders
+from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns, places
+from inflight.effects import AXES, DayNight, DayNightSeries, of_orders
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
-from inflight.lsq.solver import gram_inverse, left, solve_clusters
+from inflight.lsq import gram_inverse, left, solve_clusters
 from inflight.mission_fit.crosstalk import SHOWN
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.

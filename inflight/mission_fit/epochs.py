@@ -24,9 +24,8 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
-from inflight.lsq.contrasts import Chosen, Series, robust_contrast
-from inflight.lsq.solver import ClusteredFit, grams_by_cluster, solve_clusters
-from inflight.residual.channel_steps import CurrentSteps
+from inflight.lsq import Chosen, ClusteredFit, Series, grams_by_cluster, robust_contrast, solve_clusters
+from inflight.residual import CurrentSteps
 from inflight.time import SECOND, Int64, day_of
 
 AXES = ("x", "y", "z")

@@ -24,9 +24,9 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.spacecraft import BEGINS, CYCLE, SIDES, TOP, light_on, schedule
+from inflight.effects import BEGINS, CYCLE, SIDES, TOP, light_on, schedule
 from inflight.errors import SamplesError
-from inflight.lsq.solver import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
+from inflight.lsq import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
 from inflight.mission_fit.epochs import AXES, PRIOR, fit_contrasts, weights_of
 from inflight.time import DAY, utc_text
 

@@ -20,9 +20,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.contrasts import robust_fit, windowed
-from inflight.lsq.covariance import long_run_covariance, memory_of
-from inflight.lsq.robust import BIWEIGHT_WIDTH, robust_sigma
+from inflight.lsq import BIWEIGHT_WIDTH, long_run_covariance, memory_of, robust_fit, robust_sigma, windowed
 
 #: Least part of a window's days that have a value, and how far their mean time may lie from the middle, in
 #: windows: at the ends of a mission and beside a long gap a mean is that of another time.

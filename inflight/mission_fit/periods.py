@@ -11,7 +11,7 @@ from scipy import optimize
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.robust import robust_sigma
+from inflight.lsq import robust_sigma
 
 #: Half a turn and a turn of local time of CHAMP's orbit (Yin 2010, section 1.3), and the year; days.
 KNOWN_PERIODS = {"130 d": 130.0, "260.5 d": 260.5, "365 d": 365.25}

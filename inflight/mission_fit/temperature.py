@@ -28,19 +28,12 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration.normal_equations import (
-    NINE,
-    NormalEquations,
-    block_equations,
-    joined,
-    nine_columns,
-    places,
-)
-from inflight.effects.base import AXES, slope
+from inflight.calibration import NINE, NormalEquations, block_equations, joined, nine_columns, places
+from inflight.effects import AXES, slope
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import ClusteredFit, left, mean_of_clusters, solve_clusters
+from inflight.lsq import ClusteredFit, left, mean_of_clusters, solve_clusters
 from inflight.mission_fit.trends import at_one_reference
-from inflight.residual.dependence import jackknife
+from inflight.residual import jackknife
 from inflight.time import GAP, SECOND, Int64
 
 #: Kinds of columns of a temperature, three axes each: what the coefficient, and its lag, answer to.

@@ -38,9 +38,15 @@ from scipy import signal
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError, SettingsError
-from inflight.lsq.contrasts import windowed
-from inflight.lsq.robust import TO_SIGMA, biweight, robust_sigma
-from inflight.lsq.solver import FEWEST_CLUSTERS, ClusteredFit, solve_clusters
+from inflight.lsq import (
+    FEWEST_CLUSTERS,
+    TO_SIGMA,
+    ClusteredFit,
+    biweight,
+    robust_sigma,
+    solve_clusters,
+    windowed,
+)
 from inflight.time import GAP, SECOND, Int64, day_bounds, day_of, usual_step
 
 #: Hz, around the 20 s of the modulation.

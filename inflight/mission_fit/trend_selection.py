@@ -17,9 +17,7 @@ from scipy import optimize
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
-from inflight.lsq.covariance import long_run_covariance
-from inflight.lsq.gram_blocks import BlockSums
-from inflight.lsq.solver import residual_sum
+from inflight.lsq import BlockSums, long_run_covariance, residual_sum
 from inflight.mission_fit.trends import (
     TREND_KINDS,
     Expansion,
@@ -35,7 +33,7 @@ from inflight.mission_fit.trends import (
     sandwich,
     with_origin,
 )
-from inflight.model.time_dependence import Dependence
+from inflight.model import Dependence
 from inflight.time import Int64, mjd_of, tt2000_of
 
 #: 95 % of a chi square with one degree of freedom.

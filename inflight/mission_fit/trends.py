@@ -20,15 +20,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NormalEquations
-from inflight.calibration.normal_equations import RESIDUAL, larger_scatter
-from inflight.effects.base import Parameter
+from inflight.calibration import RESIDUAL, NormalEquations, larger_scatter
+from inflight.effects import Parameter
 from inflight.errors import CalibrationError
-from inflight.lsq.covariance import long_run_covariance
-from inflight.lsq.gram_blocks import BlockSums
-from inflight.lsq.robust import robust_sigma
-from inflight.lsq.solver import residual_sum, solve
-from inflight.model.time_dependence import Dependence, TimedValue, component_names
+from inflight.lsq import BlockSums, long_run_covariance, residual_sum, robust_sigma, solve
+from inflight.model import Dependence, TimedValue, component_names
 from inflight.time import DAY, Int64, mjd_of
 
 TREND_KINDS = ("constant", "linear", "parabola", "log", "spline")

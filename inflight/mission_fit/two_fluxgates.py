@@ -24,8 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.robust import robust_sigma
-from inflight.lsq.solver import FEWEST_CLUSTERS, ClusteredFit, grams_by_cluster, solve_clusters
+from inflight.lsq import FEWEST_CLUSTERS, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
 from inflight.time import SECOND, Int64
 
 #: Two orbits: clusters of samples whose errors belong together.

@@ -15,9 +15,14 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.contrasts import RobustFit
-from inflight.lsq.covariance import long_run_covariance
-from inflight.lsq.robust import BIWEIGHT_WIDTH, biweight, biweight_slope, robust_sigma
+from inflight.lsq import (
+    BIWEIGHT_WIDTH,
+    RobustFit,
+    biweight,
+    biweight_slope,
+    long_run_covariance,
+    robust_sigma,
+)
 
 #: Spans of a day whose means are nearly independent: 20 minutes.
 SUB_BLOCKS = 72

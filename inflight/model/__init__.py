@@ -1,6 +1,5 @@
 """A model: an ordered set of effects with time dependence and few values. It says *what*."""
 
-from inflight.model.model import Model, ModelEffect, make_effect
-from inflight.model.time_dependence import TimedValue
+import lazy_loader
 
-__all__ = ["Model", "ModelEffect", "TimedValue", "make_effect"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -14,9 +14,9 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.base import with_field
+from inflight.effects import with_field
 from inflight.errors import SamplesError
-from inflight.samples.alignment import PlainSamples
+from inflight.samples import PlainSamples
 
 if TYPE_CHECKING:
     from inflight.model.model import ModelEffect

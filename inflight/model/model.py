@@ -19,17 +19,25 @@ import xarray as xr
 from ruamel.yaml import YAML
 
 from inflight.arrays import Floats
-from inflight.effects import Effect, EffectSource, effect_class
-from inflight.effects.base import Parameter, did_you_mean
-from inflight.effects.families import channel_unit, coefficient_unit, family_of, product_factor
-from inflight.effects.sensors import VectorSensor
+from inflight.effects import (
+    Effect,
+    EffectSource,
+    Parameter,
+    VectorSensor,
+    channel_unit,
+    coefficient_unit,
+    did_you_mean,
+    effect_class,
+    family_of,
+    product_factor,
+)
 from inflight.errors import InflightError, ModelError
 from inflight.mission import Sensor, sensors_of
 from inflight.model import apply as chain
 from inflight.model.diff import changes, tree_of
 from inflight.model.rows import Layout, rows_of
 from inflight.model.time_dependence import TimedValue, parse_timed
-from inflight.samples.alignment import PlainSamples
+from inflight.samples import PlainSamples
 
 if TYPE_CHECKING:
     from inflight.mission import Mission

@@ -27,11 +27,11 @@ import xarray as xr
 from scipy import signal
 
 from inflight.arrays import Floats
-from inflight.effects.base import direction
+from inflight.effects import direction
 from inflight.errors import ModelError, SamplesError
 from inflight.flags import UNUSABLE
 from inflight.mission import Sensor, sensors_of
-from inflight.samples.spin_folding import Folding
+from inflight.samples import Folding
 from inflight.time import SECOND, Int64, usual_step
 
 if TYPE_CHECKING:

@@ -17,11 +17,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.base import Effect, Values
+from inflight.effects import Effect, Values
 from inflight.flags import Flag
 from inflight.mission import Sensor
 from inflight.model.model import Model, ModelEffect
-from inflight.samples.derived import parse, product
+from inflight.samples import parse, product
 from inflight.time import GAP, SECOND, Int64
 
 Rows = npt.NDArray[np.bool_]

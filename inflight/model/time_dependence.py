@@ -24,7 +24,7 @@ import xarray as xr
 from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
-from inflight.effects.base import Parameter, did_you_mean
+from inflight.effects import Parameter, did_you_mean
 from inflight.errors import ModelError
 from inflight.time import DAY, parse_duration, parse_utc, to_tt2000, to_utc
 

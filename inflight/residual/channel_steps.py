@@ -23,7 +23,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from inflight.arrays import Floats
 from inflight.errors import SamplesError
-from inflight.lsq.robust import TO_SIGMA, robust_sigma
+from inflight.lsq import TO_SIGMA, robust_sigma
 from inflight.time import SECOND, Int64
 
 #: Changes between neighbours, and sizes, count from this many sigma on: with 86 400 readings a day

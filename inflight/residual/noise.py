@@ -28,7 +28,7 @@ import xarray as xr
 from scipy import signal
 
 from inflight.arrays import Floats
-from inflight.lsq.robust import TO_SIGMA
+from inflight.lsq import TO_SIGMA
 from inflight.time import SECOND
 
 #: The white level is read above this part of the Nyquist frequency.

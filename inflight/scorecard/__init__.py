@@ -1,19 +1,5 @@
 """The scorecard: each published figure beside what the software obtains for it, and the verdict."""
 
-from inflight.scorecard.figure import Basis, Figure, Report, Verdict, Within
-from inflight.scorecard.registry import SECTIONS, figures, scorecard, selected
-from inflight.scorecard.scene import OrbitDay, Scene
+import lazy_loader
 
-__all__ = [
-    "SECTIONS",
-    "Basis",
-    "Figure",
-    "OrbitDay",
-    "Report",
-    "Scene",
-    "Verdict",
-    "Within",
-    "figures",
-    "scorecard",
-    "selected",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.mission_fit.z_offset import day_statistics
+from inflight.mission_fit import day_statistics
 from inflight.scorecard.figure import Figure, Within
 from inflight.scorecard.scalar_calibration import scale_factors
 from inflight.scorecard.scene import DAYS, Scene

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration.normal_equations import NINE, block_equations, joined, nine_columns
+from inflight.calibration import NINE, block_equations, joined, nine_columns
 from inflight.frames import sun_direction
-from inflight.mission_fit.day_night import (
+from inflight.mission_fit import (
     SWITCHED,
     block_parameters,
     fit_day_night,

@@ -13,28 +13,28 @@ import xarray as xr
 from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
-from inflight.calibration.product import PERIOD, distribute
+from inflight.calibration import PERIOD, distribute
 from inflight.dipole import dipole_split
-from inflight.effects.spacecraft import schedule
-from inflight.mission_fit.epochs import epochs_of, fit_step, join_epochs
-from inflight.mission_fit.panels import choose_panels
-from inflight.mission_fit.torquers import (
+from inflight.effects import schedule
+from inflight.mission_fit import (
     band_equations,
     carried_mean,
+    choose_panels,
     daily_fits,
+    epochs_of,
     fit_eta,
+    fit_step,
+    join_epochs,
     join_equations,
     robust_mean,
 )
-from inflight.residual.channel_steps import find_steps
+from inflight.residual import find_steps
 from inflight.scorecard import continuous_parameters
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.scene import DAYS, MJD_ZERO, Scene
 from inflight.scorecard.spacecraft_fields import CAMERA, CHANGE, CHANGE_ERROR, PANELS, SCALAR, VECTOR
-from inflight.simulate.grid import Sampling
-from inflight.simulate.orbit import mjd as mjd_of_seconds
-from inflight.simulate.parameters import Parameters
-from inflight.simulate.torquers import mean_current, torquer_currents
+from inflight.simulate import Parameters, Sampling, mean_current, torquer_currents
+from inflight.simulate import mjd as mjd_of_seconds
 from inflight.time import SECOND, Int64
 
 SECTION = "spacecraft-fields"

@@ -12,13 +12,26 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import Reference, fit_block
-from inflight.calibration.normal_equations import NormalEquations, block_equations, joined, nine_columns
-from inflight.calibration.table import table_jumps, trend_jumps
-from inflight.mission_fit.temperature import CoilBlock, fit_coil_samples
-from inflight.mission_fit.trend_selection import fit_origin
-from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
-from inflight.mission_fit.z_offset import day_statistics, spread_law
+from inflight.calibration import (
+    NormalEquations,
+    Reference,
+    block_equations,
+    fit_block,
+    joined,
+    nine_columns,
+    table_jumps,
+    trend_jumps,
+)
+from inflight.mission_fit import (
+    CoilBlock,
+    TrendFit,
+    day_statistics,
+    fit_coil_samples,
+    fit_origin,
+    fit_trends,
+    make_trend,
+    spread_law,
+)
 from inflight.scorecard import continuous_parameters
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.scalar_calibration import (

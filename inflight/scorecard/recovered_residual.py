@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.mission_fit.parameters import WEEKDAYS, clock_faults, slope_of, week_pattern
-from inflight.mission_fit.z_offset import day_statistics
+from inflight.mission_fit import WEEKDAYS, clock_faults, day_statistics, slope_of, week_pattern
 from inflight.scorecard.figure import recovered
 from inflight.scorecard.recovered_parameters import NOISE, SEEDS
 from inflight.scorecard.residual import SECTION

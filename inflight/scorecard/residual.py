@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from inflight.calibration.normal_equations import joined
-from inflight.mission_fit.crosstalk import CrossTalkTable, Ignored, correlation, cross_talk
-from inflight.mission_fit.day_night import SWITCHED, orbit_period
+from inflight.calibration import joined
+from inflight.mission_fit import SWITCHED, CrossTalkTable, Ignored, correlation, cross_talk, orbit_period
 from inflight.scorecard.figure import Figure, Within
 from inflight.scorecard.scene import DAYS, MJD_ZERO, NOON, Scene
 

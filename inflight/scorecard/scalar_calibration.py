@@ -8,9 +8,16 @@ from functools import partial
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.calibration.published import fit_difference, fit_squares, to_sensor_angles
-from inflight.calibration.scalar import SCALE, grams, kernel_parameters, kernel_scale
-from inflight.model.time_dependence import Dependence
+from inflight.calibration import (
+    SCALE,
+    fit_difference,
+    fit_squares,
+    grams,
+    kernel_parameters,
+    kernel_scale,
+    to_sensor_angles,
+)
+from inflight.model import Dependence
 from inflight.scorecard.figure import Figure, Within
 from inflight.scorecard.scene import MJD_ZERO, Scene
 from inflight.time import DAY, day_bounds

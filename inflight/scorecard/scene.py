@@ -10,13 +10,19 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from inflight.arrays import Floats
-from inflight.calibration.normal_equations import NormalEquations, block_equations, nine_columns
+from inflight.calibration import NormalEquations, block_equations, nine_columns
 from inflight.frames import direction_of
-from inflight.mission_fit.day_night import orbit_period, switched_columns
-from inflight.simulate.field import main_field
-from inflight.simulate.grid import STEP, Grid
-from inflight.simulate.orbit import EARTH_RADIUS, geometry, node_local_time, sunlight
-from inflight.simulate.parameters import Parameters
+from inflight.mission_fit import orbit_period, switched_columns
+from inflight.simulate import (
+    EARTH_RADIUS,
+    STEP,
+    Grid,
+    Parameters,
+    geometry,
+    main_field,
+    node_local_time,
+    sunlight,
+)
 from inflight.time import SECOND, day_bounds
 
 Result = TypeVar("Result")

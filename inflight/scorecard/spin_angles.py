@@ -9,8 +9,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
-from inflight.spin.farrell_1995 import SensorAngles, farrell, phase_between
-from inflight.spin.fits import respin, spin_fits
+from inflight.spin import SensorAngles, farrell, phase_between, respin, spin_fits
 from inflight.time import SECOND
 
 SECTION = "spin"

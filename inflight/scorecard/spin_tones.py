@@ -8,10 +8,15 @@ from inflight.arrays import Floats
 from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
 from inflight.scorecard.themis_orbit import CADENCE, HOURS, SPIN, piece
-from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.estimate import SpinEstimates, estimate_pairs, joint_estimate
-from inflight.spin.intervals import lay_out
-from inflight.spin.tones import spin_tones
+from inflight.spin import (
+    SPIN_RELATED,
+    SpinEstimates,
+    TwelveParameters,
+    estimate_pairs,
+    joint_estimate,
+    lay_out,
+    spin_tones,
+)
 from inflight.time import SECOND
 
 SECTION = "spin"

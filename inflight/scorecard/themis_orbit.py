@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.spin.fits import respin
+from inflight.spin import respin
 from inflight.time import SECOND, Int64
 
 #: Spin period and cadence, s; hours of each piece.

@@ -9,13 +9,20 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
-from inflight.simulate.spinning.ambient import wind
-from inflight.simulate.spinning.settings import CRAFT
+from inflight.simulate.spinning import CRAFT, wind
 from inflight.time import DAY, SECOND
-from inflight.zero_level.flipper import separate
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import correlation, davis_smith, minimum_correlation, pairs_within
-from inflight.zero_level.published import PUBLISHED, SET, averages, largest_leak
+from inflight.zero_level import (
+    PUBLISHED,
+    SET,
+    Intervals,
+    averages,
+    correlation,
+    davis_smith,
+    largest_leak,
+    minimum_correlation,
+    pairs_within,
+    separate,
+)
 
 SECTION = "zero-level"
 #: Spins and sampling times of table 1, s.

@@ -5,15 +5,6 @@ drive dipoles on the spacecraft and sensors whose equations are written here a s
 direction from field to reading. Each module names the source of its equations.
 """
 
-from inflight.simulate.day import simulate_day
-from inflight.simulate.mission import SimulatedDay
-from inflight.simulate.parameters import Parameters
-from inflight.simulate.settings import SimulationSettings, effect_names
+import lazy_loader
 
-__all__ = [
-    "Parameters",
-    "SimulatedDay",
-    "SimulationSettings",
-    "effect_names",
-    "simulate_day",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

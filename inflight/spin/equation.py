@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.effects.spinning_sensor import coupling, gains_of, package_to_spin, sensor_axes
+from inflight.effects import coupling, gains_of, package_to_spin, sensor_axes
 from inflight.errors import CalibrationError
 
 #: The twelve parameters in the order of tables.

@@ -34,12 +34,10 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError
-from inflight.lsq.covariance import long_run_covariance, sigma_of_mean
-from inflight.lsq.robust import biweight, biweight_slope
-from inflight.model import Model, ModelEffect
-from inflight.model.rows import rows_of
+from inflight.lsq import biweight, biweight_slope, long_run_covariance, sigma_of_mean
+from inflight.model import Model, ModelEffect, rows_of
 from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
 from inflight.spin.intervals import Bools, Layout
 from inflight.spin.kernels import SERIES

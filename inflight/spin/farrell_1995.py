@@ -35,8 +35,7 @@ from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.lsq.covariance import long_run_covariance, sigma_of_mean
-from inflight.lsq.robust import TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope
+from inflight.lsq import TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope, long_run_covariance, sigma_of_mean
 from inflight.spin.fits import SpinFits
 from inflight.time import DAY, SECOND, Int64, utc_text
 

@@ -21,7 +21,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.lsq.robust import WEIGHTED_RMS
+from inflight.lsq import WEIGHTED_RMS
 from inflight.spin.kernels import fill_sine_cosine, fit_plain, fit_weighted
 from inflight.time import Int64, utc_text
 

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.lsq.robust import BIWEIGHT_WIDTH
+from inflight.lsq import BIWEIGHT_WIDTH
 from inflight.spin.intervals import WIDEST_STEP, Bools
 from inflight.time import Int64
 

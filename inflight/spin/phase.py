@@ -32,8 +32,8 @@ from scipy.ndimage import median_filter, percentile_filter
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
-from inflight.lsq.robust import TO_SIGMA, robust_sigma
-from inflight.residual.channel_steps import SIGNIFICANCE
+from inflight.lsq import TO_SIGMA, robust_sigma
+from inflight.residual import SIGNIFICANCE
 from inflight.time import SECOND, Int64, utc_text
 
 #: Turns between readings below which an angle is finely read: more than four and a half readings a turn.

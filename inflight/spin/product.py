@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.spinning_sensor import coupling
+from inflight.effects import coupling
 from inflight.flags import UNUSABLE, Flag, meanings
 from inflight.frames import gse_to_gsm, payload_to_gse
 from inflight.model import Model

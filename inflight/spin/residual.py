@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.residual.dependence import CLEAR, LONELY, MIN_BLOCKS, bin_edges, jackknife
-from inflight.samples.spin_folding import ORDER, Complex
+from inflight.residual import CLEAR, LONELY, MIN_BLOCKS, bin_edges, jackknife
+from inflight.samples import ORDER, Complex
 
 Ints = npt.NDArray[np.int64]
 

@@ -2,3 +2,7 @@
 
 No file is opened here; every method takes `Intervals` and returns an `Estimate`.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -35,7 +35,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.covariance import long_run_covariance
+from inflight.lsq import long_run_covariance
 from inflight.zero_level.estimate import SETTLED, Estimate, Question, covariance_of, freedom_of
 from inflight.zero_level.intervals import AXES, Bools, Intervals
 from inflight.zero_level.methods import (

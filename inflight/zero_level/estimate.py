@@ -10,7 +10,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.covariance import long_run_covariance
+from inflight.lsq import long_run_covariance
 from inflight.time import Int64
 from inflight.zero_level.intervals import AXES, FEWEST_INTERVALS, Bools, Intervals
 

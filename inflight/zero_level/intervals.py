@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.residual.channel_steps import SIGNIFICANCE, noise_of
+from inflight.residual import SIGNIFICANCE, noise_of
 from inflight.time import GAP, SECOND, Int64
 
 Bools = npt.NDArray[np.bool_]

@@ -71,7 +71,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.robust import biweight, biweight_slope, robust_sigma
+from inflight.lsq import biweight, biweight_slope, robust_sigma
 from inflight.time import Int64
 from inflight.zero_level.estimate import Estimate, Question, answering, informed, likeliest, solve
 from inflight.zero_level.intervals import FEWEST_SAMPLES, Bools, Intervals

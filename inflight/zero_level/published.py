@@ -21,9 +21,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.contrasts import robust_fit
-from inflight.lsq.covariance import long_run_covariance
-from inflight.lsq.robust import robust_sigma
+from inflight.lsq import long_run_covariance, robust_fit, robust_sigma
 from inflight.time import DAY, SECOND, Int64
 from inflight.zero_level.combination import Method
 from inflight.zero_level.estimate import BOUND, Estimate, Question, informed

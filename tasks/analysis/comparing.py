@@ -13,35 +13,47 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
-from inflight.figures.page import html_page, write_page
+from inflight.figures import html_page, write_page
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
 from inflight.mission import Mission, is_told_by_states
-from inflight.residual.dependence import Coordinate, find_failures, measure
-from inflight.residual.lines import Line, find_lines, known_periods, resolve_lines
-from inflight.residual.noise import NoiseFloor, Size, daily_wander, joined, joined_floor, noise_floor, size_of
-from inflight.residual.spectrum import Power, add_power, finest, slow_power, stretch_power
+from inflight.residual import (
+    Coordinate,
+    Line,
+    NoiseFloor,
+    Power,
+    Size,
+    add_power,
+    daily_wander,
+    find_failures,
+    find_lines,
+    finest,
+    joined,
+    joined_floor,
+    known_periods,
+    measure,
+    noise_floor,
+    resolve_lines,
+    size_of,
+    slow_power,
+    stretch_power,
+)
 from inflight.tasks.models import current_model
-from inflight.tasks.pipelines.compare_rows import (
+from inflight.tasks.pipelines import (
+    Compared,
     Sources,
     Spans,
     blocks_of,
+    equations_of,
+    load_equations,
     published_products,
     rows_of_day,
     scalar_channels,
+    span_solution,
 )
-from inflight.tasks.pipelines.compared import Compared
-from inflight.tasks.pipelines.planning import equations_of
-from inflight.tasks.pipelines.scalar.compare_page import (
-    CompareReport,
-    Drawn,
-    Spectra,
-    compare_parts,
-    page_title,
-)
-from inflight.tasks.pipelines.spin.compare import SpinCompareReport, compare_spin
-from inflight.tasks.pipelines.states.compare import DualCompareReport, compare_dual
-from inflight.tasks.pipelines.tables import load_equations, span_solution
+from inflight.tasks.pipelines.scalar import CompareReport, Drawn, Spectra, compare_parts, page_title
+from inflight.tasks.pipelines.spin import SpinCompareReport, compare_spin
+from inflight.tasks.pipelines.states import DualCompareReport, compare_dual
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds, usual_step
 

@@ -9,20 +9,14 @@ from typing import Any
 import numpy as np
 
 from inflight.catalog import Catalog
-from inflight.design.columns import MOST
-from inflight.design.terms import Term
-from inflight.diagnosis.candidates import make_library
-from inflight.diagnosis.residual import Material
-from inflight.diagnosis.result import Diagnosis
-from inflight.diagnosis.search import Rules, Search
-from inflight.diagnosis.time_changes import carriers_of
-from inflight.diagnosis.verdict import conclude
-from inflight.dual.unrecorded import Switched
-from inflight.effects.families import channels_of
+from inflight.design import MOST, Term
+from inflight.diagnosis import Diagnosis, Material, Rules, Search, carriers_of, conclude, make_library
+from inflight.dual import Switched
+from inflight.effects import channels_of
 from inflight.errors import CatalogError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
-from inflight.model.rows import folding_of
+from inflight.model import folding_of
 from inflight.tasks.analysis.gram_pass import (
     MEMORY_S,
     DiagnoseSettings,
@@ -38,14 +32,15 @@ from inflight.tasks.analysis.gram_pass import (
     survey,
     switched_in,
 )
-from inflight.tasks.archive.channels import ChannelReader, shows_spin
-from inflight.tasks.archive.inputs import (
+from inflight.tasks.archive import (
     ArchiveIndex,
+    ChannelReader,
     Need,
     base_role,
     channel_needs,
     needs_of,
     position_channel,
+    shows_spin,
 )
 from inflight.tasks.models import UsedModel, current_model
 from inflight.tasks.report import Progress

@@ -18,17 +18,22 @@ import numpy as np
 
 from inflight import __version__
 from inflight.catalog import Catalog
-from inflight.diagnosis.residual import Material
-from inflight.diagnosis.result import Diagnosis, Signature
-from inflight.diagnosis.search import Search
-from inflight.diagnosis.spectra import Periodogram, fold, periodogram
-from inflight.diagnosis.verdict import conclude, known_periods, lag_profile
-from inflight.diagnosis.views import (
+from inflight.diagnosis import (
+    Diagnosis,
+    Material,
+    Periodogram,
+    Search,
     Seen,
+    Signature,
     along_field,
+    conclude,
     cross_talk,
     epoch,
+    fold,
     heat_maps,
+    known_periods,
+    lag_profile,
+    periodogram,
     responses,
     seen_of,
     shifts_of,
@@ -36,38 +41,42 @@ from inflight.diagnosis.views import (
     trials,
     waterfall,
 )
-from inflight.figures.dependence import (
+from inflight.figures import (
+    Section,
     along_field_figures,
-    epoch_figure,
-    fold_figure,
-    lag_figure,
-    response_figures,
-    response_key,
-)
-from inflight.figures.diagnosis import (
     candidate_table,
+    cross_talk_figure,
+    daily_figure,
     drop_figure,
+    epoch_figure,
     facts_list,
+    fold_figure,
     found_effects,
+    heat_map_figures,
+    histogram_figure,
+    html_page,
+    lag_figure,
     ledger_table,
     order_figure,
+    periodogram_figures,
+    response_figures,
+    response_key,
     rivals_apart,
+    shift_table,
+    short_name,
+    strongest_pairs,
     telling,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
+    write_page,
 )
-from inflight.figures.page import Section, html_page, write_page
-from inflight.figures.parameters import cross_talk_figure, shift_table, strongest_pairs
-from inflight.figures.residual import daily_figure, heat_map_figures, histogram_figure
-from inflight.figures.spectra import periodogram_figures
-from inflight.figures.style import short_name
 from inflight.mission import Mission
-from inflight.residual.lines import drawn_periods, told_period
-from inflight.residual.lines import known_periods as named_periods
+from inflight.residual import drawn_periods, told_period
+from inflight.residual import known_periods as named_periods
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.pipelines.states.tables import named_units
+from inflight.tasks.pipelines.states import named_units
 from inflight.tasks.report import Progress
 from inflight.time import SECOND, DayLike, to_utc
 

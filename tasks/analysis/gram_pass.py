@@ -27,33 +27,33 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 
 from inflight.arrays import Floats
-from inflight.calibration import Reference, fit_block, split_chain, usable
-from inflight.calibration.scalar import PARTS
+from inflight.calibration import PARTS, Reference, fit_block, split_chain, usable
 from inflight.catalog import Catalog, Day, idempotency_key
-from inflight.design.columns import Outliers, Rows, coarsen, design, turns_of
-from inflight.design.terms import Library, Term, Told
-from inflight.diagnosis.series import Features, Series, features_of, pack_blocks, thin
-from inflight.diagnosis.time_changes import Stretches
-from inflight.dual.unrecorded import Switched, switched
-from inflight.effects.families import channels_of
-from inflight.effects.sensors import VectorSensor
-from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.design import Library, Outliers, Rows, Term, Told, coarsen, design, turns_of
+from inflight.diagnosis import Features, Series, Stretches, features_of, pack_blocks, thin
+from inflight.dual import Switched, switched
+from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq.gram_blocks import Evidence, gram_of, parts_of, prewhiten
+from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
 from inflight.mission import Mission, is_told_by_states, sensors_of
-from inflight.model import Model, ModelEffect, make_effect
-from inflight.model.rows import RowFilter, rows_of
-from inflight.residual.noise import NoiseFloor, joined_floor, level_of_rows
-from inflight.samples.spin_folding import FOLDING_VERSION, Folding
-from inflight.spin.estimate import fit_spin, spinning_entry
-from inflight.tasks.archive.channels import ChannelReader, DerivedChannels, as_variables, orbit_of, stands_in
-from inflight.tasks.archive.ingestion import each_result
-from inflight.tasks.archive.inputs import ArchiveIndex, Need
-from inflight.tasks.archive.samples import load_samples
-from inflight.tasks.pipelines.job import Job, Outcome, make_days
-from inflight.tasks.pipelines.publication import adopted_days, take_outcome
-from inflight.tasks.pipelines.states.tables import housekeeping
+from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
+from inflight.residual import NoiseFloor, joined_floor, level_of_rows
+from inflight.samples import FOLDING_VERSION, Folding
+from inflight.spin import fit_spin, spinning_entry
+from inflight.tasks.archive import (
+    ArchiveIndex,
+    ChannelReader,
+    DerivedChannels,
+    Need,
+    as_variables,
+    each_result,
+    load_samples,
+    orbit_of,
+    stands_in,
+)
+from inflight.tasks.pipelines import Job, Outcome, adopted_days, make_days, take_outcome
+from inflight.tasks.pipelines.states import housekeeping
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, day_bounds
 

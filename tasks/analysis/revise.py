@@ -22,35 +22,35 @@ from typing import Any
 
 import numpy as np
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.design.columns import EQUATIONS
-from inflight.design.terms import Library, Term
-from inflight.diagnosis.additions import (
+from inflight.catalog import Catalog, Workspace
+from inflight.design import EQUATIONS, Library, Term
+from inflight.diagnosis import (
+    DRIFTS,
     Addition,
+    Diagnosis,
     Fitted,
     Ground,
     Maker,
+    Search,
     addition_of,
+    best_lag,
+    carriers_of,
+    conclude,
+    find_wanted,
     held_at_nothing,
+    known_addition,
     values_of,
     variance_of,
 )
-from inflight.diagnosis.requests import best_lag, find_wanted, known_addition
-from inflight.diagnosis.result import Diagnosis
-from inflight.diagnosis.search import Search
-from inflight.diagnosis.time_changes import DRIFTS, carriers_of
-from inflight.diagnosis.verdict import conclude
-from inflight.effects.base import did_you_mean
+from inflight.effects import did_you_mean
 from inflight.errors import ModelError, SettingsError
-from inflight.lsq.gram_blocks import Evidence
+from inflight.lsq import Evidence
 from inflight.mission import Mission
-from inflight.model import Model, ModelEffect
-from inflight.model.rows import folding_of
+from inflight.model import Model, ModelEffect, folding_of
 from inflight.tasks.analysis.diagnosis import Prepared, intervals_of, material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings, PassPlan
 from inflight.tasks.models import UsedModel, before_last, current_model, evidence_root
-from inflight.tasks.pipelines.states.tables import named_units
+from inflight.tasks.pipelines.states import named_units
 from inflight.tasks.report import Progress, to_json
 from inflight.time import DayLike
 

@@ -15,15 +15,13 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.design.columns import channel_on, grid
-from inflight.design.terms import Told
-from inflight.effects.families import NO_CAUSE
+from inflight.design import Told, channel_on, grid
+from inflight.effects import NO_CAUSE
 from inflight.frames import add_geometry
 from inflight.mission import Mission, is_told_by_states
-from inflight.model.rows import folding_of
-from inflight.residual.channel_steps import without_noise
-from inflight.samples.derived import Part, parse, product
-from inflight.samples.spin_folding import Folding, fold_series
+from inflight.model import folding_of
+from inflight.residual import without_noise
+from inflight.samples import Folding, Part, fold_series, parse, product
 from inflight.tasks.archive.inputs import ArchiveIndex, Need, channel_homes, clock_of
 from inflight.tasks.archive.samples import channel_series, spin_phase
 from inflight.time import SECOND, Int64, day_bounds

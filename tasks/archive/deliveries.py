@@ -33,10 +33,8 @@ from ruamel.yaml import YAML
 from threadpoolctl import threadpool_limits
 
 from inflight.errors import CatalogError, StorageError
-from inflight.simulate import SimulationSettings, simulate_day
-from inflight.simulate.defects import FILL
+from inflight.simulate import FILL, MissionSettings, SimulatedDay, SimulationSettings, simulate_day
 from inflight.simulate.dual import DualSettings, simulate_dual_day
-from inflight.simulate.mission import MissionSettings, SimulatedDay
 from inflight.simulate.spinning import CRAFT, SpinningSettings, simulate_spinning_day
 from inflight.time import TT2000_FILL, day_bounds
 

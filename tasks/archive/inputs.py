@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.catalog import Catalog, Day
-from inflight.effects.families import NO_CAUSE
+from inflight.effects import NO_CAUSE
 from inflight.errors import SamplesError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.samples.alignment import FIELD_ROLES
-from inflight.samples.derived import Part, base_channels, parse
+from inflight.samples import FIELD_ROLES, Part, base_channels, parse
 from inflight.time import DAY, SECOND
 
 #: Name of the spin's phase in samples.

@@ -36,13 +36,9 @@ from inflight.flags import Flag
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY, add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
-from inflight.model import Model
-from inflight.model.rows import folding_of
-from inflight.model.substitution import Substituted, Treated, Typical, missing_rows, substitute
-from inflight.samples.alignment import FIELD_ROLES, align
-from inflight.samples.derived import Part, parse, product
-from inflight.samples.spin_folding import fold
-from inflight.spin.phase import Fault, SpinPhase, phase_from_angle, phase_from_pulses
+from inflight.model import Model, Substituted, Treated, Typical, folding_of, missing_rows, substitute
+from inflight.samples import FIELD_ROLES, Part, align, fold, parse, product
+from inflight.spin import Fault, SpinPhase, phase_from_angle, phase_from_pulses
 from inflight.tasks.archive.inputs import (
     SPIN_AXIS,
     SPIN_PHASE,

@@ -12,12 +12,12 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
-from inflight.effects.families import NO_CAUSE
+from inflight.effects import NO_CAUSE
 from inflight.errors import CatalogError
 from inflight.frames import add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
-from inflight.tasks.archive.inputs import channel_homes, geometry_channels, position_channel
+from inflight.tasks.archive import channel_homes, geometry_channels, position_channel
 from inflight.tasks.pipelines.planning import product_of
 from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
 

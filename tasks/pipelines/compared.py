@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from inflight.figures.page import Later, Section
+from inflight.figures import Later, Section
 
 
 class Structure(Protocol):

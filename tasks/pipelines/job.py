@@ -10,11 +10,9 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from inflight.catalog import Catalog, DayData, Segment, write_segment
-from inflight.catalog.runs import cause_of
+from inflight.catalog import Catalog, DayData, Segment, cause_of, write_segment
 from inflight.errors import InflightError
-from inflight.tasks.archive.inputs import ArchiveIndex, Need
-from inflight.tasks.archive.samples import kept_readings
+from inflight.tasks.archive import ArchiveIndex, Need, kept_readings
 
 
 @dataclass(frozen=True)

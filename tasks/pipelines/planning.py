@@ -14,7 +14,7 @@ from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.errors import CatalogError, MissionError
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.archive.inputs import (
+from inflight.tasks.archive import (
     STAND_IN_DAYS,
     ArchiveIndex,
     Need,
@@ -24,8 +24,8 @@ from inflight.tasks.archive.inputs import (
     replaceable_needs,
 )
 from inflight.tasks.models import UsedModel, current_model
-from inflight.tasks.pipelines.mission.day import CHAIN_VERSION, Witnesses
-from inflight.tasks.pipelines.scalar.calibrate import EQUATIONS_VERSION
+from inflight.tasks.pipelines.mission import CHAIN_VERSION, Witnesses
+from inflight.tasks.pipelines.scalar import EQUATIONS_VERSION
 from inflight.time import DayLike, as_day, day_range, is_within
 
 ONE_DAY = np.timedelta64(1, "D")

@@ -8,19 +8,18 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import reference_of
-from inflight.calibration.product import day_parameters, level2
+from inflight.calibration import day_parameters, level2, reference_of
 from inflight.catalog import Catalog
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
 from inflight.mission import Mission
-from inflight.mission_fit.z_offset import day_statistics
+from inflight.mission_fit import day_statistics
 from inflight.model import Model
-from inflight.residual.noise import size_of
-from inflight.tasks.archive.samples import load_samples, stand_ins, treated_report
+from inflight.residual import size_of
+from inflight.tasks.archive import load_samples, stand_ins, treated_report
 from inflight.tasks.pipelines.job import Job, Outcome, make_days
-from inflight.tasks.pipelines.spin.reprocess import spin_product
+from inflight.tasks.pipelines.spin import spin_product
 from inflight.time import day_bounds, usual_step
 
 #: Bumped by hand when the numbers of the products change.

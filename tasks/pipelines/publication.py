@@ -12,7 +12,7 @@ import xarray as xr
 from inflight.catalog import Catalog, Day, Run
 from inflight.model import Model
 from inflight.tasks.pipelines.job import Failure, Outcome
-from inflight.tasks.pipelines.mission.day import CHAIN_VERSION
+from inflight.tasks.pipelines.mission import CHAIN_VERSION
 from inflight.tasks.pipelines.planning import Plan
 from inflight.tasks.pipelines.tables import TABLES_VERSION, content_keys
 from inflight.time import day_bounds

@@ -8,13 +8,11 @@ import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog
-from inflight.figures.page import Section, html_table
-from inflight.figures.parameters import parameter_figures
+from inflight.figures import Section, html_table, parameter_figures
 from inflight.mission import Mission, dual_comparisons, is_told_by_states
-from inflight.tasks.pipelines.mission.report import chain_report
-from inflight.tasks.pipelines.relation.report import dual_parts
-from inflight.tasks.pipelines.spin.report import spin_table_parts
-from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
+from inflight.tasks.pipelines.mission import chain_report
+from inflight.tasks.pipelines.relation import dual_parts
+from inflight.tasks.pipelines.spin import TABLES, SpinResults, spin_table_parts
 from inflight.tasks.pipelines.tables import newest_record, newest_table
 from inflight.time import to_utc
 

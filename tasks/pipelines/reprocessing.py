@@ -14,21 +14,25 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.calibration.scalar import bend
+from inflight.calibration import bend
 from inflight.catalog import Catalog, Day, Run, idempotency_key
 from inflight.mission import Mission, dual_comparisons, is_calibrated_apart
-from inflight.tasks.archive.ingestion import each_result
-from inflight.tasks.archive.samples import partial_problems, spin_problems
+from inflight.tasks.archive import each_result, partial_problems, spin_problems
 from inflight.tasks.pipelines.job import Job, Outcome
-from inflight.tasks.pipelines.mission.day import chain_batch
-from inflight.tasks.pipelines.mission.fit import chain_arguments, chained, save_fitted, spread_offsets
+from inflight.tasks.pipelines.mission import (
+    chain_arguments,
+    chain_batch,
+    chained,
+    save_fitted,
+    spread_offsets,
+)
 from inflight.tasks.pipelines.planning import ONE_DAY, Plan, ReprocessSettings, plan
 from inflight.tasks.pipelines.product import PRODUCT_VERSION, produce_batch, table_row_hash
 from inflight.tasks.pipelines.publication import SolvedTables, TableKeeper, adopted_days, take_outcome
-from inflight.tasks.pipelines.relation.reprocess import reprocess_dual
-from inflight.tasks.pipelines.scalar.calibrate import calibrate_batch
-from inflight.tasks.pipelines.spin.reprocess import solve_spin, spin_batch
-from inflight.tasks.pipelines.states.reprocess import reprocess_states
+from inflight.tasks.pipelines.relation import reprocess_dual
+from inflight.tasks.pipelines.scalar import calibrate_batch
+from inflight.tasks.pipelines.spin import solve_spin, spin_batch
+from inflight.tasks.pipelines.states import reprocess_states
 from inflight.tasks.pipelines.tables import (
     MOST_BEND,
     daily_table,

@@ -9,11 +9,9 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import Interval, NormalEquations, calibration_table, empty_block, reference_of
-from inflight.calibration.scalar import bend
+from inflight.calibration import Interval, NormalEquations, bend, calibration_table, empty_block, reference_of
 from inflight.catalog import Catalog, Day, TableRecord
-from inflight.lsq.robust import WEIGHTED_RMS
-from inflight.lsq.solver import Solution, residual_sum
+from inflight.lsq import WEIGHTED_RMS, Solution, residual_sum
 from inflight.model import Model
 from inflight.time import as_day, day_bounds
 

@@ -5,7 +5,7 @@ import pytest
 from calibration_cases import IDEAL, TRUTH, matrix_of, measure, polar_orbit
 from scipy.optimize import least_squares
 
-from inflight.calibration.published import fit_difference, fit_squares
+from inflight.calibration import fit_difference, fit_squares
 from inflight.errors import CalibrationError
 
 FIELD = polar_orbit()

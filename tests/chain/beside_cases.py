@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from inflight.calibration import NormalEquations
-from inflight.calibration.normal_equations import block_equations, joined, nine_columns
+from inflight.calibration import NormalEquations, block_equations, joined, nine_columns
 from inflight.mission import Mission
-from inflight.mission_fit.continuous import Continuous, fit_mission
-from inflight.mission_fit.daily_equations import split, terms_of
-from inflight.mission_fit.day_night import switched_columns
+from inflight.mission_fit import Continuous, fit_mission, switched_columns, terms_of
+from inflight.mission_fit.daily_equations import split
 from inflight.mission_fit.temperature import KINDS, coil_columns
 from inflight.model import Model
 from inflight.scorecard import Scene

@@ -7,18 +7,20 @@ import pytest
 
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
-from inflight.mission_fit.causes import (
+from inflight.mission_fit import (
+    CoilFit,
+    CrossTalkTable,
+    DayNightField,
+    TemperatureChoice,
+    daily_parameters,
     fit_coil_lag,
     fit_daylight,
+    joined_with,
     of_everything,
     of_the_nine,
     rival_temperatures,
+    terms_of,
 )
-from inflight.mission_fit.continuous import daily_parameters
-from inflight.mission_fit.crosstalk import CrossTalkTable
-from inflight.mission_fit.daily_equations import joined_with, terms_of
-from inflight.mission_fit.day_night import DayNightField
-from inflight.mission_fit.temperature import CoilFit, TemperatureChoice
 from inflight.tasks.pipelines.mission.parameter_sections import day_night
 from inflight.time import DAY
 from tests.chain.beside_cases import LINEAR, MadeUp, model_with, nights, warm_days, with_noise

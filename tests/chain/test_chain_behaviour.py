@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.figures.page import html_page
+from inflight.figures import html_page
 from inflight.tasks.pipelines.mission.parameter_sections import behaviour, clock, temperature
 from inflight.time import DAY, day_bounds
 

@@ -8,16 +8,12 @@ import pytest
 import xarray as xr
 
 from benchmarks.archive import simulated_workspace
-from inflight.catalog import Catalog, Day
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Day, Workspace
 from inflight.flags import Flag
-from inflight.simulate import SimulationSettings
-from inflight.simulate.parameters import Parameters
+from inflight.simulate import Parameters, SimulationSettings, mean_current
 from inflight.simulate.stray import coefficients
-from inflight.simulate.torquers import mean_current
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.tasks.pipelines.mission.day import part_of
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.time import SECOND
 
 DAYS = 24

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from benchmarks.archive import simulated_workspace
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.cli.app import main
+from inflight.catalog import Catalog, Workspace
+from inflight.cli import main
 from inflight.errors import CatalogError, SettingsError
 from inflight.simulate import SimulationSettings
-from inflight.tasks.pipelines.mission.report import SECTIONS, chain_report
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
-from inflight.tasks.report import to_json
+from inflight.tasks import to_json
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.mission import chain_report
+from inflight.tasks.pipelines.mission.report import SECTIONS
 
 DAYS = 12
 SETTINGS = SimulationSettings(seed=5, cadence=5)

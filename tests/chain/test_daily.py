@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.calibration import NormalEquations
-from inflight.calibration.normal_equations import RESIDUAL
+from inflight.calibration import RESIDUAL, NormalEquations
 from inflight.errors import CalibrationError
-from inflight.mission_fit.continuous import daily_parameters
-from inflight.mission_fit.trends import fit_trends, make_trend, middles
+from inflight.mission_fit import daily_parameters, fit_trends, make_trend
+from inflight.mission_fit.trends import middles
 from inflight.tasks.pipelines.mission.tables import faults_of, faults_table, stated_periods
 from inflight.time import DAY, day_bounds
 

@@ -12,13 +12,11 @@ import pytest
 import xarray as xr
 from ruamel.yaml import YAML
 
-from inflight.lsq.solver import left
+from inflight.lsq import left
 from inflight.mission import Mission
-from inflight.mission_fit.causes import of_everything
-from inflight.mission_fit.continuous import Continuous, fit_mission
-from inflight.mission_fit.daily_equations import terms_of, wide_equations, with_nine
-from inflight.model import Model
-from inflight.model.rows import rows_of
+from inflight.mission_fit import Continuous, fit_mission, of_everything, terms_of, with_nine
+from inflight.mission_fit.daily_equations import wide_equations
+from inflight.model import Model, rows_of
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import remanent_fields
 from inflight.tasks.pipelines.mission.day import equations_of_days

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.calibration import NormalEquations
-from inflight.calibration.normal_equations import RESIDUAL
-from inflight.mission_fit.daily_equations import DayDrift
+from inflight.calibration import RESIDUAL, NormalEquations
+from inflight.mission_fit import DayDrift
 from inflight.tasks.pipelines.mission.day import alike, means_of_channels, pack_parts, part_of
 
 WIDTH, ROWS, DAYS = 5, 400, 3

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from tiny_mission import deliver_tiny_day, make_tiny_workspace
 
-from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
+from inflight.flows import dask_client
+from inflight.flows.cluster import SCHEDULER_VARIABLE
 
 REPORT = {"command", "run", "context", "days", "problems", "outputs"}
 COUNTS = {"planned", "done", "unchanged", "failed", "no_work"}
@@ -23,8 +24,8 @@ def shared_cluster():
 @pytest.fixture(scope="module")
 def finished(shared_cluster, tmp_path_factory) -> Path:
     """A workspace with two calibrated days; tests that change it take a copy."""
-    from inflight.catalog.workspace import Workspace
-    from inflight.flows.launch import run_plain
+    from inflight.catalog import Workspace
+    from inflight.flows import run_plain
 
     root = make_tiny_workspace(tmp_path_factory.mktemp("chain") / "tiny")
     for name in ("ingest", "reprocess"):

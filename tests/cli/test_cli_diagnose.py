@@ -9,10 +9,9 @@ import pytest
 from heated_mission import make_heated_workspace
 from tiny_mission import TINY_YAML
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks.analysis import last_diagnosis
 from inflight.tasks.analysis.diagnosis import diagnose
-from inflight.tasks.analysis.revise import last_diagnosis
 
 EFFECT = "channel_field(heater_current)"
 

@@ -2,9 +2,8 @@
 
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.models import current_model
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks import current_model
 
 
 @pytest.fixture

@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 from tiny_mission import make_tiny_workspace
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
-from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive import ingest
 
 
 def taken_in(root: Path) -> Path:

@@ -3,7 +3,7 @@
 import pytest
 from tiny_mission import TINY_YAML
 
-from inflight.catalog.workspace import Workspace, shipped_missions
+from inflight.catalog import Workspace, shipped_missions
 from inflight.errors import MissionError, WorkspaceError
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from inflight.errors import SamplesError
 from inflight.flags import Flag
-from inflight.samples.alignment import align
+from inflight.samples import align
 from inflight.time import SECOND, day_bounds
 
 START, _ = day_bounds("2005-03-01")

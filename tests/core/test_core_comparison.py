@@ -8,12 +8,11 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.dual.product import readings_of
+from inflight.dual import readings_of
 from inflight.errors import MissionError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission, sensors_of
-from inflight.model import Model, make_effect
-from inflight.model.rows import Band, Layout, filter_rows, rows_of
+from inflight.model import Band, Layout, Model, filter_rows, make_effect, rows_of
 from inflight.time import day_bounds
 
 ROOT = Path(__file__).parents[2]

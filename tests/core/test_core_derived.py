@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from inflight.errors import ModelError
-from inflight.samples.derived import Part, base_channels, derive, history_s, parse, play, product, respond
+from inflight.samples import Part, base_channels, parse, product, respond
+from inflight.samples.derived import derive, history_s, play
 
 NAN = float("nan")
 values = arrays(np.float64, st.integers(1, 80), elements=st.floats(-100, 100, allow_nan=False))

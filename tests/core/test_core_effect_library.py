@@ -5,8 +5,7 @@ import pytest
 from effect_cases import MISSION, SENSORS, model_of, true_samples
 from numpy.testing import assert_allclose
 
-from inflight.effects import Effect, Parameter, family_of, known_effects
-from inflight.effects.base import with_field
+from inflight.effects import Effect, Parameter, family_of, known_effects, with_field
 from inflight.effects.families import FAMILIES
 from inflight.errors import ModelError, SamplesError
 from inflight.mission import Mission

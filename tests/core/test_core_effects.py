@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from inflight.calibration.published import from_sensor_angles, to_sensor_angles
-from inflight.effects import Effect, Parameter, known_effects
-from inflight.effects.base import best_field, with_field
+from inflight.calibration import to_sensor_angles
+from inflight.calibration.published import from_sensor_angles
+from inflight.effects import Effect, Parameter, known_effects, with_field
+from inflight.effects.base import best_field
 from inflight.effects.sensors import rate
 from inflight.errors import ModelError, SamplesError
 from inflight.model import Model, ModelEffect, make_effect

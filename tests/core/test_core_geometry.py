@@ -222,9 +222,7 @@ def test_what_is_measured_is_not_replaced():
 
 
 def test_it_agrees_with_the_geometry_the_simulator_makes_on_its_own():
-    from inflight.simulate.grid import Grid
-    from inflight.simulate.orbit import geometry, sunlight
-    from inflight.simulate.parameters import Parameters
+    from inflight.simulate import Grid, Parameters, geometry, sunlight
 
     start = int(to_tt2000(np.datetime64("2005-03-01", "ns")))
     made = geometry(Grid.covering(start, start + 6 * 3600 * SECOND), Parameters(), 1)

@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 
 from inflight.errors import InflightError, ModelError
 from inflight.mission import Mission
-from inflight.model import Model, make_effect
-from inflight.model.diff import changes, tree_of
-from inflight.model.time_dependence import Dependence
+from inflight.model import Dependence, Model, changes, make_effect, tree_of
 from inflight.time import DAY, to_tt2000
 
 START = int(to_tt2000(np.datetime64("2004-01-01")))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from inflight.residual.noise import NO_FLOOR, NoiseFloor, joined_floor, noise_floor
+from inflight.residual import NO_FLOOR, NoiseFloor, joined_floor, noise_floor
 
 WHITE = 0.1
 

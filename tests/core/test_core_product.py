@@ -6,8 +6,8 @@ import xarray as xr
 from effect_cases import MISSION, true_samples
 from numpy.testing import assert_allclose
 
-from inflight.calibration import reference_of
-from inflight.calibration.product import Parameters, day_parameters, level2
+from inflight.calibration import day_parameters, level2, reference_of
+from inflight.calibration.product import Parameters
 from inflight.errors import ModelError
 from inflight.flags import Flag
 from inflight.frames import itrf_to_nec, to_nec

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.effects.base import slope
+from inflight.effects import slope
 from inflight.time import SECOND
 
 

@@ -5,11 +5,11 @@ import pytest
 import xarray as xr
 from effect_cases import entry_of, model_of, true_samples
 
-from inflight.calibration.product import Parameters, level2
-from inflight.effects.base import Effect, Parameter
+from inflight.calibration import level2
+from inflight.calibration.product import Parameters
+from inflight.effects import Effect, Parameter
 from inflight.flags import Flag
-from inflight.model import Model
-from inflight.model.substitution import Substituted, Typical, substitute
+from inflight.model import Model, Substituted, Typical, substitute
 from inflight.time import SECOND
 
 #: Nothing but the stand-ins makes these products uncertain.

@@ -14,24 +14,27 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from inflight.calibration import fit_block
-from inflight.calibration.scalar import PARTS, Reference
-from inflight.design.columns import Rows, coarsen, design, turns_of
-from inflight.design.terms import Library, Term, Told
-from inflight.diagnosis.candidates import make_library
-from inflight.diagnosis.residual import Material
-from inflight.diagnosis.result import Diagnosis
-from inflight.diagnosis.search import Rules, Search
-from inflight.diagnosis.series import Series, features_of, pack_blocks, thin
-from inflight.diagnosis.time_changes import Carriers
-from inflight.diagnosis.verdict import conclude
+from inflight.calibration import PARTS, Reference, fit_block
+from inflight.design import Library, Rows, Term, Told, coarsen, design, turns_of
+from inflight.diagnosis import (
+    Carriers,
+    Diagnosis,
+    Material,
+    Rules,
+    Search,
+    Series,
+    conclude,
+    features_of,
+    make_library,
+    pack_blocks,
+    thin,
+)
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq.gram_blocks import Evidence, gram_of, parts_of, prewhiten
+from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
 from inflight.mission import Mission
-from inflight.model import Model
-from inflight.model.rows import rows_of
-from inflight.residual.noise import NoiseFloor
-from inflight.samples.derived import parse, product, respond
+from inflight.model import Model, rows_of
+from inflight.residual import NoiseFloor
+from inflight.samples import parse, product, respond
 from inflight.time import DAY, SECOND, day_bounds
 
 #: Usual spacing of the samples, seconds.

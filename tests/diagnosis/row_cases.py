@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflight.lsq.gram_blocks import Evidence
+from inflight.lsq import Evidence
 
 DAY_NS = 86_400_000_000_000
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.design.columns import Outliers, bursts, coarsen, grid, is_signal
-from inflight.model.rows import ResidualRows
+from inflight.design import Outliers, coarsen, grid
+from inflight.design.columns import bursts, is_signal
+from inflight.model import ResidualRows
 from inflight.time import SECOND
 
 START = 700_000_000 * SECOND

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, flight_of, read
 
+from inflight.diagnosis import Carriers, batches, drifts, episodes, steps
 from inflight.diagnosis.refine import at_its_moment
-from inflight.diagnosis.time_changes import Carriers, batches, drifts, episodes, steps
-from inflight.residual.lines import told_period
+from inflight.residual import told_period
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, BLOCK_DAYS = 14, 0.25

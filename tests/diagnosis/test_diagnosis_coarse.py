@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.design.columns import bin_means, bridged, channel_on, coarsen, grid, spikes
-from inflight.model.rows import ResidualRows
+from inflight.design import bin_means, bridged, channel_on, coarsen, grid
+from inflight.design.columns import spikes
+from inflight.model import ResidualRows
 from inflight.time import SECOND
 
 START = 700_000_000 * SECOND

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.calibration.scalar import SCALE, _fill, kernel_parameters, kernel_scale
-from inflight.design.columns import Rows, design, term_columns, turns_of
-from inflight.design.terms import Term, term_of
-from inflight.model import Model, make_effect
-from inflight.model.rows import rows_of
+from inflight.calibration import SCALE, kernel_parameters, kernel_scale
+from inflight.calibration.scalar import _fill
+from inflight.design import Rows, Term, design, term_of, turns_of
+from inflight.design.columns import term_columns
+from inflight.model import Model, make_effect, rows_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "core"))
 from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples

@@ -8,8 +8,8 @@ import pytest
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, dipole, flight_of, read, spun
 from scipy.signal import lfilter
 
-from inflight.design.columns import design
-from inflight.diagnosis.search import Search
+from inflight.design import design
+from inflight.diagnosis import Search
 from inflight.diagnosis.stepwise import detectable, estimate, mimics, within_and_raw
 
 TRUTH = np.array([0.5, -0.4, -0.8])

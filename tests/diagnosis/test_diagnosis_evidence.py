@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from row_cases import row_case
 
 from inflight.errors import CalibrationError
-from inflight.lsq.gram_blocks import Evidence, gram_of, pack, parts_of, prewhiten, solve_scaled, unpack
+from inflight.lsq import Evidence, gram_of, parts_of, prewhiten, solve_scaled
+from inflight.lsq.gram_blocks import pack, unpack
 from inflight.time import SECOND
 
 

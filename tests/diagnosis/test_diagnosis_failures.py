@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from diagnosis_cases import CHANNELS, DAWN_DUSK, POLAR, STEP_S, case_of, flight_of, read
 
-from inflight.samples.derived import play, respond
+from inflight.samples import respond
+from inflight.samples.derived import play
 
 #: A switch nobody recorded: 41 minutes, on for two fifths of them.
 SWITCH_S, DUTY = 2460.0, 0.4

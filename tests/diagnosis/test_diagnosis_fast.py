@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from inflight.diagnosis import Features, Series
 from inflight.diagnosis.residual import structure_of
-from inflight.diagnosis.series import Features, Series
 from inflight.diagnosis.spectra import fast_part
 from inflight.time import DAY, SECOND
 

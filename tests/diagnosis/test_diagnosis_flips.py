@@ -6,8 +6,8 @@ from row_cases import DAY_NS
 from scipy import stats
 from scipy.signal import lfilter
 
-from inflight.diagnosis.scoring import Present, family_wise, flip_ratios, flip_signs
-from inflight.lsq.gram_blocks import Evidence
+from inflight.diagnosis import Present, family_wise, flip_ratios, flip_signs
+from inflight.lsq import Evidence
 
 BLOCKS, ROWS, DRAWS, NULLS = 40, 50, 400, 400
 CANDIDATES = ("z0", "z1", "z2"), ("z3",), ("z4",), ("z5", "z6"), ("z7",), ("z8",), ("z9", "z10", "z11")

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from row_cases import DAY_NS
 
+from inflight.diagnosis import Present, folds_of
 from inflight.diagnosis.candidates import LAGS
 from inflight.diagnosis.refine import mixture, profile
-from inflight.diagnosis.scoring import Present, folds_of
-from inflight.lsq.gram_blocks import Evidence
-from inflight.samples.derived import respond
+from inflight.lsq import Evidence
+from inflight.samples import respond
 
 STEP_S, BLOCKS = 60.0, 30
 

@@ -18,7 +18,7 @@ from diagnosis_cases import (
 from scipy.signal import lfilter
 
 from benchmarks.null_cases import additions, replace_residual, suspects
-from inflight.diagnosis.search import Search
+from inflight.diagnosis import Search
 
 ORBITS = {"polar": POLAR, "elliptic at 45 degrees": ELLIPTIC, "dawn to dusk": DAWN_DUSK}
 NOISES = 200

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm as normal
 from scipy.stats import t as student
 
-from inflight.lsq.covariance import hac_t, promised_t
+from inflight.lsq import hac_t, promised_t
 
 
 def bartlett_t(series):

@@ -5,9 +5,9 @@ import pytest
 from row_cases import row_case
 
 from benchmarks.null_cases import score_many
-from inflight.diagnosis.scoring import Present, activity, block_scores, fit, folds_of, score
-from inflight.lsq.covariance import promised_t
-from inflight.lsq.solver import half_inverse
+from inflight.diagnosis import Present, activity, folds_of, score
+from inflight.diagnosis.scoring import block_scores, fit
+from inflight.lsq import half_inverse, promised_t
 
 PRESENTS = {
     "nothing": ((), ()),

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from inflight.diagnosis.spectra import AXES, describe, fold, periodogram, shape_of, strongest_line
+from inflight.diagnosis import fold, periodogram
+from inflight.diagnosis.spectra import AXES, describe, shape_of, strongest_line
 from inflight.time import SECOND
 
 STEP_S, ORBIT_S = 60.0, 5580.0

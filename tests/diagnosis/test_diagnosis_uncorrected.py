@@ -8,11 +8,10 @@ import pytest
 import xarray as xr
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, evidence_of, flight_of, read
 
-from inflight.design.columns import Rows
+from inflight.design import Rows
+from inflight.diagnosis import Features, Series, conclude, features_of, pack_blocks, thin
 from inflight.diagnosis.residual import held_out, known_evidence, of_known_rows, uncorrected, unknown_rows
-from inflight.diagnosis.series import Features, Series, features_of, pack_blocks, thin
-from inflight.diagnosis.verdict import conclude
-from inflight.samples.derived import parse
+from inflight.samples import parse
 from inflight.time import SECOND
 
 CHANNELS = ("heater_current", "payload_current")

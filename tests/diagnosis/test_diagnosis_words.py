@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from inflight.diagnosis import Signature
 from inflight.diagnosis.residual import holding
-from inflight.diagnosis.result import FoundEffect, Signature, sentence, stopped
-from inflight.lsq.gram_blocks import Evidence
+from inflight.diagnosis.result import FoundEffect, sentence, stopped
+from inflight.lsq import Evidence
 from inflight.time import SECOND
 
 SIZES = {"held_out_before_nT": 0.2, "held_out_after_nT": 0.2, "noise_floor_nT": 0.198, "structure_nT": 0.01}

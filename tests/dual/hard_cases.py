@@ -12,10 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual.candidates import Candidates
-from inflight.dual.do_no_harm import Judgement, judge
-from inflight.dual.geometry import Body
-from inflight.dual.readings import Readings
+from inflight.dual import Body, Candidates, Judgement, Readings, judge
 from inflight.time import SECOND
 
 #: Samples of a case, and the sensors' distances from the middle of the body, m.

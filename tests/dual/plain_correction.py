@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from inflight.dual.correction import UNKNOWN, Correction
+from inflight.dual import Correction
+from inflight.dual.correction import UNKNOWN
 
 
 def plain(field, state=None, method="gradiometer", constant_known=False):

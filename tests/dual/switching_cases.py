@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflight.dual.readings import Readings
+from inflight.dual import Readings
 from inflight.time import SECOND
 
 #: Table 1 of the Venus Express paper: B_out - B_in and the correction *added* to the outboard sensor, x, nT.

@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from inflight.dual.assignment import process
+from inflight.dual import Readings, process, train
 from inflight.dual.candidates import combined_correction, state_fields, state_places
 from inflight.dual.gradiometer import fit_gradiometer
-from inflight.dual.readings import Readings
-from inflight.dual.training import train
 from inflight.time import SECOND
 
 COUNT = 8000

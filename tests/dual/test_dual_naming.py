@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.dual.unrecorded import name_units
+from inflight.dual import name_units
 
 
 def scene(seed, switchings=60, units=3):

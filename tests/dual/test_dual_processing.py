@@ -7,12 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from switching_cases import ADDED_INBOARD, ADDED_OUTBOARD, OUT_LESS_IN, Case, case, six_states, switched
 
-from inflight.dual.assignment import process
-from inflight.dual.correction import Correction
-from inflight.dual.readings import Readings
+from inflight.dual import Correction, Readings, continued, from_dataset, process, to_dataset, train
 from inflight.dual.segments import segments_of
-from inflight.dual.tracking import continued, from_dataset, to_dataset
-from inflight.dual.training import train
 from inflight.errors import CalibrationError
 from inflight.flags import Flag
 

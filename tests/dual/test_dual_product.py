@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from inflight.dual.correction import Correction, no_correction
-from inflight.dual.product import dual_level2
-from inflight.dual.readings import Readings
+from inflight.dual import Correction, Readings, dual_level2, no_correction
 from inflight.flags import Flag
 from inflight.time import SECOND
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from inflight.dual.correction import Correction, no_correction
-from inflight.dual.readings import Readings, white_covariance
+from inflight.dual import Correction, Readings, no_correction
+from inflight.dual.readings import white_covariance
 from inflight.errors import SamplesError
 from inflight.time import SECOND
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from inflight.dual import by_state, quiet_steps, regressed, rms, steps_across, switchings
 from inflight.dual.correction import TRANSIENT
-from inflight.dual.unrecorded import by_state, quiet_steps, regressed, rms, steps_across, switchings
 from inflight.time import SECOND
 
 LENGTH = 400

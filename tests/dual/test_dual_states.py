@@ -6,11 +6,9 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linear_sum_assignment
 from switching_cases import case, power_law, switched
 
-from inflight.dual.assignment import process
-from inflight.dual.readings import Readings
+from inflight.dual import Readings, process, train
 from inflight.dual.segments import DriftRate, Track, segments_of
 from inflight.dual.states import find_states, find_units
-from inflight.dual.training import train
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 
 

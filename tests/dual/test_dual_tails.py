@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from inflight.dual import Readings
 from inflight.dual.change_points import without_tails
-from inflight.dual.readings import Readings
 from inflight.dual.segments import segments_of
 
 COUNT = 20_000

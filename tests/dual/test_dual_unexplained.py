@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from inflight.diagnosis.time_changes import Stretches
-from inflight.dual.unrecorded import switched
-from inflight.residual.channel_steps import without_noise
+from inflight.diagnosis import Stretches
+from inflight.dual import switched
+from inflight.residual import without_noise
 
 STEP = 10 * 10**9
 HEATER, LAMP, NOBODY = np.array([6.0, -9.0, 4.0]), np.array([-2.0, 1.0, 3.0]), np.array([0.4, 3.0, -5.0])

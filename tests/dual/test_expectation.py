@@ -7,13 +7,12 @@ import pytest
 from plain_correction import plain
 from scipy import signal
 
-from inflight.dual.candidates import Candidates
-from inflight.dual.correction import WHOLE, Part, slow_part
-from inflight.dual.do_no_harm import CHANCE, Expected, Seen, best_part, judge
-from inflight.dual.geometry import Body, dipole_matrix, known_from, matrices_of_any_boom
+from inflight.dual import WHOLE, Body, Candidates, Part, Readings, judge
+from inflight.dual.correction import slow_part
+from inflight.dual.do_no_harm import CHANCE, Expected, Seen, best_part
+from inflight.dual.geometry import dipole_matrix, known_from, matrices_of_any_boom
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
 from inflight.dual.mixing import Moments
-from inflight.dual.readings import Readings
 from inflight.time import SECOND
 
 COUNT = 6000

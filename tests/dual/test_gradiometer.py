@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from inflight.dual.geometry import Body, dipole_matrix
+from inflight.dual import FORMS, Body, Readings
+from inflight.dual.geometry import dipole_matrix
 from inflight.dual.gradiometer import (
-    FORMS,
     fit_forms,
     fit_gradiometer,
     gradiometer_correction,
     principal_directions,
     without_noise,
 )
-from inflight.dual.readings import Readings
 from inflight.errors import CalibrationError, SettingsError
 from inflight.time import SECOND
 

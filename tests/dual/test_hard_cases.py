@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inflight.dual.geometry import Body, matrices_near
+from inflight.dual import Body
+from inflight.dual.geometry import matrices_near
 from inflight.dual.gradiometer import fit_forms
 from inflight.dual.noise import FLICKER, wandering
 from inflight.dual.readings import contrasts, running_sums

@@ -5,9 +5,7 @@ from functools import partial
 import numpy as np
 from plain_correction import plain
 
-from inflight.dual.candidates import Candidates
-from inflight.dual.do_no_harm import judge
-from inflight.dual.readings import Readings
+from inflight.dual import Candidates, Readings, judge
 from inflight.time import SECOND
 
 COUNT = 8000

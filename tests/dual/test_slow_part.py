@@ -4,18 +4,8 @@ import numpy as np
 import pytest
 from plain_correction import plain
 
-from inflight.dual.correction import (
-    WHOLE,
-    Part,
-    leaves_slow_alone,
-    part_of_day,
-    part_variables,
-    partly,
-    slow_in_window,
-    slow_of,
-    slow_part,
-)
-from inflight.dual.readings import Readings
+from inflight.dual import WHOLE, Part, Readings, leaves_slow_alone, part_of_day, part_variables, partly
+from inflight.dual.correction import slow_in_window, slow_of, slow_part
 from inflight.time import SECOND
 
 

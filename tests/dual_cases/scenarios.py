@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual.geometry import Body
-from inflight.dual.readings import Readings
+from inflight.dual import Body, Readings
 from inflight.time import SECOND
 
 #: What makes the stray field; `null` has none.

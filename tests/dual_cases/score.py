@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual.candidates import Candidates
-from inflight.dual.correction import Correction
-from inflight.dual.do_no_harm import Judgement, judge
+from inflight.dual import Candidates, Correction, Judgement, judge
 
 from .scenarios import Case, make_case
 

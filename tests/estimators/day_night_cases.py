@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
-from inflight.calibration import NormalEquations
-from inflight.calibration.normal_equations import block_equations, joined, nine_columns
-from inflight.mission_fit.day_night import series_columns, switched_columns
+from inflight.calibration import NormalEquations, block_equations, joined, nine_columns
+from inflight.mission_fit import switched_columns
+from inflight.mission_fit.day_night import series_columns
 from inflight.scorecard import OrbitDay, Scene
 
 SCENE = Scene()

@@ -4,8 +4,8 @@ import numpy as np
 import xarray as xr
 from scipy.signal import lfilter
 
-from inflight.mission_fit.epochs import epochs_of, join_epochs
-from inflight.residual.channel_steps import find_steps
+from inflight.mission_fit import epochs_of, join_epochs
+from inflight.residual import find_steps
 from inflight.time import SECOND, day_bounds
 
 ORBIT = 5560.0

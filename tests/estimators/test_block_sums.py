@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inflight.lsq.gram_blocks import BlockSums
+from inflight.lsq import BlockSums
 
 
 def made(seed: int = 1) -> tuple[BlockSums, np.ndarray, np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import grams_by_cluster, solve_clusters
+from inflight.lsq import grams_by_cluster, solve_clusters
 
 TRUTH = np.array([1.5, -0.7])
 

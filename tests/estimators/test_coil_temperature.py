@@ -6,17 +6,11 @@ from bokeh.embed import file_html
 from bokeh.resources import INLINE
 from estimator_cases import polar_field
 
-from inflight.calibration.normal_equations import joined
+from inflight.calibration import joined
 from inflight.errors import CalibrationError
-from inflight.figures.causes import rivals_figure, scale_curves_figure
-from inflight.mission_fit.temperature import (
-    NONE,
-    CoilBlock,
-    coil_equations,
-    compare_temperatures,
-    fit_coil,
-    fit_coil_samples,
-)
+from inflight.figures import rivals_figure, scale_curves_figure
+from inflight.mission_fit import CoilBlock, coil_equations, compare_temperatures, fit_coil, fit_coil_samples
+from inflight.mission_fit.temperature import NONE
 from inflight.time import SECOND
 
 #: Yin (2010), sections 2.4 and 3.3: 1/K, 1/K^2, s.

@@ -7,18 +7,11 @@ from bokeh.models import Legend, Whisker
 from bokeh.resources import CDN
 from epoch_cases import epochs_of_days, make_day, steps_of, stored_epochs
 
-from inflight.effects.spacecraft import schedule
-from inflight.figures.causes import (
-    band_figure,
-    carried_mean_figures,
-    coefficient_figures,
-    current_steps_figure,
-    local_time_figure,
-    stack_figures,
-)
-from inflight.mission_fit.epochs import stack
-from inflight.mission_fit.panels import against_local_time, choose_panels
-from inflight.mission_fit.torquers import COLUMNS, carried_mean, remanent_field
+from inflight.effects import schedule
+from inflight.figures import carried_mean_figures, coefficient_figures, local_time_figure, stack_figures
+from inflight.figures.causes import band_figure, current_steps_figure
+from inflight.mission_fit import against_local_time, carried_mean, choose_panels, remanent_field, stack
+from inflight.mission_fit.torquers import COLUMNS
 
 
 def labels(plot):

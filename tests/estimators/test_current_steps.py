@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from benchmarks.excursions import find_excursions
 from inflight.errors import SamplesError
-from inflight.residual.channel_steps import find_steps
+from inflight.residual import find_steps
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.time import SECOND
 

@@ -8,10 +8,9 @@ from benchmarks.excursions import find_excursions
 from inflight.dipole import dipole_split
 from inflight.effects.spacecraft import node_local_time
 from inflight.frames import add_geometry
-from inflight.mission_fit.epochs import Windows, epochs_of, fit_step, join_epochs
-from inflight.mission_fit.panels import choose_panels
-from inflight.mission_fit.torquers import band_equations, fit_band
-from inflight.residual.channel_steps import find_steps
+from inflight.mission_fit import band_equations, choose_panels, epochs_of, fit_band, fit_step, join_epochs
+from inflight.mission_fit.epochs import Windows
+from inflight.residual import find_steps
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import coefficients
 

@@ -7,7 +7,8 @@ from epoch_cases import TRUTH, epochs_of_days, make_day, steps_of, stored_epochs
 from benchmarks.excursions import find_excursions
 from inflight.dipole import dipole_split
 from inflight.errors import CalibrationError, SamplesError, SettingsError
-from inflight.mission_fit.epochs import Windows, epochs_of, fit_step, join_epochs, stack
+from inflight.mission_fit import epochs_of, fit_step, join_epochs, stack
+from inflight.mission_fit.epochs import Windows
 from inflight.simulate.dipole import transfer
 
 

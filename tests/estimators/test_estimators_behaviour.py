@@ -5,17 +5,17 @@ import pytest
 from estimator_cases import wandering
 
 from inflight.errors import CalibrationError
-from inflight.lsq.covariance import long_run_covariance, sigma_of_mean
-from inflight.mission_fit.parameters import (
+from inflight.lsq import long_run_covariance, sigma_of_mean
+from inflight.mission_fit import (
     clock_faults,
     event_steps,
-    holm,
+    hysteresis_loop,
+    parameter_spectrum,
     running_mean,
     slope_of,
     week_pattern,
 )
-from inflight.mission_fit.periods import parameter_spectrum
-from inflight.mission_fit.temperature import hysteresis_loop
+from inflight.mission_fit.parameters import holm
 from inflight.simulate import SimulationSettings, effect_names, simulate_day
 
 #: Middles of the days of eight years, and of two.

@@ -6,13 +6,21 @@ from day_night_cases import MIDNIGHT, NOON, PRIOR_SIGMA, orbit_day
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inflight.calibration import BlockFit, NormalEquations, Reference, fit_block
-from inflight.calibration.normal_equations import NINE, PERFECT, block_equations, joined, nine_columns
+from inflight.calibration import (
+    NINE,
+    BlockFit,
+    NormalEquations,
+    Reference,
+    block_equations,
+    fit_block,
+    joined,
+    nine_columns,
+)
+from inflight.calibration.normal_equations import PERFECT
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import direction_of
-from inflight.lsq.solver import left, taken_over
-from inflight.mission_fit.crosstalk import Ignored, correlation, cross_talk
-from inflight.mission_fit.day_night import SWITCHED, switched_columns
+from inflight.lsq import left, taken_over
+from inflight.mission_fit import SWITCHED, Ignored, correlation, cross_talk, switched_columns
 
 DAYS = (300, 1450, 2000, NOON, MIDNIGHT)
 

@@ -18,20 +18,19 @@ from day_night_cases import (
     switched_day,
 )
 
-from inflight.calibration.normal_equations import block_equations, joined
+from inflight.calibration import block_equations, joined
 from inflight.errors import CalibrationError, SamplesError
 from inflight.mission import Mission
-from inflight.mission_fit.day_night import (
+from inflight.mission_fit import (
     SERIES,
     SWITCHED,
     block_parameters,
     fit_day_night,
     orbit_period,
     orbit_plane_sun,
-    series_columns,
-    square_wave_series,
     sunlit_duty,
 )
+from inflight.mission_fit.day_night import series_columns, square_wave_series
 from inflight.model import Model
 
 MISSION = Mission.parse(

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from inflight.calibration.product import distribute, left_power, passed
+from inflight.calibration import distribute
+from inflight.calibration.product import left_power, passed
 from inflight.errors import SamplesError
 
 COUNT = 21_600

@@ -7,17 +7,23 @@ from estimator_cases import LA, LB, NINE, PRIOR_SIGMA, SCALES, nine_at, table_of
 from test_estimators_z_offset import days
 
 from docs.figures import distribution
-from inflight.calibration.product import distribute
-from inflight.calibration.table import table_jumps, trend_jumps
+from inflight.calibration import distribute, table_jumps, trend_jumps
 from inflight.figures import causes as z_offset
 from inflight.figures import parameters as behaviour
 from inflight.figures import parameters as trends
-from inflight.mission_fit.parameters import clock_faults, event_steps, running_mean
-from inflight.mission_fit.periods import parameter_spectrum
-from inflight.mission_fit.temperature import hysteresis_loop
+from inflight.mission_fit import (
+    clock_faults,
+    event_steps,
+    fit_trends,
+    hysteresis_loop,
+    make_trend,
+    offsets_from_spread,
+    parameter_spectrum,
+    running_mean,
+    spread_law,
+)
 from inflight.mission_fit.trend_selection import compare_trends
-from inflight.mission_fit.trends import equations_of_table, fit_trends, make_trend, middles
-from inflight.mission_fit.z_offset import offsets_from_spread, spread_law
+from inflight.mission_fit.trends import equations_of_table, middles
 from inflight.time import tt2000_of
 
 SIZES = np.array([2e-6] * 3 + [5e-4] * 3 + [0.02] * 3)

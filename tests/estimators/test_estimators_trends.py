@@ -15,11 +15,12 @@ from estimator_cases import (
     wandering,
 )
 
-from inflight.calibration.table import table_jumps, trend_jumps
-from inflight.effects.sensors import VectorSensor
+from inflight.calibration import table_jumps, trend_jumps
+from inflight.effects import VectorSensor
 from inflight.errors import CalibrationError
-from inflight.mission_fit.trend_selection import compare_trends, fit_origin
-from inflight.mission_fit.trends import equations_of_table, fit_trends, make_trend, middles
+from inflight.mission_fit import fit_origin, fit_trends, make_trend
+from inflight.mission_fit.trend_selection import compare_trends
+from inflight.mission_fit.trends import equations_of_table, middles
 from inflight.model.time_dependence import parse_timed
 from inflight.time import mjd_of, tt2000_of
 

@@ -6,7 +6,7 @@ import xarray as xr
 from estimator_cases import polar_field, wandering
 
 from inflight.errors import CalibrationError
-from inflight.mission_fit.z_offset import day_statistics, noise_of, offsets_from_spread, spread_law
+from inflight.mission_fit import day_statistics, noise_of, offsets_from_spread, spread_law
 from inflight.simulate import SimulationSettings, simulate_day
 from inflight.time import tt2000_of
 

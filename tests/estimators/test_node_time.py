@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.mission_fit.parameters import node_local_time
+from inflight.mission_fit import node_local_time
 
 
 @pytest.mark.parametrize("inclination", [87.3, 97.5, 60.0])

@@ -7,10 +7,10 @@ import pytest
 import xarray as xr
 from epoch_cases import stored_epochs
 
-from inflight.effects.registry import effect_class
-from inflight.effects.spacecraft import SIDES, TOP, light_on, node_local_time, schedule
+from inflight.effects import SIDES, TOP, effect_class, light_on, schedule
+from inflight.effects.spacecraft import node_local_time
 from inflight.errors import SamplesError
-from inflight.mission_fit.panels import against_local_time, choose_panels
+from inflight.mission_fit import against_local_time, choose_panels
 
 PANELS = np.array([[0.02, 0.01, -0.01], [-0.01, 0.01, 0.02]])
 THIRD = np.array([[0.02, 0.01, -0.01], [-0.01, 0.01, 0.02], [0.05, 0.0, 0.06]])

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from inflight.errors import CalibrationError, SamplesError, SettingsError
-from inflight.mission_fit.torquers import STATES, carried_mean, fit_eta, remanent_field
-from inflight.simulate.orbit import mjd
-from inflight.simulate.parameters import Parameters
+from inflight.mission_fit import STATES, carried_mean, fit_eta, remanent_field
+from inflight.simulate import Parameters, mean_current, mjd
 from inflight.simulate.stray import remanent_fields
-from inflight.simulate.torquers import mean_current
 
 #: 2001-01-01.
 FIRST = 11323

@@ -6,17 +6,9 @@ from scipy.optimize import minimize
 from scipy.signal import detrend
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.mission_fit.torquers import (
-    band_equations,
-    band_spectra,
-    daily_fits,
-    fit_band,
-    join_equations,
-    robust_mean,
-)
-from inflight.simulate.grid import Sampling
-from inflight.simulate.parameters import Parameters
-from inflight.simulate.torquers import torquer_currents
+from inflight.mission_fit import band_equations, daily_fits, fit_band, join_equations, robust_mean
+from inflight.mission_fit.torquers import band_spectra
+from inflight.simulate import Parameters, Sampling, torquer_currents
 from inflight.time import SECOND, day_bounds
 
 #: What the thesis finds to lack in the scalar sensor's matrix, nT/A (p. 52).

@@ -6,19 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from inflight.calibration import fit_block
-from inflight.calibration.scalar import Reference
+from inflight.calibration import Reference, fit_block
 from inflight.errors import CalibrationError
-from inflight.figures.dual import corners_figure, relation_figure
-from inflight.mission_fit.two_fluxgates import (
-    NAMES,
-    corner_moments,
-    corners,
-    corners_of,
-    relate,
-    relation_grams,
-    relation_of,
-)
+from inflight.figures import corners_figure, relation_figure
+from inflight.mission_fit import corner_moments, corners_of, relation_grams, relation_of
+from inflight.mission_fit.two_fluxgates import NAMES, corners, relate
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.time import SECOND
 

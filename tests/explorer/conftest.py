@@ -5,10 +5,9 @@ import shutil
 import pytest
 from heated_mission import make_heated_workspace
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.analysis.revise import diagnose_span
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks.analysis import diagnose_span
+from inflight.tasks.pipelines import reprocess
 
 
 @pytest.fixture(scope="session")

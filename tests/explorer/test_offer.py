@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.explorer.offer import Offer, comparisons, first_step, offer_of
 from inflight.explorer.sitting import Days
-from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive import ingest
 
 
 def offered(workspace: Workspace) -> Offer:
@@ -51,7 +50,7 @@ def test_the_last_day_belongs_to_what_is_shown():
 
 
 def test_main_comes_first():
-    from inflight.catalog.workspace import shipped_missions
+    from inflight.catalog import shipped_missions
     from inflight.mission import Mission
 
     path = shipped_missions()["champ-two-fluxgates"]

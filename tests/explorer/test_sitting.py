@@ -7,8 +7,7 @@ from inflight.catalog import Catalog
 from inflight.errors import CatalogError, ModelError
 from inflight.explorer.missing_view import change_section, diagnosis_sections, version_section
 from inflight.explorer.sitting import Days, Sitting
-from inflight.tasks.analysis.comparing import compare
-from inflight.tasks.analysis.revise import last_diagnosis, open_workbench
+from inflight.tasks.analysis import compare, last_diagnosis, open_workbench
 
 DAYS = Days(np.datetime64("2024-03-01"), np.datetime64("2024-03-04"))
 EFFECT = "channel_field(heater_current)"

@@ -4,13 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.explorer.sitting import Days, Sitting
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.archive.deliveries import simulate_dual
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.pipelines import reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 

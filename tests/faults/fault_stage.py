@@ -78,19 +78,16 @@ def _client(address):
 
 
 def _ingest(workspace, scheduler=None, **options):
-    from inflight.catalog import Catalog
-    from inflight.catalog.workspace import Workspace
-    from inflight.tasks.archive.ingestion import ingest
+    from inflight.catalog import Catalog, Workspace
+    from inflight.tasks.archive import ingest
 
     place = Workspace.open(workspace)
     return ingest(Catalog(workspace), place.mission(), place.data, client=_client(scheduler), **options)
 
 
 def _reprocess(workspace, scheduler=None, **settings):
-    from inflight.catalog import Catalog
-    from inflight.catalog.workspace import Workspace
-    from inflight.tasks.pipelines.planning import ReprocessSettings
-    from inflight.tasks.pipelines.reprocessing import reprocess
+    from inflight.catalog import Catalog, Workspace
+    from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
     mission = Workspace.open(workspace).mission()
     chosen = ReprocessSettings(**settings)
@@ -124,7 +121,7 @@ def _carry_out(told):
         traceback.print_exc()
         code, outcome = 2, {"error": {"kind": type(error).__name__, "message": str(error), "cause": "bug"}}
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    from inflight.tasks.report import to_json
+    from inflight.tasks import to_json
 
     Path(told["outcome"]).write_text(to_json(outcome))
     return code

@@ -5,10 +5,10 @@ import json
 import pytest
 from bad_deliveries import BAD_DAYS, BAD_YAML, FAULTS, GOOD_DAYS, ZERO_SCALAR, deliver
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.cli import main
-from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
+from inflight.flows import dask_client
+from inflight.flows.cluster import SCHEDULER_VARIABLE
 
 #: Days whose deliveries can be read, the one with a scalar field of zero among them.
 READABLE = [*GOOD_DAYS, next(day for day, fault in BAD_DAYS.items() if fault is ZERO_SCALAR)]

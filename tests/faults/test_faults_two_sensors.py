@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from fault_cases import assert_whole, copied, view
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.archive.deliveries import simulate_dual
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 SHOWN = ("l2/field",)

@@ -9,13 +9,11 @@ import pytest
 from fault_cases import BATCH, assert_whole, view
 from test_faults_killed import settled
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import WorkerError
-from inflight.flows.cluster import dask_client
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.flows import dask_client
+from inflight.tasks.archive import ingest
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 
 @pytest.fixture(scope="module")

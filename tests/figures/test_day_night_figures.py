@@ -6,10 +6,8 @@ import xarray as xr
 from bokeh.embed import components
 from bokeh.models import ColumnDataSource
 
-from inflight.figures.causes import day_night_figure, wandering_figure
-from inflight.figures.parameters import ignored_figure
-from inflight.mission_fit.crosstalk import CrossTalkTable, Ignored
-from inflight.mission_fit.day_night import SERIES, DayNightField
+from inflight.figures import day_night_figure, ignored_figure, wandering_figure
+from inflight.mission_fit import SERIES, CrossTalkTable, DayNightField, Ignored
 
 PARAMETERS = ("vector_sensor.scale_factor[x]", "vector_sensor.misalignment[xz]")
 

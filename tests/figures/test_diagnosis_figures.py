@@ -9,33 +9,45 @@ import pytest
 from bokeh.embed import json_item
 from bokeh.models import BoxAnnotation, ColorBar, Span
 
-from inflight.diagnosis.refine import LagProfile
-from inflight.diagnosis.spectra import Periodogram
-from inflight.diagnosis.views import CrossTalk, Curve, HeatMap, Response, Shift, Step, Trial
-from inflight.figures.dependence import (
-    along_field_figures,
-    epoch_figure,
-    fold_figure,
-    lag_figure,
-    response_figures,
-    response_key,
+from inflight.diagnosis import (
+    CrossTalk,
+    Curve,
+    HeatMap,
+    LagProfile,
+    Periodogram,
+    Response,
+    Shift,
+    Step,
+    Trial,
 )
-from inflight.figures.diagnosis import (
-    MEANING,
+from inflight.figures import (
+    along_field_figures,
     candidate_table,
+    cross_talk_figure,
+    distinct,
     drop_figure,
-    explained,
+    epoch_figure,
     facts_list,
+    fold_figure,
+    heat_map_figures,
+    lag_figure,
     ledger_table,
     order_figure,
+    periodogram_figures,
+    response_figures,
+    response_key,
+    shift_table,
+    short_name,
+    short_parameter,
+    strongest_pairs,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
 )
-from inflight.figures.parameters import cross_talk_figure, shift_table, strongest_pairs
-from inflight.figures.residual import DIVERGING, heat_map_figures
-from inflight.figures.spectra import periodogram_figures, unexplained_peaks
-from inflight.figures.style import bare_parameter, distinct, short_name, short_parameter
+from inflight.figures.diagnosis import MEANING, explained
+from inflight.figures.residual import DIVERGING
+from inflight.figures.spectra import unexplained_peaks
+from inflight.figures.style import bare_parameter
 from inflight.time import day_bounds
 
 NAN = float("nan")

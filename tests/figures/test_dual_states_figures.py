@@ -5,7 +5,7 @@ from bokeh.embed import file_html
 from bokeh.models import Quad, Text
 from bokeh.resources import INLINE
 
-from inflight.figures.dual import (
+from inflight.figures import (
     PLANES,
     before_after_figure,
     difference_figure,

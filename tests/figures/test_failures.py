@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inflight.residual.dependence import Coordinate, find_failures, measure
+from inflight.residual import Coordinate, find_failures, measure
 
 COUNT, BLOCKS = 14_400, 60
 BLOCK = np.repeat(np.arange(BLOCKS), COUNT // BLOCKS)

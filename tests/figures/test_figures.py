@@ -9,14 +9,20 @@ import xarray as xr
 from bokeh.embed import json_item
 from bokeh.models import Legend, Whisker
 
-from inflight.figures.dependence import axis_figure, dependence_figure
-from inflight.figures.page import html_page, html_table
-from inflight.figures.parameters import parameter_figures, wander_figure
-from inflight.figures.residual import daily_figure, histogram_figure, series_figure
-from inflight.figures.spectra import spectrum_figure
-from inflight.residual.dependence import AxisResponse, Branch, Dependence, Loop
-from inflight.residual.lines import Line
-from inflight.residual.noise import Wander, daily_wander
+from inflight.figures import (
+    axis_figure,
+    daily_figure,
+    dependence_figure,
+    histogram_figure,
+    html_page,
+    html_table,
+    parameter_figures,
+    series_figure,
+    spectrum_figure,
+    wander_figure,
+)
+from inflight.residual import AxisResponse, Dependence, Line, Wander, daily_wander
+from inflight.residual.dependence import Branch, Loop
 from inflight.time import day_bounds
 
 NAN = float("nan")

@@ -3,8 +3,19 @@
 import numpy as np
 import pytest
 
-from inflight.residual.lines import drawn_periods, find_lines, known_periods, resolve_lines, told_period
-from inflight.residual.spectrum import Power, add_power, finest, slow_power, stretch_power, thinned
+from inflight.residual import (
+    Power,
+    add_power,
+    drawn_periods,
+    find_lines,
+    finest,
+    known_periods,
+    resolve_lines,
+    slow_power,
+    stretch_power,
+    thinned,
+    told_period,
+)
 
 ORBIT, STEP, DAY = 5550.0, 60.0, 86_400.0
 KNOWN = known_periods({"orbit": 5580.0, "torquer": 20.0, "local_time": 2.2e7}, ORBIT)

@@ -8,9 +8,7 @@ from bokeh.embed import file_html
 from bokeh.resources import INLINE
 
 from docs.figures.spin_fits import phase_figure, phasor_figure, slope_figure, zero_figure
-from inflight.spin.farrell_1995 import farrell
-from inflight.spin.fits import spin_fits
-from inflight.spin.phase import phase_from_pulses
+from inflight.spin import farrell, phase_from_pulses, spin_fits
 from inflight.time import SECOND
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "spin"))

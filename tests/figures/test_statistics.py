@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from inflight.residual.noise import joined, size_of
+from inflight.residual import joined, size_of
 
 finite = st.floats(-1e4, 1e4, allow_nan=False)
 values = arrays(np.float64, st.integers(1, 60), elements=finite | st.just(float("nan")))

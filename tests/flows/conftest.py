@@ -27,7 +27,8 @@ def shared_cluster():
 
     A file, not the session: other folders' tests that start processes of their own follow in this process.
     """
-    from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
+    from inflight.flows import dask_client
+    from inflight.flows.cluster import SCHEDULER_VARIABLE
 
     with dask_client(2) as client, pytest.MonkeyPatch.context() as patch:
         patch.setenv(SCHEDULER_VARIABLE, str(client.scheduler.address))

@@ -5,10 +5,9 @@ import shutil
 import pytest
 from heated_mission import make_heated_workspace
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import SettingsError
-from inflight.flows.launch import run_embedded, run_plain
+from inflight.flows import run_embedded, run_plain
 
 pytestmark = pytest.mark.usefixtures("shared_cluster")
 

@@ -7,11 +7,9 @@ import pytest
 import xarray as xr
 from tiny_mission import make_tiny_workspace
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import CatalogError, ContentError, SettingsError, StorageError
-from inflight.flows import stages
-from inflight.flows.launch import run_embedded, run_plain
+from inflight.flows import run_embedded, run_plain, stages
 from inflight.flows.span import month_span
 
 pytestmark = pytest.mark.usefixtures("shared_cluster")

@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from inflight.errors import SettingsError
-from inflight.flows.cluster import available_cores, dask_client
+from inflight.flows import Span, available_cores, dask_client
 from inflight.flows.settings import prefect_environment, prefect_settings
-from inflight.flows.span import Span
 
 
 def test_the_embedded_server_is_private_and_quiet(monkeypatch, tmp_path):

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
+from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
 
 from .orbiter.case import Case
 

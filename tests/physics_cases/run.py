@@ -17,9 +17,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive.ingestion import ingest
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks.archive import ingest
 
 from .orbiter.case import make_case
 from .scenarios import scenarios

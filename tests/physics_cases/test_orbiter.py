@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive.ingestion import ingest
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks.archive import ingest
 
 from .closure import as_effect, residual_of
 from .orbiter.case import make_case

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Workspace
 from inflight.simulate.spinning import SpinningSettings
-from inflight.tasks.archive.deliveries import simulate_spinning
+from inflight.tasks.archive import simulate_spinning
 
 #: Size of a wrong gain ratio, and of the field of a coil at its usual current (nT), a case draws up to.
 _WRONG, _COIL_NT = (3e-4, 2e-3), (0.08, 0.5)

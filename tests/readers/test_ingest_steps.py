@@ -12,8 +12,9 @@ from reader_cases import MISSION, day_times, field_of, mission_with, write_fgm
 
 from inflight.catalog import Catalog
 from inflight.errors import MissionError, StorageError
+from inflight.tasks.archive import ingest
 from inflight.tasks.archive import ingestion as ingest_batch
-from inflight.tasks.archive.ingestion import days_of_batch, ingest
+from inflight.tasks.archive.ingestion import days_of_batch
 
 PROBE = mission_with()
 DAYS = ["2020-05-01", "2020-05-02", "2020-05-03"]

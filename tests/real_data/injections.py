@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from scipy import signal
 
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Workspace
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import FEWEST_CLUSTERS, grams_by_cluster, solve_clusters
+from inflight.lsq import FEWEST_CLUSTERS, grams_by_cluster, solve_clusters
 from inflight.time import SECOND, Int64
 
 #: Steps of the iteration at most, and when it has ended: changes in units of their errors.

@@ -10,16 +10,14 @@ import numpy as np
 import xarray as xr
 from injections import _ELEMENTS, _OTHERS, ROOT
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.diagnosis.result import Diagnosis, FoundEffect
-from inflight.diagnosis.scoring import Present
-from inflight.diagnosis.search import Option, Search
+from inflight.catalog import Catalog, Workspace
+from inflight.diagnosis import Diagnosis, Present, Search, conclude
+from inflight.diagnosis.result import FoundEffect
+from inflight.diagnosis.search import Option
 from inflight.diagnosis.stepwise import sandwich
-from inflight.diagnosis.verdict import conclude
+from inflight.tasks.analysis import DiagnoseSettings
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive import ingest
 
 
 @dataclass(frozen=True)

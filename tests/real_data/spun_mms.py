@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from injections import REAL
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.spin.equation import TwelveParameters
-from inflight.tasks.archive.ingestion import ingest
+from inflight.catalog import Catalog, Workspace
+from inflight.spin import TwelveParameters
+from inflight.tasks.archive import ingest
 
 FILE = REAL / "mms1-fgm-srvy-20190601" / "mms1_fgm_srvy_l2_gsm_20190601T2300_20190602T0100.npz"
 #: Sizes of the errors put in: what ground tests leave.

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from injections import REAL
 
-from inflight.zero_level.combination import combined
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import davis_smith, wang_pan
-from inflight.zero_level.published import PUBLISHED, scatter_with_hours
+from inflight.zero_level import PUBLISHED, Intervals, combined, davis_smith
+from inflight.zero_level.methods import wang_pan
+from inflight.zero_level.published import scatter_with_hours
 
 FOLDER = REAL / "ace-mfi-h0-20230102"
 pytestmark = [

@@ -6,17 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inflight.calibration import NormalEquations, describe_directions, reference_of, split_chain, usable
-from inflight.calibration.scalar import kernel_parameters, residuals
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
-from inflight.tasks.models import current_model
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
-from inflight.tasks.pipelines.tables import load_equations
+from inflight.calibration import (
+    NormalEquations,
+    describe_directions,
+    kernel_parameters,
+    reference_of,
+    split_chain,
+    usable,
+)
+from inflight.calibration.scalar import residuals
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks import current_model
+from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
+from inflight.tasks.pipelines import ReprocessSettings, load_equations, reprocess
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

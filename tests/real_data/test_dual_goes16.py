@@ -7,8 +7,8 @@ from real_workspaces import workspace
 from scipy.spatial.transform import Rotation
 
 from inflight.catalog import Catalog
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ingest
+from inflight.tasks.pipelines import reprocess
 from tests.real_data.published_states import relation_to_published
 
 FOLDER = REAL / "goes16-mag-ib-ob"

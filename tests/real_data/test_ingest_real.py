@@ -13,7 +13,7 @@ import scipy.io
 from inflight.catalog import Catalog
 from inflight.flags import Flag
 from inflight.mission import Mission
-from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive import ingest
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from injections import REAL
 
-from inflight.zero_level.combination import combined
-from inflight.zero_level.intervals import Intervals
+from inflight.zero_level import Intervals, combined
 
 FOLDER = REAL / "mms1-fgm-srvy-20190601"
 pytestmark = [

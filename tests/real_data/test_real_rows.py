@@ -8,16 +8,12 @@ import pytest
 import xarray as xr
 from injections import OBSERVATORY, following, inject, observatory, observatory_with, step
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.mission import Mission
-from inflight.model import Model
-from inflight.model.rows import Layout, rows_of
-from inflight.samples.derived import respond
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.inputs import ArchiveIndex, channel_homes, needs_of
-from inflight.tasks.archive.samples import load_samples
-from inflight.tasks.models import current_model
+from inflight.model import Layout, Model, rows_of
+from inflight.samples import respond
+from inflight.tasks import current_model
+from inflight.tasks.archive import ArchiveIndex, channel_homes, ingest, load_samples, needs_of
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

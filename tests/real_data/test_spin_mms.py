@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inflight.spin.farrell_1995 import farrell
-from inflight.spin.fits import respin, spin_fits
-from inflight.spin.phase import check_period
+from inflight.spin import check_period, farrell, respin, spin_fits
 from inflight.time import SECOND
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "spin"))

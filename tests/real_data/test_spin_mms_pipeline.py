@@ -5,9 +5,8 @@ import pytest
 from spun_mms import FILE, spun
 
 from inflight.catalog import Catalog
-from inflight.spin.equation import NAMES, SPIN_RELATED
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.spin import NAMES, SPIN_RELATED
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 pytestmark = [
     pytest.mark.real_data,

@@ -6,14 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.model import Model
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 from inflight.simulate.dual.switching import UNITS, six_states
-from inflight.tasks.archive.deliveries import simulate_dual
+from inflight.tasks.archive import simulate_dual
 
 
 def test_a_day_does_not_depend_on_the_days_asked_for():

@@ -12,13 +12,8 @@ import xarray as xr
 import inflight.tasks.archive.deliveries as simulated_days
 from inflight.errors import CatalogError, StorageError
 from inflight.simulate import SimulationSettings, simulate_day
-from inflight.tasks.archive.deliveries import (
-    INSTRUMENTS,
-    delivered_path,
-    preflight_model,
-    simulate,
-    truth_path,
-)
+from inflight.tasks.archive import simulate
+from inflight.tasks.archive.deliveries import INSTRUMENTS, delivered_path, preflight_model, truth_path
 from inflight.time import as_day, day_bounds
 
 SMALL = SimulationSettings(start="2005-01-03", days=2, cadence=10, hide=("day_night",))

@@ -7,18 +7,21 @@ import ppigrf
 import pytest
 
 from inflight.errors import SamplesError
-from inflight.simulate.field import external_field, main_field
-from inflight.simulate.grid import STEP, Grid, Sampling, interpolate
-from inflight.simulate.orbit import (
+from inflight.simulate import (
     EARTH_RADIUS,
-    argument_of_latitude,
+    STEP,
+    Grid,
+    Parameters,
+    Sampling,
     geometry,
+    main_field,
     mjd,
     node_local_time,
-    sun_direction,
     sunlight,
 )
-from inflight.simulate.parameters import Parameters
+from inflight.simulate.field import external_field
+from inflight.simulate.grid import interpolate
+from inflight.simulate.orbit import argument_of_latitude, sun_direction
 from inflight.time import SECOND, as_day, day_bounds, to_tt2000
 
 DAY = as_day("2005-06-10")

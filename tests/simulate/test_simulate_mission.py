@@ -16,7 +16,7 @@ from inflight.mission import Mission
 from inflight.model import Model
 from inflight.simulate import Parameters, SimulationSettings, simulate_day
 from inflight.simulate.stray import remanent_fields
-from inflight.tasks.archive.deliveries import simulate
+from inflight.tasks.archive import simulate
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 #: Recorded currents that no pre-flight effect describes.

@@ -5,14 +5,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inflight.simulate import SimulationSettings, simulate_day
+from inflight.simulate import (
+    Parameters,
+    Sampling,
+    SimulationSettings,
+    mean_current,
+    simulate_day,
+    torquer_currents,
+)
 from inflight.simulate.dipole import dipole_matrix, transfer
 from inflight.simulate.fluxgate import play
-from inflight.simulate.grid import Sampling
-from inflight.simulate.parameters import Parameters
 from inflight.simulate.power import currents, relax
 from inflight.simulate.stray import coefficients, remanent_fields
-from inflight.simulate.torquers import mean_current, torquer_currents
 from inflight.time import SECOND, day_bounds
 
 VECTOR, SCALAR = (4.75, 0.0, 0.0), (6.5, 0.0, 0.0)

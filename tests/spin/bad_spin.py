@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings, simulate_spinning_day
+from inflight.tasks.archive import ingest
 from inflight.tasks.archive.deliveries import SOURCES, write_cdf
-from inflight.tasks.archive.ingestion import ingest
 from inflight.time import SECOND, day_bounds
 
 SETTINGS = SpinningSettings(craft="imp8", days=2, seed=31, without=("zero_drift",))

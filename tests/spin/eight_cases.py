@@ -3,9 +3,7 @@
 import numpy as np
 from orbit_fields import Record, steady
 
-from inflight.spin.equation import TwelveParameters
-from inflight.spin.estimate import calibrate_by_selection, joint_estimate
-from inflight.spin.intervals import lay_out
+from inflight.spin import TwelveParameters, calibrate_by_selection, joint_estimate, lay_out
 
 TRUTH = TwelveParameters(
     1.0003, 1.0, 1.0, (1e-3, -2e-3), 5e-4, (1.2e-3, -0.8e-3), 0.0, (1.0, -2.0, 3.0)

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from inflight.spin.farrell_1995 import SensorAngles
-from inflight.spin.fits import respin
+from inflight.spin import SensorAngles, respin
 from inflight.time import SECOND
 
 TURN = 2 * np.pi

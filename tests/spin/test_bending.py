@@ -5,8 +5,7 @@ import pytest
 from farrell_cases import READINGS, natural, phase_of, stamps_of
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin.farrell_1995 import SensorAngles, boom_bending
-from inflight.spin.fits import respin, spin_fits
+from inflight.spin import SensorAngles, boom_bending, respin, spin_fits
 
 MEAN = [3.0, -2.5, 3.0]
 

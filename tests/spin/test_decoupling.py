@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 from eight_cases import TRUTH, by_joint, two_fields
 
-from inflight.figures.spin import correlation_figure, moved_figure
-from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.figures import correlation_figure, moved_figure
+from inflight.spin import NAMES, SPIN_RELATED
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 

@@ -5,8 +5,9 @@ import pytest
 from farrell_cases import READINGS, TURN, natural, phase_of, record, sensors, stamps_of, truth_of
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin.farrell_1995 import NAMES, SensorAngles, farrell, instrument_noise, phase_between
-from inflight.spin.fits import despin, respin, spin_fits, spin_tones
+from inflight.spin import SensorAngles, despin, farrell, phase_between, respin, spin_fits
+from inflight.spin.farrell_1995 import NAMES, instrument_noise
+from inflight.spin.fits import spin_tones
 from inflight.time import DAY, SECOND
 
 WEAK, STRONG = [3.0, -2.5, 3.0], [8000.0, -6000.0, 5000.0]

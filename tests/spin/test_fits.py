@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin.fits import respin, spin_fits
+from inflight.spin import respin, spin_fits
 
 
 def by_lstsq(field, phase, spins=1, harmonics=1):

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from inflight.errors import SamplesError
-from inflight.samples.spin_folding import Folding, fold, fold_series
+from inflight.samples import Folding, fold, fold_series
 from inflight.time import SECOND, day_bounds
 
 DAY = np.datetime64("2012-03-02")

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.update import InUse, OneInUse
+from inflight.spin import SPIN_RELATED, InUse, OneInUse, TwelveParameters
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 SIGMA = np.array([0.01 if name.startswith("offset") else 2e-5 for name in SPIN_RELATED])

@@ -6,13 +6,8 @@ from farrell_cases import TURN, phase_of, record, sensors, stamps_of
 
 from inflight.errors import CalibrationError, SamplesError
 from inflight.flags import Flag
-from inflight.spin.phase import (
-    check_period,
-    count_turns,
-    phase_from_angle,
-    phase_from_period,
-    phase_from_pulses,
-)
+from inflight.spin import check_period, phase_from_angle, phase_from_pulses
+from inflight.spin.phase import count_turns, phase_from_period
 from inflight.time import SECOND
 
 PERIOD = 3.03

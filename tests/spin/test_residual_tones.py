@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.spin.residual import TONES, ToneCoordinate, Tones, find_tone_failures, tone_dependence, tones_of
+from inflight.spin import TONES, ToneCoordinate, Tones, find_tone_failures, tone_dependence, tones_of
 
 INTERVALS = 600
 BLOCK = np.arange(INTERVALS) // 30

@@ -7,10 +7,10 @@ from bad_spin import BAD, SETTINGS, at, deliver, mission_of, product, truth_of, 
 
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag
-from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.spin import NAMES, SPIN_RELATED
+from inflight.tasks.archive import ingest
 from inflight.tasks.archive.deliveries import SOURCES
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines import reprocess
 from inflight.time import SECOND
 
 LATE = SECOND // 3

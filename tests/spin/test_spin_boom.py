@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings, simulate_spinning_day
-from inflight.spin.equation import TwelveParameters
-from inflight.spin.fits import respin
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
+from inflight.spin import TwelveParameters, respin
+from inflight.tasks.archive import ingest
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.tasks.pipelines.relation.reprocess import unwrapped
-from inflight.tasks.pipelines.reprocessing import reprocess
 from inflight.time import to_utc
 
 SETTINGS = SpinningSettings(craft="imp8", days=3, seed=12)

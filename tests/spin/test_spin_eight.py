@@ -7,8 +7,8 @@ import pytest
 from eight_cases import PRESENT, TRUTH, by_joint, by_selection, joined, signed, two_fields
 from orbit_fields import SHEATH, SUN_WIND, orbit, steady
 
-from inflight.spin.equation import SPIN_RELATED, SensorAngles, TwelveParameters
-from inflight.spin.phase import phase_from_angle
+from inflight.spin import SPIN_RELATED, TwelveParameters, phase_from_angle
+from inflight.spin.equation import SensorAngles
 
 SIZE = {"gain_ratio": 2e-3, "azimuth": 5e-3, "offset[1]": 4.0, "offset[2]": 4.0}
 

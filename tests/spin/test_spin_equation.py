@@ -6,14 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inflight.errors import CalibrationError
-from inflight.spin.equation import (
-    NAMES,
-    SPIN_RELATED,
-    UNITS,
-    SensorAngles,
-    TemperatureGains,
-    TwelveParameters,
-)
+from inflight.spin import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from inflight.spin.equation import SensorAngles, TemperatureGains
 
 angles = st.floats(-0.2, 0.2)
 gains = st.floats(0.8, 1.25)

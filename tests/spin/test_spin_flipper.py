@@ -5,16 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin.equation import NAMES
-from inflight.tasks.archive.deliveries import simulate_spinning
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.samples import cut_at_flips, flip_flags, kept_span, position_edges
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.spin import NAMES
+from inflight.tasks.archive import cut_at_flips, ingest, simulate_spinning
+from inflight.tasks.archive.samples import flip_flags, kept_span, position_edges
+from inflight.tasks.pipelines import reprocess
 from inflight.time import day_bounds, to_tt2000
 
 FLIPS = """events:

@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import SamplesError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings, ambient, attitude
-from inflight.tasks.archive.deliveries import simulate_spinning, spinning_truth_path
-from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.archive import ingest, simulate_spinning
+from inflight.tasks.archive.deliveries import spinning_truth_path
 from inflight.tasks.archive.inputs import axis_of
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines import reprocess
 from inflight.time import SECOND, to_tt2000
 
 SETTINGS = SpinningSettings(craft="themis", days=1, seed=3)

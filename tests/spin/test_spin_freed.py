@@ -5,13 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin.estimate import spinning_entry
-from inflight.tasks.analysis.revise import Workbench
-from inflight.tasks.archive.deliveries import simulate_spinning
-from inflight.tasks.archive.ingestion import ingest
+from inflight.spin import spinning_entry
+from inflight.tasks.analysis import Workbench
+from inflight.tasks.archive import ingest, simulate_spinning
 
 SETTINGS = SpinningSettings(craft="imp8", days=2, seed=41, without=("zero_drift",))
 HELD = SETTINGS.parameters.gain_ratio + 0.0011

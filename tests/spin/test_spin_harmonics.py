@@ -8,11 +8,18 @@ from eight_cases import PRESENT, TRUTH, by_joint
 from orbit_fields import steady
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.estimate import estimate_pairs, spin_equations
-from inflight.spin.intervals import Exclusion, SubIntervals, lay_out
+from inflight.spin import (
+    SPIN_RELATED,
+    Exclusion,
+    SubIntervals,
+    TwelveParameters,
+    estimate_pairs,
+    lay_out,
+    spin_equations,
+    spin_tones,
+)
 from inflight.spin.kernels import SERIES
-from inflight.spin.tones import check_turning, spin_tones, turn_ratio
+from inflight.spin.tones import check_turning, turn_ratio
 
 SPREAD = {"spin axis": 1e-4, "elevations": 1e-4, "offsets": 0.1}
 Z, M = SERIES.index("z"), SERIES.index("m")

@@ -5,16 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import MissionError
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.spin import NAMES, SPIN_RELATED
 from inflight.tasks.analysis.diagnosis import diagnose
-from inflight.tasks.archive.deliveries import simulate_spinning
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ingest, simulate_spinning
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 SETTINGS = SpinningSettings(
     craft="imp8", days=3, seed=5, without=("zero_drift",), defects=("missing_pulses", "gaps", "spikes")

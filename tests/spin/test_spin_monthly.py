@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.flows.launch import run_plain
+from inflight.catalog import Catalog, Workspace
+from inflight.flows import run_plain
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin.equation import NAMES
-from inflight.tasks.archive.deliveries import simulate_spinning
+from inflight.spin import NAMES
+from inflight.tasks.archive import simulate_spinning
 from inflight.tasks.pipelines.tables import month_edges
 from inflight.time import day_bounds
 

@@ -7,10 +7,9 @@ from eight_cases import PRESENT, TRUTH, by_joint, by_selection, two_fields
 from orbit_fields import steady
 
 from inflight.errors import CalibrationError
-from inflight.figures.spin import Cloud, estimates_figure, uncertainty_figure
-from inflight.spin.equation import NAMES, SPIN_RELATED, TwelveParameters
-from inflight.spin.estimate import choose
-from inflight.spin.update import Known, decide_updates, join_twelve
+from inflight.figures import Cloud, estimates_figure, uncertainty_figure
+from inflight.spin import NAMES, SPIN_RELATED, Known, TwelveParameters, choose, join_twelve
+from inflight.spin.update import decide_updates
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualSettings, simulate_dual_day
+from inflight.tasks.archive import ingest
 from inflight.tasks.archive.deliveries import SOURCE, write_cdf
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 CADENCE = 8

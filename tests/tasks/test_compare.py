@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 from tiny_mission import TINY_START, TINY_YAML, deliver_tiny_day
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import CatalogError
 from inflight.flags import Flag
+from inflight.tasks import to_json
+from inflight.tasks.analysis import compare
 from inflight.tasks.analysis import comparing as module
-from inflight.tasks.analysis.comparing import compare
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.compare_rows import blocks_of
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ingest
+from inflight.tasks.pipelines import blocks_of, reprocess
 from inflight.tasks.pipelines.scalar import compare_page
-from inflight.tasks.report import to_json
 from inflight.time import day_bounds
 
 NO_MEASUREMENT = (

@@ -4,15 +4,12 @@ import json
 
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings
-from inflight.tasks.analysis.comparing import compare
-from inflight.tasks.analysis.revise import Workbench
-from inflight.tasks.archive.deliveries import simulate_spinning
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.reprocessing import reprocess
-from inflight.tasks.report import to_json
+from inflight.tasks import to_json
+from inflight.tasks.analysis import Workbench, compare
+from inflight.tasks.archive import ingest, simulate_spinning
+from inflight.tasks.pipelines import reprocess
 
 
 @pytest.fixture(scope="module")

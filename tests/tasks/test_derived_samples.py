@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import SamplesError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.samples.derived import play, respond
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
+from inflight.samples import respond
+from inflight.samples.derived import play
+from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
 from inflight.tasks.models import ideal_model
 from inflight.time import SECOND, day_bounds
 

@@ -5,14 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.simulate.dual import DualParameters, DualSettings
 from inflight.simulate.dual.switching import UNITS
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.analysis.revise import Workbench, diagnose_span
-from inflight.tasks.archive.deliveries import simulate_dual
-from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.analysis import DiagnoseSettings, Workbench, diagnose_span
+from inflight.tasks.archive import ingest, simulate_dual
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 

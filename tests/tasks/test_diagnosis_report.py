@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from tiny_mission import TINY_START, TINY_YAML, tiny_readings
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.diagnosis.series import Features, Series
-from inflight.diagnosis.views import (
-    MAP_COLUMNS,
-    MAP_ROWS,
+from inflight.catalog import Catalog, Workspace
+from inflight.diagnosis import (
+    Features,
     Seen,
+    Series,
     along_field,
     cross_talk,
     epoch,
@@ -29,12 +27,13 @@ from inflight.diagnosis.views import (
     trials,
     waterfall,
 )
+from inflight.diagnosis.views import MAP_COLUMNS, MAP_ROWS
 from inflight.errors import CatalogError
+from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis import diagnosis_page as module
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
-from inflight.tasks.analysis.diagnosis_page import diagnosis_page, report
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.archive.ingestion import ingest
+from inflight.tasks.analysis.diagnosis_page import diagnosis_page
+from inflight.tasks.archive import ingest
 from inflight.time import DAY, SECOND, day_bounds
 
 THANKS = "Thanks to <everyone> & all"

@@ -1,8 +1,7 @@
 """Which model a workspace uses, as its pre-flight file changes."""
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.models import current_model
+from inflight.catalog import Catalog, Workspace
+from inflight.tasks import current_model
 
 TEXT = """model: start
 mission: champ

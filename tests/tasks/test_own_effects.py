@@ -8,15 +8,15 @@ import pytest
 from ruamel.yaml import YAML
 from tiny_mission import TINY_YAML, deliver_tiny_day
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.effects import known_effects
 from inflight.errors import MissionError, ModelError
-from inflight.flows.cluster import SCHEDULER_VARIABLE, dask_client
-from inflight.flows.launch import run_plain
+from inflight.flows import dask_client, run_plain
+from inflight.flows.cluster import SCHEDULER_VARIABLE
 from inflight.mission import sensors_of
 from inflight.model import make_effect
-from inflight.tasks.models import current_model, effect_sources, find_model
+from inflight.tasks import current_model, find_model
+from inflight.tasks.models import effect_sources
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "own-effect.md").read_text(encoding="utf-8")
@@ -179,7 +179,7 @@ def test_the_reference_lists_no_effect_that_is_not_there():
 
 
 def test_the_reference_s_example_is_a_model():
-    from inflight.catalog.workspace import shipped_missions
+    from inflight.catalog import shipped_missions
     from inflight.mission import Mission
 
     mission = Mission.parse(shipped_missions()["champ"].read_text(encoding="utf-8"))

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from tiny_mission import TINY_GAIN, TINY_OFFSET, TINY_START, deliver_tiny_day, make_tiny_workspace
 
-from inflight.catalog import Catalog, Day
-from inflight.catalog.workspace import Workspace
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.catalog import Catalog, Day, Workspace
+from inflight.tasks.archive import ingest
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 DAYS = 4
 EQUATIONS, PRODUCT = "equations/main/base", "l2/field"

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.samples.alignment import align
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import load_samples
+from inflight.catalog import Catalog, Workspace
+from inflight.samples import align
+from inflight.tasks.archive import ArchiveIndex, load_samples, needs_of
 from inflight.tasks.models import ideal_model
 from inflight.time import SECOND, day_bounds
 

@@ -15,12 +15,11 @@ from heated_mission import (
 from scipy.signal import lfilter
 from tiny_mission import TINY_START, tiny_readings
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import ModelError
-from inflight.tasks.analysis.revise import Workbench
-from inflight.tasks.models import current_model
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks import current_model
+from inflight.tasks.analysis import Workbench
+from inflight.tasks.pipelines import reprocess
 
 #: What both instruments of the tiny mission read at random, as the residual shows it, nT.
 NOISE = 0.05 * np.sqrt(2)

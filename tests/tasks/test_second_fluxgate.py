@@ -8,23 +8,20 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.errors import MissionError
 from inflight.flags import UNUSABLE
 from inflight.mission import Mission
 from inflight.mission_fit.two_fluxgates import corners, relate
 from inflight.simulate import Parameters, SimulationSettings
 from inflight.simulate.second import as_second
-from inflight.tasks.analysis.comparing import compare
+from inflight.tasks import current_model, preflight_model
+from inflight.tasks.analysis import DiagnoseSettings, compare
 from inflight.tasks.analysis.diagnosis import diagnose
-from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.archive.deliveries import simulate, truth_path
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.models import current_model, preflight_model
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.relation.report import dual_report
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.archive import ingest, simulate
+from inflight.tasks.archive.deliveries import truth_path
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.relation import dual_report
 
 MISSIONS = Path(__file__).parents[2] / "missions"
 NAME = "champ-two-fluxgates"

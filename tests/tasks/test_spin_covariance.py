@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.spin.equation import SPIN_RELATED, TwelveParameters
-from inflight.spin.update import GROUND, Known, join_twelve
+from inflight.spin import GROUND, SPIN_RELATED, Known, TwelveParameters, join_twelve
 from inflight.tasks.pipelines.spin.tables import _axial, _combined, _whole
 from inflight.time import DAY
 

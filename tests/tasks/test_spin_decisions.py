@@ -8,7 +8,7 @@ import xarray as xr
 
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.spin import NAMES, SPIN_RELATED
 from inflight.tasks.pipelines.spin.tables import spin_table
 from inflight.time import day_bounds
 

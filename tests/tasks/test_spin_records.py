@@ -12,11 +12,12 @@ from inflight.errors import CalibrationError
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.spin.equation import NAMES, SPIN_RELATED
+from inflight.spin import NAMES, SPIN_RELATED
+from inflight.tasks.pipelines.spin import SpinResults
 from inflight.tasks.pipelines.spin.compare import _Gathered, _tone_coordinates
 from inflight.tasks.pipelines.spin.day import together
 from inflight.tasks.pipelines.spin.report import _phase
-from inflight.tasks.pipelines.spin.tables import SpinResults, zero_level_table
+from inflight.tasks.pipelines.spin.tables import zero_level_table
 from inflight.time import SECOND, day_bounds
 
 ROOT = Path(__file__).parents[2] / "missions"

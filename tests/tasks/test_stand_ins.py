@@ -8,16 +8,12 @@ import xarray as xr
 from heated_mission import HEATED_DAYS, HEATER_FIELD, HOUSEKEEPING, deliver_heated_day, heater_field
 from tiny_mission import TINY_GAIN, TINY_OFFSET, TINY_YAML, tiny_readings
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.flags import Flag
-from inflight.tasks.analysis.comparing import compare
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.archive.inputs import ArchiveIndex, needs_of
-from inflight.tasks.archive.samples import partial_problems
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
-from inflight.tasks.report import RunReport
+from inflight.tasks import RunReport
+from inflight.tasks.analysis import compare
+from inflight.tasks.archive import ArchiveIndex, ingest, needs_of, partial_problems
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
 
 MODEL = f"""\
 model: start
@@ -242,6 +238,6 @@ def test_a_worker_is_sent_the_days_that_stand_in(holed):
 
 
 def holed_model(made: Heated):
-    from inflight.tasks.models import current_model
+    from inflight.tasks import current_model
 
     return current_model(made.cat, made.mission).model

@@ -7,23 +7,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
-from inflight.dual.candidates import Candidates
-from inflight.dual.correction import WHOLE, Part
-from inflight.dual.do_no_harm import judge
-from inflight.dual.gradiometer import correction_by_gradiometer
-from inflight.dual.tracking import from_dataset, to_dataset
+from inflight.catalog import Catalog, Workspace
+from inflight.dual import WHOLE, Candidates, Part, correction_by_gradiometer, from_dataset, judge, to_dataset
 from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.archive.deliveries import simulate_dual
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings, plan
+from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.pipelines import ReprocessSettings, plan
+from inflight.tasks.pipelines.states import constant_sentences
 from inflight.tasks.pipelines.states.day import body_of, correction_of, table_of, window_readings
 from inflight.tasks.pipelines.states.tables import (
     constant_changes,
     constant_of,
-    constant_sentences,
     gradiometer_with_states,
     joined,
 )

@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.catalog import Catalog
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, Workspace
 from inflight.cli import main
 from inflight.errors import MissionError
 from inflight.flags import Flag
-from inflight.flows.plan import plan_span
+from inflight.flows import plan_span
 from inflight.simulate.dual import DualSettings
-from inflight.tasks.analysis.comparing import compare
-from inflight.tasks.archive.deliveries import dual_truth_path, simulate_dual
-from inflight.tasks.archive.ingestion import ingest
-from inflight.tasks.pipelines.planning import ReprocessSettings
-from inflight.tasks.pipelines.reprocessing import reprocess
-from inflight.tasks.pipelines.states.tables import named_units
+from inflight.tasks.analysis import compare
+from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.archive.deliveries import dual_truth_path
+from inflight.tasks.pipelines import ReprocessSettings, reprocess
+from inflight.tasks.pipelines.states import named_units
 
 MISSION = Path(__file__).parents[2] / "missions" / "venus-express.yaml"
 #: Every four seconds, to be quick.

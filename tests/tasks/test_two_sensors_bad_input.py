@@ -6,8 +6,8 @@ from bad_boom import BAD, CADENCE, CHOSEN, GOOD, boom, copied, deliver, errors, 
 
 from inflight.catalog import Catalog
 from inflight.flags import Flag
-from inflight.tasks.analysis.comparing import compare
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.analysis import compare
+from inflight.tasks.pipelines import reprocess
 from inflight.tasks.pipelines.states.day import still_axes
 from inflight.time import SECOND
 

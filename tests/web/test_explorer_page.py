@@ -8,7 +8,7 @@ from heated_mission import make_heated_workspace
 from tiny_mission import make_tiny_workspace
 
 from inflight.catalog import Catalog
-from inflight.tasks.pipelines.reprocessing import reprocess
+from inflight.tasks.pipelines import reprocess
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.errors import CalibrationError
-from inflight.zero_level.flipper import separate
+from inflight.zero_level import separate
 
 
 @pytest.mark.parametrize(

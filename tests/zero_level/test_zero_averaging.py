@@ -5,9 +5,9 @@ import pytest
 from nature import SECOND, unit
 
 from inflight.errors import CalibrationError
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import axis_in_turn, minimum_correlation
-from inflight.zero_level.published import AveragingWarning, averages, largest_leak, remaining, rule_of
+from inflight.zero_level import Intervals, averages, largest_leak, minimum_correlation
+from inflight.zero_level.methods import axis_in_turn
+from inflight.zero_level.published import AveragingWarning, remaining, rule_of
 
 SAMPLING = (0.1875, 0.375, 0.75, 1.5)
 SPINS = (1.00, 1.01, 1.02)

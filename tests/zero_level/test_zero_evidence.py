@@ -7,20 +7,11 @@ import pytest
 from nature import magnetosheath, solar_wind, stamps
 from weather import sheath, wind
 
-from inflight.simulate.spinning.ambient import wind as turbulent
-from inflight.simulate.spinning.settings import CRAFT
-from inflight.zero_level.combination import (
-    REFUSED,
-    against,
-    agreement,
-    combined,
-    evidence,
-    held_to_all,
-    most_evident,
-)
-from inflight.zero_level.estimate import Question
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import minimum_correlation, mirror_mode
+from inflight.simulate.spinning import CRAFT
+from inflight.simulate.spinning import wind as turbulent
+from inflight.zero_level import Intervals, Question, combined, minimum_correlation
+from inflight.zero_level.combination import REFUSED, against, agreement, evidence, held_to_all, most_evident
+from inflight.zero_level.methods import mirror_mode
 
 #: Despun axes, and a ground value that says little.
 AXIAL = Question(free=(False, False, True), bound=30.0)

@@ -5,9 +5,7 @@ from bokeh.models import GlyphRenderer
 from nature import solar_wind
 
 from docs.figures.zero_level import kinds_figure, methods_figure, scatter_figure, sets_figure
-from inflight.zero_level.combination import combined
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import minimum_correlation
+from inflight.zero_level import Intervals, combined, minimum_correlation
 from inflight.zero_level.published import correlation_sets, scatter_with_hours
 
 

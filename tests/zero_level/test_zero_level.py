@@ -7,19 +7,17 @@ import pytest
 from nature import magnetosheath, solar_wind, stamps, unit
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.zero_level.combination import agreement, combined
-from inflight.zero_level.estimate import Question
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import (
-    axis_in_turn,
+from inflight.zero_level import (
+    Intervals,
+    Question,
+    combined,
     correlation,
     davis_smith,
-    kinds,
     minimum_correlation,
-    mirror_mode,
     pairs_within,
-    wang_pan,
 )
+from inflight.zero_level.combination import agreement
+from inflight.zero_level.methods import axis_in_turn, kinds, mirror_mode, wang_pan
 from inflight.zero_level.published import correlation_sets
 
 SEEDS = 40

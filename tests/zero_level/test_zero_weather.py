@@ -5,10 +5,9 @@ import pytest
 from nature import solar_wind
 from weather import sheath, wind
 
-from inflight.zero_level.combination import combined, weighted
-from inflight.zero_level.estimate import Estimate, Question, covariance_of
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import davis_smith
+from inflight.zero_level import Intervals, Question, combined, davis_smith
+from inflight.zero_level.combination import weighted
+from inflight.zero_level.estimate import Estimate, covariance_of
 
 
 def pulls(nature, seeds, length):

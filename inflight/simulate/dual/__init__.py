@@ -4,7 +4,6 @@ Every unit is a dipole at a place (or, for the published six states, a pair of f
 see its field at once, the inner one more of it. The numbers are chosen; no spacecraft has them.
 """
 
-from inflight.simulate.dual.day import simulate_dual_day
-from inflight.simulate.dual.settings import DualParameters, DualSettings
+import lazy_loader
 
-__all__ = ["DualParameters", "DualSettings", "simulate_dual_day"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -14,8 +14,7 @@ from inflight.simulate.dual.switching import NEW_UNIT, UNITS, Calendar, Unit, pa
 from inflight.simulate.grid import Float, Int64, Sampling
 from inflight.simulate.mission import SimulatedDay
 from inflight.simulate.randomness import generator, wander
-from inflight.simulate.spinning.ambient import wind
-from inflight.simulate.spinning.settings import SpinningParameters
+from inflight.simulate.spinning import SpinningParameters, wind
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
 #: Seconds between currents and between temperatures.

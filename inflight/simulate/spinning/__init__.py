@@ -4,7 +4,6 @@ The ambient field is nature's own statistics (Alfvenic rotations and compression
 dipole; the sensor's equation is written here a second time, in the direction from field to reading.
 """
 
-from inflight.simulate.spinning.day import simulate_spinning_day
-from inflight.simulate.spinning.settings import CRAFT, SpinningParameters, SpinningSettings
+import lazy_loader
 
-__all__ = ["CRAFT", "SpinningParameters", "SpinningSettings", "simulate_spinning_day"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

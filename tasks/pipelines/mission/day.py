@@ -27,23 +27,26 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import BlockFit, NormalEquations
-from inflight.calibration.normal_equations import RESIDUAL
+from inflight.calibration import RESIDUAL, BlockFit, NormalEquations
 from inflight.catalog import Catalog
 from inflight.errors import SamplesError
 from inflight.frames import direction_of, geometry_at
-from inflight.lsq.contrasts import in_amperes
+from inflight.lsq import in_amperes
 from inflight.mission import Mission
-from inflight.mission_fit.daily_equations import Beside, DayDrift, empty_equations, wide_and_beside, with_nine
-from inflight.mission_fit.epochs import epochs_of
-from inflight.mission_fit.torquers import band_equations
-from inflight.model import Model
-from inflight.model.rows import ResidualRows, rows_of
-from inflight.residual.channel_steps import find_steps
-from inflight.tasks.archive.inputs import channel_homes, position_channel
-from inflight.tasks.archive.samples import own_readings
+from inflight.mission_fit import (
+    Beside,
+    DayDrift,
+    band_equations,
+    empty_equations,
+    epochs_of,
+    wide_and_beside,
+    with_nine,
+)
+from inflight.model import Model, ResidualRows, rows_of
+from inflight.residual import find_steps
+from inflight.tasks.archive import channel_homes, own_readings, position_channel
 from inflight.tasks.pipelines.job import Job, Outcome, make_days
-from inflight.tasks.pipelines.scalar.calibrate import fit_day
+from inflight.tasks.pipelines.scalar import fit_day
 from inflight.time import Int64, day_bounds, usual_step
 
 #: The rows of each part, and the most of them that are kept.

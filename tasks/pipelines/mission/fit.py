@@ -22,12 +22,22 @@ import xarray as xr
 from inflight.catalog import Catalog, Day, Run, TableRecord
 from inflight.errors import CalibrationError, CatalogError, InflightError, SamplesError, SettingsError
 from inflight.mission import Mission
-from inflight.mission_fit.continuous import Continuous, continuous_table, fit_mission
-from inflight.mission_fit.daily_equations import rates
-from inflight.mission_fit.epochs import fit_step, join_epochs
-from inflight.mission_fit.panels import choose_panels
-from inflight.mission_fit.torquers import carried_mean, daily_fits, fit_band, join_equations, robust_mean
-from inflight.mission_fit.z_offset import noise_of, offsets_from_spread
+from inflight.mission_fit import (
+    Continuous,
+    carried_mean,
+    choose_panels,
+    continuous_table,
+    daily_fits,
+    fit_band,
+    fit_mission,
+    fit_step,
+    join_epochs,
+    join_equations,
+    noise_of,
+    offsets_from_spread,
+    rates,
+    robust_mean,
+)
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
 from inflight.tasks.pipelines.mission.day import Witnesses, equations_of_days, means_of_channels, part_of

@@ -14,32 +14,38 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.diagnosis.views import CrossTalk
-from inflight.effects.base import AXES
+from inflight.diagnosis import CrossTalk
+from inflight.effects import AXES
 from inflight.errors import InflightError, SettingsError
-from inflight.figures.causes import (
-    day_night_figure,
-    rivals_figure,
-    scale_curves_figure,
-    temperature_figure,
-    wandering_figure,
-)
-from inflight.figures.page import html_table
-from inflight.figures.parameters import (
+from inflight.figures import (
     clock_figure,
     cross_talk_figure,
+    day_night_figure,
+    distinct,
     event_steps_figure,
+    html_table,
     ignored_figure,
     loop_figure,
     parameter_spectrum_figure,
+    rivals_figure,
     running_means_figure,
+    scale_curves_figure,
+    short_parameter,
+    temperature_figure,
+    wandering_figure,
 )
-from inflight.figures.style import distinct, short_parameter
-from inflight.mission_fit.crosstalk import CrossTalkTable
-from inflight.mission_fit.day_night import DayNightField
-from inflight.mission_fit.parameters import RunningMean, event_steps, running_mean, week_pattern
-from inflight.mission_fit.periods import LEAST_TURNS
-from inflight.mission_fit.temperature import CoilFit, TemperatureChoice, hysteresis_loop
+from inflight.mission_fit import (
+    LEAST_TURNS,
+    CoilFit,
+    CrossTalkTable,
+    DayNightField,
+    RunningMean,
+    TemperatureChoice,
+    event_steps,
+    hysteresis_loop,
+    running_mean,
+    week_pattern,
+)
 from inflight.tasks.pipelines.mission.fit import ChainResults
 from inflight.tasks.pipelines.mission.sections import SHOWN, Part, with_error
 from inflight.tasks.pipelines.mission.tables import SHORTEST, faults_of, middles, spectra_of, stated_periods

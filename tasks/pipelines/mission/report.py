@@ -9,7 +9,7 @@ from typing import Any
 
 from inflight import __version__
 from inflight.catalog import Catalog
-from inflight.figures.page import html_page, write_page
+from inflight.figures import html_page, write_page
 from inflight.mission import Mission
 from inflight.tasks.pipelines.mission.fit import ChainResults, chain_results
 from inflight.tasks.pipelines.mission.parameter_sections import (

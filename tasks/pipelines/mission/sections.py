@@ -20,31 +20,38 @@ import xarray as xr
 from bokeh.layouts import column
 
 from inflight.arrays import Floats
-from inflight.calibration.scalar import PARTS, vector_sensor_of
-from inflight.calibration.table import Jumps, table_jumps, trend_jumps
+from inflight.calibration import PARTS, Jumps, table_jumps, trend_jumps, vector_sensor_of
 from inflight.dipole import dipole_split
 from inflight.errors import InflightError, SamplesError, SettingsError
-from inflight.figures.causes import (
+from inflight.figures import (
     band_level_figure,
     carried_mean_figures,
     coefficient_figures,
+    comparison_figure,
     continuous_figure,
+    daily_figure,
+    distinct,
+    html_table,
+    jumps_figure,
     local_time_figure,
     offsets_figure,
     prior_figure,
+    short_parameter,
     stack_figures,
 )
-from inflight.figures.page import html_table
-from inflight.figures.parameters import comparison_figure, jumps_figure
-from inflight.figures.residual import daily_figure
-from inflight.figures.style import distinct, short_parameter
-from inflight.mission_fit.daily_equations import terms_of
-from inflight.mission_fit.epochs import stack
-from inflight.mission_fit.panels import against_local_time, choose_panels
-from inflight.mission_fit.torquers import WINDOW, CarriedMean, remanent_field
-from inflight.mission_fit.trend_selection import Rival, TrendComparison
-from inflight.mission_fit.z_offset import OffsetsFromSpread
-from inflight.model.time_dependence import component_names
+from inflight.mission_fit import (
+    WINDOW,
+    CarriedMean,
+    OffsetsFromSpread,
+    Rival,
+    TrendComparison,
+    against_local_time,
+    choose_panels,
+    remanent_field,
+    stack,
+    terms_of,
+)
+from inflight.model import component_names
 from inflight.tasks.pipelines.mission.fit import ChainResults
 from inflight.tasks.pipelines.mission.tables import node_times
 from inflight.time import Int64, to_utc

@@ -20,21 +20,29 @@ from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError, InflightError, SamplesError
 from inflight.mission import Mission
-from inflight.mission_fit.causes import (
+from inflight.mission_fit import (
+    KNOWN_PERIODS,
+    SERIES,
+    SWITCHED,
+    ClockFaults,
+    Continuous,
     Daylight,
+    ParameterSpectrum,
+    clock_faults,
+    daily_parameters,
     fit_coil_lag,
     fit_daylight,
+    joined_with,
+    node_local_time,
     of_everything,
     of_the_nine,
+    parameter_spectrum,
     rival_temperatures,
+    shift_columns,
+    temperature_entry,
 )
-from inflight.mission_fit.continuous import Continuous, daily_parameters, shift_columns
-from inflight.mission_fit.daily_equations import joined_with, temperature_entry
-from inflight.mission_fit.day_night import SERIES, SWITCHED
-from inflight.mission_fit.parameters import ClockFaults, clock_faults, node_local_time
-from inflight.mission_fit.periods import KNOWN_PERIODS, ParameterSpectrum, parameter_spectrum
 from inflight.model import Model
-from inflight.tasks.archive.inputs import channel_homes
+from inflight.tasks.archive import channel_homes
 from inflight.tasks.pipelines.mission.day import Witnesses, means_of_channels, strips_of
 from inflight.time import DAY, SECOND, mjd_of
 

@@ -12,10 +12,17 @@ import xarray as xr
 from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.errors import CatalogError
-from inflight.figures.dual import PARTS, corners_figure, relation_days_figure, relation_figure
-from inflight.figures.page import html_page, html_table, write_page
+from inflight.figures import (
+    PARTS,
+    corners_figure,
+    html_page,
+    html_table,
+    relation_days_figure,
+    relation_figure,
+    write_page,
+)
 from inflight.mission import Mission, is_told_by_states
-from inflight.tasks.pipelines.mission.sections import Part, with_error
+from inflight.tasks.pipelines.mission import Part, with_error
 from inflight.tasks.pipelines.relation.reprocess import NO_PRODUCT, TABLES
 from inflight.tasks.pipelines.tables import newest_tables
 from inflight.time import day_of

@@ -24,16 +24,9 @@ from inflight.catalog import Catalog, Day, Run, idempotency_key
 from inflight.errors import CatalogError, InflightError, MissionError
 from inflight.flags import UNUSABLE, Flag
 from inflight.mission import Mission
-from inflight.mission_fit.two_fluxgates import (
-    CLUSTER_S,
-    corner_moments,
-    corners_of,
-    relation_grams,
-    relation_of,
-)
-from inflight.spin.farrell_1995 import boom_bending
-from inflight.spin.fits import spin_fits
-from inflight.tasks.archive.inputs import ArchiveIndex
+from inflight.mission_fit import CLUSTER_S, corner_moments, corners_of, relation_grams, relation_of
+from inflight.spin import boom_bending, spin_fits
+from inflight.tasks.archive import ArchiveIndex
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.job import Job, Outcome, make_days
 from inflight.tasks.pipelines.planning import ReprocessSettings, equations_of, product_of

@@ -26,9 +26,8 @@ from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag, tally
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.samples.alignment import FIELD_ROLES
-from inflight.tasks.archive.inputs import Need
-from inflight.tasks.archive.samples import load_samples
+from inflight.samples import FIELD_ROLES
+from inflight.tasks.archive import Need, load_samples
 from inflight.tasks.pipelines.job import Job, Outcome, make_days
 from inflight.time import SECOND, day_bounds, usual_step
 

@@ -12,16 +12,32 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.figures.dependence import axis_figure, dependence_figure
-from inflight.figures.page import Inside, Later, html_table
-from inflight.figures.parameters import parameter_figures, wander_figure
-from inflight.figures.residual import daily_figure, histogram_figure, series_figure
-from inflight.figures.spectra import spectrum_figure
+from inflight.figures import (
+    Inside,
+    Later,
+    axis_figure,
+    daily_figure,
+    dependence_figure,
+    histogram_figure,
+    html_table,
+    parameter_figures,
+    series_figure,
+    spectrum_figure,
+    wander_figure,
+)
 from inflight.mission import Mission
-from inflight.residual.dependence import Dependence, Failure
-from inflight.residual.lines import Line, drawn_periods, told_period
-from inflight.residual.noise import NoiseFloor, Size, Wander
-from inflight.residual.spectrum import SERIES, Power
+from inflight.residual import (
+    SERIES,
+    Dependence,
+    Failure,
+    Line,
+    NoiseFloor,
+    Power,
+    Size,
+    Wander,
+    drawn_periods,
+    told_period,
+)
 from inflight.tasks.pipelines.compared import Structure
 from inflight.time import to_utc
 

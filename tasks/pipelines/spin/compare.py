@@ -22,16 +22,21 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.errors import InflightError, MissionError
-from inflight.figures.page import Later, html_table
-from inflight.figures.parameters import wander_figure
-from inflight.figures.residual import daily_figure
-from inflight.figures.spin import mean_turn_figure, tone_dependence_figure, tone_name, tones_over_time_figure
+from inflight.figures import (
+    Later,
+    daily_figure,
+    html_table,
+    mean_turn_figure,
+    tone_dependence_figure,
+    tone_name,
+    tones_over_time_figure,
+    wander_figure,
+)
 from inflight.mission import Mission
-from inflight.model import Model
-from inflight.model.rows import folding_of, rows_of, turn_residual
-from inflight.residual.noise import NO_FLOOR, NoiseFloor, Size, daily_wander
-from inflight.samples.spin_folding import Complex, Folding, fold
-from inflight.spin.residual import (
+from inflight.model import Model, folding_of, rows_of, turn_residual
+from inflight.residual import NO_FLOOR, NoiseFloor, Size, daily_wander
+from inflight.samples import Complex, Folding, fold
+from inflight.spin import (
     TONES,
     ToneCoordinate,
     ToneDependence,
@@ -40,9 +45,7 @@ from inflight.spin.residual import (
     tone_dependence,
     tones_of,
 )
-from inflight.tasks.archive.channels import Turning
-from inflight.tasks.archive.inputs import ArchiveIndex, Need, needs_of
-from inflight.tasks.archive.samples import load_samples
+from inflight.tasks.archive import ArchiveIndex, Need, Turning, load_samples, needs_of
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.compare_rows import (
     Sources,
@@ -53,7 +56,7 @@ from inflight.tasks.pipelines.compare_rows import (
     scalar_channels,
 )
 from inflight.tasks.pipelines.compared import Compared
-from inflight.tasks.pipelines.scalar.compare_page import CompareReport, fails_text, wandering_text
+from inflight.tasks.pipelines.scalar import CompareReport, fails_text, wandering_text
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
 

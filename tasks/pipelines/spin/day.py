@@ -16,27 +16,32 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.effects.spinning_sensor import SpinningSensor
+from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError, MissionError, ModelError, TooLittleError
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import FRAMES, sunward, to_gse
 from inflight.mission import Mission, SpinAxis
 from inflight.model import Model, ModelEffect
-from inflight.spin.equation import NAMES, SPIN_RELATED, TwelveParameters
-from inflight.spin.estimate import (
+from inflight.spin import (
+    NAMES,
+    SPIN_RELATED,
     UNKNOWN,
+    Attitude,
+    Exclusion,
     JointEstimate,
+    Layout,
+    PeriodCheck,
+    SubIntervals,
+    TwelveParameters,
+    check_period,
+    despin,
     estimate_pairs,
     joint_estimate,
+    lay_out,
     spinning_entry,
     spread_of,
 )
-from inflight.spin.fits import despin
-from inflight.spin.intervals import Exclusion, Layout, SubIntervals, lay_out
-from inflight.spin.phase import PeriodCheck, check_period
-from inflight.spin.product import Attitude
-from inflight.tasks.archive.inputs import SPIN_AXIS, ArchiveIndex, Need
-from inflight.tasks.archive.samples import FAULTS, channel_series, load_samples
+from inflight.tasks.archive import FAULTS, SPIN_AXIS, ArchiveIndex, Need, channel_series, load_samples
 from inflight.tasks.pipelines.job import Job
 from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import factor_and_offset

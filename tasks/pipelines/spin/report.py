@@ -12,20 +12,22 @@ import xarray as xr
 from inflight import __version__
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.figures.page import html_page, html_table, write_page
-from inflight.figures.spin import (
+from inflight.figures import (
     correlation_figure,
     estimates_figure,
+    html_page,
+    html_table,
     moved_figure,
     parameter_days_figure,
     uncertainty_figure,
+    write_page,
     zero_drift_figure,
     zero_methods_figure,
 )
 from inflight.flags import Flag
 from inflight.mission import Mission
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS
-from inflight.tasks.pipelines.mission.sections import Part, with_error
+from inflight.spin import NAMES, SPIN_RELATED, UNITS
+from inflight.tasks.pipelines.mission import Part, with_error
 from inflight.tasks.pipelines.spin.tables import METHODS, TABLES, SpinResults
 from inflight.time import DAY, day_of
 

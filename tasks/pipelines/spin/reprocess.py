@@ -18,12 +18,10 @@ from inflight.catalog import Catalog, Day, Run
 from inflight.errors import CalibrationError, InflightError, ModelError
 from inflight.flags import Flag
 from inflight.mission import Mission
-from inflight.model import Model, ModelEffect
-from inflight.model.rows import rows_of
-from inflight.samples.spin_folding import fold
-from inflight.spin.equation import NAMES, TwelveParameters
-from inflight.spin.product import spin_level2
-from inflight.tasks.archive.samples import FAULTS, cut_at_flips, day_faults, flips_of, load_samples
+from inflight.model import Model, ModelEffect, rows_of
+from inflight.samples import fold
+from inflight.spin import NAMES, TwelveParameters, spin_level2
+from inflight.tasks.archive import FAULTS, cut_at_flips, day_faults, flips_of, load_samples
 from inflight.tasks.pipelines.job import Job, Outcome, make_days
 from inflight.tasks.pipelines.planning import ONE_DAY, Plan
 from inflight.tasks.pipelines.publication import SolvedTables, TableKeeper

@@ -20,34 +20,44 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.errors import CalibrationError, CatalogError, InflightError
-from inflight.figures.spin import Cloud
-from inflight.lsq.covariance import sigma_of_mean
+from inflight.figures import Cloud
+from inflight.lsq import sigma_of_mean
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
-from inflight.spin.estimate import choose
-from inflight.spin.intervals import Bools
-from inflight.spin.update import (
+from inflight.spin import (
     GROUND,
+    NAMES,
     SPIN,
+    SPIN_RELATED,
+    UNITS,
+    Bools,
     Decision,
     InUse,
     Known,
     OneInUse,
+    TwelveParameters,
     TwelveTable,
     along_axial,
+    choose,
     join_twelve,
 )
-from inflight.tasks.archive.samples import flips_of
+from inflight.tasks.archive import flips_of
 from inflight.tasks.pipelines.planning import equations_of, product_of
 from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
 from inflight.tasks.pipelines.tables import newest_tables
 from inflight.time import DAY, Int64, day_bounds, day_of, utc_text
-from inflight.zero_level.combination import combined
-from inflight.zero_level.estimate import Question
-from inflight.zero_level.flipper import PARTS, Flipped, separate
-from inflight.zero_level.intervals import Intervals
-from inflight.zero_level.methods import DAVIS_SMITH, MINIMUM_CORRELATION, MIRROR_MODE, WANG_PAN
+from inflight.zero_level import (
+    DAVIS_SMITH,
+    MINIMUM_CORRELATION,
+    MIRROR_MODE,
+    PARTS,
+    WANG_PAN,
+    Flipped,
+    Intervals,
+    Question,
+    combined,
+    separate,
+)
 
 #: Intervals a zero level is told from, s: long against the correlation of the wind's fluctuations.
 ZERO_INTERVAL_S = 900.0

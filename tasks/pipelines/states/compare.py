@@ -19,7 +19,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
-from inflight.dual.unrecorded import (
+from inflight.dual import (
     Remaining,
     Switchings,
     by_state,
@@ -32,15 +32,16 @@ from inflight.dual.unrecorded import (
     switchings,
 )
 from inflight.errors import CatalogError
-from inflight.figures.dual import (
+from inflight.figures import (
     PLANES,
+    Later,
     before_after_figure,
     correction_figure,
     difference_figure,
+    html_table,
     switching_steps_figure,
     timeline_figure,
 )
-from inflight.figures.page import Later, html_table
 from inflight.mission import Mission
 from inflight.tasks.pipelines.compare_rows import scalar_channels
 from inflight.tasks.pipelines.compared import Compared

@@ -29,36 +29,49 @@ from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, TableRecord, idempotency_key
-from inflight.dual.assignment import process
-from inflight.dual.candidates import Candidates, correction_by_both
-from inflight.dual.correction import (
+from inflight.dual import (
+    FORMS,
     WHOLE,
+    Body,
+    Candidates,
     Correction,
+    Judgement,
     Part,
+    Readings,
+    correction_by_both,
+    correction_by_gradiometer,
+    dual_level2,
+    from_dataset,
+    gradiometer_of,
+    gradiometer_variables,
+    has_gradiometer,
+    judge,
     no_correction,
     part_of_day,
     part_variables,
     partly,
+    process,
+    quiet_steps,
+    quietest_width,
+    readings_of,
+    rms,
+    steps_across,
+    switchings,
+    to_dataset,
 )
-from inflight.dual.do_no_harm import Judgement, judge
-from inflight.dual.geometry import Body
-from inflight.dual.gradiometer import (
-    FORMS,
-    correction_by_gradiometer,
-    gradiometer_of,
-    gradiometer_variables,
-    has_gradiometer,
-)
-from inflight.dual.product import dual_level2, readings_of
-from inflight.dual.readings import Readings
-from inflight.dual.tracking import from_dataset, to_dataset
-from inflight.dual.unrecorded import quiet_steps, quietest_width, rms, steps_across, switchings
 from inflight.errors import InflightError, SamplesError
 from inflight.flags import Flag
 from inflight.mission import DualComparison, Mission
 from inflight.model import Model
-from inflight.tasks.archive.inputs import AMBIENT, ArchiveIndex, Need, ambient_of
-from inflight.tasks.archive.samples import kept_readings, load_samples, saturated
+from inflight.tasks.archive import (
+    AMBIENT,
+    ArchiveIndex,
+    Need,
+    ambient_of,
+    kept_readings,
+    load_samples,
+    saturated,
+)
 from inflight.tasks.pipelines.job import Failure, Job, Outcome, failure_of, make_days
 from inflight.tasks.pipelines.planning import Plan, ReprocessSettings
 from inflight.tasks.pipelines.product import rounded

@@ -32,13 +32,27 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.dual.assignment import SURE, process
-from inflight.dual.correction import Correction, leaves_slow_alone
-from inflight.dual.gradiometer import correction_by_gradiometer, gradiometer_of, has_gradiometer, quadratic
-from inflight.dual.readings import Readings
-from inflight.dual.tracking import Ageing, alone, continued, from_dataset, to_dataset
-from inflight.dual.training import Training
-from inflight.dual.unrecorded import NamedUnit, Switchings, name_units, switchings
+from inflight.dual import (
+    SURE,
+    Ageing,
+    Correction,
+    NamedUnit,
+    Readings,
+    Switchings,
+    Training,
+    alone,
+    continued,
+    correction_by_gradiometer,
+    from_dataset,
+    gradiometer_of,
+    has_gradiometer,
+    leaves_slow_alone,
+    name_units,
+    process,
+    quadratic,
+    switchings,
+    to_dataset,
+)
 from inflight.mission import Mission, is_told_by_states
 from inflight.tasks.pipelines.compare_rows import scalar_channels
 from inflight.tasks.pipelines.planning import product_of

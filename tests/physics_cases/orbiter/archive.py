@@ -12,8 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import xarray as xr
 
-from inflight.catalog import Catalog, DayData, write_segment
-from inflight.catalog.workspace import Workspace
+from inflight.catalog import Catalog, DayData, Workspace, write_segment
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.time import SECOND, day_bounds, to_utc

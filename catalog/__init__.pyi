@@ -1,0 +1,38 @@
+from .catalog import Catalog
+from .lineage import Edge
+from .records import (
+    ContextRecord,
+    Day,
+    DayData,
+    FileRecord,
+    ModelRecord,
+    RunRecord,
+    Segment,
+    SegmentRow,
+    TableRecord,
+    idempotency_key,
+)
+from .runs import Run, cause_of
+from .segments import write_segment, write_table
+from .workspace import Workspace, shipped_missions
+
+__all__ = [
+    "Catalog",
+    "ContextRecord",
+    "Day",
+    "DayData",
+    "Edge",
+    "FileRecord",
+    "ModelRecord",
+    "Run",
+    "RunRecord",
+    "Segment",
+    "SegmentRow",
+    "TableRecord",
+    "Workspace",
+    "cause_of",
+    "idempotency_key",
+    "shipped_missions",
+    "write_segment",
+    "write_table",
+]

@@ -1,0 +1,5 @@
+from .server import Server
+
+__all__ = [
+    "Server",
+]
