@@ -26,7 +26,7 @@ from inflight.design import Outliers, Rows, Term, design, turns_of
 from inflight.diagnosis.scoring import Present, folds_of, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
-from inflight.dual import Switched
+from inflight.dual import JumpAttribution
 from inflight.lsq import Evidence, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
@@ -412,7 +412,7 @@ class Material:
     memory_s: float = 600.0
     outliers: Outliers = field(default_factory=Outliers)
     gaps: Uncorrected | None = None
-    switched: Switched | None = None
+    switched: JumpAttribution | None = None
 
     @property
     def turn(self) -> dict[str, Floats]:

@@ -20,10 +20,10 @@ import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import FALSE_ALARMS, LONGEST, Places
+from inflight.dual.change_points import FALSE_ALARMS, LONGEST, Rows
 from inflight.dual.correction import TRANSIENT, UNKNOWN, Correction, no_correction
 from inflight.dual.readings import Readings
-from inflight.dual.segments import SHORTEST, Segments, Track, own_drift, segments_of
+from inflight.dual.segments import SHORTEST, DriftFilter, Segments, own_drift, segments_of
 from inflight.dual.training import Training
 from inflight.flags import Flag
 from inflight.time import SECOND
@@ -105,7 +105,7 @@ class _Chain:
 
     def follow(self, begin: Floats, variance: Floats, most: int) -> float:
         """Go through the first segments, the drift from a beginning on; return the log likelihood."""
-        track = Track.start(self.training.drift_rate)
+        track = DriftFilter.start(self.training.drift_rate)
         track.value = begin.copy()
         track.covariance[:, 0, 0] = variance
         likelihood, before = 0.0, self.segments.begin.middle[0]
@@ -220,7 +220,7 @@ class _BySegment:
     flag: npt.NDArray[np.uint32]
 
 
-def process(
+def correction_by_states(
     readings: Readings,
     training: Training,
     *,
@@ -228,7 +228,7 @@ def process(
     shortest: int = SHORTEST,
     false_alarms: float = FALSE_ALARMS,
     longest: int = LONGEST,
-    jumps: Places | None = None,
+    jumps: Rows | None = None,
     drift_sigma: float = 0.0,
 ) -> Correction:
     """Return the correction of the outboard sensor by the spacecraft's states.

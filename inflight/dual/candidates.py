@@ -20,20 +20,20 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.assignment import process
+from inflight.dual.assignment import correction_by_states
 from inflight.dual.correction import Correction
-from inflight.dual.do_no_harm import Corrector, Expectation
-from inflight.dual.geometry import Body, matrices_near, matrices_of_any_boom
+from inflight.dual.geometry import Body, matrices_near_inboard, matrices_of_any_boom
 from inflight.dual.gradiometer import (
     FORMS,
     LEAK_SIGMA,
     Gradiometer,
+    correction_by_gradiometer,
+    covariance_of_product,
     fit_forms,
-    gradiometer_correction,
-    quadratic,
-    without_noise,
+    wiener_shrink,
 )
-from inflight.dual.mixing import Noise
+from inflight.dual.held_out import Corrector, GeometryPrior
+from inflight.dual.mixing import DifferenceNoise
 from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
 from inflight.dual.states import States, Units, find_states, find_units
@@ -41,10 +41,10 @@ from inflight.dual.training import (
     Levels,
     OutboardSteps,
     Training,
+    empty_training,
     levels_of,
-    no_states,
     outboard_steps,
-    trained_from,
+    training_from_steps,
 )
 from inflight.errors import InflightError
 
@@ -73,17 +73,17 @@ def combined_correction(
     covariance = np.full((len(readings), 3, 3), np.nan)
     if good.any():
         value, spread = state_fields(training, gradiometer)
-        place = state_places(training, states.state)[good]
+        place = state_rows(training, states.state)[good]
         stray = gradiometer.stray(readings)[good]
         # What leaks of the mean ambient field is as constant as an offset.
         stray += np.median(readings.difference[good] - stray, axis=0)
         base, reference = _reference(training)
         here = np.where(place[:, None] >= 0, training.centre[place], base)
-        kept, variance = without_noise(stray - here, gradiometer.noise)
+        kept, variance = wiener_shrink(stray - here, gradiometer.noise)
         matrix = gradiometer.matrix
         field[good] = np.where(place[:, None] >= 0, value[place], reference) + kept @ matrix.T
         noise = matrix @ gradiometer.noise @ matrix.T
-        error = variance[:, None, None] * noise + quadratic(gradiometer.covariance, kept)
+        error = variance[:, None, None] * noise + covariance_of_product(gradiometer.covariance, kept)
         covariance[good] = error + np.where(place[:, None, None] >= 0, spread[place], 0.0)
     return Correction(
         field,
@@ -113,7 +113,7 @@ def state_fields(training: Training, gradiometer: Gradiometer) -> tuple[Floats, 
     noise = matrix @ (gradiometer.noise + training.scatter**2 * np.eye(3)) @ matrix.T
     count = np.maximum(training.segments, 1)[:, None, None]
     scaled = reference + away @ matrix.T
-    spread = quadratic(gradiometer.covariance, away) + noise / count
+    spread = covariance_of_product(gradiometer.covariance, away) + noise / count
     total = spread + training.covariance
     gain = np.einsum("sij,sjk->sik", spread, np.linalg.pinv(total, hermitian=True))
     value = scaled + np.einsum("sij,sj->si", gain, training.correction - scaled)
@@ -124,7 +124,7 @@ def state_fields(training: Training, gradiometer: Gradiometer) -> tuple[Floats, 
     return value, 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
 
 
-def state_places(training: Training, state: np.ndarray) -> np.ndarray:
+def state_rows(training: Training, state: np.ndarray) -> np.ndarray:
     """Return the row of the training's tables of each state's number; -1 where it is unknown."""
     order = np.argsort(training.number)
     found = np.clip(np.searchsorted(training.number[order], state), 0, max(len(training) - 1, 0))
@@ -188,11 +188,11 @@ class Candidates:
         if not gradiometers:
             return {}
         found: dict[str, Corrector] = {
-            name: partial(gradiometer_correction, one) for name, one in gradiometers.items()
+            name: partial(correction_by_gradiometer, one) for name, one in gradiometers.items()
         }
         training = self.training if whole else self._training(use)
         if training is not None and len(training) > 1:
-            found["states"] = partial(process, training=training)
+            found["states"] = partial(correction_by_states, training=training)
             found["combined"] = partial(
                 correction_by_both, training=training, gradiometer=gradiometers["matrix"]
             )
@@ -204,20 +204,20 @@ class Candidates:
         return self._gradiometers(np.ones(len(self.readings), dtype=bool))
 
     @cached_property
-    def expectations(self) -> list[Expectation]:
+    def expectations(self) -> list[GeometryPrior]:
         """What geometry lets expect of the body and of all around it, or of any boom; the likelier first."""
         full = self.gradiometers.get("matrix")
         if full is None:
             return []
         stray = full.stray(self.readings)
-        noise = Noise(full.noise, full.mixing.share, 0.0)
+        noise = DifferenceNoise(full.noise, full.mixing.share, 0.0)
         nearer = "units nearer to the inboard sensor"
         if self.body is None:
             places = {nearer: matrices_of_any_boom()}
         else:
-            places = {"all units in the body": self.body.matrices, nearer: matrices_near(self.body)}
+            places = {"all units in the body": self.body.matrices, nearer: matrices_near_inboard(self.body)}
         return [
-            Expectation(self.readings, matrices, stray, noise, full.mixing.leak_covariance, units)
+            GeometryPrior(self.readings, matrices, stray, noise, full.mixing.leak_covariance, units)
             for units, matrices in places.items()
         ]
 
@@ -225,7 +225,7 @@ class Candidates:
     def training(self) -> Training:
         """States learnt from all readings; one or none where these show no more."""
         training = self._training(np.ones(len(self.readings), dtype=bool))
-        return no_states(self.readings, self._without or _LOST) if training is None else training
+        return empty_training(self.readings, self._without or _LOST) if training is None else training
 
     def _gradiometers(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Gradiometer]:
         if self.readings.broken:
@@ -277,7 +277,7 @@ class Candidates:
         kept = OutboardSteps(
             steps.before[whole], steps.after[whole], steps.step[whole], steps.covariance[whole]
         )
-        return trained_from(segments, states, units, kept, levels)
+        return training_from_steps(segments, states, units, kept, levels)
 
     def _levels(self, segments: Segments, use: npt.NDArray[np.bool_]) -> Levels | None:
         if self.ambient is None:
@@ -290,4 +290,4 @@ class Candidates:
 
 def correction_by_both(readings: Readings, training: Training, gradiometer: Gradiometer) -> Correction:
     """Return the correction by states and gradiometer together, the states told from the readings."""
-    return combined_correction(readings, training, process(readings, training), gradiometer)
+    return combined_correction(readings, training, correction_by_states(readings, training), gradiometer)

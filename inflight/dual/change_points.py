@@ -35,7 +35,7 @@ from inflight.arrays import Floats
 from inflight.dual.readings import trimmed_covariance, white_covariance
 from inflight.lsq import TO_SIGMA
 
-Places = npt.NDArray[np.int64]
+Rows = npt.NDArray[np.int64]
 
 #: False jumps expected of a record of white noise, whatever its length.
 FALSE_ALARMS = 0.01
@@ -76,7 +76,7 @@ class StepNoise:
         Degrees of freedom behind it.
     """
 
-    length: Places
+    length: Rows
     covariance: Floats
     freedom: Floats
 
@@ -99,7 +99,7 @@ class StepNoise:
 
 def find_jumps(
     values: Floats, *, false_alarms: float = FALSE_ALARMS, longest: int = LONGEST
-) -> tuple[Places, StepNoise]:
+) -> tuple[Rows, StepNoise]:
     """Return where a series of three components jumps, and the noise of steps in it.
 
     Parameters
@@ -131,7 +131,7 @@ def find_jumps(
     return found, StepNoise(length, back @ covariance @ back.T, freedom)
 
 
-def step_noise(values: Floats, jumps: Places, *, longest: int = LONGEST) -> StepNoise:
+def step_noise(values: Floats, jumps: Rows, *, longest: int = LONGEST) -> StepNoise:
     """Return the noise of steps of a series where known jumps are not; see `find_jumps`.
 
     Parameters
@@ -158,7 +158,7 @@ def step_noise(values: Floats, jumps: Places, *, longest: int = LONGEST) -> Step
 
 def _all_lengths(
     unit: Floats, sums: Floats, level: Floats, false_alarms: float, longest: int
-) -> tuple[Places, tuple[Places, Floats, Floats]]:
+) -> tuple[Rows, tuple[Rows, Floats, Floats]]:
     """Return the jumps and the noise of whitened values, from the shortest stretch to the longest."""
     # Windows of one length at less than about a quarter of it apart are hardly independent tests.
     chance = false_alarms / (8.0 * len(unit))
@@ -195,13 +195,13 @@ def _all_lengths(
     return found, _stacked(noises)
 
 
-def _stacked(noises: list[tuple[int, Floats, float]]) -> tuple[Places, Floats, Floats]:
+def _stacked(noises: list[tuple[int, Floats, float]]) -> tuple[Rows, Floats, Floats]:
     length, covariance, freedom = zip(*noises, strict=True)
     return np.array(length), np.array(covariance), np.array(freedom)
 
 
 def _noise_of(
-    sums: Floats, level: Floats, found: Places, length: int, white: float = 1.0
+    sums: Floats, level: Floats, found: Rows, length: int, white: float = 1.0
 ) -> tuple[Floats, float, Floats, int] | None:
     """Return covariance and freedom of steps where nothing jumps, their local medians and these' distance.
 
@@ -225,7 +225,7 @@ def _noise_of(
     return covariance * max(1.0, least), freedom, nodes, block
 
 
-def spikes(values: Floats) -> npt.NDArray[np.bool_]:
+def find_spikes(values: Floats) -> npt.NDArray[np.bool_]:
     """Return which samples stand out from both neighbours, which agree; (time,).
 
     Parameters
@@ -264,12 +264,12 @@ def _white_noise(white: Floats, longest: int) -> StepNoise:
     return StepNoise(lengths, 2.0 * white / lengths[:, None, None], np.full(lengths.size, 1.0))
 
 
-def _steps(sums: Floats, at: Places, length: int) -> Floats:
+def _steps(sums: Floats, at: Rows, length: int) -> Floats:
     """Return mean after less mean before each place; (place, axis)."""
     return np.asarray((sums[at + length] - 2.0 * sums[at] + sums[at - length]) / length)
 
 
-def _free(at: Places, found: Places, length: int) -> npt.NDArray[np.bool_]:
+def _free(at: Rows, found: Rows, length: int) -> npt.NDArray[np.bool_]:
     """Return which windows hold no jump found before."""
     if not found.size:
         return np.ones(at.size, dtype=bool)
@@ -277,7 +277,7 @@ def _free(at: Places, found: Places, length: int) -> npt.NDArray[np.bool_]:
     return np.asarray(inside == 0)
 
 
-def _local_medians(step: Floats, at: Places, block: int, count: int) -> Floats:
+def _local_medians(step: Floats, at: Rows, block: int, count: int) -> Floats:
     """Return the median step in each block of samples, the drift's part of it; (block, axis)."""
     blocks = -(-count // block)
     edges = np.searchsorted(at, np.arange(blocks + 1) * block)
@@ -320,7 +320,7 @@ def _over(
     limit: float,
     length: int,
     stride: int,
-) -> tuple[Places, Floats]:
+) -> tuple[Rows, Floats]:
     """Return places and pulls of the steps whose squared distance from the drift's exceeds a limit."""
     last = centre.shape[0] - 1
     at = np.arange(length, sums.shape[0] - length, stride)
@@ -342,7 +342,7 @@ def _over(
 
 
 @numba.njit(cache=True, nogil=True)
-def _apart(at: Places, length: int) -> Places:
+def _apart(at: Rows, length: int) -> Rows:
     """Return of places, best first, those that no better one taken is nearer to than `length`."""
     if at.size == 0:
         return at
@@ -363,7 +363,7 @@ def _apart(at: Places, length: int) -> Places:
     return np.sort(kept[:number])
 
 
-def _placed(unit: Floats, taken: Places, found: Places, length: int) -> Places:
+def _placed(unit: Floats, taken: Rows, found: Rows, length: int) -> Rows:
     """Return where exactly each jump is: the split of its surroundings into two levels that fits best."""
     if length == 1:
         return taken
@@ -378,7 +378,7 @@ def _placed(unit: Floats, taken: Places, found: Places, length: int) -> Places:
 
 
 @numba.njit(cache=True, nogil=True)
-def _best_splits(unit: Floats, taken: Places, first: Places, last: Places) -> Places:
+def _best_splits(unit: Floats, taken: Rows, first: Rows, last: Rows) -> Rows:
     """Return the row between first and last that splits whitened values into the two levels of best fit."""
     best = taken.copy()
     for one in range(taken.size):
@@ -415,7 +415,7 @@ _MEDIANS = (16, 64, 512)
 _UNLIKE = float(stats.chi2.isf(0.01, 3))
 
 
-def confirmed(values: Floats, places: Places) -> Places:
+def confirm_jumps(values: Floats, places: Rows) -> Rows:
     """Return the jumps at which medians differ, too: a few samples far out make a mean but no median.
 
     Parameters
@@ -453,7 +453,7 @@ def _unlikeness(values: Floats, places: list[int], one: int, weight: Floats) -> 
     return highest
 
 
-def without_tails(values: Floats) -> Floats:
+def winsorise(values: Floats) -> Floats:
     """Return a series whose noise has no heavy tails: the same one unless it has.
 
     Parameters
@@ -503,7 +503,7 @@ _LEVEL_POSITIONS, _LEVEL_STRIDES = 20_000, 4
 _FEWEST_TRIPLES = 16
 
 
-def level_noise(values: Floats, jumps: Places, steps: StepNoise) -> StepNoise:
+def level_noise(values: Floats, jumps: Rows, steps: StepNoise) -> StepNoise:
     """Return the noise of steps between stretches whose straight drift is known.
 
     Parameters
@@ -538,7 +538,7 @@ def level_noise(values: Floats, jumps: Places, steps: StepNoise) -> StepNoise:
     return StepNoise(steps.length[:count], kept, steps.freedom[:count])
 
 
-def _of_triples(sums: Floats, edges: Places, length: int) -> Floats | None:
+def _of_triples(sums: Floats, edges: Rows, length: int) -> Floats | None:
     """Return the covariance of a step of this length by three stretches in a row; None for too few."""
     count = len(sums) - 1
     stride = max(1, length // _LEVEL_STRIDES, count // _LEVEL_POSITIONS)

@@ -119,7 +119,7 @@ _DENSE = 16
 
 
 @dataclass(frozen=True)
-class Part:
+class AppliedPart:
     """What of a correction is taken off.
 
     Attributes
@@ -141,7 +141,7 @@ class Part:
         return f"{share} of what changes within {f'{hours:.1f} h' if hours >= 1 else f'{self.seconds:.0f} s'}"
 
 
-WHOLE = Part()
+WHOLE = AppliedPart()
 
 
 def slow_part(values: Floats, width: int) -> Floats:
@@ -154,7 +154,7 @@ def slow_part(values: Floats, width: int) -> Floats:
     return np.asarray(ndimage.uniform_filter1d(once, around, axis=0, mode="nearest"))
 
 
-def slow_of(correction: Correction, readings: Readings, seconds: float) -> Floats:
+def slow_part_of(correction: Correction, readings: Readings, seconds: float) -> Floats:
     """Return what of a correction changes more slowly than means over some seconds; nothing for 0.
 
     Returns
@@ -169,7 +169,9 @@ def slow_of(correction: Correction, readings: Readings, seconds: float) -> Float
     return slow
 
 
-def part_variables(correction: Correction, readings: Readings, part: Part, constant: Floats) -> xr.Dataset:
+def part_variables(
+    correction: Correction, readings: Readings, part: AppliedPart, constant: Floats
+) -> xr.Dataset:
     """Return what the days of a window share of its part of a correction, as variables of a table.
 
     Parameters
@@ -190,11 +192,11 @@ def part_variables(correction: Correction, readings: Readings, part: Part, const
     """
     if part == WHOLE or not correction.known.any():
         return xr.Dataset()
-    slow = slow_of(correction, readings, part.seconds)
+    slow = slow_part_of(correction, readings, part.seconds)
     units = {"units": "nT"}
     told = xr.Dataset(
         {
-            _MIDDLE: (("kind", "axis"), middle_of(correction, slow), units),
+            _MIDDLE: (("kind", "axis"), medians_of(correction, slow), units),
             _CONSTANT: (("axis",), np.asarray(constant), units),
         }
     )
@@ -209,9 +211,9 @@ def part_variables(correction: Correction, readings: Readings, part: Part, const
 
 
 def part_of_day(
-    table: xr.Dataset, correction: Correction, readings: Readings, part: Part, constant: Floats
+    table: xr.Dataset, correction: Correction, readings: Readings, part: AppliedPart, constant: Floats
 ) -> tuple[Floats, Floats | None]:
-    """Return the slow part and the medians of a window for `partly`, for the correction of one of its days.
+    """Return the slow part and the medians of a window for `partial_correction`, for the correction of one of its days.
 
     Parameters
     ----------
@@ -230,7 +232,7 @@ def part_of_day(
     return slow, np.asarray(table[_MIDDLE].values) + np.stack([moved * (not part.seconds), moved])
 
 
-def leaves_slow_alone(table: xr.Dataset) -> bool:
+def omits_slow_part(table: xr.Dataset) -> bool:
     """Return True when the correction of a table leaves alone what is slow."""
     return _NAME in table
 
@@ -244,27 +246,25 @@ def slow_in_window(
     of the window's has moved since.
     """
     times = (
-        np.asarray(table[_TIMES].values, dtype=np.int64)
-        if leaves_slow_alone(table)
-        else np.zeros(0, np.int64)
+        np.asarray(table[_TIMES].values, dtype=np.int64) if omits_slow_part(table) else np.zeros(0, np.int64)
     )
     if not times.size or readings.stamps[0] > times[-1] or readings.stamps[-1] < times[0]:
-        return slow_of(correction, readings, seconds)
+        return slow_part_of(correction, readings, seconds)
     since = (readings.stamps - times[0]).astype(np.float64)
     known = (times - times[0]).astype(np.float64)
     values = np.asarray(table[_NAME].values)
     return np.stack([np.interp(since, known, one) for one in values.T], axis=1) + moved
 
 
-def middle_of(correction: Correction, slow: Floats) -> Floats:
+def medians_of(correction: Correction, slow: Floats) -> Floats:
     """Return the medians of what is taken off and of what is left alone; (kind, axis), nT."""
     known = correction.known
     return np.stack([np.median(one[known], axis=0) for one in (correction.field - slow, slow)])
 
 
-def partly(
+def partial_correction(
     correction: Correction,
-    part: Part,
+    part: AppliedPart,
     away: float,
     slow: Floats | None = None,
     middle: Floats | None = None,
@@ -279,17 +279,17 @@ def partly(
     away : float
         How far the share is from that of the stray field, rms: it widens the error of what changes.
     slow : ndarray, shape (time, axis), optional
-        What of the field is left alone, as `slow_of`, nT, the constant part with it: all that changes of it
+        What of the field is left alone, as `slow_part_of`, nT, the constant part with it: all that changes of it
         is an error. Without it nothing is.
     middle : ndarray, shape (kind, axis), optional
-        What changes are told from, as `middle_of`: that of a window, of which this is a day; else of its own.
+        What changes are told from, as `medians_of`: that of a window, of which this is a day; else of its own.
     """
     known, share = correction.known, part.share
     if part == WHOLE or not known.any():
         return correction
     left = np.zeros_like(correction.field) if slow is None else slow
     taken = correction.field - left
-    taken_middle, left_middle = middle_of(correction, left) if middle is None else middle
+    taken_middle, left_middle = medians_of(correction, left) if middle is None else middle
     changes, stays = taken - taken_middle, left - left_middle
     constant_known = correction.constant_known and not part.seconds
     # A constant that is known is no matter of the share.

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.dipole import unit_dipole
-from inflight.dual.mixing import Whitened
+from inflight.dual.mixing import WhitenedRows
 from inflight.errors import CalibrationError
 
 _DRAWS = 600
@@ -98,7 +98,7 @@ def matrices_of_any_boom() -> Floats:
     return _inner(np.array(drawn))
 
 
-def matrices_near(body: Body) -> Floats:
+def matrices_near_inboard(body: Body) -> Floats:
     """Return matrices of dipoles nearer to the inboard than to the outboard sensor, (place, 3, 3).
 
     Of units outside of the body that was told: where the sensors are is still known. The units are in any
@@ -114,7 +114,7 @@ def matrices_near(body: Body) -> Floats:
     return _inner(np.array([dipole_matrix(body.positions, place) for place in places]))
 
 
-def spread_at(matrix: Floats) -> Floats:
+def matrix_spread(matrix: Floats) -> Floats:
     """Return how matrices of units differ on a boom of which nothing is known but a fitted matrix; (9, 9).
 
     The boom points anywhere: the spread is the same in all elements.
@@ -126,7 +126,7 @@ def spread_at(matrix: Floats) -> Floats:
     return np.asarray(np.trace(single) / 9.0 * np.eye(9))
 
 
-def known_from(matrices: Floats) -> tuple[Floats, Floats]:
+def matrix_prior(matrices: Floats) -> tuple[Floats, Floats]:
     """Return what matrices of single places say of that of all units: mean (9,) and covariance (9, 9)."""
     flat = matrices.reshape(-1, 9)
     spread_of_one = np.cov(flat.T)
@@ -145,7 +145,7 @@ def _spread(drawn: Floats) -> Floats:
     return np.asarray(0.5 * (high - low) + 1e-12)
 
 
-def fit_place(body: Body, told: Whitened) -> tuple[Floats, Floats]:
+def fit_place(body: Body, told: WhitenedRows) -> tuple[Floats, Floats]:
     """Fit the place of one dipole in the body.
 
     Returns

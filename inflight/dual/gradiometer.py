@@ -41,15 +41,22 @@ from scipy import ndimage
 
 from inflight.arrays import Floats
 from inflight.dual.correction import UNKNOWN, Correction
-from inflight.dual.geometry import Body, dipole_matrix, fit_place, known_from, matrices_of_any_boom, spread_at
+from inflight.dual.geometry import (
+    Body,
+    dipole_matrix,
+    fit_place,
+    matrices_of_any_boom,
+    matrix_prior,
+    matrix_spread,
+)
 from inflight.dual.mixing import (
     ELEMENTS,
+    DifferenceNoise,
     Mixing,
-    Moments,
-    Noise,
+    SecondMoments,
+    difference_noise,
     fit_mixing,
-    moments_of,
-    noise_of,
+    second_moments,
     usable_cells,
 )
 from inflight.dual.noise import noise_floor
@@ -205,11 +212,11 @@ def fit_forms(
             remedy="take a longer span",
         )
     every = cells_of(readings.outboard[good], readings.difference[good])
-    noise = noise_of(every, noise_floor(every, readings.difference[good], readings.noise), leak_sigma)
+    noise = difference_noise(every, noise_floor(every, readings.difference[good], readings.noise), leak_sigma)
     cells = usable_cells(every, noise)
-    prior = known_from(matrices_of_any_boom() if body is None else body.matrices)
+    prior = matrix_prior(matrices_of_any_boom() if body is None else body.matrices)
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
-    told = moments_of(cells, mixing, noise)
+    told = second_moments(cells, mixing, noise)
     value, covariance = told.solve(ELEMENTS, prior)
     mixing = replace(mixing, matrix=value.reshape(3, 3))
     scatter = told.scatter(mixing.matrix) * np.eye(9)
@@ -219,7 +226,7 @@ def fit_forms(
     return {form: replace(one, covariance=one.covariance + unseen) for form, one in made.items()}
 
 
-def _unseen(full: Gradiometer, told: Moments, body: Body | None) -> Floats:
+def _unseen(full: Gradiometer, told: SecondMoments, body: Body | None) -> Floats:
     """Return the units' spread that no regression shows, as a covariance of the matrix's elements; (9, 9).
 
     A matrix fits three units with directions of their own. What more of them make beside it is uncorrelated
@@ -228,12 +235,12 @@ def _unseen(full: Gradiometer, told: Moments, body: Body | None) -> Floats:
     if len(_held_directions(told, full.noise)) < 3:
         return np.zeros((9, 9))
     if body is None:
-        return _UNSEEN * spread_at(full.matrix)
+        return _UNSEEN * matrix_spread(full.matrix)
     return np.asarray(_UNSEEN * np.cov(body.matrices.reshape(-1, 9).T))
 
 
 def _between_scales(
-    full: Gradiometer, every: Cells, cells: Cells, noise: Noise, prior: tuple[Floats, Floats]
+    full: Gradiometer, every: Cells, cells: Cells, noise: DifferenceNoise, prior: tuple[Floats, Floats]
 ) -> Floats:
     """Return what matrices of single bands of scale scatter by, as a covariance of its elements; (9, 9).
 
@@ -247,7 +254,7 @@ def _between_scales(
         here = every.part(np.isin(every.scale, band))
         share = np.unique(here.scale).size * here.count / here.count.sum() / (2.0 * here.scale)
         power = np.einsum("c,cij->ij", share, here.covariance[:, 3:, 3:])
-        own = moments_of(cells.part(np.isin(cells.scale, band)), full.mixing, noise)
+        own = second_moments(cells.part(np.isin(cells.scale, band)), full.mixing, noise)
         value, covariance = own.solve(ELEMENTS, prior)
         away = (value - full.matrix.ravel()).reshape(3, 3)
         found = float(np.einsum("ki,ij,kj->", away, power, away))
@@ -258,7 +265,7 @@ def _between_scales(
 
 
 def as_form(
-    full: Gradiometer, told: Moments, form: str, prior: tuple[Floats, Floats], body: Body | None = None
+    full: Gradiometer, told: SecondMoments, form: str, prior: tuple[Floats, Floats], body: Body | None = None
 ) -> Gradiometer:
     """Return another form of a fitted full matrix, from the moments it was fitted to."""
     if form == "dipole" and body is not None:
@@ -284,7 +291,7 @@ def as_form(
 
 def _with_matrix(
     full: Gradiometer,
-    told: Moments,
+    told: SecondMoments,
     form: str,
     matrix: Floats,
     fitted: tuple[Floats, Floats, Floats],
@@ -303,7 +310,7 @@ def _with_matrix(
     )
 
 
-def _held_directions(told: Moments, noise: Floats) -> Floats:
+def _held_directions(told: SecondMoments, noise: Floats) -> Floats:
     """Return the fewest principal directions that hold nearly all of the difference's weighted variance."""
     square = told.square.sum(axis=(0, 1))
     directions = principal_directions(square, noise)
@@ -312,7 +319,7 @@ def _held_directions(told: Moments, noise: Floats) -> Floats:
     return directions[: int(np.searchsorted(held, _HELD)) + 1]
 
 
-def _as_dipole(full: Gradiometer, told: Moments, body: Body) -> Gradiometer:
+def _as_dipole(full: Gradiometer, told: SecondMoments, body: Body) -> Gradiometer:
     place, slope = fit_place(body, told.whitened(full.matrix, told.excess(full.matrix)))
     matrix = dipole_matrix(body.positions, place)
     at_place = told.whitened(matrix, told.excess(matrix))
@@ -333,7 +340,7 @@ _AROUND = 4
 _SLOWEST = 8
 
 
-def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Correction:
+def correction_by_gradiometer(gradiometer: Gradiometer, readings: Readings) -> Correction:
     """Return what a gradiometer takes off the outboard sensor, with its error.
 
     The median of the correction is zero: what is constant in the difference may be offsets of the sensors.
@@ -350,7 +357,7 @@ def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Corr
     covariance = np.full((count, 3, 3), np.nan)
     if good.any():
         stray = gradiometer.stray(readings)[good]
-        kept, variance = without_noise(stray, gradiometer.noise)
+        kept, variance = wiener_shrink(stray, gradiometer.noise)
         kept -= np.median(kept, axis=0)
         field[good] = kept @ gradiometer.matrix.T
         covariance[good] = _error(gradiometer, kept, variance, readings.outboard[good])
@@ -365,7 +372,7 @@ def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Corr
     )
 
 
-def without_noise(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
+def wiener_shrink(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
     """Return a series less what is no more than white noise in each band, and the rest's error.
 
     Parameters
@@ -406,11 +413,13 @@ def _error(gradiometer: Gradiometer, kept: Floats, variance: Floats, outboard: F
     """
     matrix = gradiometer.matrix
     noise = matrix @ gradiometer.noise @ matrix.T
-    total = variance[:, None, None] * noise + quadratic(gradiometer.covariance, kept)
-    return np.asarray(total + quadratic(gradiometer.leak_effect, outboard - np.median(outboard, axis=0)))
+    total = variance[:, None, None] * noise + covariance_of_product(gradiometer.covariance, kept)
+    return np.asarray(
+        total + covariance_of_product(gradiometer.leak_effect, outboard - np.median(outboard, axis=0))
+    )
 
 
-def quadratic(covariance: Floats, vectors: Floats) -> Floats:
+def covariance_of_product(covariance: Floats, vectors: Floats) -> Floats:
     """Return the covariance of a matrix times vectors, from that of its elements.
 
     Parameters
@@ -460,7 +469,7 @@ def has_gradiometer(table: xr.Dataset) -> bool:
     return f"{_NAME}matrix" in table
 
 
-def gradiometer_of(table: xr.Dataset) -> Gradiometer:
+def gradiometer_from_table(table: xr.Dataset) -> Gradiometer:
     """Return the gradiometer of a table, of form ``matrix``."""
     told = {
         name: np.asarray(table[_NAME + name].values)
@@ -473,10 +482,10 @@ def gradiometer_of(table: xr.Dataset) -> Gradiometer:
     )
 
 
-def correction_by_gradiometer(table: xr.Dataset, readings: Readings) -> Correction:
+def correction_by_stored_gradiometer(table: xr.Dataset, readings: Readings) -> Correction:
     """Return the correction of a table's gradiometer; its constant is that of the whole table."""
-    gradiometer = gradiometer_of(table)
-    found = gradiometer_correction(gradiometer, readings)
+    gradiometer = gradiometer_from_table(table)
+    found = correction_by_gradiometer(gradiometer, readings)
     if not readings.good.any():
         return found
     away = _middle(gradiometer, readings) - np.asarray(table[f"{_NAME}middle"].values)

@@ -50,7 +50,7 @@ ELEMENTS = np.eye(9).reshape(9, 3, 3)
 
 
 @dataclass(frozen=True)
-class Noise:
+class DifferenceNoise:
     """White noise of the difference and how much of it is the outboard sensor's.
 
     Attributes
@@ -71,7 +71,7 @@ class Noise:
         return np.maximum(self.share * np.diag(self.covariance), 1e-12)
 
 
-class Whitened(NamedTuple):
+class WhitenedRows(NamedTuple):
     """Rows of the matrix as a regression with errors of size one: ``wanted[k] = design[k] matrix[k]``."""
 
     design: Floats  # (axis, 3, 3)
@@ -79,7 +79,7 @@ class Whitened(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Moments:
+class SecondMoments:
     """Weighted sums over cells for each axis of the outboard sensor, in blocks of time.
 
     Attributes
@@ -117,7 +117,7 @@ class Moments:
         return self._regressed(basis, prior, self.whitened(matrix, self.excess(matrix)))
 
     def _regressed(
-        self, basis: Floats, prior: tuple[Floats, Floats], told: Whitened
+        self, basis: Floats, prior: tuple[Floats, Floats], told: WhitenedRows
     ) -> tuple[Floats, Floats]:
         flat = basis.reshape(len(basis), 9)
         precision = np.linalg.inv(prior[1])
@@ -130,7 +130,7 @@ class Moments:
         covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)
         return covariance @ right, covariance
 
-    def whitened(self, matrix: Floats, excess: float) -> Whitened:
+    def whitened(self, matrix: Floats, excess: float) -> WhitenedRows:
         """Return the regression of all rows with errors of size one about a matrix; `excess` widens them."""
         clear = self._clear()
         design, wanted = np.empty((3, 3, 3)), np.empty((3, 3))
@@ -141,7 +141,7 @@ class Moments:
             inverse = (vector / np.sqrt(np.maximum(value, _LEAST))).T
             design[axis] = inverse @ clear[axis]
             wanted[axis] = inverse @ self.cross[:, axis].sum(axis=0)
-        return Whitened(design, wanted)
+        return WhitenedRows(design, wanted)
 
     def _clear(self) -> Floats:
         """Return the sums of squares without their noise, (axis, 3, 3): none is below zero, or above all."""
@@ -183,7 +183,7 @@ class Moments:
         return max(found, 1.0)
 
 
-def moments(cells: Cells, rows: tuple[Floats, Floats], noise: Noise, leak: Floats) -> Moments:
+def moments(cells: Cells, rows: tuple[Floats, Floats], noise: DifferenceNoise, leak: Floats) -> SecondMoments:
     """Return what cells say of the matrix, in blocks of time.
 
     Parameters
@@ -215,7 +215,7 @@ def moments(cells: Cells, rows: tuple[Floats, Floats], noise: Noise, leak: Float
     error = np.einsum("kj,kl,ijml->kim", alike, alike, leak.reshape(3, 3, 3, 3))
     shared = noise.share_sigma * np.einsum("k,ki->ki", weight.sum(axis=0), noise.covariance)
     error = error + np.einsum("ki,kj->kij", shared, shared)
-    return Moments(sums, crosses, weights[:, :, None, None] * noise.covariance, error)
+    return SecondMoments(sums, crosses, weights[:, :, None, None] * noise.covariance, error)
 
 
 def _usual(variance: Floats, cells: Cells) -> Floats:
@@ -284,7 +284,7 @@ class Mixing:
         return np.asarray(inverse @ np.concatenate([-self.leak, np.eye(3)], axis=1))
 
 
-def usable_cells(cells: Cells, noise: Noise) -> Cells:
+def usable_cells(cells: Cells, noise: DifferenceNoise) -> Cells:
     """Return the cells with more than noise in them, their shared noise taken out."""
     size = np.einsum("cii->ci", cells.covariance)
     level = max(float(np.trace(noise.covariance)), 1e-300)
@@ -306,7 +306,7 @@ def _bounded(covariance: Floats) -> Floats:
     return np.where(off, np.clip(covariance, -most, most), covariance)
 
 
-def noise_of(cells: Cells, covariance: Floats, leak_sigma: float = 0.0) -> Noise:
+def difference_noise(cells: Cells, covariance: Floats, leak_sigma: float = 0.0) -> DifferenceNoise:
     """Return the noise of the difference with the part of it that is the outboard sensor's, 0.02 to 0.98.
 
     Outboard reading and difference share it with opposite sign, which their covariance on the shortest scale
@@ -324,7 +324,7 @@ def noise_of(cells: Cells, covariance: Floats, leak_sigma: float = 0.0) -> Noise
     first = cells.part((cells.scale == 1) & quiet)
     variance = np.diag(covariance)
     if len(first) < 4 or not np.all(variance > 0):
-        return Noise(covariance, 0.5, _SHARE)
+        return DifferenceNoise(covariance, 0.5, _SHARE)
     found = -np.einsum("cii->ci", first.covariance[:, :3, 3:]) / variance
     middle = np.median(found, axis=0)
     spread = 1.4826 * np.median(np.abs(found - middle), axis=0) * 1.25 / np.sqrt(len(first)) + 1e-6
@@ -332,10 +332,12 @@ def noise_of(cells: Cells, covariance: Floats, leak_sigma: float = 0.0) -> Noise
     weight, prior = 1.0 / spread**2, 1.0 / _SHARE**2
     total = float(weight.sum()) + prior
     share = np.clip((float(weight @ middle) + 0.5 * prior) / total, 0.02, 0.98)
-    return Noise(covariance, float(share), 1.0 / np.sqrt(total))
+    return DifferenceNoise(covariance, float(share), 1.0 / np.sqrt(total))
 
 
-def fit_mixing(cells: Cells, noise: Noise, prior: tuple[Floats, Floats], leak_sigma: float) -> Mixing:
+def fit_mixing(
+    cells: Cells, noise: DifferenceNoise, prior: tuple[Floats, Floats], leak_sigma: float
+) -> Mixing:
     """Fit both matrices: the leak where the spacecraft rests, then the matrix in all cells.
 
     Parameters
@@ -360,12 +362,12 @@ def fit_mixing(cells: Cells, noise: Noise, prior: tuple[Floats, Floats], leak_si
         of_leak = _leak_covariance(restful, prior, leak, leak_sigma)
     now = Mixing(prior[0].reshape(3, 3), leak, of_leak, noise.share)
     for _ in range(_TURNS):
-        value, _ = moments_of(cells, now, noise).solve(ELEMENTS, prior)
+        value, _ = second_moments(cells, now, noise).solve(ELEMENTS, prior)
         now = replace(now, matrix=value.reshape(3, 3))
     return now
 
 
-def moments_of(cells: Cells, now: Mixing, noise: Noise) -> Moments:
+def second_moments(cells: Cells, now: Mixing, noise: DifferenceNoise) -> SecondMoments:
     """Return what cells say of the matrix, weighted by the ambient field that a mixing tells."""
     return moments(cells, (now.ambient_rows(), now.stray_rows()), noise, now.leak_covariance)
 

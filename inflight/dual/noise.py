@@ -152,13 +152,13 @@ FLICKER = 0.5
 DRAWS = 3
 
 
-def drift_in(seconds: float, hourly: float = DRIFT) -> float:
+def expected_drift(seconds: float, hourly: float = DRIFT) -> float:
     """Return how far two sensors drift apart in a time, nT, rms about its mean."""
     return float(np.hypot(AT_ONCE, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
 
 
 @dataclass(frozen=True)
-class Wandering:
+class SlowNoise:
     """How sensors wander in a record: draws of flicker noise and of a walk, and a line; each (time, draw).
 
     Attributes
@@ -176,7 +176,7 @@ class Wandering:
     line: Floats
 
 
-def wandering(count: int, draws: int = DRAWS) -> Wandering:
+def draw_slow_noise(count: int, draws: int = DRAWS) -> SlowNoise:
     """Return how sensors wander in a record of `count` samples."""
     random = np.random.default_rng(5)
     frequency = np.fft.rfftfreq(count)
@@ -186,4 +186,4 @@ def wandering(count: int, draws: int = DRAWS) -> Wandering:
     flicker = np.fft.irfft(spectrum, count, axis=1).T
     walk = np.cumsum(random.normal(0.0, 1.0 / np.sqrt(count), (count, draws)), axis=0)
     line = np.sqrt(12.0) * (np.arange(count) / count - 0.5)
-    return Wandering(np.asarray(FLICKER * flicker / flicker.std(axis=0)), walk, line[:, None])
+    return SlowNoise(np.asarray(FLICKER * flicker / flicker.std(axis=0)), walk, line[:, None])

@@ -280,7 +280,7 @@ def cells_of(*series: Floats, longest: int = _LONGEST) -> Cells:
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Cells(np.zeros((0, columns, columns)), np.zeros(0), none, none)
-    return joined_cells(parts)
+    return concatenate_cells(parts)
 
 
 def scales_of(count: int, longest: int = _LONGEST) -> list[int]:
@@ -293,7 +293,7 @@ def scales_of(count: int, longest: int = _LONGEST) -> list[int]:
     return [*powers, most] if longest == 2 and powers and most > powers[-1] else powers
 
 
-def joined_cells(parts: Sequence[Cells]) -> Cells:
+def concatenate_cells(parts: Sequence[Cells]) -> Cells:
     """Return the cells of several stretches together; their rows are those in the stretch."""
     return Cells(
         np.concatenate([one.covariance for one in parts]),

@@ -17,13 +17,13 @@ from inflight.arrays import Floats
 from inflight.dual.change_points import (
     FALSE_ALARMS,
     LONGEST,
-    Places,
+    Rows,
     StepNoise,
-    confirmed,
+    confirm_jumps,
     find_jumps,
+    find_spikes,
     level_noise,
-    spikes,
-    without_tails,
+    winsorise,
 )
 from inflight.dual.readings import Readings
 from inflight.errors import SamplesError
@@ -63,11 +63,11 @@ class Segments:
         Rows of single samples that stand out from their neighbours; they count nowhere.
     """
 
-    first: Places
-    last: Places
+    first: Rows
+    last: Rows
     start: Int64
     end: Int64
-    count: Places
+    count: Rows
     level: Floats
     begin: Ends
     finish: Ends
@@ -76,7 +76,7 @@ class Segments:
     transient: npt.NDArray[np.bool_]
     noise: StepNoise
     window: int
-    spikes: Places
+    find_spikes: Rows
 
     def __len__(self) -> int:
         return int(self.first.size)
@@ -109,7 +109,7 @@ def segments_of(
     shortest: int = SHORTEST,
     false_alarms: float = FALSE_ALARMS,
     longest: int = LONGEST,
-    jumps: Places | None = None,
+    jumps: Rows | None = None,
 ) -> Segments:
     """Cut readings where their difference jumps.
 
@@ -134,13 +134,13 @@ def segments_of(
         raise SamplesError("no sample has both sensors", remedy="take a span where both measured")
     # Copying a million rows costs more than looking whether one is missing.
     d = readings.difference if rows.size == len(readings) else readings.difference[rows]
-    lone = np.flatnonzero(spikes(d))
+    lone = np.flatnonzero(find_spikes(d))
     if lone.size:
         d = d.copy()
         d[lone] = 0.5 * (d[lone - 1] + d[lone + 1])
-    d = without_tails(d)
+    d = winsorise(d)
     places, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
-    places = confirmed(d, places)
+    places = confirm_jumps(d, places)
     if jumps is not None:
         places = np.unique(np.searchsorted(rows, jumps))
     edges = np.concatenate([[0], places[(places > 0) & (places < rows.size)], [rows.size]]).astype(np.int64)
@@ -152,7 +152,7 @@ def segments_of(
     return _measured(readings, rows, d, edges, transient, (level, window), rows[lone])
 
 
-def _without_short(edges: Places, shortest: int) -> tuple[Places, npt.NDArray[np.bool_]]:
+def _without_short(edges: Rows, shortest: int) -> tuple[Rows, npt.NDArray[np.bool_]]:
     """Return edges with neighbouring short stretches joined, and which stretches are short."""
     short = np.diff(edges) < shortest
     kept = np.ones(edges.size, dtype=bool)
@@ -162,12 +162,12 @@ def _without_short(edges: Places, shortest: int) -> tuple[Places, npt.NDArray[np
 
 def _measured(
     readings: Readings,
-    rows: Places,
+    rows: Rows,
     d: Floats,
-    edges: Places,
+    edges: Rows,
     transient: npt.NDArray[np.bool_],
     measured: tuple[StepNoise, int],
-    lone: Places,
+    lone: Rows,
 ) -> Segments:
     count = np.diff(edges)
     noise, window = measured
@@ -197,7 +197,7 @@ def _measured(
     )
 
 
-def _end(d: Floats, stamps: Int64, first: Places, last: Places) -> Ends:
+def _end(d: Floats, stamps: Int64, first: Rows, last: Rows) -> Ends:
     """Return mean and slope of ranges of rows; the slope by the means of both halves."""
     middle = first + np.maximum((last - first) // 2, 1)
     both = np.minimum(middle, last - 1)
@@ -207,7 +207,7 @@ def _end(d: Floats, stamps: Int64, first: Places, last: Places) -> Ends:
     return Ends(centre, _means(d, first, last), (late - early) / apart[:, None])
 
 
-def _means(values: Floats, first: Places, last: Places) -> Floats:
+def _means(values: Floats, first: Rows, last: Rows) -> Floats:
     """Return the mean of each half-open range of rows; (range, axis)."""
     if not first.size:
         return np.empty((0, values.shape[1]))
@@ -229,7 +229,7 @@ _GROUPS = 6
 
 
 @dataclass
-class Track:
+class DriftFilter:
     """The common drift as it is carried along: its value and its slope, each axis for itself.
 
     Attributes
@@ -247,7 +247,7 @@ class Track:
     rate: DriftRate
 
     @classmethod
-    def start(cls, rate: DriftRate) -> Track:
+    def start(cls, rate: DriftRate) -> DriftFilter:
         """Return a drift of zero whose slope is not known."""
         covariance = np.zeros((3, 2, 2))
         covariance[:, 1, 1] = rate.slope

@@ -42,7 +42,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.correction import TRANSIENT
-from inflight.dual.segments import DriftRate, Segments, Track, drift_rate, own_drift
+from inflight.dual.segments import DriftFilter, DriftRate, Segments, drift_rate, own_drift
 from inflight.time import SECOND
 
 Occupancy = npt.NDArray[np.int64]
@@ -66,7 +66,7 @@ class Change:
     count: int
 
 
-def limit_of(tests: int) -> float:
+def chi2_limit(tests: int) -> float:
     """Return the squared distance that one of so many right changes exceeds once in a thousand times."""
     return float(stats.chi2.isf(_MISSED / max(tests, 1), 3))
 
@@ -75,7 +75,7 @@ def _squared(vector: Floats, covariance: Floats) -> float:
     return float(vector @ np.linalg.solve(covariance, vector))
 
 
-def joined(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
+def match_or_add(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
     """Return place and sign of the known change that a new one is; it is added where it is none.
 
     Parameters
@@ -105,7 +105,7 @@ def joined(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
     return index, sign
 
 
-def reduced(changes: list[Change]) -> tuple[list[int], dict[int, dict[int, int]]]:
+def reduce_to_units(changes: list[Change]) -> tuple[list[int], dict[int, dict[int, int]]]:
     """Return which changes are units, and each change as signed units (by place among the units)."""
     # Rare and large changes are the sums; frequent and small ones the units.
     order = sorted(
@@ -137,7 +137,7 @@ def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int
     for number in range(2, min(_TOGETHER, len(others)) + 1):
         choices = list(combinations(others, number))
         signs = list(product((1, -1), repeat=number))
-        limit = limit_of(1)
+        limit = chi2_limit(1)
         best: tuple[float, dict[int, int]] | None = None
         for choice in choices:
             spread = wanted.covariance + sum(changes[part].covariance for part in choice)
@@ -159,7 +159,7 @@ def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int
     return None
 
 
-def simplest(table: Occupancy) -> Occupancy:
+def simplest_occupancy(table: Occupancy) -> Occupancy:
     """Return occupancies of units combined anew, so that as many as possible are on or off and no more.
 
     Two that often switch together may have been taken for one unit: with the sum ``a + b`` and ``a`` as units
@@ -193,7 +193,7 @@ _TURNS, _ALIKE = 3, 0.1
 _MOST = 24
 
 
-class Proven(NamedTuple):
+class ProvenStates(NamedTuple):
     """States that the steps prove.
 
     Attributes
@@ -210,7 +210,7 @@ class Proven(NamedTuple):
 
 def labels_by_steps(
     segments: Segments, rates: Sequence[DriftRate], scatters: Sequence[float]
-) -> Proven | None:
+) -> ProvenStates | None:
     """Return the states that the steps between segments prove; None where they prove none.
 
     Parameters
@@ -232,9 +232,9 @@ def labels_by_steps(
     return None
 
 
-def _read(segments: Segments, step: Floats, covariance: Floats) -> Proven | None:
+def _read(segments: Segments, step: Floats, covariance: Floats) -> ProvenStates | None:
     steady = np.flatnonzero(~segments.transient)
-    limit = limit_of(len(step))
+    limit = chi2_limit(len(step))
     size = np.einsum("si,sij,sj->s", step, np.linalg.inv(covariance), step)
     real = np.flatnonzero(size > limit)
     # The surest steps first: others are recognised by them.
@@ -242,24 +242,24 @@ def _read(segments: Segments, step: Floats, covariance: Floats) -> Proven | None
     changes: list[Change] = []
     which: dict[int, tuple[int, int]] = {}
     for one in order.tolist():
-        which[one] = joined(changes, Change(step[one], covariance[one], 1), limit)
+        which[one] = match_or_add(changes, Change(step[one], covariance[one], 1), limit)
         if len(changes) > _MOST:
             return None
-    kept, parts = reduced(changes)
+    kept, parts = reduce_to_units(changes)
     if len(real) - len(kept) < _PROOF or _alike(np.array([changes[one].vector for one in kept])):
         return None
     toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
     for one, (change, sign) in which.items():
         for unit, value in parts[change].items():
             toggled[one + 1, unit] = sign * value
-    table = simplest(np.cumsum(toggled, axis=0))
+    table = simplest_occupancy(np.cumsum(toggled, axis=0))
     seldom = np.abs(np.diff(table, axis=0)).sum(axis=0).min(initial=_TURNS) < _TURNS
     if seldom or np.ptp(table, axis=0).max(initial=0) > 1:
         return None
     _, first, found = np.unique(table, axis=0, return_index=True, return_inverse=True)
     label = np.full(len(segments), TRANSIENT, dtype=np.int64)
     label[steady] = np.argsort(np.argsort(first))[found.ravel()]
-    return Proven(label, table[np.sort(first)])
+    return ProvenStates(label, table[np.sort(first)])
 
 
 def _alike(vectors: Floats) -> bool:
@@ -287,7 +287,7 @@ def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:
         nT and nT^2.
     """
     steady = np.flatnonzero(~segments.transient)
-    track = Track.start(rate)
+    track = DriftFilter.start(rate)
     step, covariance = np.empty((steady.size - 1, 3)), np.empty((steady.size - 1, 3, 3))
     track.sloping(segments.begin.slope[steady[0]], segments.slope_variance[steady[0]])
     for place, (one, after) in enumerate(pairwise(steady.tolist())):
@@ -407,7 +407,7 @@ class _Clustering:
 
     def run(self, *, may_add: bool) -> None:
         """Assign all segments once; without `may_add` to the nearest state, however far."""
-        track = Track.start(self.rate)
+        track = DriftFilter.start(self.rate)
         self.cost = 0.0
         before = self.segments.begin.middle[0] if len(self.segments) else 0
         for one in self.steady.tolist():
@@ -421,7 +421,7 @@ class _Clustering:
             before = self.segments.finish.middle[one]
         self._follow_transients()
 
-    def _assign(self, one: int, spread: Floats, track: Track, may_add: bool) -> None:
+    def _assign(self, one: int, spread: Floats, track: DriftFilter, may_add: bool) -> None:
         left = self.segments.begin.mean[one] - track.value - self.centre
         total = spread + track.spread + self.covariance
         far = np.einsum("ki,kij,kj->k", left, np.linalg.inv(total), left) if len(left) else np.empty(0)
@@ -525,7 +525,9 @@ def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[
     return cost, replace(states, sureness=float(np.exp(-found.misled.sum())))
 
 
-def _with_labels(segments: Segments, rate: DriftRate, scatter: float, given: Proven) -> tuple[float, States]:
+def _with_labels(
+    segments: Segments, rate: DriftRate, scatter: float, given: ProvenStates
+) -> tuple[float, States]:
     """Return cost and states of known labels, which are numbered as they appear."""
     found = _Clustering(segments, rate, scatter)
     found.given = given.label
@@ -610,7 +612,7 @@ def find_units(states: States) -> Units:
     if states.occupancy is not None:
         return _fitted(states, states.occupancy)
     changes, which = _distinct(states, edges)
-    kept, parts = reduced(changes)
+    kept, parts = reduce_to_units(changes)
     occupancy = _occupancy(len(states), edges, which, parts, len(kept))
     if occupancy is None:
         return _no_units(states, "the changes between states contradict each other as sums of units")
@@ -633,12 +635,12 @@ def _distinct(
     """Return the distinct changes, and for each pair of states its change and sign."""
     changes: list[Change] = []
     which = {}
-    limit = limit_of(len(edges))
+    limit = chi2_limit(len(edges))
     scatter = 2.0 * states.scatter**2 * np.eye(3)
     for (one, other), count in sorted(edges.items(), key=lambda item: -item[1]):
         vector = states.centre[other] - states.centre[one]
         spread = states.covariance[other] + states.covariance[one] + scatter
-        which[one, other] = joined(changes, Change(vector, spread, count), limit)
+        which[one, other] = match_or_add(changes, Change(vector, spread, count), limit)
     return changes, which
 
 
@@ -671,7 +673,7 @@ def _occupancy(
                 return None
     if len(found) < states:
         return None
-    return simplest(np.array([found[state] for state in range(states)]))
+    return simplest_occupancy(np.array([found[state] for state in range(states)]))
 
 
 def _fitted(states: States, occupancy: Occupancy) -> Units:
@@ -694,7 +696,7 @@ def _fitted(states: States, occupancy: Occupancy) -> Units:
     if proven and freedom > 0:
         # What is proven does not become doubtful by levels that wandered farther than they say.
         covariance = covariance * max(1.0, float(far.sum()) / freedom)
-    consistent = proven or (bool(far.max() < limit_of(count)) and freedom > 0)
+    consistent = proven or (bool(far.max() < chi2_limit(count)) and freedom > 0)
     if consistent:
         reason = f"{count} states are sums of {units} units"
     elif freedom <= 0:

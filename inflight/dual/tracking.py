@@ -59,13 +59,13 @@ class Ageing:
     aged: npt.NDArray[np.bool_]
 
 
-def continued(earlier: Training, later: Training) -> Ageing:
+def continue_training(earlier: Training, later: Training) -> Ageing:
     """Return a later training that goes on from an earlier one.
 
     Parameters
     ----------
     later : Training
-        As it was made, or as it went on from any other one before: `alone` is taken of it.
+        As it was made, or as it went on from any other one before: `standalone_training` is taken of it.
 
     Notes
     -----
@@ -74,7 +74,7 @@ def continued(earlier: Training, later: Training) -> Ageing:
     same state as before where both know it. A constant part that only the earlier one knows is taken over:
     its error grows by the common shift, of which nobody knows whose offset it was.
     """
-    later = alone(later)
+    later = standalone_training(later)
     matched, shift = _matched(earlier, later)
     number, next_number = _numbered(matched, earlier.number, len(later), earlier.next_number)
     old, own = earlier.correction[matched[:, 0]], later.correction[matched[:, 1]]
@@ -90,7 +90,7 @@ def continued(earlier: Training, later: Training) -> Ageing:
     return Ageing(training, matched, shift, change, np.sqrt(np.einsum("pii->pi", total)), aged)
 
 
-def alone(training: Training) -> Training:
+def standalone_training(training: Training) -> Training:
     """Return a training as it was made, without numbers and constant of those before it."""
     count, units = len(training), len(training.unit)
     own = replace(
@@ -281,7 +281,7 @@ _RATES = {"slope": "nT2 s-2", "bend": "nT2 s-3", "value": "nT2 s-1"}
 _NUMBERS = ("scatter", "excess")
 
 
-def to_dataset(training: Training) -> xr.Dataset:
+def training_to_dataset(training: Training) -> xr.Dataset:
     """Return a training as a Dataset: dims state, next, unit, parameter, axis, other, other_parameter.
 
     The states' numbers are the variable ``number``; ``start`` and ``end`` are those of the readings, TT2000.
@@ -309,8 +309,8 @@ def to_dataset(training: Training) -> xr.Dataset:
     return xr.Dataset(arrays, coords=axes, attrs=attrs)
 
 
-def from_dataset(table: xr.Dataset) -> Training:
-    """Return the training of a Dataset that `to_dataset` made.
+def training_from_dataset(table: xr.Dataset) -> Training:
+    """Return the training of a Dataset that `training_to_dataset` made.
 
     Raises
     ------

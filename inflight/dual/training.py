@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import FALSE_ALARMS, LONGEST, Places, StepNoise, step_noise
+from inflight.dual.change_points import FALSE_ALARMS, LONGEST, Rows, StepNoise, step_noise
 from inflight.dual.readings import Readings
 from inflight.dual.segments import SHORTEST, DriftRate, Segments, segments_of
 from inflight.dual.states import Occupancy, States, Units, find_states, find_units
@@ -54,8 +54,8 @@ class OutboardSteps:
         Of noise and of what the ambient field does in the meantime, nT^2.
     """
 
-    before: Places
-    after: Places
+    before: Rows
+    after: Rows
     step: Floats
     covariance: Floats
 
@@ -89,19 +89,19 @@ def outboard_steps(readings: Readings, segments: Segments) -> OutboardSteps:
     return OutboardSteps(before, after, step, covariance)
 
 
-def _widths(noise: StepNoise, best: int, count: Places) -> tuple[Places, Places]:
+def _widths(noise: StepNoise, best: int, count: Rows) -> tuple[Rows, Rows]:
     """Return the length of the stretches compared, and its place among the lengths."""
     fits = np.searchsorted(noise.length, count, side="right") - 1
     scale = np.clip(fits, 0, best)
     return noise.length[scale], scale
 
 
-def _mean(sums: Floats, first: Places, last: Places) -> Floats:
+def _mean(sums: Floats, first: Rows, last: Rows) -> Floats:
     return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
 
 
 def _liveliness(
-    sums: Floats, first: Places, last: Places, noise: StepNoise, scale: int, pair: tuple[int, int]
+    sums: Floats, first: Rows, last: Rows, noise: StepNoise, scale: int, pair: tuple[int, int]
 ) -> float:
     """Return the variance of steps within two segments beside the usual one."""
     width = int(noise.length[scale])
@@ -280,7 +280,7 @@ def train(
     shortest: int = SHORTEST,
     false_alarms: float = FALSE_ALARMS,
     longest: int = LONGEST,
-    jumps: Places | None = None,
+    jumps: Rows | None = None,
 ) -> Training:
     """Learn states, units and outboard corrections.
 
@@ -311,14 +311,14 @@ def train(
     units = find_units(states)
     steps = outboard_steps(readings, segments)
     levels = levels_of(readings, segments, ambient) if ambient is not None else None
-    return trained_from(segments, states, units, steps, levels)
+    return training_from_steps(segments, states, units, steps, levels)
 
 
 @dataclass(frozen=True)
 class Levels:
     """Stray field and offset of segments where the ambient field is known."""
 
-    segment: Places
+    segment: Rows
     level: Floats
     covariance: Floats
 
@@ -344,7 +344,7 @@ def levels_of(readings: Readings, segments: Segments, ambient: Floats) -> Levels
     return Levels(own, level, noise.of_mean(count[own]))
 
 
-def trained_from(
+def training_from_steps(
     segments: Segments, states: States, units: Units, steps: OutboardSteps, levels: Levels | None
 ) -> Training:
     """Return the training of states and units from the outboard steps given, which may be some of all."""
@@ -416,7 +416,7 @@ def relative_to(training: Training, reference: int) -> Training:
     )
 
 
-def no_states(readings: Readings, reason: str) -> Training:
+def empty_training(readings: Readings, reason: str) -> Training:
     """Return the training of readings that show no states worth the name, and why."""
     nothing, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     return Training(

@@ -11,7 +11,7 @@ import numpy as np
 from inflight.catalog import Catalog
 from inflight.design import MOST, Term
 from inflight.diagnosis import Diagnosis, Material, Rules, Search, carriers_of, conclude, make_library
-from inflight.dual import Switched
+from inflight.dual import JumpAttribution
 from inflight.effects import channels_of
 from inflight.errors import CatalogError
 from inflight.frames import GEOMETRY
@@ -61,7 +61,7 @@ class Prepared:
     context: str
     run: str
     days_failed: int
-    switched: Switched | None = None
+    switched: JumpAttribution | None = None
 
 
 def diagnose(

@@ -31,7 +31,7 @@ from inflight.calibration import PARTS, Reference, fit_block, split_chain, usabl
 from inflight.catalog import Catalog, Day, idempotency_key
 from inflight.design import Library, Outliers, Rows, Term, Told, coarsen, design, turns_of
 from inflight.diagnosis import Features, Series, Stretches, features_of, pack_blocks, thin
-from inflight.dual import Switched, switched
+from inflight.dual import JumpAttribution, attribute_jumps
 from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
@@ -775,7 +775,7 @@ def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, f
 _LONGEST_S = 3 * 3600
 
 
-def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | None:
+def switched_in(mission: Mission, plan: PassPlan, series: Series) -> JumpAttribution | None:
     """Return the switchings in the residual of a pass without stretches.
 
     Parameters
@@ -802,10 +802,10 @@ def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | 
     row_ns = series.step_s * SECOND
     cadence = {need.name: need.cadence_ns for need in plan.channel_needs}
     reach = {name: int(np.ceil(cadence[name] / row_ns)) + 1 for name in names}
-    return switched(series.tt2000[there], residual[there], channels, reach)
+    return attribute_jumps(series.tt2000[there], residual[there], channels, reach)
 
 
-def stretches_between(found: Switched, plan: PassPlan) -> Stretches:
+def stretches_between(found: JumpAttribution, plan: PassPlan) -> Stretches:
     """Return the stretches between switchings that no channel follows, and what belongs to none.
 
     A channel is late or early by some of its own cadence: around every switching the residual holds what

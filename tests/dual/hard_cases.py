@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual import Body, Candidates, Judgement, Readings, judge
+from inflight.dual import Body, Candidates, HeldOutDecision, Readings, decide
 from inflight.time import SECOND
 
 #: Samples of a case, and the sensors' distances from the middle of the body, m.
@@ -47,7 +47,7 @@ class Outcome:
     before: float
     after: float
     pull: float  # rms error of the correction over its rms sigma; NaN where none is applied
-    judgement: Judgement
+    judgement: HeldOutDecision
 
     @property
     def ratio(self) -> float:
@@ -62,7 +62,7 @@ def outcome(case: Hard) -> Outcome:
     """Judge a case and compare with the truth."""
     readings = case.readings
     candidates = Candidates(readings, case.body)
-    judgement = judge(readings, candidates.fit, candidates.expectations)
+    judgement = decide(readings, candidates.fit, candidates.expectations)
     good, found = readings.good, judgement.correction
     before = _size((readings.outboard - case.ambient)[good])
     after = _size((found.corrected(readings.outboard) - case.ambient)[good])

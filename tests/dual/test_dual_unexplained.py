@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from inflight.diagnosis import Stretches
-from inflight.dual import switched
+from inflight.dual import attribute_jumps
 from inflight.residual import without_noise
 
 STEP = 10 * 10**9
@@ -41,7 +41,7 @@ def scene(request):
 
 def test_only_what_no_channel_follows_is_unexplained_even_beside_one_that_does(scene):
     stamps, field, channels, at_nobody = scene
-    found = switched(stamps, field, channels, dict.fromkeys(channels, 1))
+    found = attribute_jumps(stamps, field, channels, dict.fromkeys(channels, 1))
     assert found is not None
     middle = (found.last + (found.first - found.last) // 2)[~found.follows] / STEP
     assert middle.size == np.unique(at_nobody).size
@@ -51,7 +51,7 @@ def test_only_what_no_channel_follows_is_unexplained_even_beside_one_that_does(s
 
 def test_the_unit_without_a_channel_has_its_step_within_the_stated_error(scene):
     stamps, field, channels, _ = scene
-    found = switched(stamps, field, channels, dict.fromkeys(channels, 1))
+    found = attribute_jumps(stamps, field, channels, dict.fromkeys(channels, 1))
     step, sigma, count = found.units[0]
     assert count >= 10
     assert np.all(np.abs(step * np.sign(step @ NOBODY) - NOBODY) < 5.0 * sigma)
@@ -59,7 +59,7 @@ def test_the_unit_without_a_channel_has_its_step_within_the_stated_error(scene):
 
 def test_a_difference_that_never_jumps_has_no_switching():
     random = np.random.default_rng(7)
-    assert switched(STEP * np.arange(3000), random.standard_normal((3000, 3)), {}, {}) is None
+    assert attribute_jumps(STEP * np.arange(3000), random.standard_normal((3000, 3)), {}, {}) is None
 
 
 def test_stretches_take_levels_out_and_leave_no_rounding_of_a_constant():

@@ -7,12 +7,12 @@ import pytest
 from plain_correction import plain
 from scipy import signal
 
-from inflight.dual import WHOLE, Body, Candidates, Part, Readings, judge
+from inflight.dual import WHOLE, AppliedPart, Body, Candidates, Readings, decide
 from inflight.dual.correction import slow_part
-from inflight.dual.do_no_harm import CHANCE, Expected, Seen, best_part
-from inflight.dual.geometry import dipole_matrix, known_from, matrices_of_any_boom
+from inflight.dual.geometry import dipole_matrix, matrices_of_any_boom, matrix_prior
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
-from inflight.dual.mixing import Moments
+from inflight.dual.held_out import CHANCE, SlopeObservation, SlopePrior, best_part
+from inflight.dual.mixing import SecondMoments
 from inflight.time import SECOND
 
 COUNT = 6000
@@ -42,7 +42,7 @@ def switching(seed, size=0.4):
 
 def judged(readings, body=None):
     candidates = Candidates(readings, body)
-    return judge(readings, candidates.fit, candidates.expectations)
+    return decide(readings, candidates.fit, candidates.expectations)
 
 
 def error(field, ambient):
@@ -50,7 +50,7 @@ def error(field, ambient):
 
 
 def test_matrices_of_a_body_hold_that_of_a_unit_in_it():
-    mean, covariance = known_from(BODY.matrices)
+    mean, covariance = matrix_prior(BODY.matrices)
     away = dipole_matrix(BODY.positions, PLACE).ravel() - mean
     assert away @ np.linalg.solve(covariance, away) < 20.0
     assert np.linalg.norm(away) > 0.05
@@ -66,7 +66,7 @@ def test_any_boom_holds_every_ratio_of_a_unit_nearer_to_the_inboard_sensor(ratio
 def test_where_the_ambient_field_hides_everything_the_matrix_is_that_of_the_body():
     readings, _ = boom(1, switching(1), restless=0.5)
     found = fit_gradiometer(readings, "matrix", BODY)
-    mean, _ = known_from(BODY.matrices)
+    mean, _ = matrix_prior(BODY.matrices)
     assert found.matrix == pytest.approx(mean.reshape(3, 3), abs=0.1)
 
 
@@ -74,7 +74,7 @@ def test_noise_of_the_difference_does_not_shrink_the_matrix():
     stray, noise = np.diag([3e4, 1e4, 2e4]), 1e4 * np.eye(3)
     truth = dipole_matrix(BODY.positions, PLACE)
     blocks = 24
-    told = Moments(
+    told = SecondMoments(
         np.tile((stray + noise) / blocks, (blocks, 3, 1, 1)),
         np.tile(truth @ stray / blocks, (blocks, 1, 1)),
         np.tile(noise / blocks, (blocks, 3, 1, 1)),
@@ -173,11 +173,11 @@ def test_units_outside_of_the_body_that_is_told_refute_it():
 
 def test_less_is_taken_off_where_the_whole_might_do_harm():
     draws = np.random.default_rng(9).normal(0.75, 0.15, 4000)
-    after = Expected(np.array([1]), np.array([2.0]), draws[None]).after(Seen.nothing())
-    chances = [after.chance_of_harm(Part(share)) for share in (1.0, 0.7, 0.5)]
+    after = SlopePrior(np.array([1]), np.array([2.0]), draws[None]).after(SlopeObservation.nothing())
+    chances = [after.chance_of_harm(AppliedPart(share)) for share in (1.0, 0.7, 0.5)]
     assert chances[0] > chances[1] > chances[2]
     # 2 share <c s> - share^2 <c^2>
-    likely = after.benefit(Part(0.7))
+    likely = after.benefit(AppliedPart(0.7))
     assert likely == pytest.approx(2.0 * 0.7 * (2 * draws.mean() - 0.7))
     assert likely > after.benefit() - 0.1
 
@@ -187,17 +187,19 @@ def test_slow_scales_that_may_do_harm_are_left_alone():
     # On the slow scale most of the correction may be something else.
     slopes = np.stack([random.normal(1.0, 0.1, 4000), random.normal(0.5, 0.6, 4000)])
     kept = {100.0: (np.array([1.0, 0.05]), np.array([1.0, 0.005]))}
-    after = Expected(np.array([1, 1024]), np.array([1.0, 2.0]), slopes, kept).after(Seen.nothing())
+    after = SlopePrior(np.array([1, 1024]), np.array([1.0, 2.0]), slopes, kept).after(
+        SlopeObservation.nothing()
+    )
     assert best_part(after, constant_known=False).seconds == 100.0
-    whole, quick = (after.chance_of_harm(part) for part in (WHOLE, Part(1.0, 100.0)))
+    whole, quick = (after.chance_of_harm(part) for part in (WHOLE, AppliedPart(1.0, 100.0)))
     assert quick < CHANCE < whole
     assert best_part(after, constant_known=True) == WHOLE
 
 
 def test_readings_move_the_expected_slope_to_what_they_say():
     draws = np.random.default_rng(10).uniform(0.2, 2.0, 4000)
-    expected = Expected(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
-    seen = Seen(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
+    expected = SlopePrior(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
+    seen = SlopeObservation(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
     assert expected.after(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
     assert not expected.after(seen).refuted
     assert expected.after(replace(seen, slope=np.array([9.0, 9.0]))).refuted
@@ -211,8 +213,8 @@ def test_readings_that_an_error_of_the_leak_explains_tell_less():
     # Where ambient field is strong a small leak makes a slope.
     ambient = np.zeros((2, 3, 3))
     ambient[:, 0, 0] = 100.0
-    seen = Seen(np.array([1, 2]), np.full(2, 1.8), np.full(2, 0.01), ambient)
-    plain = Expected(seen.scale, np.ones(2), np.stack([draws, draws]))
+    seen = SlopeObservation(np.array([1, 2]), np.full(2, 1.8), np.full(2, 0.01), ambient)
+    plain = SlopePrior(seen.scale, np.ones(2), np.stack([draws, draws]))
     known = plain.after(seen).weights @ draws
     told = replace(plain, leak=leak).after(seen).weights @ draws
     assert known == pytest.approx(1.8, abs=0.05)
@@ -222,8 +224,8 @@ def test_readings_that_an_error_of_the_leak_explains_tell_less():
 
 def test_what_was_taken_for_noise_may_be_stray_field():
     draws = np.random.default_rng(12).uniform(0.2, 1.2, 40_000)
-    seen = Seen(np.array([1, 2]), np.full(2, 3.0), np.full(2, 0.01), np.zeros((2, 3, 3)))
-    clear = Expected(seen.scale, np.ones(2), np.stack([draws, draws]))
+    seen = SlopeObservation(np.array([1, 2]), np.full(2, 3.0), np.full(2, 0.01), np.zeros((2, 3, 3)))
+    clear = SlopePrior(seen.scale, np.ones(2), np.stack([draws, draws]))
     assert clear.after(seen).refuted
     # A correction that lost four fifths to the noise is three times too small.
     noisy = replace(clear, passed=np.full(2, 0.2)).after(seen)
@@ -233,9 +235,9 @@ def test_what_was_taken_for_noise_may_be_stray_field():
 
 def test_nothing_is_sure_by_a_single_draw():
     draws = np.random.default_rng(13).normal(1.0, 0.1, 4000)
-    expected = Expected(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
+    expected = SlopePrior(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
     usual, odd = (
-        Seen(np.array([1, 2]), np.full(2, slope), np.full(2, 1e-4), np.zeros((2, 3, 3)))
+        SlopeObservation(np.array([1, 2]), np.full(2, slope), np.full(2, 1e-4), np.zeros((2, 3, 3)))
         for slope in (1.0, 2.0)
     )
     assert expected.after(usual).chance_of_harm() < 0.001
@@ -245,7 +247,7 @@ def test_nothing_is_sure_by_a_single_draw():
 
 def test_every_form_starts_from_geometry():
     readings, _ = boom(11, switching(11), restless=0.5)
-    mean, _ = known_from(BODY.matrices)
+    mean, _ = matrix_prior(BODY.matrices)
     for one in fit_forms(readings, ("ratio", "axes", "dipole", "principal", "matrix"), BODY).values():
         if one.form != "principal":
             assert np.trace(one.matrix) == pytest.approx(np.trace(mean.reshape(3, 3)), rel=0.3), one.form
@@ -255,6 +257,8 @@ def test_what_is_left_alone_is_no_error_of_the_part_that_is_taken_off():
     slopes = np.ones((2, 100))
     # Of the slow scale a tenth is left in the part; its slope on that is one, as of the whole.
     kept = {100.0: (np.array([1.0, 0.1]), np.array([1.0, 0.01]))}
-    after = Expected(np.array([1, 1024]), np.array([1.0, 200.0]), slopes, kept).after(Seen.nothing())
-    assert after.away(Part(1.0, 100.0)) == pytest.approx(0.0)
-    assert after.away(Part(0.5, 100.0)) == pytest.approx(0.5)
+    after = SlopePrior(np.array([1, 1024]), np.array([1.0, 200.0]), slopes, kept).after(
+        SlopeObservation.nothing()
+    )
+    assert after.away(AppliedPart(1.0, 100.0)) == pytest.approx(0.0)
+    assert after.away(AppliedPart(0.5, 100.0)) == pytest.approx(0.5)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from inflight.dual import Body
-from inflight.dual.geometry import matrices_near
+from inflight.dual.geometry import matrices_near_inboard
 from inflight.dual.gradiometer import fit_forms
-from inflight.dual.noise import FLICKER, wandering
+from inflight.dual.noise import FLICKER, draw_slow_noise
 from inflight.dual.readings import contrasts, running_sums
 from tests.dual.hard_cases import HARM, body, case, inside, make, outcome, units
 
@@ -62,12 +62,12 @@ def test_six_units_are_farther_from_one_matrix_than_the_regression_shows_and_the
 
 def test_around_the_body_more_is_possible_than_in_it_and_less_than_on_any_boom():
     small = Body(body().positions, np.zeros(3), np.full(3, 0.05))
-    assert matrices_near(small).std(axis=0).min() > small.matrices.std(axis=0).max()
+    assert matrices_near_inboard(small).std(axis=0).min() > small.matrices.std(axis=0).max()
 
 
 def test_sensors_wander_as_flicker_noise_along_a_line_and_as_a_walk():
     count = 4096
-    own = wandering(count, 200)
+    own = draw_slow_noise(count, 200)
     assert own.flicker.std() == pytest.approx(FLICKER, rel=0.01)
     octaves = [
         np.mean(contrasts(running_sums(own.flicker), block)[0] ** 2) / block for block in (4, 16, 64, 256)

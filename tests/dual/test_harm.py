@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 from plain_correction import plain
 
-from inflight.dual import Candidates, Readings, judge
+from inflight.dual import Candidates, Readings, decide
 from inflight.time import SECOND
 
 COUNT = 8000
@@ -28,11 +28,11 @@ def world(seed):
 
 def judge_all(readings, body=None):
     candidates = Candidates(readings, body)
-    return judge(readings, candidates.fit, candidates.expectations)
+    return decide(readings, candidates.fit, candidates.expectations)
 
 
 def judged(readings, **fields):
-    return judge(
+    return decide(
         readings,
         lambda _: {name: partial(field_correction, field=field) for name, field in fields.items()},
         Candidates(readings).expectations,

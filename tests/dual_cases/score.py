@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual import Candidates, Correction, Judgement, judge
+from inflight.dual import Candidates, Correction, HeldOutDecision, decide
 
 from .scenarios import Case, make_case
 
@@ -55,7 +55,7 @@ def score_seed(seed: int, told: float = 1.0) -> Score:
     return score(case, judgement, time.perf_counter() - started)
 
 
-def corrected(case: Case, told: float = 1.0) -> Judgement:
+def corrected(case: Case, told: float = 1.0) -> HeldOutDecision:
     """Return the judgement on all candidates; the truth is not given.
 
     Parameters
@@ -65,10 +65,10 @@ def corrected(case: Case, told: float = 1.0) -> Judgement:
     """
     body = replace(case.body, reach=told * case.body.reach) if told else None
     candidates = Candidates(case.readings, body)
-    return judge(case.readings, candidates.fit, candidates.expectations)
+    return decide(case.readings, candidates.fit, candidates.expectations)
 
 
-def score(case: Case, judgement: Judgement, seconds: float = 0.0) -> Score:
+def score(case: Case, judgement: HeldOutDecision, seconds: float = 0.0) -> Score:
     good = case.readings.good
     found = judgement.correction
     before = (case.readings.outboard - case.ambient)[good]

@@ -20,13 +20,13 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.dual import (
-    Remaining,
+    ResidualStep,
     Switchings,
-    by_state,
     name_units,
     quiet_steps,
     quietest_width,
-    regressed,
+    regress_steps,
+    residual_steps_by_state,
     rms,
     steps_across,
     switchings,
@@ -121,7 +121,7 @@ class DualCompareReport:
     comparison: str
     context: str
     days: list[DualDayRows]
-    fails_where: list[tuple[Remaining, str]]
+    fails_where: list[tuple[ResidualStep, str]]
     tables: list[xr.Dataset]
     path: Path | None = None
 
@@ -262,7 +262,7 @@ def stretches_of(
     return Stretches(stamps[first], stamps[last - 1] + step, state[first], sure, mean)
 
 
-def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[Remaining, str]]:
+def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[ResidualStep, str]]:
     """Yield what the steps that are left go with, and its unit: states, units, currents."""
     steps = report.joined("after")
     at = Switchings(
@@ -272,18 +272,18 @@ def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[R
         )
     )
     floor = rms(report.joined("quiet"))
-    for one in by_state(at, steps):
+    for one in residual_steps_by_state(at, steps):
         if one.is_clear:
             yield one, "nT"
     signs = report.signs
     for unit in range(signs.shape[1]):
-        found = regressed(f"unit {unit}", steps, signs[:, unit])
+        found = regress_steps(f"unit {unit}", steps, signs[:, unit])
         if found is not None and found.is_clear:
             yield found, "nT"
     known = scalar_channels(mission)
     for name in sorted({name for one in report.days for name in one.changes}):
         change = np.concatenate([one.changes.get(name, np.full(len(one.at), np.nan)) for one in report.days])
-        found = regressed(name, steps, change)
+        found = regress_steps(name, steps, change)
         # A change of noise alone makes a slope of any size: it must matter at the channel's usual change.
         usual = float(np.nanmax(np.abs(change), initial=0.0))
         if found is not None and found.is_clear and np.abs(found.value).max() * usual > floor:

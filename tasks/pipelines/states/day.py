@@ -32,32 +32,32 @@ from inflight.catalog import Catalog, TableRecord, idempotency_key
 from inflight.dual import (
     FORMS,
     WHOLE,
+    AppliedPart,
     Body,
     Candidates,
     Correction,
-    Judgement,
-    Part,
+    HeldOutDecision,
     Readings,
     correction_by_both,
-    correction_by_gradiometer,
+    correction_by_states,
+    correction_by_stored_gradiometer,
+    decide,
     dual_level2,
-    from_dataset,
-    gradiometer_of,
+    gradiometer_from_table,
     gradiometer_variables,
     has_gradiometer,
-    judge,
     no_correction,
     part_of_day,
     part_variables,
-    partly,
-    process,
+    partial_correction,
     quiet_steps,
     quietest_width,
     readings_of,
     rms,
     steps_across,
     switchings,
-    to_dataset,
+    training_from_dataset,
+    training_to_dataset,
 )
 from inflight.errors import InflightError, SamplesError
 from inflight.flags import Flag
@@ -226,7 +226,7 @@ def states_window(
     Returns
     -------
     Dataset
-        Of `inflight.dual.tracking.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`,
+        Of `inflight.dual.tracking.training_to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`,
         `benefit`,
         `chance_of_harm` over `candidate` say what held-out stretches tell of each correction, `share` and
         `slower` which part of it is sure to help. Attributes
@@ -236,7 +236,7 @@ def states_window(
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
-            found = judge(readings, candidates.fit, candidates.expectations)
+            found = decide(readings, candidates.fit, candidates.expectations)
             return with_remark(table_of(candidates, found))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
@@ -324,11 +324,11 @@ def thinned(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
     return WindowReadings(Readings(middle[whole], inboard, outboard), None if told is None else known)
 
 
-def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
+def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
     """Return the table of what was learnt from a window and of what was said of its correction."""
     evidence = list(found.evidence.values())
     one = ("candidate",)
-    table = to_dataset(candidates.training)
+    table = training_to_dataset(candidates.training)
     chosen = found.chosen
     if candidates.gradiometers:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
@@ -368,9 +368,9 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     told = _told_of(table, str(table.attrs["gradiometer_form"]) if method == "gradiometer" else method)
     if not found.applied or told is None:
         return found
-    part = Part(float(told["share"]), float(told["slower"]))
+    part = AppliedPart(float(told["share"]), float(told["slower"]))
     slow, middle = part_of_day(table, found, readings, part, constant_part(table))
-    return partly(found, part, float(told["share_away"]), slow, middle)
+    return partial_correction(found, part, float(told["share_away"]), slow, middle)
 
 
 def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
@@ -382,14 +382,14 @@ def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
     method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
     if method == "gradiometer":
         return replace(gradiometer_with_states(table, readings), reason=verdict)
-    training = from_dataset(table)
+    training = training_from_dataset(table)
     if not len(training):
         return no_correction(len(readings), verdict)
     if method == "combined":
-        found = correction_by_both(readings, training, gradiometer_of(table))
+        found = correction_by_both(readings, training, gradiometer_from_table(table))
         return replace(found, reason=verdict)
-    fallback = correction_by_gradiometer(table, readings) if gradiometer_helps(table) else None
-    found = process(readings, training, fallback=fallback)
+    fallback = correction_by_stored_gradiometer(table, readings) if gradiometer_helps(table) else None
+    found = correction_by_states(readings, training, fallback=fallback)
     return replace(found, reason=verdict) if str(table.attrs["applied"]) == "yes" else found.withheld(verdict)
 
 

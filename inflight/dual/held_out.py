@@ -32,11 +32,27 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from inflight.arrays import Floats
-from inflight.dual.correction import WHOLE, Correction, Part, no_correction, partly, slow_of, slow_part
-from inflight.dual.gradiometer import without_noise
-from inflight.dual.mixing import Noise
-from inflight.dual.noise import DRAWS, DRIFT, TAIL, drift_in, wandering
-from inflight.dual.readings import Cells, Readings, cells_of, contrasts, joined_cells, running_sums, scales_of
+from inflight.dual.correction import (
+    WHOLE,
+    AppliedPart,
+    Correction,
+    no_correction,
+    partial_correction,
+    slow_part,
+    slow_part_of,
+)
+from inflight.dual.gradiometer import wiener_shrink
+from inflight.dual.mixing import DifferenceNoise
+from inflight.dual.noise import DRAWS, DRIFT, TAIL, draw_slow_noise, expected_drift
+from inflight.dual.readings import (
+    Cells,
+    Readings,
+    cells_of,
+    concatenate_cells,
+    contrasts,
+    running_sums,
+    scales_of,
+)
 from inflight.time import SECOND
 
 #: Slopes of several units on one scale differ by so much from those of one.
@@ -50,7 +66,7 @@ _PASSED = 0.01
 
 
 @dataclass(frozen=True)
-class Seen:
+class SlopeObservation:
     """Slopes of held-out outboard readings on a correction, scale by scale.
 
     Attributes
@@ -68,13 +84,13 @@ class Seen:
     ambient: Floats
 
     @classmethod
-    def nothing(cls) -> Seen:
+    def nothing(cls) -> SlopeObservation:
         """Return what readings say that say nothing."""
         return cls(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 3, 3)))
 
 
 @dataclass(frozen=True)
-class Expected:
+class SlopePrior:
     """What geometry lets expect of one correction, for units at many places and sensors that wander.
 
     Attributes
@@ -85,7 +101,7 @@ class Expected:
     slope : ndarray, shape (scale, draw)
         Of the stray field on the correction.
     kept : mapping
-        By the seconds of a `Part`: the product of the part with the whole correction on each scale, and its
+        By the seconds of a `AppliedPart`: the product of the part with the whole correction on each scale, and its
         square, beside `power`; each (scale,).
     leak : ndarray, shape (draw, axis, axis), optional
         Ambient field that is in the correction because its fitted leak is not right.
@@ -101,27 +117,27 @@ class Expected:
     leak: Floats | None = None
     passed: Floats | float = 1.0
 
-    def after(self, seen: Seen) -> Posterior:
+    def after(self, seen: SlopeObservation) -> SlopePosterior:
         """Return what to expect after held-out readings."""
-        return Posterior(self, seen)
+        return SlopePosterior(self, seen)
 
-    def parts(self, part: Part) -> tuple[Floats, Floats]:
+    def parts(self, part: AppliedPart) -> tuple[Floats, Floats]:
         """Return the product of a part with the whole correction, and its square; each (scale,), nT^2."""
         product, square = self.kept[part.seconds] if part.seconds else (1.0, 1.0)
         return np.asarray(part.share * product * self.power), np.asarray(part.share**2 * square * self.power)
 
-    def benefit(self, part: Part, scales: npt.NDArray[np.bool_] | slice = slice(None)) -> Floats:
+    def benefit(self, part: AppliedPart, scales: npt.NDArray[np.bool_] | slice = slice(None)) -> Floats:
         """Return the fall of the mean square error by a part of the correction; (draw,), nT^2."""
         product, square = self.parts(part)
         return np.asarray(2.0 * product[scales] @ self.slope[scales] - square[scales].sum())
 
 
 @dataclass(frozen=True)
-class Posterior:
+class SlopePosterior:
     """What to expect of a correction after held-out readings."""
 
-    expected: Expected
-    seen: Seen
+    expected: SlopePrior
+    seen: SlopeObservation
 
     @cached_property
     def misfit(self) -> Floats:
@@ -156,7 +172,7 @@ class Posterior:
         """How many draws of the same weight tell as much."""
         return 1.0 / float(np.sum(self.weights**2))
 
-    def chance_of_harm(self, part: Part = WHOLE) -> float:
+    def chance_of_harm(self, part: AppliedPart = WHOLE) -> float:
         """Return the probability that taking off a part makes the error larger.
 
         It is not less than one in so many draws as are left: where hardly one is, nothing is sure.
@@ -164,11 +180,11 @@ class Posterior:
         harm = float(self.weights @ (self.expected.benefit(part) <= 0.0))
         return min(harm + 1.0 / self.draws, 1.0)
 
-    def benefit(self, part: Part = WHOLE) -> float:
+    def benefit(self, part: AppliedPart = WHOLE) -> float:
         """Return the mean fall of the mean square error by taking off a part, nT^2."""
         return float(self.expected.benefit(part) @ self.weights)
 
-    def quick_benefit(self, part: Part = WHOLE) -> float:
+    def quick_benefit(self, part: AppliedPart = WHOLE) -> float:
         """Return the part of `benefit` on the scales that are seen, nT^2.
 
         On slower ones it is not told how much of a correction is the sensors' own.
@@ -176,7 +192,7 @@ class Posterior:
         own = np.isin(self.expected.scale, self.seen.scale)
         return float(self.expected.benefit(part, own) @ self.weights)
 
-    def away(self, part: Part = WHOLE) -> float:
+    def away(self, part: AppliedPart = WHOLE) -> float:
         """Return how far a part's share is from the slope of the stray field on it, rms.
 
         Both without what is slow: that of the stray field is left alone, too.
@@ -207,7 +223,7 @@ CUTS, _NARROWEST = (4, 8, 16, 32, 64, 128, 256), 8
 
 
 @dataclass(frozen=True)
-class Lost:
+class NonStrayShare:
     """What of the difference is no stray field: flicker noise, drift, ambient field that leaks in.
 
     Attributes
@@ -222,9 +238,9 @@ class Lost:
     part: Floats
     added: Floats
 
-    def apart(self) -> Lost:
+    def apart(self) -> NonStrayShare:
         """Return the same with other turns: what it is tells nothing of those that had them."""
-        return Lost(np.roll(self.part, 1, axis=1), np.roll(self.added, 1, axis=1))
+        return NonStrayShare(np.roll(self.part, 1, axis=1), np.roll(self.added, 1, axis=1))
 
     def less(self, slope: Floats) -> Floats:
         """Return what is left of slopes (place, 1); (place, turn).
@@ -236,7 +252,7 @@ class Lost:
 
 
 @dataclass(frozen=True)
-class Expectation:
+class GeometryPrior:
     """What is known before the outboard reading is asked.
 
     Attributes
@@ -259,12 +275,12 @@ class Expectation:
     readings: Readings
     matrices: Floats
     stray: Floats
-    noise: Noise
+    noise: DifferenceNoise
     leak_covariance: Floats
     units: str = "all units in the body"
     drift: float = DRIFT
 
-    def of(self, correction: Correction) -> Expected:
+    def of(self, correction: Correction) -> SlopePrior:
         """Return what to expect of a correction of the readings.
 
         What comes and goes with the states has the slope of the switchings on all scales: of what the
@@ -273,7 +289,7 @@ class Expectation:
         good = self.readings.good
         taken, state = np.nan_to_num(correction.field[good], nan=0.0), correction.state[good]
         stray, both = self._clear, self._difference
-        stepped, both_stepped = by_state(state, taken), by_state(state, both)
+        stepped, both_stepped = means_by_state(state, taken), means_by_state(state, both)
         cells = cells_of(self.readings.outboard[good], stray, stepped, taken - stepped, longest=_LONGEST)
         quick = cells.part(cells.scale <= max(len(taken) // _QUICK, 1))
         switched = self._slopes(quick, slice(6, 9))[:, None]
@@ -297,7 +313,7 @@ class Expectation:
         passed = np.array([self._passed[scale] for scale in scales.tolist()])
         # States follow the outboard reading's own steps.
         leak = None if correction.method == "states" else self._leaks.reshape(-1, 3, 3)
-        return Expected(scales, power, drawn, _kept(taken, scales, self.readings), leak, passed)
+        return SlopePrior(scales, power, drawn, _kept(taken, scales, self.readings), leak, passed)
 
     @cached_property
     def _clear(self) -> Floats:
@@ -305,7 +321,7 @@ class Expectation:
 
         Less noise is left in it than was taken out of the stray field: slopes are rather larger.
         """
-        return without_noise(self.stray[self.readings.good], self.noise.covariance)[0]
+        return wiener_shrink(self.stray[self.readings.good], self.noise.covariance)[0]
 
     @cached_property
     def _passed(self) -> dict[int, float]:
@@ -328,11 +344,11 @@ class Expectation:
         count = int(good.sum())
         noise = self.noise.covariance
         white = np.random.default_rng(6).multivariate_normal(np.zeros(3), noise, count)
-        far = drift_in((readings.stamps[-1] - readings.stamps[0]) / SECOND, self.drift)
-        own = wandering(count)
+        far = expected_drift((readings.stamps[-1] - readings.stamps[0]) / SECOND, self.drift)
+        own = draw_slow_noise(count)
         drift, flicker = (np.sqrt(self._size(one)) for one in (far**2 * np.eye(3), noise))
         wander = drift * own.line, drift * own.walk, flicker * own.flicker
-        left = without_noise(white, noise)[0]
+        left = wiener_shrink(white, noise)[0]
         return np.column_stack([self._clear, left, readings.outboard[good], *wander])
 
     @cached_property
@@ -363,10 +379,10 @@ class Expectation:
         return np.asarray(np.einsum("ki,...ij->...kj", self._middle, drawn.reshape(*shape, 3, 3)))
 
     @cached_property
-    def _lost_without_states(self) -> dict[int, Lost]:
+    def _lost_without_states(self) -> dict[int, NonStrayShare]:
         return self._lost(self._difference, most=self._quiet)
 
-    def _lost(self, both: Floats, most: Mapping[int, float] | None = None) -> dict[int, Lost]:
+    def _lost(self, both: Floats, most: Mapping[int, float] | None = None) -> dict[int, NonStrayShare]:
         """Return by scale what of the difference is no stray field.
 
         Parameters
@@ -395,7 +411,7 @@ class Expectation:
             lost = np.concatenate([own, through[None]]) / max(self._size(stray), 1e-300)
             lost /= np.maximum(lost.sum(axis=0), 1.0)
             added = np.sum(self._outboard * lost[:4], axis=0) / self._factor
-            found[scale] = Lost(lost.sum(axis=0), added)
+            found[scale] = NonStrayShare(lost.sum(axis=0), added)
         return found
 
     @cached_property
@@ -455,7 +471,7 @@ def _kept(
     return found
 
 
-def by_state(state: npt.NDArray[np.int64], values: Floats) -> Floats:
+def means_by_state(state: npt.NDArray[np.int64], values: Floats) -> Floats:
     """Return the part of values (time, column) that is the same whenever a state comes again."""
     told = np.flatnonzero(state >= 0)
     if not told.size:
@@ -501,7 +517,7 @@ Fit = Callable[[npt.NDArray[np.bool_]], Mapping[str, Corrector]]
 
 
 @dataclass(frozen=True)
-class Evidence:
+class HeldOutScore:
     """What held-out readings and geometry say of one correction.
 
     Attributes
@@ -534,7 +550,7 @@ class Evidence:
     benefit: float
     trivial: bool
     units: str
-    part: Part = WHOLE
+    part: AppliedPart = WHOLE
     away: float = 0.0
     constant_known: bool = False
     quick: float = 0.0
@@ -583,15 +599,17 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class Judgement:
+class HeldOutDecision:
     """The correction to apply and the evidence on every candidate."""
 
     correction: Correction
     chosen: str
-    evidence: Mapping[str, Evidence]
+    evidence: Mapping[str, HeldOutScore]
 
 
-def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], folds: int = FOLDS) -> Judgement:
+def decide(
+    readings: Readings, fit: Fit, expectations: Sequence[GeometryPrior], folds: int = FOLDS
+) -> HeldOutDecision:
     """Choose the correction that helps most on held-out readings, or none.
 
     Parameters
@@ -608,7 +626,7 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
     held = _held_out(readings, fit, folds)
     whole = fit(np.ones(len(readings), dtype=bool))
     evidence = {
-        name: evidence_of(name, readings, (parts, whole[name](readings)), expectations)
+        name: held_out_score(name, readings, (parts, whole[name](readings)), expectations)
         for name, parts in held.items()
         if name in whole
     }
@@ -616,16 +634,16 @@ def judge(readings: Readings, fit: Fit, expectations: Sequence[Expectation], fol
     helping = [one for one in evidence.values() if one.helps]
     if not helping:
         reason = readings.broken or _why_none(evidence.values())
-        return Judgement(no_correction(len(readings), reason), "none", evidence)
+        return HeldOutDecision(no_correction(len(readings), reason), "none", evidence)
     # What changes is judged; the constant comes on top.
     best = max(helping, key=lambda one: (one.constant_known, one.quick))
     correction = whole[best.name](readings)
-    slow = slow_of(correction, readings, best.part.seconds)
-    correction = partly(correction, best.part, best.away, slow)
-    return Judgement(replace(correction, reason=best.told), best.name, evidence)
+    slow = slow_part_of(correction, readings, best.part.seconds)
+    correction = partial_correction(correction, best.part, best.away, slow)
+    return HeldOutDecision(replace(correction, reason=best.told), best.name, evidence)
 
 
-def _why_none(evidence: Iterable[Evidence]) -> str:
+def _why_none(evidence: Iterable[HeldOutScore]) -> str:
     """Return why no correction is applied, candidates of the same fault together."""
     faults: dict[str, list[str]] = {}
     for one in evidence:
@@ -634,7 +652,7 @@ def _why_none(evidence: Iterable[Evidence]) -> str:
     return "; ".join(told) or "no candidate could be fitted"
 
 
-def _none_where_the_general_form_is_refuted(evidence: Mapping[str, Evidence]) -> dict[str, Evidence]:
+def _none_where_the_general_form_is_refuted(evidence: Mapping[str, HeldOutScore]) -> dict[str, HeldOutScore]:
     """Return the evidence, all of it refuted where that of the full matrix is.
 
     The full matrix follows the readings wherever they lead. Where that is no field of units, the difference
@@ -664,12 +682,12 @@ def _held_out(readings: Readings, fit: Fit, folds: int) -> dict[str, Held]:
     return found
 
 
-def evidence_of(
-    name: str, readings: Readings, made: tuple[Held, Correction], expectations: Sequence[Expectation]
-) -> Evidence:
+def held_out_score(
+    name: str, readings: Readings, made: tuple[Held, Correction], expectations: Sequence[GeometryPrior]
+) -> HeldOutScore:
     """Return what held-out parts and geometry say of a correction; `made` are those of parts and of all."""
     parts, correction = made
-    slope, sigma, seen = slopes_of(readings, parts)
+    slope, sigma, seen = held_out_slopes(readings, parts)
     units = expectations[-1].units if expectations else "units"
     for one in expectations:
         after = one.of(correction).after(seen)
@@ -679,28 +697,28 @@ def evidence_of(
             benefit = after.benefit(part)
             told = (after.chance_of_harm(part), benefit, benefit < _TRIVIAL * noise, one.units, part)
             rest = (after.away(part), correction.constant_known, after.quick_benefit(part))
-            return Evidence(name, slope, sigma, *told, *rest)
-    return Evidence(name, slope, sigma, float("nan"), 0.0, False, units)
+            return HeldOutScore(name, slope, sigma, *told, *rest)
+    return HeldOutScore(name, slope, sigma, float("nan"), 0.0, False, units)
 
 
-def best_part(after: Posterior, constant_known: bool) -> Part:
+def best_part(after: SlopePosterior, constant_known: bool) -> AppliedPart:
     """Return the part of a correction that lowers the error most, of all that are sure to; else the whole.
 
     Whatever is left alone because it is slow, of the rest as large a share is taken as is sure.
     """
     if constant_known:
         return WHOLE
-    parts = [Part(share, seconds) for seconds in (0.0, *after.expected.kept) for share in SHARES]
+    parts = [AppliedPart(share, seconds) for seconds in (0.0, *after.expected.kept) for share in SHARES]
     chance = {part: after.chance_of_harm(part) for part in parts}
     most = SURE if min(chance.values()) < SURE else CHANCE
-    largest: dict[float, Part] = {}
+    largest: dict[float, AppliedPart] = {}
     for part in parts:
         if chance[part] < most:
             largest.setdefault(part.seconds, part)
     return max(largest.values(), key=after.benefit, default=WHOLE)
 
 
-def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:
+def held_out_slopes(readings: Readings, parts: Held) -> tuple[float, float, SlopeObservation]:
     """Return the slope of held-out outboard readings on a correction, its sigma, and that on each scale."""
     cells, block = _cells_with(readings, parts)
     square = np.einsum("cii->ci", cells.covariance[:, 3:, 3:])
@@ -714,7 +732,7 @@ def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:
     of_square, of_cross = (weight * square).sum(axis=1), (weight * cross).sum(axis=1)
     total = float(of_square.sum())
     if not total > 0:
-        return 0.0, np.inf, Seen.nothing()
+        return 0.0, np.inf, SlopeObservation.nothing()
     slope = float(of_cross.sum()) / total
     score = np.bincount(block, of_cross - slope * of_square)
     score = score[np.bincount(block) > 0]
@@ -724,7 +742,9 @@ def slopes_of(readings: Readings, parts: Held) -> tuple[float, float, Seen]:
     own = np.maximum(np.bincount(place, of_square), 1e-300)
     ambient = np.zeros((scales.size, 3, 3))
     np.add.at(ambient, place, weight[:, :, None] * cells.covariance[:, :3, :3])
-    seen = Seen(scales, np.bincount(place, of_cross) / own, wider / own, ambient / own[:, None, None])
+    seen = SlopeObservation(
+        scales, np.bincount(place, of_cross) / own, wider / own, ambient / own[:, None, None]
+    )
     return slope, float(np.sqrt(wider / total)), seen
 
 
@@ -737,4 +757,4 @@ def _cells_with(readings: Readings, parts: Held, blocks: int = 6) -> tuple[Cells
         here = cells_of(readings.outboard[rows][known], np.nan_to_num(correction.field[known], nan=0.0))
         cells.append(here)
         block.append(number * blocks + here.row * blocks // max(int(known.sum()), 1))
-    return joined_cells(cells), np.concatenate(block)
+    return concatenate_cells(cells), np.concatenate(block)

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import Places, find_jumps
+from inflight.dual.change_points import Rows, find_jumps
 from inflight.dual.correction import TRANSIENT
 from inflight.dual.readings import white_covariance
 from inflight.lsq import TO_SIGMA
@@ -145,7 +145,7 @@ def rms(steps: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class Remaining:
+class ResidualStep:
     """What is left at the switchings of one state, one unit or one channel.
 
     Attributes
@@ -175,7 +175,7 @@ class Remaining:
         return f"after the correction {size} still goes with {self.coordinate} ({self.count} switchings)"
 
 
-def regressed(coordinate: str, steps: Floats, change: Floats) -> Remaining | None:
+def regress_steps(coordinate: str, steps: Floats, change: Floats) -> ResidualStep | None:
     """Return how steps follow a change of something at the same switchings; None where too few tell.
 
     Parameters
@@ -199,15 +199,15 @@ def regressed(coordinate: str, steps: Floats, change: Floats) -> Remaining | Non
     value = x @ y / square
     left = (y - x[:, None] * value) / (1.0 - x**2 / square)[:, None]
     sigma = np.sqrt(x**2 @ left**2) / square
-    return Remaining(coordinate, value, np.maximum(sigma, np.finfo(float).tiny), int(x.size))
+    return ResidualStep(coordinate, value, np.maximum(sigma, np.finfo(float).tiny), int(x.size))
 
 
-def by_state(at: Switchings, steps: Floats) -> Iterator[Remaining]:
+def residual_steps_by_state(at: Switchings, steps: Floats) -> Iterator[ResidualStep]:
     """Yield what is left when a state is entered, and with the other sign when it is left."""
     for state in np.unique(np.concatenate([at.before, at.after])):
         sign = (at.after == state).astype(float) - (at.before == state)
         name = f"state {state}" if state >= 0 else "unknown states"
-        if (found := regressed(name, steps, sign)) is not None:
+        if (found := regress_steps(name, steps, sign)) is not None:
             yield found
 
 
@@ -231,7 +231,7 @@ _LIKE, _LIKE_PART = 6.0, 0.05
 
 
 @dataclass(frozen=True)
-class Switched:
+class JumpAttribution:
     """Switchings that a difference shows.
 
     Attributes
@@ -288,9 +288,9 @@ def _like(steps: Floats, one: Floats, scatter: float) -> Floats:
     return np.where(up, 1.0, np.where(down, -1.0, 0.0))
 
 
-def switched(
+def attribute_jumps(
     stamps: Int64, difference: Floats, channels: Mapping[str, Floats], reach: Mapping[str, int]
-) -> Switched | None:
+) -> JumpAttribution | None:
     """Return the jumps of a difference, and which of them channels explain; None when there are none.
 
     Parameters
@@ -320,16 +320,16 @@ def switched(
     follows = np.linalg.norm(left, axis=1) <= _DISAGREES * scatter
     spread = 1 + max((reach[name] for name in names), default=0) * follows
     before, after = np.maximum(first - spread, 0), np.minimum(last + spread - 1, stamps.size - 1)
-    return Switched(stamps[before], stamps[after], follows, left, float(np.median(scatter)))
+    return JumpAttribution(stamps[before], stamps[after], follows, left, float(np.median(scatter)))
 
 
-def _joined(places: Places) -> tuple[Places, Places]:
+def _joined(places: Rows) -> tuple[Rows, Rows]:
     """Return the first and the last of jumps that are too near to be told apart."""
     edges = np.flatnonzero(np.diff(places) > _ONE) + 1
     return places[np.concatenate([[0], edges])], places[np.concatenate([edges - 1, [places.size - 1]])]
 
 
-def _steps(values: Floats, first: Places, last: Places) -> tuple[Floats, Floats]:
+def _steps(values: Floats, first: Rows, last: Rows) -> tuple[Floats, Floats]:
     """Return mean after less mean before, the rows next to a jump left out, and the rows of the shorter."""
     ends = np.concatenate([[0], last + 1])[:-1]
     begins = np.concatenate([first, [len(values)]])[1:]
@@ -345,7 +345,7 @@ def _steps(values: Floats, first: Places, last: Places) -> tuple[Floats, Floats]
     return step, rows
 
 
-def _changes(values: Floats, first: Places, last: Places, reach: int) -> tuple[Floats, float]:
+def _changes(values: Floats, first: Rows, last: Rows, reach: int) -> tuple[Floats, float]:
     """Return the change of a channel across each jump, 0 where it is no more than elsewhere or unknown.
 
     With it comes the size of its usual change, one sigma.
