@@ -48,12 +48,12 @@ def peak_memory(task: Callable[[], object]) -> float:
 def processing_time() -> list[str]:
     """Return what was measured, a line each."""
     readings, stray = mission()
-    training: Training = train(readings.part(slice(0, TRAINED)))
+    training: Training = train(readings.select(slice(0, TRAINED)))
     found = correction_by_states(readings, training)
 
     # A new object each time: what is derived of readings is kept with them.
     def again() -> Readings:
-        return readings.part(slice(None))
+        return readings.select(slice(None))
 
     rivals: dict[str, Callable[[], object]] = {
         "processing": lambda: correction_by_states(again(), training),

@@ -1,4 +1,4 @@
-from .assignment import SURE, correction_by_states
+from .assignment import ASSIGNMENT, correction_by_states
 from .candidates import Candidates, correction_by_both
 from .change_points import Rows
 from .correction import (
@@ -48,8 +48,8 @@ from .tracking import (
 from .training import Training, train
 
 __all__ = [
+    "ASSIGNMENT",
     "FORMS",
-    "SURE",
     "WHOLE",
     "Ageing",
     "AppliedPart",

@@ -62,7 +62,7 @@ def outcome(case: Hard) -> Outcome:
     """Judge a case and compare with the truth."""
     readings = case.readings
     candidates = Candidates(readings, case.body)
-    judgement = decide(readings, candidates.fit, candidates.expectations)
+    judgement = decide(readings, candidates.fit, candidates.priors)
     good, found = readings.good, judgement.correction
     before = _size((readings.outboard - case.ambient)[good])
     after = _size((found.corrected(readings.outboard) - case.ambient)[good])

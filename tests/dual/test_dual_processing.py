@@ -27,7 +27,7 @@ UNKNOWN, AMBIGUOUS, TRANSIENT = (
 
 def split(made: Case, share: float = 0.6) -> tuple[Case, Case]:
     at = int(share * len(made.readings))
-    return made.part(slice(0, at)), made.part(slice(at, None))
+    return made.select(slice(0, at)), made.select(slice(at, None))
 
 
 def relative(training, commissioning: Case, cruise: Case) -> np.ndarray:
@@ -50,7 +50,7 @@ def test_the_papers_six_states_are_recovered_with_the_ambient_field_known(seed):
     made, _ = six_states(seed)
     training = train(made.readings, ambient=made.ambient)
     assert training.constant_known
-    assert np.count_nonzero(training.seen) == 6
+    assert np.count_nonzero(training.observed) == 6
     for state in range(6):
         nearest = np.argmin(np.abs(training.centre[:6, 0] + OUT_LESS_IN[state]))
         assert_allclose(training.centre[nearest, 0], -OUT_LESS_IN[state], atol=0.02)
@@ -141,7 +141,7 @@ def test_a_combination_never_trained_is_corrected_all_the_same():
     assert unseen.any()
     training = train(commissioning.readings)
     found = correction_by_states(cruise.readings, training)
-    assert not training.seen[found.state[unseen].max()]
+    assert not training.observed[found.state[unseen].max()]
     left = (found.field - relative(training, commissioning, cruise))[unseen]
     assert np.sqrt(np.nanmedian(left**2)) < 3.0 * np.nanmedian(found.sigma[unseen])
 
@@ -170,12 +170,12 @@ def test_an_unknown_state_takes_the_fallback_with_a_wider_error():
     # Such as a gradiometer's: right but for a constant of its own and an error of 0.3 nT.
     wrong = 0.3 * np.sin(np.arange(count) / 900.0)[:, None] * np.ones(3)
     estimate = Correction(
-        cruise.stray + np.array([5.0, 0.0, -5.0]) + wrong,
-        np.tile(0.01 * np.eye(3), (count, 1, 1)),
-        np.full(count, -1),
-        np.full(count, np.nan),
-        np.zeros(count, dtype=np.uint32),
-        "gradiometer",
+        field=cruise.stray + np.array([5.0, 0.0, -5.0]) + wrong,
+        covariance=np.tile(0.01 * np.eye(3), (count, 1, 1)),
+        state=np.full(count, -1),
+        probability=np.full(count, np.nan),
+        flag=np.zeros(count, dtype=np.uint32),
+        method="gradiometer",
     )
     both = correction_by_states(cruise.readings, training, fallback=estimate)
     lost = alone.state == -1
@@ -267,7 +267,7 @@ def test_a_training_survives_its_table():
 
 def test_states_keep_their_numbers_through_a_later_training():
     made = case(591, count=60_000, switches=160, ambient=1.0)
-    early, late = made.part(slice(0, 30_000)), made.part(slice(30_000, None))
+    early, late = made.select(slice(0, 30_000)), made.select(slice(30_000, None))
     # In the meantime the difference has moved as a whole.
     shifted = late.readings.inboard + np.array([0.7, -0.4, 0.2])
     moved = Readings(late.readings.stamps, shifted, late.readings.outboard)
@@ -304,7 +304,7 @@ def test_a_unit_that_aged_is_told():
 def test_one_state_alone_that_moved_far_is_not_taken_for_any():
     first = train(case(594, count=30_000, switches=60, ambient=1.0).readings)
     quiet = case(595, count=5_000, units=1, switches=0)
-    places = first.centre[first.seen]
+    places = first.centre[first.observed]
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     one, other = np.unravel_index(np.argmin(np.where(apart > 0, apart, np.inf)), apart.shape)
     ambient = quiet.readings.outboard
@@ -314,7 +314,7 @@ def test_one_state_alone_that_moved_far_is_not_taken_for_any():
         return train(Readings(quiet.readings.stamps, ambient + level, quiet.ambient))
 
     near = continue_training(first, later(0.1))
-    assert near.training.number.tolist() == [int(first.number[first.seen][one])]
+    assert near.training.number.tolist() == [int(first.number[first.observed][one])]
     half = continue_training(first, later(0.45))
     assert not len(half.matched)
     assert half.training.number.min() >= first.next_number

@@ -11,7 +11,7 @@ from inflight.dual import WHOLE, AppliedPart, Body, Candidates, Readings, decide
 from inflight.dual.correction import slow_part
 from inflight.dual.geometry import dipole_matrix, matrices_of_any_boom, matrix_prior
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
-from inflight.dual.held_out import CHANCE, SlopeObservation, SlopePrior, best_part
+from inflight.dual.held_out import HELD_OUT, SlopeObservation, SlopePrior, best_part
 from inflight.dual.mixing import SecondMoments
 from inflight.time import SECOND
 
@@ -42,7 +42,7 @@ def switching(seed, size=0.4):
 
 def judged(readings, body=None):
     candidates = Candidates(readings, body)
-    return decide(readings, candidates.fit, candidates.expectations)
+    return decide(readings, candidates.fit, candidates.priors)
 
 
 def error(field, ambient):
@@ -140,7 +140,7 @@ def test_what_is_slow_is_left_alone_and_what_is_quick_is_taken_off():
     # The outboard sensor drifts: what the difference holds of it is no stray field.
     drifting = readings.outboard + 0.2 * np.linspace(-1.0, 1.0, COUNT)[:, None] * [1.0, -1.0, 1.0]
     found = judged(Readings(readings.stamps, readings.inboard, drifting), BODY)
-    assert 0.0 < found.evidence[found.chosen].part.seconds < COUNT
+    assert 0.0 < found.scores[found.chosen].part.seconds < COUNT
     assert "within" in found.correction.reason
     after = found.correction.corrected(drifting)
     assert error(after, ambient) < 0.9 * error(drifting, ambient)
@@ -156,16 +156,16 @@ def test_what_states_prove_is_as_much_as_drift_does_not_come_into_their_means():
         field = 0.1 * state[:, None] * np.ones(3)
         readings, _ = boom(13, rise + field, restless=0.001)
         made = plain(field, state, method="states")
-        expected = Candidates(readings, BODY).expectations[0].of(made)
+        expected = Candidates(readings, BODY).priors[0].of(made)
         lost.append(np.std(expected.slope[-1]) / np.mean(expected.slope[0]))
     assert lost[0] > 3.0 * lost[1]
 
 
 def test_units_outside_of_the_body_that_is_told_refute_it():
-    wrong = replace(BODY, middle=np.array([-8.0, 0.0, 0.0]))
+    wrong = replace(BODY, centre=np.array([-8.0, 0.0, 0.0]))
     readings, ambient = boom(8, switching(8, 5.0), restless=0.001)
     found = judged(readings, wrong)
-    assert {one.units for one in found.evidence.values()} == {"units nearer to the inboard sensor"}
+    assert {one.units for one in found.scores.values()} == {"units nearer to the inboard sensor"}
     assert error(found.correction.corrected(readings.outboard), ambient) < 0.3 * error(
         readings.outboard, ambient
     )
@@ -173,8 +173,10 @@ def test_units_outside_of_the_body_that_is_told_refute_it():
 
 def test_less_is_taken_off_where_the_whole_might_do_harm():
     draws = np.random.default_rng(9).normal(0.75, 0.15, 4000)
-    after = SlopePrior(np.array([1]), np.array([2.0]), draws[None]).after(SlopeObservation.nothing())
-    chances = [after.chance_of_harm(AppliedPart(share)) for share in (1.0, 0.7, 0.5)]
+    after = SlopePrior(scale=np.array([1]), power=np.array([2.0]), slope=draws[None]).posterior(
+        SlopeObservation.none()
+    )
+    chances = [after.risk(AppliedPart(share)) for share in (1.0, 0.7, 0.5)]
     assert chances[0] > chances[1] > chances[2]
     # 2 share <c s> - share^2 <c^2>
     likely = after.benefit(AppliedPart(0.7))
@@ -187,21 +189,21 @@ def test_slow_scales_that_may_do_harm_are_left_alone():
     # On the slow scale most of the correction may be something else.
     slopes = np.stack([random.normal(1.0, 0.1, 4000), random.normal(0.5, 0.6, 4000)])
     kept = {100.0: (np.array([1.0, 0.05]), np.array([1.0, 0.005]))}
-    after = SlopePrior(np.array([1, 1024]), np.array([1.0, 2.0]), slopes, kept).after(
-        SlopeObservation.nothing()
-    )
+    after = SlopePrior(
+        scale=np.array([1, 1024]), power=np.array([1.0, 2.0]), slope=slopes, filtered=kept
+    ).posterior(SlopeObservation.none())
     assert best_part(after, constant_known=False).seconds == 100.0
-    whole, quick = (after.chance_of_harm(part) for part in (WHOLE, AppliedPart(1.0, 100.0)))
-    assert quick < CHANCE < whole
+    whole, quick = (after.risk(part) for part in (WHOLE, AppliedPart(1.0, 100.0)))
+    assert quick < HELD_OUT.most_risk < whole
     assert best_part(after, constant_known=True) == WHOLE
 
 
 def test_readings_move_the_expected_slope_to_what_they_say():
     draws = np.random.default_rng(10).uniform(0.2, 2.0, 4000)
-    expected = SlopePrior(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
+    expected = SlopePrior(scale=np.array([1, 2]), power=np.ones(2), slope=np.stack([draws, draws]))
     seen = SlopeObservation(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
-    assert expected.after(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
-    assert not expected.after(seen).refuted
+    assert expected.posterior(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
+    assert not expected.posterior(seen).refuted
     assert expected.after(replace(seen, slope=np.array([9.0, 9.0]))).refuted
 
 
@@ -214,9 +216,9 @@ def test_readings_that_an_error_of_the_leak_explains_tell_less():
     ambient = np.zeros((2, 3, 3))
     ambient[:, 0, 0] = 100.0
     seen = SlopeObservation(np.array([1, 2]), np.full(2, 1.8), np.full(2, 0.01), ambient)
-    plain = SlopePrior(seen.scale, np.ones(2), np.stack([draws, draws]))
-    known = plain.after(seen).weights @ draws
-    told = replace(plain, leak=leak).after(seen).weights @ draws
+    plain = SlopePrior(scale=seen.scale, power=np.ones(2), slope=np.stack([draws, draws]))
+    known = plain.posterior(seen).weights @ draws
+    told = replace(plain, leak=leak).posterior(seen).weights @ draws
     assert known == pytest.approx(1.8, abs=0.05)
     assert told == pytest.approx(draws.mean(), abs=0.4)
     assert told < known - 0.2
@@ -225,24 +227,24 @@ def test_readings_that_an_error_of_the_leak_explains_tell_less():
 def test_what_was_taken_for_noise_may_be_stray_field():
     draws = np.random.default_rng(12).uniform(0.2, 1.2, 40_000)
     seen = SlopeObservation(np.array([1, 2]), np.full(2, 3.0), np.full(2, 0.01), np.zeros((2, 3, 3)))
-    clear = SlopePrior(seen.scale, np.ones(2), np.stack([draws, draws]))
-    assert clear.after(seen).refuted
+    clear = SlopePrior(scale=seen.scale, power=np.ones(2), slope=np.stack([draws, draws]))
+    assert clear.posterior(seen).refuted
     # A correction that lost four fifths to the noise is three times too small.
-    noisy = replace(clear, passed=np.full(2, 0.2)).after(seen)
+    noisy = replace(clear, signal_share=np.full(2, 0.2)).posterior(seen)
     assert not noisy.refuted
     assert noisy.weights @ draws == pytest.approx(1.1, abs=0.1)
 
 
 def test_nothing_is_sure_by_a_single_draw():
     draws = np.random.default_rng(13).normal(1.0, 0.1, 4000)
-    expected = SlopePrior(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
+    expected = SlopePrior(scale=np.array([1, 2]), power=np.ones(2), slope=np.stack([draws, draws]))
     usual, odd = (
         SlopeObservation(np.array([1, 2]), np.full(2, slope), np.full(2, 1e-4), np.zeros((2, 3, 3)))
         for slope in (1.0, 2.0)
     )
-    assert expected.after(usual).chance_of_harm() < 0.001
-    assert not expected.after(odd).refuted
-    assert expected.after(odd).chance_of_harm() > 0.001
+    assert expected.posterior(usual).risk() < 0.001
+    assert not expected.posterior(odd).refuted
+    assert expected.posterior(odd).risk() > 0.001
 
 
 def test_every_form_starts_from_geometry():
@@ -257,8 +259,8 @@ def test_what_is_left_alone_is_no_error_of_the_part_that_is_taken_off():
     slopes = np.ones((2, 100))
     # Of the slow scale a tenth is left in the part; its slope on that is one, as of the whole.
     kept = {100.0: (np.array([1.0, 0.1]), np.array([1.0, 0.01]))}
-    after = SlopePrior(np.array([1, 1024]), np.array([1.0, 200.0]), slopes, kept).after(
-        SlopeObservation.nothing()
-    )
-    assert after.away(AppliedPart(1.0, 100.0)) == pytest.approx(0.0)
-    assert after.away(AppliedPart(0.5, 100.0)) == pytest.approx(0.5)
+    after = SlopePrior(
+        scale=np.array([1, 1024]), power=np.array([1.0, 200.0]), slope=slopes, filtered=kept
+    ).posterior(SlopeObservation.none())
+    assert after.slope_error(AppliedPart(1.0, 100.0)) == pytest.approx(0.0)
+    assert after.slope_error(AppliedPart(0.5, 100.0)) == pytest.approx(0.5)

@@ -109,7 +109,7 @@ def test_what_cannot_be_fitted_is_said():
     with pytest.raises(SettingsError, match="positions"):
         fit_gradiometer(readings, "dipole")
     with pytest.raises(CalibrationError, match="100 samples"):
-        fit_gradiometer(readings.part(slice(0, 100)))
+        fit_gradiometer(readings.select(slice(0, 100)))
 
 
 def test_white_noise_alone_is_not_kept():

@@ -28,21 +28,21 @@ def world(seed):
 
 def judge_all(readings, body=None):
     candidates = Candidates(readings, body)
-    return decide(readings, candidates.fit, candidates.expectations)
+    return decide(readings, candidates.fit, candidates.priors)
 
 
 def judged(readings, **fields):
     return decide(
         readings,
         lambda _: {name: partial(field_correction, field=field) for name, field in fields.items()},
-        Candidates(readings).expectations,
+        Candidates(readings).priors,
     )
 
 
 def test_the_stray_field_itself_has_the_slope_one_and_is_applied():
     readings, _, stray, _ = world(1)
     found = judged(readings, truth=stray)
-    evidence = found.evidence["truth"]
+    evidence = found.scores["truth"]
     assert abs(evidence.slope - 1.0) < 4.0 * evidence.sigma
     assert found.chosen == "truth"
     assert found.correction.applied
@@ -89,7 +89,7 @@ def test_two_quiet_sensors_are_left_alone():
 
 def test_too_few_readings_have_a_reason():
     readings, _, _, _ = world(7)
-    short = readings.part(slice(0, 200))
+    short = readings.select(slice(0, 200))
     found = judge_all(short)
     assert found.chosen == "none"
     assert found.correction.reason

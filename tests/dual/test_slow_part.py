@@ -75,11 +75,11 @@ def test_days_find_the_slow_part_of_their_window_and_do_not_step_between_them():
     assert omits_slow_part(table)
     parts = []
     for rows in (slice(0, 4000), slice(4000, count)):
-        parts.append(slow_in_window(table, plain(field[rows]), readings.part(rows), 2000.0, np.zeros(3)))
+        parts.append(slow_in_window(table, plain(field[rows]), readings.select(rows), 2000.0, np.zeros(3)))
     expected = slow_part_of(whole, readings, 2000.0)
     assert np.concatenate(parts) == pytest.approx(expected, abs=0.02 * expected.std())
     # By itself each day would step at midnight.
-    alone = slow_part_of(plain(field[:4000]), readings.part(slice(0, 4000)), 2000.0)
+    alone = slow_part_of(plain(field[:4000]), readings.select(slice(0, 4000)), 2000.0)
     assert np.abs(alone[-1] - expected[3999]).max() > 0.05
 
 
@@ -91,7 +91,7 @@ def test_a_day_has_the_error_that_it_has_in_its_window(part):
     table = part_variables(whole, readings, part, nothing)
     of_window = partial_correction(whole, part, 0.3, slow_part_of(whole, readings, part.seconds))
     rows = slice(1000, 2000)
-    day, of_day = plain(field[rows]), readings.part(rows)
+    day, of_day = plain(field[rows]), readings.select(rows)
     found = partial_correction(day, part, 0.3, *part_of_day(table, day, of_day, part, nothing))
     assert found.field == pytest.approx(of_window.field[rows], abs=0.01)
     assert found.sigma == pytest.approx(of_window.sigma[rows], abs=0.01)

@@ -63,9 +63,9 @@ def corrected(case: Case, told: float = 1.0) -> HeldOutDecision:
     told : float
         Size of the body as it is told, beside the true one; 0 when nothing is told of positions.
     """
-    body = replace(case.body, reach=told * case.body.reach) if told else None
+    body = replace(case.body, half_size=told * case.body.half_size) if told else None
     candidates = Candidates(case.readings, body)
-    return decide(case.readings, candidates.fit, candidates.expectations)
+    return decide(case.readings, candidates.fit, candidates.priors)
 
 
 def score(case: Case, judgement: HeldOutDecision, seconds: float = 0.0) -> Score:

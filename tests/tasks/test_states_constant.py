@@ -51,13 +51,13 @@ def forced(cat, mission, planned, day):
     around = planned.index.around([day])
     readings, _ = window_readings(cat, mission, planned.model, [day], planned.needs, around)
     candidates = Candidates(readings, body_of(mission, "main"))
-    found = decide(readings, candidates.fit, candidates.expectations)
+    found = decide(readings, candidates.fit, candidates.priors)
     applied = replace(found.correction, applied=True, reason="forced")
     tables = {}
     for method in ("states", "matrix"):
         for name, part in ((method, WHOLE), (f"quick {method}", AppliedPart(1.0, 20_000.0))):
-            evidence = found.evidence | {method: replace(found.evidence[method], part=part)}
-            told = replace(found, chosen=method, correction=applied, evidence=evidence)
+            evidence = found.scores | {method: replace(found.scores[method], part=part)}
+            told = replace(found, chosen=method, correction=applied, scores=evidence)
             tables[name] = table_of(candidates, told)
     return readings, tables
 

@@ -163,7 +163,7 @@ class DualCompareReport:
                     "coordinate": one.coordinate,
                     "amplitude_nT": float(np.abs(one.value).max()),
                     "sigma_nT": float(one.sigma[np.argmax(np.abs(one.value))]),
-                    "sentence": one.told(unit),
+                    "sentence": one.sentence(unit),
                 }
                 for one, unit in self.fails_where
             ],
@@ -393,7 +393,7 @@ def _step_figures(report: DualCompareReport) -> list[Any]:
 def _fails_text(report: DualCompareReport) -> list[str]:
     if not report.fails_where:
         return ["No state, unit or current goes with what is left at the switchings, by four sigma."]
-    listed = "".join(f"<li>{escape(one.told(unit))}</li>" for one, unit in report.fails_where)
+    listed = "".join(f"<li>{escape(one.sentence(unit))}</li>" for one, unit in report.fails_where)
     return [f"<ol>{listed}</ol>"]
 
 

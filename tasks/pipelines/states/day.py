@@ -236,7 +236,7 @@ def states_window(
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
-            found = decide(readings, candidates.fit, candidates.expectations)
+            found = decide(readings, candidates.fit, candidates.priors)
             return with_remark(table_of(candidates, found))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
@@ -326,7 +326,7 @@ def thinned(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
 
 def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
     """Return the table of what was learnt from a window and of what was said of its correction."""
-    evidence = list(found.evidence.values())
+    scores = list(found.scores.values())
     one = ("candidate",)
     table = training_to_dataset(candidates.training)
     chosen = found.chosen
@@ -335,15 +335,15 @@ def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
         gradiometer = gradiometer_variables(form, candidates.readings)
         table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
     told = table.assign(
-        slope=(one, np.array([each.slope for each in evidence])),
-        slope_sigma=(one, np.array([each.sigma for each in evidence])),
-        benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
-        chance_of_harm=(one, np.array([each.chance_of_harm for each in evidence]), {"units": "1"}),
-        share=(one, np.array([each.part.share for each in evidence]), {"units": "1"}),
-        slower=(one, np.array([each.part.seconds for each in evidence]), {"units": "s"}),
-        share_away=(one, np.array([each.away for each in evidence]), {"units": "1"}),
-        helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
-        candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
+        slope=(one, np.array([each.slope for each in scores])),
+        slope_sigma=(one, np.array([each.sigma for each in scores])),
+        benefit=(one, np.array([each.benefit for each in scores]), {"units": "nT2"}),
+        chance_of_harm=(one, np.array([each.risk for each in scores]), {"units": "1"}),
+        share=(one, np.array([each.part.share for each in scores]), {"units": "1"}),
+        slower=(one, np.array([each.part.seconds for each in scores]), {"units": "s"}),
+        share_away=(one, np.array([each.slope_error for each in scores]), {"units": "1"}),
+        helps=(one, np.array([each.helps for each in scores], dtype=np.int64)),
+        candidate=(one, np.array([each.name for each in scores], dtype="U32")),
     ).assign_attrs(
         method="gradiometer" if chosen in FORMS else chosen,
         applied="no" if chosen == "none" else "yes",
@@ -351,7 +351,7 @@ def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
     )
     if chosen in FORMS:
         told = gradiometer_in_states(told, candidates.readings)
-    part = found.evidence[chosen].part if chosen in found.evidence else WHOLE
+    part = found.scores[chosen].part if chosen in found.scores else WHOLE
     if part == WHOLE:
         return told
     whole = whole_correction(told, candidates.readings)

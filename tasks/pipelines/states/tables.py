@@ -33,7 +33,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.dual import (
-    SURE,
+    ASSIGNMENT,
     Ageing,
     Correction,
     NamedUnit,
@@ -134,8 +134,8 @@ def joined(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        Numbers and constant part of `inflight.dual.tracking.continue_training`. Of states that both windows know
-        `change` and `change_sigma` (state, axis) tell how the outboard correction changed beside what all
+        Numbers and constant part of `inflight.dual.tracking.continue_training`. Of states that both windows
+        know `change` and `change_sigma` (state, axis) tell how the outboard correction changed beside what all
         have in common, nT, and `aged` (state,) where that is more than noise. Attribute `goes_on` is ``yes``
         or ``no``.
     """
@@ -219,7 +219,7 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
     if len(training) and readings.good.any():
         taken = correction_by_stored_gradiometer(table, readings)
         states = correction_by_states(readings, training)
-        sure = taken.known & (states.probability >= SURE)
+        sure = taken.known & (states.probability >= ASSIGNMENT.sure)
         for row, number in enumerate(training.number.tolist()):
             inside = sure & (states.state == number)
             if inside.any():
