@@ -4,8 +4,8 @@ In go readings of an inboard and an outboard sensor (`Readings`), with the posit
 where they are known (`Body`); out come a correction of the outboard reading with its error (`Correction`),
 the decision whether it is applied (`HeldOutDecision`), a table of the spacecraft's states (`Training`) and
 the level-2 product. The ambient field is the same at both sensors, so that their difference
-``d = B_in - B_out`` is the spacecraft's field alone, with both sensors' offsets and noise. Delva et al. (Venus
-Express) recognise the spacecraft's states in it; Ness et al. (1971) scale it to the outboard sensor.
+``d = B_in - B_out`` is the spacecraft's field alone, with both sensors' offsets and noise. Delva et al.
+(Venus Express) recognise the spacecraft's states in it; Ness et al. (1971) scale it to the outboard sensor.
 
 Words, each with one meaning: a *unit* is what is switched on and off; a *jump* is a change point of the
 difference; a *segment* is a stretch between two jumps; a *state* is the combination of units that are on, a

@@ -27,7 +27,7 @@ UNKNOWN, AMBIGUOUS, TRANSIENT = (
 
 def split(made: Case, share: float = 0.6) -> tuple[Case, Case]:
     at = int(share * len(made.readings))
-    return made.select(slice(0, at)), made.select(slice(at, None))
+    return made.part(slice(0, at)), made.part(slice(at, None))
 
 
 def relative(training, commissioning: Case, cruise: Case) -> np.ndarray:
@@ -267,7 +267,7 @@ def test_a_training_survives_its_table():
 
 def test_states_keep_their_numbers_through_a_later_training():
     made = case(591, count=60_000, switches=160, ambient=1.0)
-    early, late = made.select(slice(0, 30_000)), made.select(slice(30_000, None))
+    early, late = made.part(slice(0, 30_000)), made.part(slice(30_000, None))
     # In the meantime the difference has moved as a whole.
     shifted = late.readings.inboard + np.array([0.7, -0.4, 0.2])
     moved = Readings(late.readings.stamps, shifted, late.readings.outboard)
