@@ -137,8 +137,7 @@ def joined(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
         Numbers and constant part of `inflight.dual.tracking.continue_training`. Of states that both windows
         know `change` and `change_sigma` (state, axis) tell how the outboard correction changed beside what
         all have in common, nT, and `aged` (state,) where that is more than noise. Attribute `goes_on` is
-        ``yes``
-        or ``no``.
+        ``yes`` or ``no``.
     """
     later = training_from_dataset(table)
     bare = table.drop_vars([name for name in _CHANGES if name in table])
