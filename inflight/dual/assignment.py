@@ -34,7 +34,7 @@ class AssignmentSettings:
 
     Attributes
     ----------
-    sure : float
+    least_probability : float
         A state less likely than this is ambiguous. Level of significance; in 36 records with drifting offsets
         or small units no wrong state had it (docs/science/two-sensors.md).
     unknown_prior : float
@@ -42,7 +42,7 @@ class AssignmentSettings:
     predicted_prior : float
         Of the rest, that the state was predicted only, never observed. Assumed.
     prior_passages : float
-        Passages from one state to the next that the prior counts beside those observed in training. Assumed.
+        Passages from one state to the next that the prior adds to those observed in training. Assumed.
     false_unknown : float
         Chance that one segment of all is taken for unknown by its noise. Level of significance.
     compared_segments : int
@@ -59,7 +59,7 @@ class AssignmentSettings:
         Rows at which a fallback is compared with the states' corrections, at most. Assumed, for speed.
     """
 
-    sure: float = 0.95
+    least_probability: float = 0.95
     unknown_prior: float = 0.01
     predicted_prior: float = 0.1
     prior_passages: float = 2.0
@@ -160,7 +160,7 @@ def assign(segments: Segments, training: Training, drift_sigma: float = 0.0) -> 
     Parameters
     ----------
     drift_sigma : float
-        How far the difference may have drifted since the training beside what the training observed, nT.
+        How far the difference may have drifted since the training, in addition to what the training observed, nT.
     """
     chain = _StateChain(segments, training)
     value, variance = _drift_since_training(segments, training, drift_sigma)
@@ -252,7 +252,7 @@ def _drift_since_training(
     away = max(float(segments.start[0] - training.end), float(training.start - segments.start[0]), 0.0)
     if 0.0 < share < 1.0:
         away = min(share, 1.0 - share) * span
-    # Slopes reverse: the duration of the training bounds how long one goes on.
+    # Slopes reverse: the duration of the training bounds how long one lasts.
     seconds = min(away, span) / SECOND
     rate = training.drift_rate
     variance = rate.level_walk * away / SECOND + seconds**2 * np.minimum(
@@ -333,7 +333,9 @@ def _by_segment(segments: Segments, training: Training, assigned: Assignment) ->
     unknown = best == known
     state = np.where(unknown, UNKNOWN, training.number[np.minimum(best, known - 1)])
     flag = np.where(unknown, np.uint32(Flag.UNKNOWN_STATE), np.uint32(0)).astype(np.uint32)
-    flag[(probability < ASSIGNMENT.sure) & ~segments.transient] |= np.uint32(Flag.AMBIGUOUS_STATE)
+    flag[(probability < ASSIGNMENT.least_probability) & ~segments.transient] |= np.uint32(
+        Flag.AMBIGUOUS_STATE
+    )
     field[unknown], covariance[unknown] = np.nan, np.nan
     found = _BySegment(field, covariance, state, probability, flag)
     _bridge_transients(found, segments)

@@ -4,8 +4,8 @@ Takes readings; makes the correctors by name that `held_out.decide` scores: grad
 ``states``, and ``combined``.
 
 The combined correction takes the field of a state where the state is known, and the gradiometer for what the
-difference does beside it, such as a current that follows the load; so does everything while the state is not
-known. A state's field at the outboard sensor is estimated twice: by the outboard steps of its own units, each
+difference does in addition, such as a current that follows the load; while the state is not known it takes
+everything. A state's field at the outboard sensor is estimated twice: by the outboard steps of its own units, each
 with what the ambient field did at that moment, and by the gradiometer's matrix, which all units have fitted
 together but which is not quite that of any of them. Both are averaged by their covariances.
 """
@@ -247,7 +247,7 @@ def combined_correction(
     Returns
     -------
     Correction
-        Relative to the training's reference state, unless the training knows the constant part.
+        Relative to the training's reference state, unless the constant part is known.
     """
     good = readings.good
     field = np.full((len(readings), 3), np.nan)

@@ -52,13 +52,13 @@ class ChangePointSettings:
         its size at most before `_best_splits` places it.
     local_lengths, local_samples, fewest_steps : int
         A local median of the steps is over so many lengths, so many samples at least, and holds so many
-        steps at least. Assumed: drift is slow beside them.
+        steps at least. Assumed: drift is slow compared to them.
     positions : int
         Steps by which the noise of a length is measured, at most. Assumed, for speed.
     level_samples : int
         Samples behind one local level of the noise. Assumed.
     least_level : float
-        The least local level of the noise (variance) beside the usual one. Assumed: a quiet stretch does not
+        The least local level of the noise (variance) relative to the usual one. Assumed: a quiet stretch does not
         make jumps of what is usual elsewhere.
     clipped_square : float
         Squared second differences (whitened, over six) count no more than this for the level. Derived: three
@@ -295,7 +295,7 @@ def _local_medians(step: Floats, at: Rows, block: int, count: int) -> Floats:
 
 
 def _local_levels(unit: Floats) -> Floats:
-    """Return the local variance of whitened noise beside the usual one; (block,), by `level_samples`.
+    """Return the local variance of whitened noise relative to the usual one; (block,), by `level_samples`.
 
     The larger of a block's own and its neighbours': a burst may begin inside one.
     """

@@ -56,8 +56,8 @@ class Correction:
     reason : str
         Why it is applied or not.
     constant_known : bool
-        Whether the part of the stray field that never changes is in `field`. Two sensors alone cannot tell
-        it from the ambient field and the offsets; without it `field` is relative to one state.
+        Whether the part of the stray field that never changes is in `field`. Two sensors alone cannot
+        separate it from the ambient field and the offsets; without it `field` is relative to one state.
     """
 
     field: Floats

@@ -34,7 +34,7 @@ class GeometrySettings:
         Places of dipoles that are drawn. Assumed: chances of one in a thousand are estimated from these and
         the draws of the sensors' drift (`held_out.HELD_OUT`).
     ratios : (float, float)
-        Of a boom of unknown geometry: range of the size of a dipole's field at the outboard sensor beside
+        Of a boom of unknown geometry: range of the size of a dipole's field at the outboard sensor over
         that at the inboard one. Assumed.
     offset : float
         Of the same: the places of dipoles on each axis, in distances of the inboard sensor. Assumed.

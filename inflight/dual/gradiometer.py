@@ -10,7 +10,7 @@ a matrix times ``d``. Its forms are one ratio, one for each axis, the strongest 
 (`principal`), the matrix of a dipole whose place is fitted, and the full matrix. The principal directions are
 those of Constantinescu et al. (2020), here of weighted contrasts with the sensors' white noise taken out.
 
-What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the
+What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted with the
 matrix (`mixing`) and subtracted before: otherwise the field that is measured would be changed in proportion
 to itself. The matrix takes the noise of ``d`` to the outboard sensor, too. `wiener_shrink` therefore divides
 the difference into bands of time scale and keeps of each, locally, as much as exceeds the noise (James and
@@ -232,7 +232,7 @@ def fit_forms(
 def _hidden_spread(full: Gradiometer, moments: SecondMoments, body: Body | None) -> Floats:
     """Return the units' spread that no regression shows, as a covariance of the matrix's elements; (9, 9).
 
-    A matrix fits three units with directions of their own. What more of them make beside it is uncorrelated
+    A matrix fits three units with directions of their own. What more of them make in addition is uncorrelated
     with the difference as a whole, like ambient field: only geometry bounds it.
     """
     if len(_held_directions(moments, full.noise)) < 3:

@@ -84,7 +84,7 @@ class HeldOutSettings:
     trivial_benefit : float
         What lowers the mean square error by less than this part of the noise's is not applied. Assumed.
     own_contrasts : float
-        Contrasts that a cell's variance is taken to have beside its own. Assumed.
+        Contrasts that a cell's variance is taken to have in addition to its own. Assumed.
     blocks : int
         Blocks of time of each fold whose scatter widens the error of a slope. Assumed.
     slope_scatter : float
@@ -158,7 +158,7 @@ class HeldOutDecision:
 
 @dataclass(frozen=True, kw_only=True)
 class HeldOutScore:
-    """What held-out readings and geometry say of one candidate.
+    """Score of one candidate by held-out readings and geometry.
 
     Attributes
     ----------
@@ -170,11 +170,11 @@ class HeldOutScore:
     benefit : float
         Expected fall of the mean square error, nT^2 summed over axes.
     trivial : bool
-        That fall is negligible beside the noise.
+        That fall is negligible compared to the noise.
     units : str
         Where the units are taken to stand.
     part : AppliedPart
-        Which part of the correction is taken off: the largest that is sure to help.
+        Which part of the correction is taken off: the most useful one of low enough risk.
     slope_error : float
         How far its share is from the stray field's part, rms.
     constant_known : bool
@@ -343,9 +343,9 @@ def held_out_score(
 
 
 def best_part(posterior: SlopePosterior, constant_known: bool) -> AppliedPart:
-    """Return the part of a correction that lowers the error most, of all that are sure to; else the whole.
+    """Return the part of a correction that lowers the error most, of all of low risk; else the whole.
 
-    For each width of the slow part that is not taken off, the largest share that is sure counts.
+    For each width of the slow part that is not taken off, the largest share of low risk counts.
     """
     if constant_known:
         return WHOLE
@@ -444,7 +444,7 @@ class SlopePrior:
         Of the stray field on the correction.
     filtered : mapping
         By the seconds of an `AppliedPart`: the product of the part with the whole correction on each scale,
-        and its square, beside `power`; each (scale,).
+        and its square, relative to `power`; each (scale,).
     leak : ndarray, shape (draw, axis, axis), optional
         Ambient field that is in the correction because its fitted leak is not right.
     signal_share : ndarray, shape (scale,), optional
@@ -490,7 +490,7 @@ class SlopePosterior:
         signal = np.broadcast_to(prior.signal_share, prior.scale.shape)[own, None]
         slope, observed = prior.slope[own], observation.slope[other, None]
         if prior.leak is not None:
-            # The outboard reading goes with its own ambient field: that looks like stray field.
+            # The outboard reading is correlated with its own ambient field, as it is with stray field.
             observed = observed - signal * np.einsum("dij,sij->sd", prior.leak, observation.ambient[other])
         # What was taken for noise may be stray field: the correction is then too small by so much.
         most = slope * (1.0 + signal) / (2.0 * np.maximum(signal, HELD_OUT.least_signal))
@@ -680,7 +680,7 @@ class GeometryPrior:
 
     @cached_property
     def _draws(self) -> Floats:
-        """How large white noise, line, walk and flicker noise are beside what is usual, in power.
+        """How large white noise, line, walk and flicker noise are relative to what is usual, in power.
 
         (4, place, draw).
         """

@@ -50,7 +50,7 @@ class MixingSettings:
         Prior standard deviations that a fit of the leak may go: farther the leak could stand for the matrix.
         Level of significance.
     own_contrasts : float
-        Contrasts that a cell's variance is taken to have beside its own, of the size of the noise. Assumed:
+        Contrasts, of the size of the noise, that are added to those of a cell's variance. Assumed:
         ambient and stray field cancel by chance in a few cells.
     leak_parts : int
         Parts of the record whose scatter widens the covariance of the leak. Assumed.
@@ -304,7 +304,7 @@ def _leak_covariance(restful: Cells, prior: tuple[Floats, Floats], leak: Floats,
 
 
 def _leak_excess(cells: Cells, matrix: Floats, leak: Floats, information: Floats) -> float:
-    """Return the variance of the leak's score between parts of the record beside what is stated; at least 1.
+    """Return the variance of the leak's score between parts of the record over the stated one; at least 1.
 
     Parameters
     ----------
@@ -424,7 +424,7 @@ class SecondMoments:
         return max(extra, 0.0) / power if power > 0 else 0.0
 
     def excess(self, matrix: Floats) -> float:
-        """Return the variance between blocks of time beside what the squares state; at least 1."""
+        """Return the variance between blocks of time over what the squares state; at least 1."""
         found = 0.0
         for axis in range(3):
             score = self._scores(axis, matrix[axis])

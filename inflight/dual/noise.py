@@ -78,8 +78,8 @@ class SlowNoiseSettings:
         Sensors are not alike: the drift of a pair has Student's distribution with so many degrees of
         freedom. Assumed: more than three times the usual one in one pair of seventeen.
     flicker : float
-        Flicker noise of the difference in a record beside the white noise of one sample, one standard
-        deviation. Assumed.
+        Flicker noise of the difference in a record over the white noise of one sample, standard
+        deviations. Assumed.
     draws : int
         Series that are drawn of each. Assumed.
     """

@@ -264,7 +264,7 @@ class DriftRate(NamedTuple):
     slope_walk : ndarray
         Rate of variance by which the slope changes, a random walk, nT^2/s^3.
     level_walk : ndarray
-        Rate of variance by which the drift itself walks beside that, nT^2/s.
+        Rate of variance by which the drift itself walks in addition, nT^2/s.
     """
 
     slope: Floats

@@ -51,7 +51,7 @@ class StateSettings:
         Scatters of the states' points that are tried, in standard deviations of one sample. Assumed: half a
         decade apart.
     drifts : tuple of float
-        Walks of the drift over the whole record that are tried beside what segments show, in the same unit.
+        Walks of the drift over the whole record that are tried in addition to what segments show, in the same unit.
         Assumed: half a decade apart.
     rounds : int
         Rounds of assignment and new centres at most. Assumed: labels are constant long before.
@@ -77,7 +77,7 @@ class UnitSettings:
     missed : float
         Chance that a change is not recognised as a unit's, or a sum's, by its noise. Level of significance.
     accidents : float
-        A sum is believed when fewer than this many agree by accident. Level of significance.
+        A sum is accepted when fewer than this many agree by accident. Level of significance.
     together : int
         Units that are taken to switch at once, at most. Assumed.
     proof_steps : int
@@ -386,7 +386,7 @@ def labels_by_steps(
     rates : sequence of DriftRate
         How fast the difference may drift, the likeliest first.
     scatters : sequence of float
-        By how much a state's point may vary beside noise and drift, nT; the likeliest first.
+        By how much a state's point may vary beyond noise and drift, nT; the likeliest first.
     """
     if np.count_nonzero(~segments.transient) < UNITS.proof_steps + 2:
         return None

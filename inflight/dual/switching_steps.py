@@ -8,7 +8,7 @@ before.
   steps there no more than anywhere else. A constant error is not in it.
 - `attribute_jumps`: which jumps of the difference no housekeeping channel follows. The field of a unit
   without housekeeping stays for an hour, in the difference and in the reading that it is calibrated against,
-  so that everything fitted beside it is wrong by more than its scatter shows. What switches together with a
+  so that everything fitted with it is wrong by more than its scatter shows. What switches together with a
   channel is found by the sizes: steps are regressed on the changes of the channels, robustly.
 - `name_units`: which channel switches with which unit, by a permutation test.
 """
@@ -112,7 +112,7 @@ class NamingSettings:
     fewest : int
         Switchings of a unit at least. Derived: with fewer no rearrangement reaches the level.
     rival : float
-        A channel is named beside the best one when it agrees by this part of it. Assumed.
+        A channel is named after the best one when it agrees by this part of it. Assumed.
     """
 
     agreement: float = 0.5
@@ -474,7 +474,7 @@ class NamedUnit:
     switchings : int
         How often it was seen to switch.
     channels : tuple of str
-        The best first; more than one when these cannot be told apart, none without housekeeping.
+        The best first; more than one when these cannot be distinguished, none without housekeeping.
     agreement : tuple of float
         Squared correlation of the channel's changes with the unit's switchings, over all switchings.
     per_unit : tuple of float

@@ -62,7 +62,7 @@ class Ageing:
     shift : ndarray, shape (axis,)
         By how much the difference drifted in between, the same for all states, nT.
     change, sigma : ndarray, shape (pair, axis)
-        Change of the correction, beside that of all together where one is relative, and its standard
+        Change of the correction, less that of all together where one is relative, and its standard
         deviation, nT.
     aged : ndarray of bool, shape (pair,)
         The change exceeds what noise makes.
@@ -88,8 +88,8 @@ def continue_training(earlier: Training, later: Training) -> Ageing:
     -----
     States are matched by their differences after a common shift, the one that matches most states; a state
     that has none takes the next number that no training before had. The corrections become relative to the
-    same state as before where both know it. A constant part that only the earlier one knows is taken over:
-    its error grows by the common shift, of which nobody knows whose offset it was.
+    same state as before where both know it. A constant part that is known for the earlier one only is taken
+    over: its error grows by the common shift, which may be the offset of either sensor.
     """
     later = standalone_training(later)
     matched, shift = _matched(earlier, later)
@@ -143,7 +143,7 @@ def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int6
     """Return the later training with the earlier one's numbers of units, switched on and off alike.
 
     Two units are the same when they are switched in the same of the states that both know, or in the other
-    ones: which of its two states is "on" only a convention tells.
+    ones: which of its two states is "on" is a convention.
     """
     pairs, inverted = _same_units(earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]])
     number, free = _numbered(pairs, earlier.unit_number, len(later.unit), earlier.next_unit)
@@ -173,7 +173,7 @@ def _same_units(before: Occupancy, after: Occupancy) -> tuple[npt.NDArray[np.int
             pairs.append((one, other))
             inverted[other] = sign < 0
     found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    # Two that always switched together cannot be told apart: neither is the same as before for sure.
+    # Two that always switched together cannot be distinguished: either may be the same as before.
     first, second = (np.bincount(column)[column] if column.size else column for column in found.T)
     single = (first == 1) & (second == 1)
     inverted[found[~single, 1]] = False

@@ -2,7 +2,7 @@
 
 Takes readings; makes the table of states with their corrections, and the units behind them.
 
-At a jump of the difference the outboard reading steps, too, and the ambient field goes on as before. What the
+At a jump of the difference the outboard reading steps, too, and the ambient field continues as before. What the
 ambient field does between the two stretches compared is noise of the step; it is measured from the outboard
 readings themselves where nothing switches, the best length of stretch is chosen by it, and livelier times
 have less weight. The steps are regressed on the units that switch, or on the states where units are not
@@ -39,14 +39,14 @@ class TrainingSettings:
     local_steps : int
         Places in either segment at which the local variance of the ambient field is measured. Assumed.
     usual_steps : float
-        What the usual variance counts beside them, in steps. Assumed: a prior of four steps.
+        Weight of the usual variance relative to them, in steps. Assumed: a prior of four steps.
     huber_limit : float
         Beyond this many standard deviations (of three components) a step has less weight: Huber's. Level of
         significance: 0.9 % of Gaussian steps.
     rounds : int
         Rounds of the robust fit. Assumed: weights hardly change after three.
     prior_size : float
-        Prior standard deviation of a unit's field at the outboard sensor, beside the size of its difference.
+        Prior standard deviation of a unit's field at the outboard sensor over the size of its difference.
         Derived: a dipole whose distance from the inboard sensor is 0.8 of that from the outboard one has
         just that.
     """
@@ -97,7 +97,7 @@ class Training:
     reference : int
         Number of the state whose correction is zero by definition; -1 for absolute corrections.
     excess : float
-        Scatter of the outboard steps beside what they state.
+        Scatter of the outboard steps over what they state.
     reason : str
         What is known of units.
     design : ndarray, shape (state, parameter)
@@ -303,7 +303,7 @@ class OutboardSteps:
 def outboard_steps(readings: Readings, segments: Segments) -> OutboardSteps:
     """Return the outboard steps between neighbouring steady segments.
 
-    The covariance of a step grows with the square of the time between both stretches beside that of
+    The covariance of a step grows with the square of the time between both stretches over that of
     neighbouring ones: for a field smoother than a random walk this is enough, for white noise too much.
     """
     rows = np.flatnonzero(readings.good)
@@ -339,7 +339,7 @@ def _mean(sums: Floats, first: Rows, last: Rows) -> Floats:
 def _local_variance(
     sums: Floats, first: Rows, last: Rows, noise: StepNoise, scale: int, pair: tuple[int, int]
 ) -> float:
-    """Return the variance of steps within two segments beside the usual one."""
+    """Return the variance of steps within two segments over the usual one."""
     width = int(noise.length[scale])
     # Those that are nearest to the jump, from both sides.
     at = [last[pair[0]] - width - (width * np.arange(TRAINING.local_steps)) // 2]
@@ -408,7 +408,7 @@ class StrayFit:
     covariance : ndarray, shape (parameter, axis, parameter, axis)
         nT^2.
     excess : float
-        Scatter of the rows beside what they state, in sigmas; the covariance is widened by it where above 1.
+        Scatter of the rows over what they state, in sigmas; the covariance is widened by it where above 1.
     """
 
     value: Floats

@@ -56,8 +56,8 @@ def forced(cat, mission, planned, day):
     tables = {}
     for method in ("states", "matrix"):
         for name, part in ((method, WHOLE), (f"quick {method}", AppliedPart(1.0, 20_000.0))):
-            evidence = found.scores | {method: replace(found.scores[method], part=part)}
-            told = replace(found, chosen=method, correction=applied, scores=evidence)
+            scores = found.scores | {method: replace(found.scores[method], part=part)}
+            told = replace(found, chosen=method, correction=applied, scores=scores)
             tables[name] = table_of(candidates, told)
     return readings, tables
 

@@ -219,7 +219,7 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
     if len(training) and readings.good.any():
         taken = correction_by_stored_gradiometer(table, readings)
         states = correction_by_states(readings, training)
-        sure = taken.known & (states.probability >= ASSIGNMENT.sure)
+        sure = taken.known & (states.probability >= ASSIGNMENT.least_probability)
         for row, number in enumerate(training.number.tolist()):
             inside = sure & (states.state == number)
             if inside.any():
