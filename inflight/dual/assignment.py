@@ -160,7 +160,7 @@ def assign(segments: Segments, training: Training, drift_sigma: float = 0.0) -> 
     Parameters
     ----------
     drift_sigma : float
-        How far the difference may have drifted since the training, in addition to what the training observed, nT.
+        How far the difference may have drifted since the training, beyond what the training observed, nT.
     """
     chain = _StateChain(segments, training)
     value, variance = _drift_since_training(segments, training, drift_sigma)

@@ -5,9 +5,9 @@ Takes readings; makes the correctors by name that `held_out.decide` scores: grad
 
 The combined correction takes the field of a state where the state is known, and the gradiometer for what the
 difference does in addition, such as a current that follows the load; while the state is not known it takes
-everything. A state's field at the outboard sensor is estimated twice: by the outboard steps of its own units, each
-with what the ambient field did at that moment, and by the gradiometer's matrix, which all units have fitted
-together but which is not quite that of any of them. Both are averaged by their covariances.
+everything. A state's field at the outboard sensor is estimated twice: by the outboard steps of its own units,
+each with what the ambient field did at that moment, and by the gradiometer's matrix, which all units have
+fitted together but which is not quite that of any of them. Both are averaged by their covariances.
 """
 
 from __future__ import annotations

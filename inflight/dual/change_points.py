@@ -58,8 +58,8 @@ class ChangePointSettings:
     level_samples : int
         Samples behind one local level of the noise. Assumed.
     least_level : float
-        The least local level of the noise (variance) relative to the usual one. Assumed: a quiet stretch does not
-        make jumps of what is usual elsewhere.
+        The least local level of the noise (variance) relative to the usual one. Assumed: a quiet stretch does
+        not make jumps of what is usual elsewhere.
     clipped_square : float
         Squared second differences (whitened, over six) count no more than this for the level. Derived: three
         sigmas.

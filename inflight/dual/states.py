@@ -51,7 +51,7 @@ class StateSettings:
         Scatters of the states' points that are tried, in standard deviations of one sample. Assumed: half a
         decade apart.
     drifts : tuple of float
-        Walks of the drift over the whole record that are tried in addition to what segments show, in the same unit.
+        Walks of the drift over the whole record that are tried besides that of segments, in the same unit.
         Assumed: half a decade apart.
     rounds : int
         Rounds of assignment and new centres at most. Assumed: labels are constant long before.

@@ -2,10 +2,10 @@
 
 Takes readings; makes the table of states with their corrections, and the units behind them.
 
-At a jump of the difference the outboard reading steps, too, and the ambient field continues as before. What the
-ambient field does between the two stretches compared is noise of the step; it is measured from the outboard
-readings themselves where nothing switches, the best length of stretch is chosen by it, and livelier times
-have less weight. The steps are regressed on the units that switch, or on the states where units are not
+At a jump of the difference the outboard reading steps, too, and the ambient field continues as before. What
+the ambient field does between the two stretches compared is noise of the step; it is measured from the
+outboard readings themselves where nothing switches, the best length of stretch is chosen by it, and livelier
+times have less weight. The steps are regressed on the units that switch, or on the states where units are not
 known (robust weighted least squares).
 
 From steps only differences between states are known, and the correction is relative to the state observed

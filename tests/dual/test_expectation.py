@@ -179,9 +179,9 @@ def test_less_is_taken_off_where_the_whole_might_do_harm():
     chances = [posterior.risk(AppliedPart(share)) for share in (1.0, 0.7, 0.5)]
     assert chances[0] > chances[1] > chances[2]
     # 2 share <c s> - share^2 <c^2>
-    likely = after.benefit(AppliedPart(0.7))
+    likely = posterior.benefit(AppliedPart(0.7))
     assert likely == pytest.approx(2.0 * 0.7 * (2 * draws.mean() - 0.7))
-    assert likely > after.benefit() - 0.1
+    assert likely > posterior.benefit() - 0.1
 
 
 def test_slow_scales_that_may_do_harm_are_left_alone():
@@ -204,7 +204,7 @@ def test_readings_move_the_expected_slope_to_what_they_say():
     seen = SlopeObservation(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
     assert prior.posterior(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
     assert not prior.posterior(seen).refuted
-    assert prior.after(replace(seen, slope=np.array([9.0, 9.0]))).refuted
+    assert prior.posterior(replace(seen, slope=np.array([9.0, 9.0]))).refuted
 
 
 def test_readings_that_an_error_of_the_leak_explains_tell_less():

@@ -26,7 +26,7 @@ def readings_of(count, first=0):
 def test_a_share_has_an_error_that_holds_the_rest():
     field = np.zeros((3, 3))
     field[1, 0] = 2.0
-    part = partial_correction(plain(field), AppliedPart(0.7), away=0.3)
+    part = partial_correction(plain(field), AppliedPart(0.7), slope_error=0.3)
     assert part.field[1, 0] == pytest.approx(1.4)
     assert part.sigma[1, 0] == pytest.approx(np.hypot(0.6, 0.007))
     assert part.sigma[0, 0] == pytest.approx(0.007)
@@ -34,7 +34,7 @@ def test_a_share_has_an_error_that_holds_the_rest():
 
 def test_the_whole_is_returned_as_it_is():
     whole = plain(np.ones((3, 3)))
-    assert partial_correction(whole, WHOLE, away=0.3) is whole
+    assert partial_correction(whole, WHOLE, slope_error=0.3) is whole
 
 
 def test_what_is_left_alone_is_an_error_and_the_constant_is_no_longer_known():
@@ -100,7 +100,7 @@ def test_a_day_has_the_error_that_it_has_in_its_window(part):
 
 def test_a_constant_that_a_window_took_over_is_no_matter_of_the_share():
     field = np.repeat([5.0, 7.0, 5.0], 100)[:, None] * np.ones(3)
-    found = partial_correction(plain(field, constant_known=True), AppliedPart(0.5), away=0.5)
+    found = partial_correction(plain(field, constant_known=True), AppliedPart(0.5), slope_error=0.5)
     assert found.field[0] == pytest.approx(5.0 * np.ones(3))
     assert found.field[150] == pytest.approx(6.0 * np.ones(3))
     assert found.sigma[150] == pytest.approx(np.ones(3), rel=0.01)

@@ -14,7 +14,8 @@ from pydantic import Field
 from inflight.simulate.dual.switching import UNITS
 from inflight.simulate.mission import MissionParameters, MissionSettings
 
-#: Effects present unless removed with `without`: name -> what it is. with `hide` the current of a unit is not delivered.
+#: Effects present unless removed with `without`: name -> what it is. With `hide` the current of a unit is not
+#: delivered.
 STANDARD: dict[str, str] = {unit.name: f"field of the {unit.name.replace('_', ' ')}" for unit in UNITS} | {
     "offset": "constant readings in zero field",
     "offset_drift": "offsets of both sensors wander by days",
