@@ -720,6 +720,7 @@ class GeometryPrior:
             The largest power of drift and of flicker noise by scale, nT^2.
         """
         sums, found = running_sums(both), {}
+        factor = float(np.sqrt(np.sum(self._mean_matrix**2) / 3.0))
         for scale in scales_of(len(both), HELD_OUT.longest):
             values = contrasts(sums, scale)[0]
             stray, white, ambient = (
@@ -737,7 +738,7 @@ class GeometryPrior:
             leaked = np.einsum("ptki,ij,ptkj->pt", leaks, ambient, leaks)
             share = np.concatenate([own, leaked[None]]) / max(self._size(stray), 1e-300)
             share /= np.maximum(share.sum(axis=0), 1.0)
-            added = np.sum(self._outboard * share[:4], axis=0) / self._mean_factor
+            added = np.sum(self._outboard * share[:4], axis=0) / factor
             found[scale] = NonStrayShare(share.sum(axis=0), added)
         return found
 
@@ -761,11 +762,6 @@ class GeometryPrior:
     @cached_property
     def _mean_matrix(self) -> Floats:
         return np.asarray(self.matrices.mean(axis=0))
-
-    @property
-    def _mean_factor(self) -> float:
-        """Size of the mean matrix."""
-        return float(np.sqrt(np.sum(self._mean_matrix**2) / 3.0))
 
     def _size(self, covariance: Floats) -> float:
         """Return the power at the outboard sensor of a covariance of the difference (3, 3)."""

@@ -497,7 +497,8 @@ def chi2_limit(tests: int) -> float:
     return float(stats.chi2.isf(UNITS.missed / max(tests, 1), 3))
 
 
-def _squared_distance(vector: Floats, covariance: Floats) -> float:
+def squared_distance(vector: Floats, covariance: Floats) -> float:
+    """Return the squared length of a vector (axis,) in units of its errors (Mahalanobis)."""
     return float(vector @ np.linalg.solve(covariance, vector))
 
 
@@ -515,7 +516,7 @@ def match_or_add(changes: list[Change], new: Change, limit: float) -> tuple[int,
     best = (np.inf, 0, 1)
     for index, known in enumerate(changes):
         for sign in (1, -1):
-            distance = _squared_distance(new.vector - sign * known.vector, new.covariance + known.covariance)
+            distance = squared_distance(new.vector - sign * known.vector, new.covariance + known.covariance)
             best = min(best, (distance, index, sign))
     distance, index, sign = best
     if distance > limit:
@@ -581,7 +582,7 @@ def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int
                 continue
             for sign in signs:
                 total = sum(s * changes[part].vector for s, part in zip(sign, choice, strict=True))
-                distance = _squared_distance(target.vector - total, spread)
+                distance = squared_distance(target.vector - total, spread)
                 if distance < limit and (best is None or distance < best[0]):
                     best = distance, dict(zip(choice, sign, strict=True))
         if best is not None:

@@ -534,24 +534,20 @@ def _named(
         known = np.isfinite(change)
         if np.count_nonzero(sign[known]) < NAMING.fewest:
             continue
-        agreement, per_unit = _agreement(sign[known], change[known])
+        on, by = sign[known], change[known]
+        # The squared correlation through zero, and the change for one switching on.
+        squares, product = float(by @ by) * float(on @ on), float(on @ by)
+        agreement = product**2 / squares if squares > 0 else 0.0
         if agreement < NAMING.agreement:
             continue
-        if _chance(sign[known], change[known], agreement, random) <= level:
-            found.append((agreement, name, per_unit))
+        if _chance(on, by, agreement, random) <= level:
+            found.append((agreement, name, product / float(on @ on)))
     if not found:
         return replace(nameless, reason="no channel changes when it switches")
     found.sort(reverse=True)
     near = [one for one in found if one[0] >= NAMING.rival * found[0][0]]
     agreements, names, per_units = zip(*near, strict=True)
     return replace(nameless, channels=names, agreement=agreements, per_unit=per_units)
-
-
-def _agreement(sign: Floats, change: Floats) -> tuple[float, float]:
-    """Return the squared correlation through zero, and the change for one switching on."""
-    squares = float(change @ change) * float(sign @ sign)
-    product = float(sign @ change)
-    return (product**2 / squares if squares > 0 else 0.0), product / float(sign @ sign)
 
 
 def _chance(sign: Floats, change: Floats, agreement: float, random: np.random.Generator) -> float:

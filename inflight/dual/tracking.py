@@ -22,7 +22,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.segments import DriftRate
-from inflight.dual.states import Occupancy
+from inflight.dual.states import Occupancy, squared_distance
 from inflight.dual.training import Training, relative_to
 from inflight.errors import CalibrationError
 
@@ -246,7 +246,7 @@ def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64],
     )
     weight, size, shift, own = rivals[0]
     # Shifts of one and the same matching differ by their noise only.
-    others = [one[1] for one in rivals if _squared_distance(one[2] - shift, own + one[3]) > limit]
+    others = [one[1] for one in rivals if squared_distance(one[2] - shift, own + one[3]) > limit]
     if weight < CONTINUATION.least_match * later.seconds.sum() or (others and size > 0.5 * min(others)):
         return nothing
     residual = apart - shift
@@ -255,10 +255,6 @@ def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64],
     precision = np.linalg.inv(spread[pairs[:, 0], pairs[:, 1]])
     right = np.einsum("pij,pj->i", precision, apart[pairs[:, 0], pairs[:, 1]])
     return pairs, np.asarray(np.linalg.solve(precision.sum(axis=0), right))
-
-
-def _squared_distance(vector: Floats, covariance: Floats) -> float:
-    return float(vector @ np.linalg.solve(covariance, vector))
 
 
 def _nearest_pairs(distance: Floats, limit: float) -> npt.NDArray[np.int64]:
