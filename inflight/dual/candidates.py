@@ -61,7 +61,7 @@ class CandidateSettings:
     usual_dwell : int
         Samples of a segment, in the mean, from which more are allowed. Assumed.
     bearable_segments : int
-        With more segments than this states are never searched for: it takes minutes. Measured as time.
+        With more segments than this states are never searched for. Assumed, for speed: more take minutes.
     centre_reach : float
         A state's centre farther out than so many times the largest difference shows that the clustering
         failed. Assumed.

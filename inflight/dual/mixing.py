@@ -55,7 +55,7 @@ class MixingSettings:
     leak_parts : int
         Parts of the record whose scatter widens the covariance of the leak. Assumed.
     rounds : int
-        Rounds of weighting cells by the ambient field. Assumed: the matrix hardly changes after three.
+        Rounds of weighting cells by the ambient field. Assumed.
     observed_square : float
         Weighted square of the difference along a direction that determines the matrix at all. Assumed.
     noise_uncertainty : float

@@ -41,7 +41,7 @@ class NoiseFloorSettings:
         Bands of frequency of equal width. Assumed.
     quiet_bands, first_band : int
         The noise is the mean of so many of the quietest bands, from this place on. Assumed: the quietest may
-        be quiet by chance (tests/dual/test_noise_floor.py: 4 % in the mean of 20 records).
+        be quiet by chance (tests/dual/test_noise_floor.py holds the mean of 20 records to 4 %).
     agreement : float
         The variances of these bands differ by no more than this factor. Assumed: in the edge of a filter
         neighbours differ by more.

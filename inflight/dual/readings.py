@@ -35,7 +35,7 @@ class WhiteNoiseSettings:
     Attributes
     ----------
     most_samples : int
-        Samples that the noise is estimated from at most. Assumed: a relative error below 1 %.
+        Samples that the noise is estimated from at most. Assumed, for speed.
     stretch : int
         Samples of each of the evenly spread stretches that a longer record is reduced to. Assumed.
     quartile_to_sigma : float

@@ -54,7 +54,7 @@ class StateSettings:
         Walks of the drift over the whole record that are tried besides that of segments, in the same unit.
         Assumed: half a decade apart.
     rounds : int
-        Rounds of assignment and new centres at most. Assumed: labels are constant long before.
+        Rounds of assignment and new centres at most; they end when labels stay. Assumed.
     anywhere_points, anywhere_noise : float
         Where a state lies before any is observed: the covariance of all points times this, and that of a
         sample times this. Derived: two and three sigmas.

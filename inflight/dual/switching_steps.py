@@ -110,7 +110,7 @@ class NamingSettings:
         Of a channel's changes among the switchings. Derived: they resolve the level down to one in twenty
         thousand.
     fewest : int
-        Switchings of a unit at least. Derived: with fewer no rearrangement reaches the level.
+        Switchings of a unit at least. Assumed.
     rival : float
         A channel is named after the best one when it agrees by this part of it. Assumed.
     """

@@ -44,7 +44,7 @@ class TrainingSettings:
         Beyond this many standard deviations (of three components) a step has less weight: Huber's. Level of
         significance: 0.9 % of Gaussian steps.
     rounds : int
-        Rounds of the robust fit. Assumed: weights hardly change after three.
+        Rounds of the robust fit. Assumed.
     prior_size : float
         Prior standard deviation of a unit's field at the outboard sensor over the size of its difference.
         Derived: a dipole whose distance from the inboard sensor is 0.8 of that from the outboard one has
