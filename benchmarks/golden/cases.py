@@ -71,8 +71,7 @@ class Case:
     @property
     def data(self) -> Path:
         """Folder of real measurements."""
-        real = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))
-        return real / self.folder
+        return real_data(self.folder)
 
     @property
     def available(self) -> bool:
@@ -80,11 +79,16 @@ class Case:
         return not self.folder or self.data.is_dir()
 
 
+def real_data(folder: str = "") -> Path:
+    """Return a folder of real measurements, or the one that holds them all."""
+    return Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data")) / folder
+
+
 def cases() -> dict[str, Case]:
     """Return all cases by name, long ones first, so that two at a time end together."""
-    from benchmarks.golden import simulated
+    from benchmarks.golden import measured, simulated
 
-    return {case.name: case for case in simulated.CASES}
+    return {case.name: case for case in (*simulated.CASES, *measured.CASES)}
 
 
 # --- the verbs, as every case types them -----------------------------------------------------------------

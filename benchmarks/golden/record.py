@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -66,7 +67,9 @@ def make_record(
             line, fine = done.result()
             failed += not fine
             print(line, flush=True)
-    print(f"{len(todo)} cases in {time.monotonic() - begun:.0f} s, record in {folder}")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    told = f"{time.monotonic() - begun:.0f} s ({used.ru_utime + used.ru_stime:.0f} s of processors)"
+    print(f"{len(todo)} cases in {told}, record in {folder}")
     return 1 if failed or (only and missing) else 0
 
 
@@ -149,6 +152,7 @@ class _Bench:
         self.times[label] = round(time.monotonic() - begun, 2)
         if done.returncode != step.ends:
             self.unexpected.append((label, done.returncode))
+            print(f"{self.case.name}: {label} ended with {done.returncode}, not {step.ends}", flush=True)
         printed = _parsed(self._without_paths(done.stdout))
         _write_json(self.target / "steps" / f"{label}.json", {"exit": done.returncode, "printed": printed})
         self._log(label, done.stderr)

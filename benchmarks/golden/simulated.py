@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from benchmarks.golden import spun
 from benchmarks.golden.cases import (
     Case,
     Keep,
     Run,
+    Write,
     chain,
     change,
     compare,
@@ -24,7 +26,7 @@ _ARCHIVE = Keep("archive", ("l1/",))
 
 DEMO = Case(
     "demo",
-    "the demo, with Prefect and two processes; then its release",
+    "the demo, with Prefect and two processes; its release; then all days at once",
     (
         Run("demo", ("demo", "--days", "3", "--workers", "2")),
         Keep("end", ("l1/", "l2/")),
@@ -35,6 +37,9 @@ DEMO = Case(
         look("catalog", "verify"),
         Run("backfill", ("backfill", "--start", "2005-01-01", "--end", "2005-01-05", "--dry-run")),
         Run("release", ("release", "1.0", "--no-prefect", "--notes", "golden")),
+        reprocess("continuous", "--distribute"),
+        Keep("continuous"),
+        compare("continuous"),
     ),
 )
 
@@ -81,7 +86,6 @@ MISSION = Case(
         Keep("continuous"),
         chain(),
         Run("cross-talk", ("chain", "--cross-talk", "time_shift.seconds")),
-        compare(),
     ),
 )
 
@@ -139,6 +143,23 @@ FLUXGATES = Case(
     ),
 )
 
+BOOM = Case(
+    "boom",
+    "two spinning sensors on a boom that bends",
+    (
+        Write("two spinning sensors", lambda work, checkout: spun.write_boom(work)),
+        new("mission/boom.yaml"),
+        ingest("delivered"),
+        reprocess("span"),
+        reprocess("span", comparison="inboard"),
+        reprocess("", comparison="boom"),
+        Keep("end"),
+        chain(),
+        chain("boom", ends=1),
+        compare(),
+    ),
+)
+
 CASES = (
     MISSION,
     SCALAR,
@@ -146,5 +167,7 @@ CASES = (
     FLUXGATES,
     _spin("themis", "a spinning spacecraft, a table a day", "daily"),
     _spin("imp8", "a spinning spacecraft in the solar wind, a table a month", "monthly"),
+    BOOM,
     DEMO,
+    Case("figures", "published figures against what the software obtains", (new("champ"), look("figures"))),
 )
