@@ -18,31 +18,27 @@ from typing import Any
 
 import numpy as np
 
-#: Keys of printed objects, and attributes of datasets, that differ between two runs of the same software.
+#: Keys of printed objects that differ between two runs of the same software.
 LEFT_OUT = frozenset(
     {
-        "run",  # id of the run: time of day and a random part
-        "segment",  # folder of the store, named after the run
-        "created",  # when a version was saved
-        "seconds",  # how long it took
+        "created",  # when a version of a model was saved
     }
 )
-#: Fingerprints: they change with the way a thing is written down, not with what it says; what they are made
-#: from is compared itself.
-FINGERPRINTS = frozenset(
+#: The same, by the whole path in what a command printed: elsewhere the word means something else.
+LEFT_OUT_PATHS = frozenset(
     {
-        "context",  # sha256 of mission, model and tables
-        "key",  # sha256 of all that a day or a table was made from
-        "sha256",  # of a model's text
-        "model_sha256",
-        "made_from",  # of the tables behind a table
+        "printed.seconds",  # how long the demo took
     }
 )
-#: What the same looks like inside sentences, names and pages.
+#: What differs inside texts, by what it is. Ids of runs hold the time of day and a random part, and so do the
+#: folders named after them; Bokeh draws a uuid for each figure. Fingerprints (of a model's text, of all that
+#: a day was made from) follow how a thing is written down, not what it says; what they are made from is
+#: compared itself.
 _MASKS = (
     (re.compile(r"\b\d{8}T\d{6}-[a-z]+-[0-9a-f]{8}\b"), "<run>"),
     (re.compile(r"\b[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}\b"), "<uuid>"),
-    (re.compile(r"\b[0-9a-f]{16,64}\b"), "<hash>"),
+    # With a letter in it: a run of digits is a number, or a time.
+    (re.compile(r"\b(?=[0-9]*[a-f])[0-9a-f]{16,64}\b"), "<hash>"),
 )
 #: Working stores of the software: how it keeps its equations is its own affair.
 _OWN_STORES = ("equations/",)
@@ -84,13 +80,17 @@ def masked(text: str) -> str:
     return text
 
 
-def without_the_run(value: Any) -> Any:
+def without_the_run(value: Any, path: str = "") -> Any:
     """Return a printed object without what differs from run to run."""
     if isinstance(value, dict):
-        kept = {key: held for key, held in value.items() if key not in LEFT_OUT | FINGERPRINTS}
-        return {masked(key): without_the_run(held) for key, held in kept.items()}
+        kept = {}
+        for key, held in value.items():
+            inside = f"{path}.{key}".lstrip(".")
+            if key not in LEFT_OUT and inside not in LEFT_OUT_PATHS:
+                kept[masked(key)] = without_the_run(held, inside)
+        return kept
     if isinstance(value, list):
-        return [without_the_run(held) for held in value if not _is_own_store(held)]
+        return [without_the_run(held, f"{path}[]") for held in value if not _is_own_store(held)]
     return masked(value) if isinstance(value, str) else value
 
 
@@ -115,8 +115,6 @@ def read_table(path: Path) -> Table:
     told = about["variables"]
     attributes = {name: without_the_run(told[name]["attributes"]) for name in sorted(told)}
     own = without_the_run(about["attributes"])
-    # The model's fingerprint goes by another name here.
-    own.pop("model", None)
     return Table(values, {name: told[name]["dims"] for name in told}, {"": own} | attributes)
 
 
