@@ -11,7 +11,7 @@ from .base import (
     with_field,
 )
 from .environment import DayNight, DayNightSeries, of_orders
-from .families import NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of, product_factor
+from .families import NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of
 from .registry import effect_class, known_effects
 from .sensors import ANGLES, Affine, ScalarBias, TimeShift, VectorSensor
 from .sources import EffectSource
@@ -51,7 +51,6 @@ __all__ = [
     "multiply",
     "of_orders",
     "package_to_spin",
-    "product_factor",
     "schedule",
     "sensor_axes",
     "slope",

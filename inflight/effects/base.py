@@ -15,7 +15,7 @@ import difflib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,16 +23,14 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.families import product_factor
 from inflight.errors import ModelError, SamplesError
 from inflight.frames import direction_of
 from inflight.mission import Sensor
 from inflight.samples import parse
 from inflight.time import GAP, SECOND, parse_duration, parse_utc, to_tt2000, to_utc, usual_step
-from inflight.units import factor_and_offset
+from inflight.units import factor_and_offset, product_factor
 
 if TYPE_CHECKING:
-    from inflight.effects.sources import EffectSource
     from inflight.mission import Mission
 
 
@@ -158,6 +156,21 @@ _MOST_STEPS = 80
 _RUN_AWAY_NT = 1e9
 
 
+class EffectOrigin(Protocol):
+    """The file a user's effect comes from: see `inflight.effects.sources.EffectSource`."""
+
+    @property
+    def path(self) -> str:
+        """The file, as the mission YAML names it."""
+
+    @property
+    def sha(self) -> str:
+        """Hash of its text."""
+
+    def classes(self) -> dict[str, type[Effect]]:
+        """Return the effects it defines, by name."""
+
+
 class _ParametersOf:
     """``parameters()`` of a class, and of an effect whose options decide how many numbers it has."""
 
@@ -211,7 +224,7 @@ class Effect:
     #: True when the field it adds is made from the field at the sensor.
     follows_field: ClassVar[bool] = False
     #: The user's file the class comes from; None for the library and for packages.
-    source: ClassVar[EffectSource | None] = None
+    source: ClassVar[EffectOrigin | None] = None
     #: Parameters of the class, by name; of an effect, those its options make of them.
     parameters = _ParametersOf()
 
@@ -440,7 +453,7 @@ class Effect:
         return np.asarray(series.values, dtype=np.float64) * factor + offset
 
 
-def _rebuild(kind: type[Effect] | tuple[EffectSource, str], state: dict[str, Any]) -> Effect:
+def _rebuild(kind: type[Effect] | tuple[EffectOrigin, str], state: dict[str, Any]) -> Effect:
     if isinstance(kind, tuple):
         source, label = kind
         kind = source.classes()[label]

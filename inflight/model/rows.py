@@ -17,7 +17,7 @@ All rows are nT. A new kind is one more function from corrected samples to rows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
@@ -36,7 +36,6 @@ from inflight.time import SECOND, Int64, usual_step
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
-    from inflight.model.model import Model
 
 
 #: Order of the band's Butterworth filter; it runs forwards and backwards, which doubles it.
@@ -101,14 +100,12 @@ class Layout:
         return cls(entry.kind, sensors, band, folding_of(mission, comparison))
 
     @classmethod
-    def of_model(cls, model: Model) -> Layout:
-        """Return a model's layout; without one, what the sensors of its effects tell."""
-        if model.layout is not None:
-            return model.layout
-        sensors = {entry.sensor.role: entry.sensor for entry in model.effects}
-        dual = bool({"inboard", "outboard"} & set(sensors))
+    def of_sensors(cls, sensors: Iterable[Sensor]) -> Layout:
+        """Return the layout of a dual or scalar comparison that knows only some of its sensors."""
+        by_role = {sensor.role: sensor for sensor in sensors}
+        dual = bool({"inboard", "outboard"} & set(by_role))
         roles = ("inboard", "outboard") if dual else ("vector", "scalar")
-        known = {role: sensors.get(role, Sensor(role, role)) for role in roles}
+        known = {role: by_role.get(role, Sensor(role, role)) for role in roles}
         return cls("dual" if dual else "scalar", known)
 
     def sensor(self, role: str) -> Sensor:
@@ -148,7 +145,22 @@ class ResidualRows:
     kept: RowFilter | None = None
 
 
-def rows_of(model: Model, samples: xr.Dataset) -> ResidualRows:
+class Correction(Protocol):
+    """What `rows_of` needs of a model: its comparison, the comparison's layout, and the correction."""
+
+    @property
+    def comparison(self) -> str:
+        """Name of the comparison, for errors."""
+
+    @property
+    def known_layout(self) -> Layout:
+        """Kind and sensors of the comparison."""
+
+    def corrected(self, samples: xr.Dataset) -> Mapping[str, xr.Variable]:
+        """Return the corrected readings, and `field`, by name."""
+
+
+def rows_of(model: Correction, samples: xr.Dataset) -> ResidualRows:
     """Return the rows of a model's comparison.
 
     Parameters
@@ -165,7 +177,7 @@ def rows_of(model: Model, samples: xr.Dataset) -> ResidualRows:
     SamplesError
         When a reading is missing.
     """
-    layout = Layout.of_model(model)
+    layout = model.known_layout
     if layout.kind not in _KINDS:
         raise ModelError(
             f"comparison '{model.comparison}' is of kind '{layout.kind}', which has no rows a sample",

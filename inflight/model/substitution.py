@@ -20,7 +20,8 @@ from inflight.arrays import Floats
 from inflight.effects import Effect, Values
 from inflight.flags import Flag
 from inflight.mission import Sensor
-from inflight.model.model import Model, ModelEffect
+from inflight.model.apply import ModelEffect
+from inflight.model.model import Model
 from inflight.samples import parse, product
 from inflight.time import GAP, SECOND, Int64
 
