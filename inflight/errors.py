@@ -122,6 +122,10 @@ class SettingsError(InflightError, ValueError):
     """Parameters of a run make no sense together or for this mission."""
 
 
+class ConformanceError(InflightError, AssertionError):
+    """A plug-in does not keep its contract; the message lists every failed check and what to mend."""
+
+
 class CalibrationError(InflightError, ArithmeticError):
     """A fit cannot be made from the data given."""
 

@@ -272,7 +272,10 @@ SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 class Induced(Effect):
-    """Field proportional to the ambient one an axis: soft magnetic material, cross-talk of a sensor."""
+    """Field proportional to the ambient one, axis by axis: ``diagonal * B`` (Yin 2010, section 2.5).
+
+    Soft magnetic material, or a scale factor of one sensor alone.
+    """
 
     family = "induced"
     acts_on = ("scalar", "vector", "inboard", "outboard")

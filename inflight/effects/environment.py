@@ -143,7 +143,10 @@ class Periodic(Effect):
 
 
 class OrbitPeriodic(Periodic):
-    """A field that repeats with the orbit: series of `orbit_phase`, 0 at the ascending node."""
+    """A field that repeats with the orbit: ``sum over k of c_k cos(k u) + s_k sin(k u)``.
+
+    u is `orbit_phase`, the argument of latitude, 0 at the ascending node.
+    """
 
     channels = ("orbit_phase",)
 
@@ -158,7 +161,10 @@ class OrbitPeriodic(Periodic):
 
 
 class SunPeriodic(OrbitPeriodic):
-    """A field that repeats with the Sun's place along the orbit: series of `sun_phase`, 0 nearest the Sun."""
+    """A field that repeats with the Sun's place along the orbit: ``sum of c_k cos(k p) + s_k sin(k p)``.
+
+    p is `sun_phase`, 0 where the orbit is nearest the Sun.
+    """
 
     family = "day_night"
     channels = ("sun_phase",)
@@ -177,7 +183,10 @@ class DayNightSeries(SunPeriodic):
 
 
 class LocalTimePeriodic(Periodic):
-    """A field that repeats with local time: series of `local_time`, 24 h a turn, 0 at midnight."""
+    """A field that repeats with local time: ``sum over k of c_k cos(k h) + s_k sin(k h)``.
+
+    h is `local_time`, 24 h a turn, 0 at midnight.
+    """
 
     family = "sun_angle"
     channels = ("local_time",)

@@ -77,12 +77,14 @@ def light_on(sun: Floats, normals: npt.ArrayLike, areas: npt.ArrayLike | None = 
     normals : array_like, shape (panel, 3)
     areas : array_like, shape (panel,), optional
         Currents at normal incidence relative to each other; equal when absent.
+
+    Where the direction is NaN, so are the shares.
     """
     rows = np.asarray(normals, dtype=np.float64)
     size = np.ones(len(rows)) if areas is None else np.asarray(areas, dtype=np.float64)
     light = np.clip(sun @ rows.T, 0.0, None) * size
     total = light.sum(axis=1, keepdims=True)
-    return np.asarray(np.divide(light, total, out=np.zeros_like(light), where=total > 0))
+    return np.asarray(np.divide(light, total, out=np.zeros_like(light), where=total != 0))
 
 
 def _of_panels(count: int) -> tuple[str, ...]:
@@ -139,7 +141,7 @@ class Torquer(Effect):
 
 
 class Remanent(Effect):
-    """Constant field of the spacecraft's magnetised parts at one sensor."""
+    """Constant field of the spacecraft's magnetised parts at one sensor: ``vector``."""
 
     family = "remanent"
     vector = Parameter("nT", AXES, sigma=1.0)
