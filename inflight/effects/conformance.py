@@ -11,7 +11,6 @@ names it.
 
 from __future__ import annotations
 
-import inspect
 import pickle
 import re
 import traceback
@@ -256,10 +255,6 @@ def _describes_itself(kind: type[Effect], mission: Mission) -> Iterator[str]:
             "the docstring names no source; give the formula in double backticks, such as "
             "``coefficient * current``, or the publication and equation"
         )
-    for name in ("field", "correct", "disturb"):
-        method = kind.__dict__.get(name)
-        if method is not None and not inspect.getdoc(method):
-            yield f"{name}() has no docstring; say what it returns, its shape and unit"
     if kind.family not in FAMILIES:
         yield f"family {kind.family!r} is unknown; choose one of {', '.join(FAMILIES)}"
     if unknown := set(kind.acts_on) - set(ROLES):

@@ -9,6 +9,7 @@ from effect_cases import PLACES
 
 from inflight import Effect, Mission, Parameter
 from inflight.effects import EffectSource, check_effect, known_effects
+from inflight.effects.base import best_field
 from inflight.errors import ConformanceError
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "templates" / "effect.py"
