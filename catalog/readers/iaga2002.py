@@ -39,6 +39,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
             dtype={"DATE": str, "TIME": str, "DOY": str},
             compression="gzip" if _packed(path) else None,
         )
+    _require_whole_stamps(table, path)
 
     def read(name: str) -> Variable:
         if name == "time":
@@ -47,6 +48,20 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
         return Variable(table[name].to_numpy(), unit=unit, fill=_FILL)
 
     yield Source(path, ("time", *names[3:]), read, tuple(files.drop))
+
+
+def _require_whole_stamps(table: pd.DataFrame, path: Path) -> None:
+    """Refuse a row whose date or time is shorter than the first one's: the file was cut within it."""
+    lengths = table[["DATE", "TIME"]].apply(lambda column: column.str.len())
+    unlike = np.flatnonzero((lengths != lengths.head(1).squeeze()).any(axis=1).to_numpy())
+    if unlike.size:
+        row = int(unlike[0])
+        date, time = table[["DATE", "TIME"]].iloc[row]
+        raise ReadError(
+            f"row {row + 1} has the date {date!r} and the time {time!r}, unlike the first row",
+            remedy="it is cut or damaged; fetch it again",
+            file=str(path),
+        )
 
 
 def _packed(path: Path) -> bool:

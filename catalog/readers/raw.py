@@ -5,7 +5,7 @@ Every format passes through here, so the options of `Files` and `Channel` mean t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from inflight.time import TT2000_FILL, Int64
 Open = Callable[[Path, Files], AbstractContextManager[Source]]
 Flags = npt.NDArray[np.uint32]
 
-FORMATS: Mapping[str, Open] = {
+FORMATS: dict[str, Open] = {
     "cdf": cdf.open_source,
     "netcdf": netcdf.open_source,
     "iaga2002": iaga2002.open_source,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,6 +37,7 @@ _DAMAGE = (
     MemoryError,
     struct.error,
     zlib.error,
+    zipfile.BadZipFile,
 )
 
 

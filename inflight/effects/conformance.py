@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import pickle
 import re
-import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -24,12 +23,13 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
+from inflight.conformance import Faults
 from inflight.design import EQUATIONS, Rows, design, term_of, turns_of
 from inflight.effects import registry
 from inflight.effects.base import Effect, Parameter
 from inflight.effects.families import FAMILIES, channel_unit, channels_of, knows_orbit
 from inflight.effects.sources import require_sound_class
-from inflight.errors import ConformanceError, ModelError
+from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.instruments import Channel
 from inflight.mission import Mission, sensors_of
@@ -169,43 +169,17 @@ def check_effect(
     >>> from inflight.effects import check_effect, effect_class
     >>> check_effect(effect_class("channel_field"), options={"channel": "solar_current"})
     """
-    faults: list[str] = []
-    collect = _Collector(faults)
-    for look in (_describes_itself, _states_parameters, _offers_candidates):
-        collect(look, kind, mission or _standard())
-    if not faults:
+    faults = Faults()
+    for check in (_describes_itself, _states_parameters, _offers_candidates):
+        faults.collect(check, kind, mission or _standard())
+    if not faults.found:
         with _registered(kind):
-            for case in _cases(kind, mission, options, settings, faults):
-                before = len(faults)
-                for check in _CHECKS:
-                    collect(check, case)
-                if len(faults) > before:
+            for case in _cases(kind, mission, options, settings, faults.found):
+                for look in _CHECKS:
+                    faults.collect(look, case, where=case.where)
+                if faults.found:
                     break  # one case shows it; the same in ten others would hide it
-    if faults:
-        listed = "\n".join(f"- {fault}" for fault in faults)
-        raise ConformanceError(
-            f"{kind.__name__} fails {len(faults)} check{'s' * (len(faults) > 1)}:\n{listed}",
-            remedy="docs/how-to/own-effect.md says what an effect owes",
-        )
-
-
-@dataclass
-class _Collector:
-    """Runs checks; what they yield, and what breaks in them, become faults."""
-
-    faults: list[str]
-
-    def __call__(self, check: Callable[..., Iterator[str]], *given: Any) -> None:
-        label = str(check.__name__).strip("_").replace("_", " ")
-        where = f" ({given[0].where})" if isinstance(given[0], _Case) else ""
-        try:
-            self.faults += [f"{label}{where}: {fault}" for fault in check(*given)]
-        except Exception as error:
-            line = traceback.extract_tb(error.__traceback__)[-1]
-            told = f"{type(error).__name__}: {error}"
-            self.faults.append(
-                f"{label}{where}: raised {told} at {line.name}, line {line.lineno}; mend that first"
-            )
+    faults.require_none(kind.__name__, "docs/how-to/own-effect.md")
 
 
 @contextmanager
