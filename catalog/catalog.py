@@ -305,16 +305,16 @@ class Catalog:
         report: Mapping[str, Any] | None = None,
     ) -> None:
         """Record a delivered file; `files` shows it once the run has published what was made from it."""
-        told = FileRecord(
+        record = FileRecord(
             instrument, str(path), sha256, size, mtime_ns, tuple(map(str, days)), dict(report or {}), run.id
         )
-        self.record_files(run, [told])
+        self.record_files(run, [record])
 
     def record_files(self, run: Run, files: Iterable[FileRecord]) -> None:
         """Record many delivered files in one transaction."""
         with self._database.write() as session:
-            for told in files:
-                registry.record_file(session, run.id, told)
+            for record in files:
+                registry.record_file(session, run.id, record)
 
     def files(self, instrument: str) -> dict[str, FileRecord]:
         """Return the delivered files already taken in, by path."""

@@ -47,7 +47,7 @@ class Database:
         try:
             self._migrate()
         except DatabaseError as error:
-            raise _told(error, url) from error
+            raise _catalog_error(error, url) from error
 
     @contextmanager
     def read(self) -> Iterator[Session]:
@@ -157,10 +157,10 @@ def _errors_told(engine: Engine) -> Iterator[None]:
     try:
         yield
     except DatabaseError as error:
-        raise _told(error, str(engine.url)) from error
+        raise _catalog_error(error, str(engine.url)) from error
 
 
-def _told(error: DatabaseError, url: str) -> CatalogError:
+def _catalog_error(error: DatabaseError, url: str) -> CatalogError:
     reason = str(error.orig)
     if isinstance(error, OperationalError) and any(
         word in reason for word in ("locked", "full", "disk", "readonly", "unable to open")

@@ -46,23 +46,23 @@ class Encoding:
 
     def attributes(self) -> dict[str, Any]:
         """Return the attributes to store; packed arrays carry the CF ones too, for other readers."""
-        told: dict[str, Any] = {"kind": self.kind, "dtype": self.dtype}
+        described: dict[str, Any] = {"kind": self.kind, "dtype": self.dtype}
         if self.kind == "labels":
-            told["labels"] = list(self.labels)
+            described["labels"] = list(self.labels)
         if self.kind != "packed":
-            return {ENCODING_ATTRIBUTE: told}
-        told |= {"resolution": self.resolution, "missing": self.missing}
-        return {ENCODING_ATTRIBUTE: told, "scale_factor": self.resolution, "_FillValue": self.missing}
+            return {ENCODING_ATTRIBUTE: described}
+        described |= {"resolution": self.resolution, "missing": self.missing}
+        return {ENCODING_ATTRIBUTE: described, "scale_factor": self.resolution, "_FillValue": self.missing}
 
     @classmethod
     def from_attributes(cls, attributes: dict[str, Any], stored: str) -> Encoding:
         """Rebuild the encoding and take its own attributes out of `attributes`."""
-        told = dict(attributes.pop(ENCODING_ATTRIBUTE))
-        if told["kind"] == "packed":
+        described = dict(attributes.pop(ENCODING_ATTRIBUTE))
+        if described["kind"] == "packed":
             attributes.pop("scale_factor")
             attributes.pop("_FillValue")
-        labels = tuple(told.pop("labels", ()))
-        return cls(stored=stored, fill=0, labels=labels, **told)
+        labels = tuple(described.pop("labels", ()))
+        return cls(stored=stored, fill=0, labels=labels, **described)
 
     def encode(self, values: Array) -> Array:
         """Return the stored form of `values`, same shape."""

@@ -50,7 +50,7 @@ def _boot() -> str:
 
 
 def _start_from_ps(pid: int) -> str:
-    told = subprocess.run(
+    answer = subprocess.run(
         ["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False
     )
-    return told.stdout.strip()
+    return answer.stdout.strip()

@@ -103,18 +103,18 @@ def context_record(session: Session, context: str) -> ContextRecord:
     return ContextRecord(row.id, row.mission_text, row.model_name, row.model_version, row.tables)
 
 
-def record_file(session: Session, run_id: str, told: FileRecord) -> None:
+def record_file(session: Session, run_id: str, record: FileRecord) -> None:
     """Record a delivered file for a run; it counts as taken in when the run publishes."""
     row = session.scalar(
         select(FileRow).where(
-            FileRow.run_id == run_id, FileRow.instrument == told.instrument, FileRow.path == told.path
+            FileRow.run_id == run_id, FileRow.instrument == record.instrument, FileRow.path == record.path
         )
     )
     if row is None:
-        row = FileRow(run_id=run_id, instrument=told.instrument, path=told.path)
+        row = FileRow(run_id=run_id, instrument=record.instrument, path=record.path)
         session.add(row)
-    row.sha256, row.size, row.mtime_ns = told.sha256, told.size, told.mtime_ns
-    row.days, row.report, row.taken = list(told.days), dict(told.report), False
+    row.sha256, row.size, row.mtime_ns = record.sha256, record.size, record.mtime_ns
+    row.days, row.report, row.taken = list(record.days), dict(record.report), False
 
 
 def file_records(session: Session, instrument: str) -> dict[str, FileRecord]:

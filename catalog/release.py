@@ -118,11 +118,11 @@ def _collect(
     if not days:
         raise CatalogError(f"no published days match {list(patterns)}", remedy="see 'inflight catalog list'")
     pinned = context_record(session, context) if context else None
-    wanted = set(pinned.tables.values()) if pinned else set()
+    pinned_ids = set(pinned.tables.values()) if pinned else set()
     tables = [
         table
         for table in table_records(session, None)
-        if table.id in wanted or any(scope in {None, context} for scope, _, _ in table.certified)
+        if table.id in pinned_ids or any(scope in {None, context} for scope, _, _ in table.certified)
     ]
     model = model_text(session, pinned.model_name, pinned.model_version)[2] if pinned else ""
     return _Collection(version, notes, tuple(days), tuple(absent), tuple(tables), pinned, model)
@@ -277,10 +277,11 @@ def _readme(collection: _Collection) -> str:
         missing = sum(day.dataset == name for day in collection.absent)
         lines.append(f"| {name} | {days[0].day} | {days[-1].day} | {len(days)} | {missing} |")
     if collection.context:
-        told = collection.context
+        context = collection.context
         lines += [
             "",
-            f"Model: {told.model_name} version {told.model_version} (`model.yaml`), context `{told.id}`.",
+            f"Model: {context.model_name} version {context.model_version} (`model.yaml`), "
+            f"context `{context.id}`.",
         ]
     return "\n".join(lines) + "\n"
 

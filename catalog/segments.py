@@ -280,7 +280,7 @@ def _check_metadata(folder: Path, contents: Sequence[Variable]) -> None:
         array = group[item.name]
         stored = dict(array.attrs)
         if not isinstance(array, zarr.Array) or any(
-            stored.get(key) != told for key, told in item.attributes.items()
+            stored.get(key) != value for key, value in item.attributes.items()
         ):
             raise IntegrityError("attributes read back differently", file=str(folder), channel=item.name)
     if set(group.array_keys()) != {item.name for item in contents}:

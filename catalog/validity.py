@@ -17,9 +17,9 @@ from inflight.time import to_utc
 Certification = tuple[int, int, int, str | None]
 
 
-def certify_table(session: Session, wanted: Certification, *, supersede: bool) -> None:
+def certify_table(session: Session, certification: Certification, *, supersede: bool) -> None:
     """Give a table a validity; see `Catalog.certify`."""
-    table_id, start, end, context = wanted
+    table_id, start, end, context = certification
     table = session.get(TableRow, table_id)
     if table is None:
         raise CatalogError(f"table {table_id} is not in the catalog", remedy="see Catalog.tables")
@@ -41,7 +41,7 @@ def certify_table(session: Session, wanted: Certification, *, supersede: bool) -
                 f"table {older.table_id}, valid {_span(older.start, older.end)}",
                 remedy="choose a span that is free, or supersede the older table",
             )
-        _cut(session, older, start, end)
+        _take_out(session, older, start, end)
     session.flush()
     session.add(CertificationRow(table_id=table_id, name=table.name, context=scope, start=start, end=end))
     session.flush()
@@ -123,7 +123,7 @@ def _pinned(session: Session, name: str, context: str) -> TableRow | None:
     return session.get(TableRow, pinned[name]) if pinned and name in pinned else None
 
 
-def _cut(session: Session, older: CertificationRow, start: int, end: int) -> None:
+def _take_out(session: Session, older: CertificationRow, start: int, end: int) -> None:
     """Take ``[start, end)`` out of an older validity; what is left on both sides stays valid."""
     before, after = (older.start, start), (end, older.end)
     kept = [span for span in (before, after) if span[0] < span[1]]

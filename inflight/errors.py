@@ -41,8 +41,8 @@ class InflightError(Exception):
             )
             if text
         )
-        told = f"{place}: {self.message}" if place else self.message
-        return f"{told}; {self.remedy}" if self.remedy else told
+        text = f"{place}: {self.message}" if place else self.message
+        return f"{text}; {self.remedy}" if self.remedy else text
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle whole, because errors travel from Dask workers."""

@@ -250,7 +250,7 @@ GEOMETRY = {
 }
 
 #: Variables of samples that tell them.
-_TELLING = ("tt2000", "position", "attitude", "vector", "inboard")
+_GEOMETRY_INPUTS = ("tt2000", "position", "attitude", "vector", "inboard")
 
 #: Those that the orbit's plane tells.
 _PHASES = ("orbit_phase", "sun_phase")
@@ -292,7 +292,7 @@ def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) 
         return samples
     missing = [name for name in names if name not in samples]
     normal = _orbit_normal(place) if set(missing) & set(_PHASES) else None
-    return samples.assign(_variables(_told(samples, place, normal, missing)))
+    return samples.assign(_as_variables(_geometry(samples, place, normal, missing)))
 
 
 def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, xr.Variable]:
@@ -311,8 +311,8 @@ def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, x
         dims (time,) or (time, axis), as long as `rows`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
-    samples = samples[[name for name in _TELLING if name in samples]]
-    before, after, longest = _beside(stamps, rows)
+    samples = samples[[name for name in _GEOMETRY_INPUTS if name in samples]]
+    before, after, longest = _neighbours(stamps, rows)
     around = np.unique(np.concatenate([before, rows, after]))
     place = _place(samples.isel(time=around))
     if place is None:
@@ -323,10 +323,10 @@ def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, x
         whole = add_geometry(samples)
         return {name: whole[name].variable.isel(time=rows) for name in GEOMETRY if name in whole}
     here = np.searchsorted(around, rows)
-    return _variables(_told(samples.isel(time=rows), place.rows(here), normal, list(GEOMETRY)))
+    return _as_variables(_geometry(samples.isel(time=rows), place.rows(here), normal, list(GEOMETRY)))
 
 
-def _variables(found: Mapping[str, Floats]) -> dict[str, xr.Variable]:
+def _as_variables(found: Mapping[str, Floats]) -> dict[str, xr.Variable]:
     return {
         name: xr.Variable(("time", "axis")[: values.ndim], values, {"units": GEOMETRY[name]})
         for name, values in found.items()
@@ -342,7 +342,7 @@ def _place(samples: xr.Dataset) -> _Place | None:
     return _Place.of(np.asarray(position.values, dtype=np.float64), position.attrs, stamps)
 
 
-def _told(
+def _geometry(
     samples: xr.Dataset, place: _Place, normal: Floats | None, names: Collection[str]
 ) -> dict[str, Floats]:
     """Return what is wanted of places; the orbit's normal is needed for its phases only."""
@@ -403,7 +403,7 @@ def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
     return np.rad2deg(phase) % 360.0, np.rad2deg(phase - angle(place.sun)) % 360.0
 
 
-def _beside(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
+def _neighbours(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
     """Return the samples on both sides that tell the orbit's plane, and their longest distance, ns."""
     usual = usual_step(stamps[:2000], SECOND)
     reach = max(1, round(0.5 * _PLANE_STEP * SECOND / usual))
@@ -428,7 +428,7 @@ def _orbit_normal(place: _Place) -> Floats:
     From two positions around each sample, a minute apart or one sample either way; where one is
     missing, from the nearest places that have both.
     """
-    normal, known = _normals(place, *_beside(place.tt2000, np.arange(len(place.inertial))))
+    normal, known = _normals(place, *_neighbours(place.tt2000, np.arange(len(place.inertial))))
     if not known.any():
         return np.full_like(normal, np.nan)
     stamps = place.tt2000 - place.tt2000[0]

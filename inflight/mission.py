@@ -238,24 +238,23 @@ class Mission(Strict):
                 if instrument_name not in self.instruments:
                     raise ValueError(f"comparisons.{name}.{role}: there is no instrument {instrument_name!r}")
             for role in ("vector", "scalar"):
-                wanted = comparison.instruments().get(role)
-                if wanted and self.instruments[wanted].role != role:
-                    raise ValueError(
-                        f"comparisons.{name}.{role}: {wanted!r} has role {self.instruments[wanted].role!r}"
-                    )
+                sensor = comparison.instruments().get(role)
+                if sensor and self.instruments[sensor].role != role:
+                    has = self.instruments[sensor].role
+                    raise ValueError(f"comparisons.{name}.{role}: {sensor!r} has role {has!r}")
         return self
 
     def _check_ambient(self, comparison: str, instrument: str) -> None:
         """Raise ValueError unless an instrument can tell the ambient field of a comparison."""
-        told = self.instruments.get(instrument)
-        if told is None or told.role != "vector":
+        found = self.instruments.get(instrument)
+        if found is None or found.role != "vector":
             raise ValueError(
                 f"comparisons.{comparison}.ambient: there is no instrument {instrument!r} of role 'vector'"
             )
-        if told.channels["field"].frame not in (None, "sensor", "spacecraft"):
+        if found.channels["field"].frame not in (None, "sensor", "spacecraft"):
             raise ValueError(
                 f"comparisons.{comparison}.ambient: the field of {instrument!r} is in"
-                f" {told.channels['field'].frame!r}, and is needed in the spacecraft's axes"
+                f" {found.channels['field'].frame!r}, and is needed in the spacecraft's axes"
             )
 
     @classmethod

@@ -271,14 +271,14 @@ def _clash(rows: _Rows, name: str, start: int, files: Sequence[str], day: np.dat
         ),
         int(members[-1]),
     )
-    told = " and ".join(
+    both = " and ".join(
         f"{values[index].tolist()} ({files[rows.part[index]]}, row {rows.row[index]})"
         for index in (first, other)
     )
     backwards = rows.part[first] == rows.part[other] and rows.run[first] != rows.run[other]
     return ClashError(
         f"{'the clock ran backwards and gives ' if backwards else ''}two different values for "
-        f"{to_utc(rows.times[start])}: {told}",
+        f"{to_utc(rows.times[start])}: {both}",
         remedy="remove the wrong delivery, or name the right one as a later version of the same file",
         file=files[rows.part[other]],
         channel=name,
@@ -304,7 +304,7 @@ def _leap_flags(times: Int64) -> Flags:
 def _refuse_all_fill(
     report: dict[str, Any], instrument: Instrument, day: np.datetime64, files: Sequence[str]
 ) -> None:
-    valid = {name: told["valid"] for name, told in report["channels"].items()}
+    valid = {name: summary["valid"] for name, summary in report["channels"].items()}
     needed = ["field"] if instrument.role in ("vector", "scalar") else []
     empty = [name for name in needed if not valid[name]] or ([] if any(valid.values()) else list(valid))
     if empty:

@@ -322,8 +322,8 @@ class _Case:
     def where(self) -> str:
         """The case in words."""
         options = {key: self.entry[key] for key in self.entry if key in self.kind.option_names()}
-        told = f", {', '.join(f'{key}: {value}' for key, value in options.items())}" if options else ""
-        return f"at the {self.made.sensor.role} sensor{told}"
+        stated = f", {', '.join(f'{key}: {value}' for key, value in options.items())}" if options else ""
+        return f"at the {self.made.sensor.role} sensor{stated}"
 
     def step(self, effect: Effect, parameter: Parameter) -> float:
         """Return a step of a parameter; smaller by the channel's size when it is per channel."""

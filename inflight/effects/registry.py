@@ -84,7 +84,7 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 
 @lru_cache(maxsize=1)
-def _offered() -> dict[str, type[Effect]]:
+def _from_packages() -> dict[str, type[Effect]]:
     return {point.name: point.load() for point in entry_points(group="inflight.effects")}
 
 
@@ -102,7 +102,7 @@ def known_effects(own: Iterable[EffectSource] = ()) -> dict[str, type[Effect]]:
         When one of the files is wrong.
     """
     library = {effect.label(): effect for effect in _LIBRARY}
-    return library | _offered() | _registered | own_effects(own)
+    return library | _from_packages() | _registered | own_effects(own)
 
 
 def effect_class(name: str, own: Iterable[EffectSource] = ()) -> type[Effect]:

@@ -230,11 +230,11 @@ class TimeShift(Effect):
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the early reading; (time,) nT."""
-        return np.asarray(reading - _shifted(values, samples))
+        return np.asarray(reading - _shift_effect(values, samples))
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading at the vector sensor's time; (time,) nT."""
-        return np.asarray(reading + _shifted(values, samples))
+        return np.asarray(reading + _shift_effect(values, samples))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -256,11 +256,11 @@ class ScalarResponse(Effect):
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of a slow instrument; (time,) nT."""
-        return np.asarray(reading + _bent(values, samples))
+        return np.asarray(reading + _mean_effect(values, samples))
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of an instrument without delay or mean; (time,) nT."""
-        return np.asarray(reading - _bent(values, samples))
+        return np.asarray(reading - _mean_effect(values, samples))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -328,25 +328,25 @@ class Heading(Effect):
 
 
 #: Seconds between the two rates that tell how a rate changes.
-_BEND_STEP = 20.0
+_CURVATURE_STEP = 20.0
 
 
-def _bent(values: Values, samples: xr.Dataset) -> Floats:
+def _mean_effect(values: Values, samples: xr.Dataset) -> Floats:
     """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where nothing tells it."""
     size, stamps = strength(samples), np.asarray(samples["tt2000"].values, dtype=np.int64)
     usual = usual_step(stamps, SECOND) / SECOND
-    reach = max(1, round(_BEND_STEP / usual))
+    reach = max(1, round(_CURVATURE_STEP / usual))
     out = np.zeros_like(size)
     if size.size > 2 * reach:
         before, here, after = size[: -2 * reach], size[reach:-reach], size[2 * reach :]
         span = (stamps[2 * reach :] - stamps[: -2 * reach]) / (2.0 * SECOND)
-        bend = (before - 2.0 * here + after) / span**2
-        whole = np.isfinite(bend) & (np.abs(span - reach * usual) < 0.5 * usual)
-        out[reach:-reach] = np.where(whole, bend, 0.0)
+        curvature = (before - 2.0 * here + after) / span**2
+        whole = np.isfinite(curvature) & (np.abs(span - reach * usual) < 0.5 * usual)
+        out[reach:-reach] = np.where(whole, curvature, 0.0)
     return np.asarray(np.broadcast_to(values["half_variance"][..., 0], size.size) * out)
 
 
-def _shifted(values: Values, samples: xr.Dataset) -> Floats:
+def _shift_effect(values: Values, samples: xr.Dataset) -> Floats:
     """Return the change of the field within the shift; (time,) nT, 0 without a shift."""
     seconds = np.broadcast_to(values["seconds"][..., 0], samples.sizes["time"])
     return np.where(seconds == 0.0, 0.0, seconds * rate(samples))

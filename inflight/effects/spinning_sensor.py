@@ -100,7 +100,7 @@ def coupling(
 _SENSORS = ("1", "2", "3")
 
 
-def _steady(value: Floats) -> Floats:
+def _constant_rows(value: Floats) -> Floats:
     """Return values (component,) where those at all times (time, component) are the same."""
     if value.ndim == 2 and len(value) and np.array_equal(value, np.broadcast_to(value[:1], value.shape)):
         return np.asarray(value[0])
@@ -149,11 +149,11 @@ class SpinningSensor(Effect):
     @staticmethod
     def _matrices(values: Values) -> tuple[Floats, Floats]:
         """Return the coupling matrix and its inverse, row by row; (9,) or (time, 9)."""
-        told = {key: _steady(value) for key, value in values.items() if key != "offset"}
-        alone = ("gain_ratio", "spin_plane_gain", "axial_gain", "azimuth", "rotation")
-        shape = max((value.shape[:-1] for value in told.values()), key=len)
-        wide = {key: np.broadcast_to(value, (*shape, value.shape[-1])) for key, value in told.items()}
-        found = coupling(**{key: value[..., 0] if key in alone else value for key, value in wide.items()})
+        steady = {key: _constant_rows(value) for key, value in values.items() if key != "offset"}
+        single = ("gain_ratio", "spin_plane_gain", "axial_gain", "azimuth", "rotation")
+        shape = max((value.shape[:-1] for value in steady.values()), key=len)
+        wide = {key: np.broadcast_to(value, (*shape, value.shape[-1])) for key, value in steady.items()}
+        found = coupling(**{key: value[..., 0] if key in single else value for key, value in wide.items()})
         return found[0].reshape(*found[0].shape[:-2], 9), found[1].reshape(*found[1].shape[:-2], 9)
 
     @classmethod

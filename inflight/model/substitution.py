@@ -41,10 +41,10 @@ GEOMETRY_RANGES: dict[str, tuple[float, float]] = {
 _PARTS = 8
 
 #: What is tried instead: light and shadow, the Sun on and against each axis.
-_TRIED = {"sunlit": np.array([0.0, 1.0]), "sun_direction": np.concatenate([np.eye(3), -np.eye(3)])}
+_TRIED_VALUES = {"sunlit": np.array([0.0, 1.0]), "sun_direction": np.concatenate([np.eye(3), -np.eye(3)])}
 
 #: Samples kept beside the missing ones: rates of change are made from neighbours.
-_BESIDE = 8
+_MARGIN = 8
 
 #: A direction of spread smaller than this part of the largest one is rounding.
 _FLAT = 1e-12
@@ -136,7 +136,9 @@ class Substituted:
         return replace(
             model,
             effects=tuple(
-                replace(entry, effect=_LeftOut(entry)) if unknown & _factors(entry, self.samples) else entry
+                replace(entry, effect=_WithoutUnknown(entry))
+                if unknown & _factors(entry, self.samples)
+                else entry
                 for entry in model.effects
             ),
         )
@@ -149,8 +151,8 @@ class Substituted:
             if names:
                 rows = np.logical_or.reduce([_any(self.rows[name]) for name in names])
                 instead = {self.typical[name].source if name in self.typical else "" for name in names}
-                told = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
-                out[entry.name] = Treated(int(rows.sum()), tuple(names), told)
+                replaced_by = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
+                out[entry.name] = Treated(int(rows.sum()), tuple(names), replaced_by)
         return out
 
     def variance(self, model: Model) -> tuple[Floats, Floats]:
@@ -179,7 +181,10 @@ class Substituted:
             known = self.model(model)
             before = _fields(known, part)
             inside, of_vector = missing[near], any(entry.sensor.role == "vector" for entry in users)
-            changes = [*self._waves(name, part, rows[near]), *self._possible(name, part, rows[near])]
+            changes = [
+                *self._deviations(name, part, rows[near]),
+                *self._possible_values(name, part, rows[near]),
+            ]
             weight = 1.0 if name in self.typical else 1.0 / max(len(changes), 1)
             for changed in changes:
                 after = _fields(known, changed)
@@ -191,18 +196,18 @@ class Substituted:
                 vector[missing] = np.nan if of_vector else vector[missing]
         return vector, scalar
 
-    def _possible(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+    def _possible_values(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
         """Yield samples in which a channel without a typical value has one of its possible ones."""
         if name in self.typical:
             return
-        places = _TRIED.get(name, np.empty(0))
+        places = _TRIED_VALUES.get(name, np.empty(0))
         if not len(places) and name in self.ranges:
             low, high = self.ranges[name]
             places = low + (high - low) * (np.arange(_PARTS) + 0.5) / _PARTS
         for place in places:
             yield _assigned(part, name, np.where(rows, place, np.asarray(part[name].values)))
 
-    def _waves(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+    def _deviations(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
         """Yield samples in which a channel deviates by each of its modes where it was missing.
 
         Sine and cosine together are one sigma at every time, and change as fast as the channel does:
@@ -288,7 +293,7 @@ def _is_read(samples: xr.Dataset, role: str) -> Rows:
     return np.asarray(np.isfinite(reading if reading.ndim == 1 else reading.sum(axis=1)))
 
 
-class _LeftOut(Effect):
+class _WithoutUnknown(Effect):
     """An effect that is not there where one of its channels is unknown."""
 
     def __init__(self, entry: ModelEffect) -> None:
@@ -352,7 +357,7 @@ def _any(rows: Rows) -> Rows:
 
 def _near(rows: Rows) -> Rows:
     """Return the rows and some beside each."""
-    return np.asarray(np.convolve(rows, np.ones(2 * _BESIDE + 1), mode="same") > 0)
+    return np.asarray(np.convolve(rows, np.ones(2 * _MARGIN + 1), mode="same") > 0)
 
 
 def _range_of(name: str) -> tuple[float, float] | None:

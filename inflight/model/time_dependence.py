@@ -164,9 +164,9 @@ def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event]
             f"'{key}': time {time!r} is unknown{did_you_mean(time, TIMES)}",
             remedy=f"one of {', '.join(TIMES)}",
         )
-    wanted = dict.fromkeys(TRENDS, ("t0", "per"))
-    wanted |= {"event": ("at", "events"), "spline": ("at", "interpolation")}
-    if stray := [name for name in KEYS if name in entry and name not in wanted.get(time, ())]:
+    allowed = dict.fromkeys(TRENDS, ("t0", "per"))
+    allowed |= {"event": ("at", "events"), "spline": ("at", "interpolation")}
+    if stray := [name for name in KEYS if name in entry and name not in allowed.get(time, ())]:
         raise ModelError(
             f"'{key}' has time '{time}', which has no '{stray[0]}'", remedy="take it out, or change 'time'"
         )

@@ -153,7 +153,7 @@ def _between(
     own_flags: npt.NDArray[np.uint32] | None = None,
 ) -> tuple[Floats, str]:
     """Carry values from stamps to targets by the method that fits name and cadence."""
-    same = _stretch_of(stamps, target)
+    same = _slice_of(stamps, target)
     if same is not None:
         return values[same], "exact"
     shape = (target.size, *values.shape[1:])
@@ -185,7 +185,7 @@ def _usual_step(stamps: Int64) -> int:
     return int(np.median(np.diff(stamps[:_TELLING]))) if stamps.size > 1 else 1
 
 
-def _stretch_of(stamps: Int64, target: Int64) -> slice | None:
+def _slice_of(stamps: Int64, target: Int64) -> slice | None:
     """Return where the targets are among the stamps when they are a stretch of them, else None."""
     first = int(np.searchsorted(stamps, target[0])) if target.size else 0
     stretch = slice(first, first + target.size)
@@ -220,8 +220,8 @@ def _carried_flags(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32
     on_stamp = (left >= 0) & (target - stamps[np.clip(left, 0, None)] <= same)
     for index in (left, np.where(on_stamp, left, left + 1)):
         near = np.clip(index, 0, stamps.size - 1)
-        beside = (near == index) & (np.abs(stamps[near] - target) < GAP * cadence)
-        out[beside] |= own[near[beside]]
+        near_enough = (near == index) & (np.abs(stamps[near] - target) < GAP * cadence)
+        out[near_enough] |= own[near[near_enough]]
     return out
 
 
@@ -328,8 +328,8 @@ class PlainSamples(dict[str, xr.Variable]):
 
     def assign(self, variables: dict[str, Any] | None = None, **more: Any) -> PlainSamples:
         """Return the samples with some variables added: (dims, values, attributes) each."""
-        told = (variables or {}) | more
-        return PlainSamples(self | {name: xr.Variable(*one) for name, one in told.items()})
+        added = (variables or {}) | more
+        return PlainSamples(self | {name: xr.Variable(*one) for name, one in added.items()})
 
     def drop_vars(self, names: list[str], errors: str = "raise") -> PlainSamples:
         """Return the samples without some variables."""

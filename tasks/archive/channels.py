@@ -65,8 +65,8 @@ class Turning:
 
     def phase(self, stamps: Int64) -> Floats:
         """Return the phase at the stamps of an instrument's channels, rad; NaN where nothing tells it."""
-        told = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
-        found = spin_phase(self.mission, self.comparison, self.clock, told, stamps)
+        series = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
+        found = spin_phase(self.mission, self.comparison, self.clock, series, stamps)
         return np.asarray(found.phase.values, dtype=np.float64)
 
     def folded(self, values: Floats, stamps: Int64, phase: Floats, edges: Int64) -> Floats:
@@ -239,7 +239,7 @@ class DerivedChannels:
         bins = self.reader.edges(day).size - 1
         step = self.reader.cadence_ns / SECOND
         if part.channel in geometry:
-            earlier = [self._told_by_orbit(one, part.channel) for one in self._before(place)]
+            earlier = [self._from_orbit(one, part.channel) for one in self._before(place)]
             return part.of(np.concatenate([*earlier, geometry[part.channel]]), step)[-bins:]
         if not part.placebo:
             history = self._before(place) if not part.is_plain else []
@@ -249,7 +249,7 @@ class DerivedChannels:
         need = bins + int(np.ceil(part.history_s / step))
         return part.of(self._wrapped(place, part.channel, shift, need), step)[-bins:]
 
-    def _told_by_orbit(self, day: np.datetime64, name: str) -> Floats:
+    def _from_orbit(self, day: np.datetime64, name: str) -> Floats:
         if day not in self._by_orbit:
             while len(self._by_orbit) >= _KEPT:
                 self._by_orbit.pop(next(iter(self._by_orbit)))
@@ -263,11 +263,11 @@ class DerivedChannels:
     def _wrapped(self, place: int, channel: str, shift: int, need: int) -> Floats:
         """Return `need` bins of a channel, `shift` bins before the day's own, around the span's end."""
         pieces: list[Floats] = []
-        at, left = place, shift + need
-        while left > 0:
+        at, missing = place, shift + need
+        while missing > 0:
             piece = self._filled(self.days[at], channel)
             pieces.insert(0, piece)
-            left -= len(piece)
+            missing -= len(piece)
             at = (at - 1) % len(self.days)
         whole = np.concatenate(pieces)
         end = len(whole) - shift

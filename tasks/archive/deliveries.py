@@ -362,10 +362,10 @@ def _claim(
     folder: Path, settings: MissionSettings, standard: Mapping[str, Any], free: Collection[str]
 ) -> None:
     """Write the settings of a simulation into the truth folder, or check that those there are the same."""
-    path, wanted = folder / TRUTH / "settings.json", settings.model_dump(mode="json")
+    path, own = folder / TRUTH / "settings.json", settings.model_dump(mode="json")
     if path.exists():
         found = {**standard, **json.loads(path.read_text())}
-        differing = sorted(key for key in set(wanted) - set(free) if found.get(key) != wanted.get(key))
+        differing = sorted(key for key in set(own) - set(free) if found.get(key) != own.get(key))
         if differing:
             raise CatalogError(
                 f"the folder holds a simulation with other {', '.join(differing)}",
@@ -375,7 +375,7 @@ def _claim(
         return
     truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
     with storage(folder, None), atomic(path) as partial:
-        partial.write_text(json.dumps({**wanted, "truth": truth}, indent=1))
+        partial.write_text(json.dumps({**own, "truth": truth}, indent=1))
 
 
 def _write_truth(path: Path, truth: xr.Dataset) -> None:

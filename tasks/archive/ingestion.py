@@ -104,12 +104,12 @@ def content_key(files: Files, instrument: Instrument) -> str:
 
     Patterns, positions and orientations do not: changing them makes no new revision of any day.
     """
-    told = {
+    content = {
         "version": INGEST_VERSION,
         "files": files.model_dump(mode="json", exclude={"pattern", "same_as"}),
         "instrument": instrument.model_dump(mode="json", exclude={"files", "position", "orientation"}),
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def survey(
@@ -142,13 +142,12 @@ def survey(
     key = content_key(files, instrument)
     records = cat.files(name)
     present, superseded = find_files(data, files)
-    gone = [
-        told for path in records if not (data / path).exists() and (told := describe(path, files)) is not None
-    ]
+    absent = (describe(path, files) for path in records if not (data / path).exists())
+    gone = [delivered for delivered in absent if delivered is not None]
     # A delivery that was taken in and cleared away since still stands for its days.
     listed, also = newest([*present, *gone])
     known = {file.name: _unchanged(file, data, records.get(file.name), key) for file in listed}
-    fresh = [file for file in listed if known[file.name] is None and _touches(file.span, span, files.spill)]
+    fresh = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
     jobs = [(data / file.name, file, files, instrument) for file in fresh]
     found = {index.name: index for index in each_result(client, index_file, jobs)}
     indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
@@ -176,8 +175,8 @@ def _unchanged(file: Delivered, data: Path, record: FileRecord | None, key: str)
     )
 
 
-def _touches(span: NameSpan, wanted: tuple[int | None, int | None], spill: int) -> bool:
-    start, end = wanted
+def _overlaps(span: NameSpan, span_asked: tuple[int | None, int | None], spill: int) -> bool:
+    start, end = span_asked
     before = start is not None and span.end is not None and span.end + spill <= start
     after = end is not None and span.start is not None and span.start - spill >= end
     return not (before or after)
@@ -266,10 +265,10 @@ def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str
     ]
 
 
-def file_report(index: FileIndex, key: str, told: Mapping[str, Any]) -> dict[str, Any]:
+def file_report(index: FileIndex, key: str, notes: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the catalog keeps of a file beside its hash and days."""
     problem = {"problem": index.problem} if index.problem else {}
-    return {"key": key, **problem, **told}
+    return {"key": key, **problem, **notes}
 
 
 #: Samples of one batch in memory, before packing; it bounds the memory of a worker.
@@ -323,7 +322,7 @@ class BatchResult:
     segment: Segment | None
     failures: dict[str, Problem]
     #: What was dropped and noted, per file.
-    told: dict[str, dict[str, Any]]
+    notes: dict[str, dict[str, Any]]
 
 
 def source_file(file: FileIndex, data: Path) -> SourceFile:
@@ -346,7 +345,7 @@ def make_batch(job: BatchJob) -> BatchResult:
     StorageError
         When the disk refuses the write. What is wrong with files and days is returned instead.
     """
-    parts, broken, told = _read_parts(job)
+    parts, broken, notes = _read_parts(job)
     made: list[DayData] = []
     failures: dict[str, Problem] = {}
     for day, key, names, hashes in job.days:
@@ -361,18 +360,18 @@ def make_batch(job: BatchJob) -> BatchResult:
         except InflightError as error:
             failures[day] = problem_of(error, day)
     if not made:
-        return BatchResult(None, failures, told)
+        return BatchResult(None, failures, notes)
     segment = write_segment(job.workspace, job.run, f"l1/{job.instrument_name}", _alike(made))
-    return BatchResult(segment, failures, told)
+    return BatchResult(segment, failures, notes)
 
 
 def _read_parts(
     job: BatchJob,
 ) -> tuple[dict[str, list[RawTable]], dict[str, Problem], dict[str, dict[str, Any]]]:
-    wanted = {day for day, *_ in job.days}
+    days = {day for day, *_ in job.days}
     parts: dict[str, list[RawTable]] = {}
     broken: dict[str, Problem] = {}
-    told: dict[str, dict[str, Any]] = {}
+    notes: dict[str, dict[str, Any]] = {}
     for source in job.sources:
         name = source.name
         try:
@@ -382,11 +381,11 @@ def _read_parts(
             error.file = name  # below the data folder, as the catalog names it
             broken[name] = problem_of(error)
             continue
-        told[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
+        notes[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
         for day, part in split_days(table).items():
-            if str(day) in wanted:
+            if str(day) in days:
                 parts.setdefault(str(day), []).append(part)
-    return parts, broken, told
+    return parts, broken, notes
 
 
 def _make_day(job: BatchJob, day: str, key: str, parts: list[RawTable], hashes: Iterable[str]) -> DayData:
@@ -436,7 +435,7 @@ class _Plan:
     #: Days between the first and the last that no file holds; those not on record yet.
     empty: list[str] = field(default_factory=list)
     fresh_empty: list[str] = field(default_factory=list)
-    told: dict[str, dict[str, Any]] = field(default_factory=dict)
+    notes: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def dataset(self) -> str:
@@ -496,18 +495,18 @@ def ingest(
     """
     names, folder = _instruments(mission, instruments), Path(data).resolve()
     span = (_bound(start), _bound(end))
-    tell = progress or (lambda stage, done, total: None)
+    report_progress = progress or (lambda stage, done, total: None)
     plans = []
     for count, name in enumerate(names):
-        tell("index", count, len(names))
+        report_progress("index", count, len(names))
         plans.append(_plan(cat, survey(cat, mission, name, folder, span=span, client=client), span))
-    tell("index", len(names), len(names))
+    report_progress("index", len(names), len(names))
     if not any(plan.has_work for plan in plans):
         return _report("", plans, [])
     settings = {"mission": mission.mission, "mission_sha": mission.sha, "instruments": names}
     with cat.run("ingest", settings | {"start": str(start or ""), "end": str(end or "")}) as run:
         jobs = [job for plan in plans for job in _jobs(cat, mission, run, folder, plan, batch_days)]
-        _make_days(run, {plan.delivery.instrument: plan for plan in plans}, jobs, client, tell)
+        _make_days(run, {plan.delivery.instrument: plan for plan in plans}, jobs, client, report_progress)
         for plan in plans:
             _record(cat, run, plan)
         published = run.publish()
@@ -561,10 +560,10 @@ def _plan_empty(cat: Catalog, plan: _Plan, known: set[str]) -> None:
     if not plan.keys:
         return
     first, last = min(plan.keys), max(plan.keys)
-    told = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
+    recorded = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
     held = set(plan.delivery.by_day()) | known
     plan.empty = [str(day) for day in day_range(first, last) if str(day) not in held]
-    plan.fresh_empty = [day for day in plan.empty if day not in told]
+    plan.fresh_empty = [day for day in plan.empty if day not in recorded]
 
 
 def _jobs(
@@ -580,7 +579,7 @@ def _jobs(
     jobs = []
     for begin in range(0, len(todo), size):
         days = todo[begin : begin + size]
-        wanted = {file.name: file for day in days for file in by_day[day]}
+        needed = {file.name: file for day in days for file in by_day[day]}
         jobs.append(
             BatchJob(
                 cat.workspace,
@@ -588,7 +587,7 @@ def _jobs(
                 name,
                 instrument,
                 files,
-                tuple(source_file(file, data) for file in wanted.values()),
+                tuple(source_file(file, data) for file in needed.values()),
                 tuple(
                     (
                         day,
@@ -604,7 +603,7 @@ def _jobs(
 
 
 def _make_days(
-    run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, tell: Progress
+    run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, report_progress: Progress
 ) -> None:
     results = each_result(client, make_batch, [(job,) for job in jobs])
     for count, (job, result) in enumerate(zip(jobs, results, strict=True), start=1):
@@ -612,8 +611,8 @@ def _make_days(
         if result.segment is not None:
             run.attach(result.segment)
         plan.fresh_failures |= result.failures
-        plan.told |= result.told
-        tell("ingest", count, len(jobs))
+        plan.notes |= result.notes
+        report_progress("ingest", count, len(jobs))
 
 
 def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
@@ -641,7 +640,7 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
                 file.size,
                 file.mtime_ns,
                 tuple(map(str, file.days)),
-                file_report(file, plan.delivery.key, plan.told.get(file.name, {})),
+                file_report(file, plan.delivery.key, plan.notes.get(file.name, {})),
                 run.id,
             )
             for file in plan.delivery.files
@@ -657,9 +656,9 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     problems = []
     for plan in plans:
         name = plan.delivery.instrument
-        days_told = plan.failed | plan.fresh_failures
+        failures = plan.failed | plan.fresh_failures
         problems += [
-            {"instrument": name, **problem, "day": day} for day, problem in sorted(days_told.items())
+            {"instrument": name, **problem, "day": day} for day, problem in sorted(failures.items())
         ]
         problems += [
             {"instrument": name, **file.problem}
@@ -674,7 +673,7 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
         "no_work": sum(len(plan.empty) for plan in plans),
     }
     extra = {
-        "datasets": {plan.dataset: _told_of(plan, done[plan.dataset]) for plan in plans},
+        "datasets": {plan.dataset: _summary_of(plan, done[plan.dataset]) for plan in plans},
         "files": {
             "read": sum(not file.known for plan in plans for file in plan.delivery.files),
             "unchanged": sum(file.known for plan in plans for file in plan.delivery.files),
@@ -687,10 +686,10 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     return RunReport("ingest", run=run, days=counts, problems=problems, outputs=outputs, extra=extra)
 
 
-def _told_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
+def _summary_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
     dropped: Counter[str] = Counter()
-    for told in plan.told.values():
-        dropped.update(told["dropped"])
+    for notes in plan.notes.values():
+        dropped.update(notes["dropped"])
     return {
         "days": len(plan.keys),
         "done": len(done),
@@ -698,5 +697,5 @@ def _told_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
         "first": min(plan.keys, default=""),
         "last": max(plan.keys, default=""),
         "dropped": dict(dropped),
-        "notes": sorted({note for told in plan.told.values() for note in told["notes"]})[:20],
+        "notes": sorted({note for notes in plan.notes.values() for note in notes["notes"]})[:20],
     }

@@ -118,8 +118,8 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
             f"the model uses channels the mission has not: {', '.join(sorted(unknown))}",
             remedy=f"the mission has {', '.join(sorted(known.names))}",
         )
-    wanted = used | {name for name in extra if set(known.bases(name)) <= known.names}
-    return needs + known.needs(wanted)
+    names = used | {name for name in extra if set(known.bases(name)) <= known.names}
+    return needs + known.needs(names)
 
 
 def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> list[Need]:
@@ -268,15 +268,17 @@ class _Known:
         instrument, channel = self.homes[name]
         home = self.mission.instruments[instrument]
         called = part.name if part else name
-        told = home.channels[channel]
-        return Need(called, instrument, channel, home.cadence, told.lag, part, products, told.smooth)
+        described = home.channels[channel]
+        return Need(
+            called, instrument, channel, home.cadence, described.lag, part, products, described.smooth
+        )
 
 
 def position_channel(mission: Mission) -> str:
     """Return the channel that tells where the spacecraft is over the Earth; empty when there is none."""
     for name, (instrument, channel) in channel_homes(mission).items():
-        told = mission.instruments[instrument].channels[channel]
-        if told.kind == "position" and told.frame in ("itrf", "gcrf"):
+        described = mission.instruments[instrument].channels[channel]
+        if described.kind == "position" and described.frame in ("itrf", "gcrf"):
             return name
     return ""
 
@@ -336,7 +338,7 @@ class ArchiveIndex:
 
     def around(self, days: Sequence[np.datetime64]) -> ArchiveIndex:
         """Return the part some days need, their neighbours included: what a worker is sent."""
-        wanted = {day + step * _DAY for day in days for step in range(-self.before, 2)}
+        near = {day + step * _DAY for day in days for step in range(-self.before, 2)}
         others = {
             (one.dataset, one.day)
             for need in self.replaceable
@@ -344,7 +346,7 @@ class ArchiveIndex:
             for one in self.typical_days(need, day)
         }
         return ArchiveIndex(
-            {key: day for key, day in self.days.items() if key[1] in wanted or key in others},
+            {key: day for key, day in self.days.items() if key[1] in near or key in others},
             self.before,
             self.replaceable,
         )
@@ -400,5 +402,5 @@ class ArchiveIndex:
 
 def _known_part(day: Day, need: Need) -> float:
     """Return the part of a day on which a channel has values; 1 where the archive does not tell."""
-    told = day.report.get("channels", {}).get(need.channel, {})
-    return float(told.get("coverage", 1.0))
+    summary = day.report.get("channels", {}).get(need.channel, {})
+    return float(summary.get("coverage", 1.0))

@@ -98,7 +98,7 @@ def channel_series(
     if len(flags) == len(parts):
         coords["flag"] = ("time", np.concatenate(flags))
     series = xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
-    return _made(series, need.part) if need.part else series
+    return _derived(series, need.part) if need.part else series
 
 
 def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
@@ -108,24 +108,24 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
     """
     flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     known = np.isfinite(flat).all(axis=1)
-    own, told = stamps[known], flat[known]
-    sums = np.concatenate([np.zeros((1, told.shape[1])), np.cumsum(told - told[:1], axis=0)])
+    own, readings = stamps[known], flat[known]
+    sums = np.concatenate([np.zeros((1, readings.shape[1])), np.cumsum(readings - readings[:1], axis=0)])
     place = np.arange(own.size)
     after = np.searchsorted(own, own + over_ns // 2, side="right") - 1 - place
     before = place - np.searchsorted(own, own - over_ns // 2)
     each = np.minimum(after, before)
     out = flat.copy()
-    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + told[:1]
+    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + readings[:1]
     return out.reshape(np.shape(values))
 
 
-def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
+def _derived(series: xr.DataArray, part: Part) -> xr.DataArray:
     """Return a slow response or a play of a channel, or of what its positions tell, at its own stamps."""
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     attrs = dict(series.attrs)
     values = np.asarray(series.values, dtype=np.float64)
     if part.channel in GEOMETRY and series.attrs.get("kind") == "position":
-        values = _told_by_position(series, part)
+        values = _from_positions(series, part)
         attrs = {
             "cadence_ns": attrs["cadence_ns"],
             "lag_ns": attrs["lag_ns"],
@@ -135,7 +135,7 @@ def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
     return xr.DataArray(made, dims=("time", "component")[: made.ndim], coords=series.coords, attrs=attrs)
 
 
-def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
+def _from_positions(series: xr.DataArray, part: Part) -> Floats:
     """Return sunlight or latitude at the positions' own stamps; (time,)."""
     if part.channel not in SLOW_GEOMETRY:
         raise SamplesError(
@@ -144,30 +144,30 @@ def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
             remedy="of what the orbit tells, only 'sunlit' and 'latitude' may carry a lag or a width",
         )
     position = (("time", "axis"), series.values, series.attrs)
-    told = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", series["tt2000"].values)}))
-    return np.asarray(told[part.channel].values, dtype=np.float64)
+    geometry = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", series["tt2000"].values)}))
+    return np.asarray(geometry[part.channel].values, dtype=np.float64)
 
 
-class _Kept(threading.local):
+class _ReadingCache(threading.local):
     """Channels that were read last, by place and name, where a batch of days asks for it."""
 
     rows: OrderedDict[tuple[Any, ...], _Rows] | None = None
 
 
-_KEPT = _Kept()
+_CACHE = _ReadingCache()
 
 #: Channels kept: those of some three days.
-_MOST_KEPT = 48
+_CACHED_CHANNELS = 48
 
 
 @contextmanager
 def kept_readings() -> Iterator[None]:
     """Keep channels that were read last: margins of a day are its neighbours', which a batch reads, too."""
-    before, _KEPT.rows = _KEPT.rows, OrderedDict()
+    before, _CACHE.rows = _CACHE.rows, OrderedDict()
     try:
         yield
     finally:
-        _KEPT.rows = before
+        _CACHE.rows = before
 
 
 def own_readings(
@@ -179,29 +179,29 @@ def own_readings(
 
 
 def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
-    kept, flagged = _KEPT.rows, need.name in FIELD_ROLES
+    cache, flagged = _CACHE.rows, need.name in FIELD_ROLES
     key = (day.segment, day.rows, need.channel, flagged)
-    found = kept.pop(key, None) if kept is not None else None
+    found = cache.pop(key, None) if cache is not None else None
     if found is None:
         data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], dated=False)
         series = data[need.channel]
         flag = data["flag"].values if flagged else None
         found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
-    if kept is not None:
-        kept[key] = found
-        if len(kept) > _MOST_KEPT:
-            kept.popitem(last=False)
+    if cache is not None:
+        cache[key] = found
+        if len(cache) > _CACHED_CHANNELS:
+            cache.popitem(last=False)
     return found
 
 
-_KINDS = ("flip", "flip_back")
+_FLIP_KINDS = ("flip", "flip_back")
 
 _DAY = np.timedelta64(1, "D")
 
 
 def flips_of(mission: Mission) -> list[tuple[int, bool]]:
     """Return the flips in order of time: TT2000, and whether the sensors lie flipped from then on."""
-    return sorted((event.at, event.kind == "flip") for event in mission.events if event.kind in _KINDS)
+    return sorted((event.at, event.kind == "flip") for event in mission.events if event.kind in _FLIP_KINDS)
 
 
 def kept_span(mission: Mission, day: np.datetime64) -> tuple[int, int]:
@@ -262,20 +262,19 @@ def stand_ins(
     missing = missing_rows(model, samples)
     if not missing:
         return None
-    wanted = [need for need in needs if need.name in missing]
+    lacking = [need for need in needs if need.name in missing]
     found = {
         need.name: typical_value(cat, need, index.typical_days(need, day), day)
-        for need in wanted
+        for need in lacking
         if need.replaceable
     }
     channels = {
         need.name: mission.instruments[need.instrument].channels[need.channel]
-        for need in wanted
+        for need in lacking
         if need.part is None
     }
-    ranges = {
-        name: told.range for name, told in channels.items() if told.range is not None and not told.axis_names
-    }
+    single = {name: channel for name, channel in channels.items() if not channel.axis_names}
+    ranges = {name: channel.range for name, channel in single.items() if channel.range is not None}
     known = {name: one for name, one in found.items() if one is not None}
     return substitute(model, samples, known, ranges, missing)
 
@@ -300,12 +299,12 @@ def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str
     scalar_nT : float
         By how much they make the scalar field uncertain, rms over the samples treated.
     """
-    told = {
+    by_effect = {
         name: {"samples": one.samples, "channels": list(one.channels), "instead": one.instead}
         for name, one in treated.items()
     }
     sentence = "; ".join(f"{name}: {one}" for name, one in treated.items())
-    return {"stand_ins": told, "stand_ins_scalar_nT": scalar_nT, PARTIAL: sentence}
+    return {"stand_ins": by_effect, "stand_ins_scalar_nT": scalar_nT, PARTIAL: sentence}
 
 
 def partial_problems(days: Iterable[Day]) -> list[dict[str, str]]:
@@ -353,7 +352,7 @@ class Turned:
 
 
 def spin_phase(
-    mission: Mission, comparison: str, need: Need, told: xr.DataArray | None, stamps: Int64
+    mission: Mission, comparison: str, need: Need, series: xr.DataArray | None, stamps: Int64
 ) -> Turned:
     """Return the phase of the spin at stamps, and what was not as it should be.
 
@@ -382,7 +381,7 @@ def spin_phase(
     kind = mission.instruments[need.instrument].channels[need.channel].kind
     common = {"units": "rad", "kind": kind}
     try:
-        found = _found(kind, told, stamps, mission.periods["spin"] / SECOND, entry.phase_at_pulse)
+        found = _phase_of(kind, series, stamps, mission.periods["spin"] / SECOND, entry.phase_at_pulse)
     except CalibrationError as error:
         fault = Fault(f"nothing tells the phase of the spin: {error.message}", error.remedy)
         attrs = {**common, "told": fault.found, **_listed([fault]), "period_s": 0.0}
@@ -394,13 +393,15 @@ def spin_phase(
     return Turned(xr.Variable("time", found.phase, attrs), found.flag)
 
 
-def _found(kind: str, told: xr.DataArray | None, stamps: Int64, period: float, at_pulse: float) -> SpinPhase:
-    if told is None:
+def _phase_of(
+    kind: str, series: xr.DataArray | None, stamps: Int64, period: float, at_pulse: float
+) -> SpinPhase:
+    if series is None:
         raise CalibrationError(
             "no day of it in the archive", remedy="ingest the day's file; samples carry the flag no_phase"
         )
-    times = np.asarray(told["tt2000"].values, dtype=np.int64)
-    values = np.asarray(told.values, dtype=np.float64)
+    times = np.asarray(series["tt2000"].values, dtype=np.int64)
+    values = np.asarray(series.values, dtype=np.float64)
     if kind == "sun_pulse":
         times = times[np.isfinite(values)]
         return phase_from_pulses(times, stamps, nominal_period=period, mark_phase=np.deg2rad(at_pulse))
@@ -444,9 +445,10 @@ def day_faults(
     index : ArchiveIndex
     """
     by_name = {need.name: need for need in needs}
-    told = samples["spin_phase"].attrs
+    attributes = samples["spin_phase"].attrs
     found = [
-        (by_name[SPIN_PHASE], Fault(*both)) for both in zip(told["found"], told["remedies"], strict=True)
+        (by_name[SPIN_PHASE], Fault(*both))
+        for both in zip(attributes["found"], attributes["remedies"], strict=True)
     ]
     full = int(np.count_nonzero(samples["flag"].values & np.uint32(Flag.SATURATED)))
     if full:
@@ -528,8 +530,8 @@ def load_samples(
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
     if clock is not None:
-        told = channel_series(cat, clock, day, index, alone=False)
-        turned = spin_phase(mission, model.comparison, clock, told, samples["tt2000"].values)
+        series = channel_series(cat, clock, day, index, alone=False)
+        turned = spin_phase(mission, model.comparison, clock, series, samples["tt2000"].values)
         _add_phase(samples, mission, base, day, turned)
     for need in needs:
         if need.name not in samples:
