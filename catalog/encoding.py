@@ -17,12 +17,27 @@ from inflight.time import TT2000_FILL
 
 Array = npt.NDArray[Any]
 
-#: A value may differ from a multiple of the resolution by this part of the resolution.
-STEP_TOLERANCE: Final = 1e-6
-#: A decoded value may differ from the given one by this part of it.
-VALUE_TOLERANCE: Final = 1e-9
 #: Attribute of a stored array that says how to decode it.
 ENCODING_ATTRIBUTE: Final = "inflight"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PackingSettings:
+    """When a channel may be stored as multiples of its resolution; both must hold.
+
+    Attributes
+    ----------
+    step_tolerance : float
+        A value may differ from a multiple of the resolution by this part of the resolution (assumed).
+    value_tolerance : float
+        A decoded value may differ from the given one by this part of it: rounding of float32 (derived).
+    """
+
+    step_tolerance: float = 1e-6
+    value_tolerance: float = 1e-9
+
+
+PACKING = PackingSettings()
 
 
 @dataclass(frozen=True)
@@ -144,7 +159,12 @@ def _lossless(finite: Array, resolution: float) -> bool:
     if np.array_equal(decoded, finite):
         return True
     error = np.abs(decoded - finite)
-    return bool(np.all((error <= STEP_TOLERANCE * resolution) & (error <= VALUE_TOLERANCE * np.abs(finite))))
+    return bool(
+        np.all(
+            (error <= PACKING.step_tolerance * resolution)
+            & (error <= PACKING.value_tolerance * np.abs(finite))
+        )
+    )
 
 
 def _steps(values: Array, resolution: float) -> npt.NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What one dipole makes at both sensors, from the difference that the residual tells."""
+"""The field of one dipole at two sensors, from the difference that a residual gives (Yin 2010, eq. 3.1)."""
 
 from __future__ import annotations
 

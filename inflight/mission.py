@@ -1,11 +1,8 @@
-"""Mission YAML.
-
-A mission: instruments, channels, files, known periods and events, as one YAML a person writes.
+"""A mission: instruments, channels, files, known periods, comparisons and events, as one YAML.
 
 `Mission.parse` validates a text and names line and key of whatever is wrong. It opens no file; the
-catalog reads the text. See ``missions/template.yaml`` for every key with a comment.
-
-A sensor as the physics sees it: a place, an orientation, a role.
+catalog reads the text. ``missions/template.yaml`` shows every key with a comment. `Sensor` is a magnetometer
+of a comparison as the physics needs it: a role, a place, an orientation.
 """
 
 from __future__ import annotations

@@ -1,15 +1,13 @@
-"""TT2000, UTC, days, MJD2000.
+"""Time: TT2000, UTC, days, and days since 2000 (MJD2000).
 
-TT2000: integer nanoseconds since 2000-01-01T12:00:00 TT, the one time of stores and mathematics.
-
-TT2000 counts SI seconds, so leap seconds are ordinary seconds in it. UTC is what people see: as
+TT2000 is integer nanoseconds since 2000-01-01T12:00:00 TT, the one time of stores and mathematics. It
+counts SI seconds, so leap seconds are ordinary seconds in it. UTC is what people see: as
 ``datetime64[ns]``, which has no stamp for an inserted second; such a sample carries the stamp of
 the second before it and the flag ``LEAP_SECOND``. A *day* is a UTC day and has 86 401 s when it
-ends with a leap second. All intervals are half-open.
+ends with a leap second. MJD2000 is the thesis' day number: 0 is 2000-01-01T00:00 UTC. All intervals are
+half-open.
 
 Leap-second dates: IERS Bulletin C (TAI - UTC since 1972); CDF's TT2000 definition: TT = TAI + 32.184 s.
-
-The thesis' day number (MJD 0 is 2000-01-01T00:00 UTC) and back.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Units: one registry for the project, and the conversions of channels to the units the physics uses.
 
-Delivered files spell units in many ways; `parse_unit` and `factor_and_offset` are the only places
-that judge them.
+Delivered files spell units in many ways; `parse_unit` and `factor_and_offset` alone interpret them.
+`product_factor` converts coefficients per unit of a channel.
 """
 
 from __future__ import annotations

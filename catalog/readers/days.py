@@ -28,11 +28,25 @@ from inflight.flags import Flag
 from inflight.instruments import Channel, Instrument
 from inflight.time import GAP, Int64, day_bounds, day_of, in_leap_second, to_utc
 
-#: Rows this near in cadences, out of two passes of one clock, cover one span twice: of two interleaved
-#: series some rows lie half a cadence apart or less, and stamps jitter.
-NEAR = 0.6
-#: Gaps listed one by one in a report; the number and the missing samples always cover all.
-LISTED_GAPS = 200
+
+@dataclass(frozen=True, kw_only=True)
+class DayAssemblySettings:
+    """How the rows of a day are put in order.
+
+    Attributes
+    ----------
+    near : float
+        Rows of two passes of one clock that are this near, in cadences, cover one span twice. Derived: of two
+        interleaved series some rows lie half a cadence apart or less, and stamps jitter.
+    listed_gaps : int
+        Gaps listed one by one in a report; the number and the missing samples always cover all.
+    """
+
+    near: float = 0.6
+    listed_gaps: int = 200
+
+
+DAY_ASSEMBLY = DayAssemblySettings()
 
 
 @dataclass(frozen=True)
@@ -143,12 +157,8 @@ def coverage(times: Int64, day: np.datetime64, cadence: int) -> dict[str, Any]:
     at = np.flatnonzero(spacing > GAP * cadence)
     missing = np.rint(spacing[at] / cadence).astype(np.int64) - 1
     begins, ends = to_utc(fence[at] + cadence), to_utc(fence[at + 1])
-    listed = [
-        [str(begin), str(stop), int(count)]
-        for begin, stop, count in zip(
-            begins[:LISTED_GAPS], ends[:LISTED_GAPS], missing[:LISTED_GAPS], strict=True
-        )
-    ]
+    gaps = list(zip(begins, ends, missing, strict=True))[: DAY_ASSEMBLY.listed_gaps]
+    listed = [[str(begin), str(stop), int(count)] for begin, stop, count in gaps]
     return {
         "valid": int(times.size),
         "expected": expected,
@@ -179,15 +189,15 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
 
 
 def _crowded(times: Int64, cadence: int) -> npt.NDArray[np.bool_]:
-    return np.asarray(np.less_equal(np.diff(np.sort(times)), NEAR * cadence))
+    return np.asarray(np.less_equal(np.diff(np.sort(times)), DAY_ASSEMBLY.near * cadence))
 
 
 def _all_near(times: Int64, others: Int64, cadence: int) -> bool:
-    """Return True when each time lies within `NEAR` cadences of another row."""
+    """Return True when each time lies within `DAY_ASSEMBLY.near` cadences of another row."""
     after = np.clip(np.searchsorted(others, times), 0, others.size - 1)
     before = np.clip(after - 1, 0, None)
     distance = np.minimum(np.abs(others[after] - times), np.abs(others[before] - times))
-    return bool((distance <= NEAR * cadence).all())
+    return bool((distance <= DAY_ASSEMBLY.near * cadence).all())
 
 
 def _concatenate(parts: Sequence[RawTable]) -> tuple[_Rows, int]:
@@ -209,7 +219,7 @@ def _concatenate(parts: Sequence[RawTable]) -> tuple[_Rows, int]:
 
 def _refuse_backwards(rows: _Rows, files: Sequence[str], day: np.datetime64, cadence: int) -> None:
     spacing = np.diff(rows.times)
-    twice = (spacing > 0) & (spacing <= NEAR * cadence) & _same_file_other_run(rows)
+    twice = (spacing > 0) & (spacing <= DAY_ASSEMBLY.near * cadence) & _same_file_other_run(rows)
     if not twice.any():
         return
     at = int(np.flatnonzero(twice)[0])

@@ -1,12 +1,9 @@
-"""Effect, Parameter, units of coefficients.
+"""What an effect is: a class with parameters, the channels it needs, and the field it adds at a sensor.
 
-Names people write: registered names of classes, names of slowed channels, and what was perhaps meant.
-
-A number of an effect, with its unit and what is known of it beforehand.
-
-What an effect is: parameters with units, the channels it needs, the field it adds at a sensor.
-
-Rates of change of sampled series, gaps respected.
+`Effect.field` gives nT in the orthogonal axes of the vector sensor; `disturb` adds it to a reading and
+`correct` takes it off, exact inverses of each other. Of a scalar sensor both act on the projection on the
+field's direction. Where the field is made from the reading itself (`follows_field`), `disturb` solves
+``reading = truth + field(reading)`` by repetition. `slope` gives rates of change with gaps respected.
 """
 
 from __future__ import annotations
@@ -148,12 +145,27 @@ AXES = ("x", "y", "z")
 #: Options of every effect with a channel: which one, and its slow response or play.
 CHANNEL_OPTIONS = ("channel", "lag", "width")
 
-#: An effect that follows the field is solved for at a vector sensor until nothing larger than this moves.
-_SETTLED_NT = 1e-9
 
-_MOST_STEPS = 80
+@dataclass(frozen=True, kw_only=True)
+class RepetitionSettings:
+    """How the reading is found from the field where an effect follows the reading (`Effect.disturb`).
 
-_RUN_AWAY_NT = 1e9
+    Attributes
+    ----------
+    settled : float
+        nT; it ends when no sample moves by more, and no less than the step before: rounding (derived).
+    most_steps : int
+        Steps after which it is refused (assumed; effects below a tenth of the field need less than 20).
+    diverged : float
+        nT; a change beyond this is refused at once.
+    """
+
+    settled: float = 1e-9
+    most_steps: int = 80
+    diverged: float = 1e9
+
+
+REPETITION = RepetitionSettings()
 
 
 class EffectOrigin(Protocol):
@@ -360,13 +372,13 @@ class Effect:
     def _solved(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading from which `correct` takes exactly what leaves the truth; (time, axis) nT."""
         reading, last = truth, np.inf
-        for _ in range(_MOST_STEPS):
+        for _ in range(REPETITION.most_steps):
             following = truth + self.field(with_field(samples, reading), values, sensor)
             moved = float(np.nanmax(np.abs(following - reading), initial=0.0))
             reading = following
-            if moved == 0.0 or last <= moved < _SETTLED_NT:
+            if moved == 0.0 or last <= moved < REPETITION.settled:
                 return reading
-            if moved > _RUN_AWAY_NT:
+            if moved > REPETITION.diverged:
                 break
             last = moved
         raise ModelError(

@@ -1,12 +1,11 @@
-"""Fields and rates of channels, of the field itself.
+"""Fields that follow housekeeping channels, and fields made by the field itself.
 
-Fields that follow housekeeping channels: the generic effects, for what nobody named.
+The generic effects, for causes without an equation of their own: proportional to a channel, its square, its
+rate, its play, a spline of it, or of two. A coefficient is per unit of the channel: a model may state the
+whole unit (``unit: nT/A``), which is converted when the channel comes in another; with plain ``unit: nT`` it
+is per unit of the channel as the mission YAML states it.
 
-A coefficient is per unit of the channel. A model may state the whole unit (``unit: nT/A``): it is
-converted when the channel comes in another; with plain ``unit: nT`` it is per unit of the channel as
-the mission YAML states it.
-
-Fields made by the field itself: soft magnetic parts, eddy currents, cross-talk between axes.
+From the field: soft magnetic parts and eddy currents (Tolles and Lawson; Leliak 1961), and cross-talk.
 """
 
 from __future__ import annotations

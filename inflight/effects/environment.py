@@ -1,8 +1,7 @@
-"""Sun, eclipse, periodic fields.
+"""Fields that come with the Sun, and fields that repeat.
 
-Fields that come with the Sun: by day and by night, and by the direction it shines from.
-
-Fields that come back: with the orbit, with the Sun, with local time, or at a period of their own.
+By day and night and by the direction the Sun shines from (Yin 2010, chapter 4); Fourier series of the orbit
+phase, the Sun's phase, local time, or a fixed period.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What happened once: steps and episodes of an offset, a scale, an angle, a bias, or a clock.
+"""Steps and episodes of an offset, a scale factor, an angle, a bias, or a clock.
 
-A step holds from option ``at`` on, an episode from ``from`` until ``to``; UTC, half-open. Any parameter
-of any effect may also change at events, by ``time: event`` in the model; these are for the search, and
-for what changes once and stands alone.
+A step holds from option ``at`` on, an episode from ``from`` until ``to``; UTC, half-open. Any parameter of
+any effect may also change at events, by ``time: event`` in the model; these classes are for the search, and
+for a single change.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Families and kinds of channels.
+"""Families of causes, channels by their kind, and units of coefficients per channel.
 
-Families: by what cause a missing effect is reported, and which channels of a mission may make it.
-
-Units of coefficients: what a number per unit of a channel is worth when the channel comes in another.
+A *family* is what a search reports a missing effect by. The kind of a channel in the mission YAML decides
+it, never its name. `channels_of_kind` and `options_of_channels` make candidates; `coefficient_unit` gives
+the unit of a parameter that is per unit of a channel.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Which effects exist: the library's own, those of installed packages, and a user's own classes.
 
-A package offers effects through the entry point group ``inflight.effects``; a mission names files with
-its own; in a notebook `register` makes a class known.
+A package adds effects through the entry point group ``inflight.effects``; a mission names files with its
+own (`inflight.effects.sources`); in a notebook `register` makes a class known.
 """
 
 from __future__ import annotations

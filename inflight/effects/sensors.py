@@ -1,10 +1,8 @@
-"""Vector and scalar sensor equations.
+"""The equations of vector and scalar magnetometers.
 
-The equation of a vector magnetometer: scale factors, misalignment angles, offsets, and its finer terms.
-
-The equation of an absolute scalar magnetometer: clock, oscillator, bias and its own heading error.
-
-Parameters of a vector sensor that follow a channel: scale factors, angles, electronics.
+Vector: scale factors, misalignment angles, offsets (Yin 2010, eq. 2.5), non-linearity, temperature, and
+parameters that follow a channel. Scalar: time shift, response, oscillator, bias, heading error (Yin 2010,
+section 2.5). `correct` gives the reading of a perfect sensor, `disturb` the raw one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A user's own effects: Python files that the mission YAML names under ``effects:``.
 
-The core opens no file; who reads them makes an `EffectSource` of path and text. Its classes are made
-once a process for each text, so that two workspaces never share a class unnoticed and a changed file
-means a new one. Workers make them from the text that travels with the effects.
+The core opens no file: the caller makes an `EffectSource` of path and text. Its classes are made once a
+process for each text, so that two workspaces never share a class unnoticed and a changed file means a new
+one. Workers make them from the text that travels with the pickled effects.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def require_sound_class(kind: type[Effect], file: str) -> None:
     """
     if kind.field is Effect.field and kind.is_plain_field():
         raise ModelError(
-            f"class {kind.__name__} has no field and no correction",
+            f"class {kind.__name__} says nothing of what it does",
             file=file,
             remedy="give it a method field(self, samples, values, sensor), or 'correct' and 'disturb'",
         )

@@ -1,8 +1,7 @@
-"""Fields of the spacecraft, lit panels.
+"""Fields the spacecraft makes at a sensor: torquers, magnetised parts, the solar array.
 
-Which solar panels are lit: by the local time of the orbit, or by the Sun's direction.
-
-Fields the spacecraft itself makes at a sensor.
+`light_on` and `schedule` say which solar panels are lit: by the Sun's direction, or by the local time of the
+orbit (Yin 2010, section 3.4.1).
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""The equation of a spinning sensor.
+"""The equation of a vector magnetometer on a spinning spacecraft (Plaschke et al. 2019, eq. 9).
 
-From twelve parameters to the matrix of the calibration equation, at one time or at many.
-
-The equation of a vector magnetometer on a spinning spacecraft, in parameters that the spin tells apart.
+Twelve parameters chosen so that the spin separates them: gains, sensor directions, spin axis, offsets.
+`coupling` makes the matrix of the equation from them, at one time or at many.
 """
 
 from __future__ import annotations

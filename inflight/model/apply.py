@@ -1,8 +1,8 @@
-"""A model applied to samples: readings corrected in the model's order, disturbed in the opposite one.
+"""One effect of a model, and effects applied to samples: corrected in the model's order, disturbed backwards.
 
-Vector sensors first: their corrected field gives the direction along which a scalar sensor sees the
+Vector sensors come first: their corrected field gives the direction along which a scalar sensor sees the
 fields of the spacecraft. Of two vector sensors each is corrected in its own axes, and the outboard one,
-which is farther from the spacecraft, gives the field that is kept.
+which is farther from the spacecraft, gives `field`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What differs between two models, for a program and for a person; works on their texts alone."""
+"""What differs between two models, for a program and for a person; it needs their texts alone."""
 
 from __future__ import annotations
 

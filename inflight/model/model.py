@@ -1,8 +1,7 @@
-"""Immutable model.
+"""The model as a value: read from YAML, immutable, hashed; effects are added and dropped by copies.
 
-One effect in a model: the cause, the sensor it acts on, and its values.
-
-The model as a value: read from YAML, immutable, hashed; effects are added and dropped by copies.
+`Model.parse` makes effects from the entries of the YAML (`make_effect`): class, sensor, options, and the
+values of parameters with their time dependence. `Model.text` is the YAML again, whose sha256 names a model.
 """
 
 from __future__ import annotations

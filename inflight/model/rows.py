@@ -1,4 +1,4 @@
-"""What is held against what: from corrected sensors to the rows of a residual.
+"""What a comparison compares: from corrected sensors to the rows of a residual, nT.
 
 A comparison of kind
 
@@ -12,7 +12,7 @@ spin
     two rows of folded samples (`inflight.samples.spin_folding`), the field along the spin axis and the
     modulus of the field across it, each less its interval's mean: what turns with the spin.
 
-All rows are nT. A new kind is one more function from corrected samples to rows.
+A new kind is one more function from corrected samples to rows.
 """
 
 from __future__ import annotations
@@ -38,11 +38,24 @@ if TYPE_CHECKING:
     from inflight.mission import Mission
 
 
-#: Order of the band's Butterworth filter; it runs forwards and backwards, which doubles it.
-_ORDER = 4
+@dataclass(frozen=True, kw_only=True)
+class BandFilterSettings:
+    """The filter of a band of frequencies.
 
-#: A run of samples is filtered when it is longer than this many periods of the band's lower edge.
-_SHORTEST_PERIODS = 1.0
+    Attributes
+    ----------
+    order : int
+        Of the Butterworth filter, which runs forwards and backwards; that doubles it (assumed).
+    shortest_periods : float
+        A run of samples is filtered when it is longer than this many periods of the band's lower edge
+        (assumed).
+    """
+
+    order: int = 4
+    shortest_periods: float = 1.0
+
+
+BAND_FILTER = BandFilterSettings()
 
 
 class RowFilter(Protocol):
@@ -222,10 +235,10 @@ def filter_rows(
     finite = np.asarray(np.isfinite(wide).all(axis=1))
     usable = finite if good is None else finite & good
     if band.high_hz >= 0.5 / step_s:
-        sections = signal.butter(_ORDER, band.low_hz, "highpass", fs=1.0 / step_s, output="sos")
+        sections = signal.butter(BAND_FILTER.order, band.low_hz, "highpass", fs=1.0 / step_s, output="sos")
     else:
-        sections = signal.butter(_ORDER, tuple(band), "bandpass", fs=1.0 / step_s, output="sos")
-    shortest = int(_SHORTEST_PERIODS / (band.low_hz * step_s))
+        sections = signal.butter(BAND_FILTER.order, tuple(band), "bandpass", fs=1.0 / step_s, output="sos")
+    shortest = int(BAND_FILTER.shortest_periods / (band.low_hz * step_s))
     out = np.full(wide.shape, np.nan)
     for first, last in _runs(usable):
         if last - first > shortest:

@@ -1,10 +1,10 @@
-"""What stands in for a missing channel, so that a day gets its product, and how much that may be wrong.
+"""Typical values for missing channels, and how uncertain they make the fields.
 
-Where a channel is missing, its typical value (mean over known samples) is taken: the effect is
-corrected as it usually is, and the field is uncertain by what the effect does when the channel deviates
-by its own spread. Where no value of the channel is known, effects made from it are left out, and the
-uncertainty holds their whole size: over the channel's possible range, or NaN where none is stated.
-Samples so treated carry the flag CHANNEL_MISSING, which takes them out of every fit.
+Where a channel is missing, its typical value (the mean of known samples) is taken: the effect is corrected
+as usual, and the field is uncertain by what the effect does when the channel deviates by its own scatter.
+Where no value of the channel is known, effects made from it are left out, and the uncertainty is their whole
+size: over the channel's possible range, or NaN where none is stated. These samples carry the flag
+CHANNEL_MISSING, which takes them out of every fit.
 """
 
 from __future__ import annotations
@@ -37,17 +37,32 @@ GEOMETRY_RANGES: dict[str, tuple[float, float]] = {
     "sunlit": (0.0, 1.0),
 }
 
-#: Values of a range that are tried, in the middles of as many equal parts: both ends of a circle are one.
-_PARTS = 8
-
 #: What is tried instead: light and shadow, the Sun on and against each axis.
 _TRIED_VALUES = {"sunlit": np.array([0.0, 1.0]), "sun_direction": np.concatenate([np.eye(3), -np.eye(3)])}
 
-#: Samples kept beside the missing ones: rates of change are made from neighbours.
-_MARGIN = 8
 
-#: A direction of spread smaller than this part of the largest one is rounding.
-_FLAT = 1e-12
+@dataclass(frozen=True, kw_only=True)
+class SubstitutionSettings:
+    """How the uncertainty of a substituted channel is worked out.
+
+    Attributes
+    ----------
+    margin : int
+        Samples on either side of the missing ones that are computed with them: effects take rates of change
+        over at most some samples (derived).
+    parts : int
+        Values of a channel's range that are tried, in the middles of as many equal parts, so that both ends
+        of a circle count once (assumed).
+    flat : float
+        A direction of the covariance with less than this part of the largest one is rounding (derived).
+    """
+
+    margin: int = 8
+    parts: int = 8
+    flat: float = 1e-12
+
+
+SUBSTITUTION = SubstitutionSettings()
 
 
 @dataclass(frozen=True)
@@ -81,7 +96,7 @@ class Typical:
             return None
         covariance = np.atleast_2d(np.cov(known, rowvar=False, bias=True))
         own, vectors = np.linalg.eigh(covariance)
-        used = own > _FLAT * max(float(own[-1]), 1e-300)
+        used = own > SUBSTITUTION.flat * max(float(own[-1]), 1e-300)
         modes = (vectors[:, used] * np.sqrt(own[used])).T
         steps = np.diff(seconds)
         near = steps <= GAP * np.median(steps)
@@ -203,7 +218,7 @@ class Substituted:
         places = _TRIED_VALUES.get(name, np.empty(0))
         if not len(places) and name in self.ranges:
             low, high = self.ranges[name]
-            places = low + (high - low) * (np.arange(_PARTS) + 0.5) / _PARTS
+            places = low + (high - low) * (np.arange(SUBSTITUTION.parts) + 0.5) / SUBSTITUTION.parts
         for place in places:
             yield _assigned(part, name, np.where(rows, place, np.asarray(part[name].values)))
 
@@ -357,7 +372,7 @@ def _any(rows: Rows) -> Rows:
 
 def _near(rows: Rows) -> Rows:
     """Return the rows and some beside each."""
-    return np.asarray(np.convolve(rows, np.ones(2 * _MARGIN + 1), mode="same") > 0)
+    return np.asarray(np.convolve(rows, np.ones(2 * SUBSTITUTION.margin + 1), mode="same") > 0)
 
 
 def _range_of(name: str) -> tuple[float, float] | None:

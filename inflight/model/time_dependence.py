@@ -1,6 +1,4 @@
-"""Constant, trend, block parameters.
-
-How a value may depend on time: the functions of time its coefficients multiply.
+"""Values in time: constant, trends, events, splines, and blocks held in a calibration table.
 
 ``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``parabola``: ``a + b x + c x^2`` with
 ``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value
@@ -8,7 +6,8 @@ for each interval between the times ``at``; ``spline``: values at the times ``at
 cubic between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in a
 table.
 
-Values in time: how a parameter depends on time is the model's business, never an effect's.
+`Dependence` holds the functions of time, `TimedValue` the coefficients that multiply them. Time dependence
+belongs to the model, never to an effect.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@ from .deliveries import SECOND_FLUXGATE, simulate, simulate_dual, simulate_spinn
 from .ingestion import each_result, ingest, result_of
 from .inputs import (
     AMBIENT,
+    INPUTS,
     SPIN_AXIS,
-    STAND_IN_DAYS,
     ArchiveIndex,
     Need,
     ambient_of,
@@ -35,9 +35,9 @@ from .samples import (
 __all__ = [
     "AMBIENT",
     "FAULTS",
+    "INPUTS",
     "SECOND_FLUXGATE",
     "SPIN_AXIS",
-    "STAND_IN_DAYS",
     "ArchiveIndex",
     "ChannelReader",
     "DerivedChannels",

@@ -1,8 +1,7 @@
-"""Channels for the search.
+"""Every channel of a mission at the cadence of the search, day by day, with history and placebos.
 
-How a day's spacecraft was turned, and channels that go with the spin folded like the field.
-
-Every channel of a mission on the library's cadence, day by day, with history and placebos.
+`ChannelReader` puts archived channels on bins, `DerivedChannels` makes slow responses, plays, products and
+placebos of them. Of a spin comparison, channels that show the spin are folded like the field (`Turning`).
 """
 
 from __future__ import annotations

@@ -1,14 +1,9 @@
-"""Simulated deliveries.
+"""Simulated deliveries: day files as a real mission delivers them, and their truth apart.
 
-Day files as a real mission delivers them: CDF with TT2000 and the attributes of the ISTP guidelines.
-
-Writing simulated days as day files like a real mission delivers, and their truth apart.
-
-Write a simulated mission as day files like a real one delivers, and its truth apart.
-
-Write a simulated mission with two sensors on one boom as day files, and its truth apart.
-
-Write a simulated spinning mission as day files like a real one delivers, and its truth apart.
+CDF with TT2000 and the attributes of the ISTP guidelines, from `inflight.simulate`: of a mission with a
+vector and a scalar sensor (`simulate`), with two sensors on one boom (`simulate_dual`), of a spinning one
+(`simulate_spinning`). Files appear whole under their names, so that a run that was stopped is completed by
+the same call.
 """
 
 from __future__ import annotations

@@ -1,19 +1,11 @@
-"""Ingest.
+"""Ingest: delivered files become level-1 days ``l1/<instrument>`` of the archive.
 
-What has been delivered: which files there are, what is known of them, and which days they hold.
-
-A file whose size and time of change are those on record is not opened. Any other is hashed and its times
-are read, so that every row is known by its own UTC day before a day is made.
-
-One batch of an ingest: files are read one after the other, days made, one segment written.
-
-It needs no database, so Dask workers run it.
-
-Ingest: delivered files become level-1 days ``l1/<instrument>`` of the archive.
-
-A day is made from every file that holds rows of it and gets a key from their hashes and from what the
-mission YAML says: same key, nothing to do. So a file delivered twice changes nothing, a corrected one
-makes new revisions of exactly its days, and an ingest that was killed goes on where it was.
+`survey` finds an instrument's files and indexes them: a file whose size and time of change are those on
+record is not opened, any other is hashed and its times are read, so that every row is known by its own UTC
+day. A day is made from every file that holds rows of it (`make_batch`, which needs no database, so that Dask
+workers run it) and gets a key from their hashes and from what the mission YAML says: same key, no work. So a
+file delivered twice changes nothing, a corrected one makes new revisions of exactly its days, and an ingest
+that was killed goes on where it was.
 """
 
 from __future__ import annotations
@@ -51,11 +43,30 @@ from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_t
 #: Bumped when the same files would give other archive days.
 INGEST_VERSION = 1
 
-#: Jobs given to a cluster before the first result is waited for.
-IN_FLIGHT = 16
 
-#: Days that an unreadable file may take with it by what its name says.
-_LONGEST_NAME_SPAN = 366
+@dataclass(frozen=True, kw_only=True)
+class IngestSettings:
+    """How much is worked on at a time.
+
+    Attributes
+    ----------
+    in_flight : int
+        Jobs given to a cluster before the first result is waited for (assumed).
+    batch_bytes : int
+        Samples of one batch in memory, before packing; it bounds the memory of a worker (assumed).
+    most_days : int
+        Days of one batch (assumed).
+    longest_name_span : int
+        Days that an unreadable file may take with it by what its name says (assumed).
+    """
+
+    in_flight: int = 16
+    batch_bytes: int = 64_000_000
+    most_days: int = 60
+    longest_name_span: int = 366
+
+
+INGEST = IngestSettings()
 
 Problem = dict[str, str]
 
@@ -212,7 +223,7 @@ def named_days(span: NameSpan) -> tuple[str, ...]:
     if first is None:
         return ()
     last = first if span.end is None else as_day(str(to_utc(span.end - 1)))
-    return tuple(str(day) for day in day_range(first, last + 1)[:_LONGEST_NAME_SPAN])
+    return tuple(str(day) for day in day_range(first, last + 1)[: INGEST.longest_name_span])
 
 
 def each_result(
@@ -220,7 +231,7 @@ def each_result(
 ) -> Iterator[Result]:
     """Yield the results of a function in the order of its jobs, on a Dask client when there is one.
 
-    At most `IN_FLIGHT` jobs are out at once, so results never pile up.
+    At most `INGEST.in_flight` jobs are out at once, so results never pile up.
     """
     if client is None:
         for job in jobs:
@@ -229,7 +240,7 @@ def each_result(
     waiting: deque[Any] = deque()
     for job in jobs:
         waiting.append(client.submit(function, *job, pure=False))
-        if len(waiting) >= IN_FLIGHT:
+        if len(waiting) >= INGEST.in_flight:
             yield result_of(waiting.popleft())
     while waiting:
         yield result_of(waiting.popleft())
@@ -269,12 +280,6 @@ def file_report(index: FileIndex, key: str, notes: Mapping[str, Any]) -> dict[st
     """Return what the catalog keeps of a file beside its hash and days."""
     problem = {"problem": index.problem} if index.problem else {}
     return {"key": key, **problem, **notes}
-
-
-#: Samples of one batch in memory, before packing; it bounds the memory of a worker.
-BATCH_BYTES = 64_000_000
-
-MOST_DAYS = 60
 
 
 @dataclass(frozen=True)
@@ -331,10 +336,10 @@ def source_file(file: FileIndex, data: Path) -> SourceFile:
 
 
 def days_of_batch(instrument: Instrument) -> int:
-    """Return how many days of an instrument fit `BATCH_BYTES`, at least 1."""
+    """Return how many days of an instrument fit `INGEST.batch_bytes`, at least 1."""
     numbers = sum(max(1, len(channel.axis_names)) for channel in instrument.channels.values())
     per_day = 86_400_000_000_000 / instrument.cadence * (12 + 8 * numbers)
-    return int(np.clip(BATCH_BYTES // per_day, 1, MOST_DAYS))
+    return int(np.clip(INGEST.batch_bytes // per_day, 1, INGEST.most_days))
 
 
 def make_batch(job: BatchJob) -> BatchResult:
@@ -657,9 +662,7 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     for plan in plans:
         name = plan.delivery.instrument
         failures = plan.failed | plan.fresh_failures
-        problems += [
-            {"instrument": name, **problem, "day": day} for day, problem in sorted(failures.items())
-        ]
+        problems += [{"instrument": name, **problem, "day": day} for day, problem in sorted(failures.items())]
         problems += [
             {"instrument": name, **file.problem}
             for file in plan.delivery.files

@@ -1,8 +1,7 @@
-"""Need, archive index, sources.
+"""What samples are made from: needed channels, and the archived days that hold them.
 
-What a model's samples are made from: which channels of which instruments, and how far back in time.
-
-Which days of the archive some needs are made from: read once, and sent to workers without the database.
+A `Need` is one series of the samples with its instrument, channel and history. An `ArchiveIndex` lists the
+published days of some needs: read once, and sent to workers, which open no database.
 """
 
 from __future__ import annotations
@@ -30,8 +29,29 @@ SPIN_AXIS = "spin_axis"
 #: Name of the known ambient field in samples.
 AMBIENT = "ambient"
 
-#: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
-MARGIN_CADENCES = 40
+
+@dataclass(frozen=True, kw_only=True)
+class InputSettings:
+    """How far samples reach beyond their own day.
+
+    Attributes
+    ----------
+    margin_cadences : int
+        Samples kept of the neighbouring days, so that filters and lags run on across midnight (derived from
+        the width of `inflight.samples.AlignmentSettings`).
+    known_part : float
+        A channel's typical value comes from its own day when this part of it is known, else from other days
+        (assumed).
+    stand_in_days : int
+        Other days are looked for this far on both sides (assumed).
+    """
+
+    margin_cadences: int = 40
+    known_part: float = 0.1
+    stand_in_days: int = 15
+
+
+INPUTS = InputSettings()
 
 
 @dataclass(frozen=True)
@@ -78,7 +98,7 @@ class Need:
     @property
     def margin_ns(self) -> int:
         """How much of the neighbouring days a day is made with."""
-        return MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
+        return INPUTS.margin_cadences * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
 
 
 def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -294,12 +314,6 @@ def base_role(mission: Mission, comparison: str) -> str:
 
 _DAY = np.timedelta64(1, "D")
 
-#: A channel's typical value comes from its own day when this part of it is known, else from other days.
-_ENOUGH = 0.1
-
-#: Other days are looked for this far on both sides.
-STAND_IN_DAYS = 15
-
 
 @dataclass(frozen=True)
 class ArchiveIndex:
@@ -354,11 +368,11 @@ class ArchiveIndex:
     def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
         """Return the days that tell what a channel usually reads on a day: its own, else the nearest two.
 
-        One before and one after, at most `STAND_IN_DAYS` away; none when there is none. A day that
+        One before and one after, at most `INPUTS.stand_in_days` away; none when there is none. A day that
         hardly has the channel counts only when no other does.
         """
-        far = STAND_IN_DAYS + 1
-        for least in (_ENOUGH, np.finfo(float).tiny):
+        far = INPUTS.stand_in_days + 1
+        for least in (INPUTS.known_part, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
                 near = [self._first(need, [day + step * _DAY for step in side], least) for side in sides]
                 if found := [one for one in near if one is not None]:

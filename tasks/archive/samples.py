@@ -1,18 +1,10 @@
-"""Samples of a day.
+"""Samples of a day: channels read from the archive with a margin of the neighbouring days, and aligned.
 
-One channel of one day as the archive has it, with a margin of its neighbours and what is made of it.
-
-A flipper's two positions: which one each day is calibrated for.
-
-Events of kind ``flip`` and ``flip_back`` tell when sensors 1 and 3 change places (see
-`inflight.zero_level.flipper`); readings are delivered in the spacecraft's axes throughout, so that a flip
-changes the offsets of x and z. A day is calibrated for the position that holds longest on it.
-
-What stands in for missing channels: typical values from the archive, read without the database.
-
-The phase of the spin at samples, from what a mission delivers: sun pulses, or an angle.
-
-From the archive to samples: the channels a model needs, on one time base, for one day.
+`load_samples` makes them; `channel_series` reads one channel. Of a spinning spacecraft the phase of the spin
+is added, from sun pulses or from an angle. A flipper (`inflight.zero_level.flipper`) swaps sensors 1 and 3 at
+events of kind ``flip`` and ``flip_back``; readings are in the spacecraft's axes throughout, so that a flip
+changes the offsets of x and z, and a day is calibrated for the position that holds longest on it.
+`stand_ins` puts typical values in the place of missing channels.
 """
 
 from __future__ import annotations
