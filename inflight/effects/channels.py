@@ -180,7 +180,7 @@ class FunctionOfChannel(Effect):
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the spline's value; (time, axis) nT."""
-        return weigh(spline_basis(self.series(samples), self._knots), values["value"])
+        return weighted_vectors(spline_basis(self.series(samples), self._knots), values["value"])
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -218,7 +218,7 @@ class FunctionOfTwo(Effect):
         """Return the surface's value; (time, axis) nT."""
         first, second = (spline_basis(self.series(samples, i), knots) for i, knots in enumerate(self._knots))
         basis = np.einsum("ti,tk->tik", first, second).reshape(len(first), -1)
-        return weigh(basis, values["value"])
+        return weighted_vectors(basis, values["value"])
 
 
 def knots_of(effect: Effect, key: str) -> Floats:
@@ -252,7 +252,7 @@ def spline_basis(values: Floats, knots: Floats) -> Floats:
     return np.asarray(CubicSpline(knots, np.eye(knots.size), bc_type="natural")(held))
 
 
-def weigh(basis: Floats, vectors: Floats) -> Floats:
+def weighted_vectors(basis: Floats, vectors: Floats) -> Floats:
     """Return a sum of vectors, each weighted by a function of time; (time, 3).
 
     Parameters

@@ -14,7 +14,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
-from inflight.effects.channels import weigh
+from inflight.effects.channels import weighted_vectors
 from inflight.effects.families import channels_of_kind, knows_orbit, knows_sun, options_of_channels
 from inflight.mission import Mission, Sensor
 
@@ -76,7 +76,7 @@ class SunDirectionField(Effect):
         if len(self.channels) > 1:
             lit = self.series(samples, 1)[:, None]
             basis = np.where(lit == 0.0, 0.0, basis * lit)
-        return weigh(basis, values["amplitude"])
+        return weighted_vectors(basis, values["amplitude"])
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -138,7 +138,7 @@ class Periodic(Effect):
         """Return the series; (time, axis) nT."""
         angles = self.angle(samples)[:, None] * np.arange(1, self._order + 1)
         parts = [np.cos(angles), np.sin(angles)] if self.sines else [np.cos(angles)]
-        return weigh(np.stack(parts, axis=2).reshape(len(angles), -1), values["amplitude"])
+        return weighted_vectors(np.stack(parts, axis=2).reshape(len(angles), -1), values["amplitude"])
 
 
 class OrbitPeriodic(Periodic):

@@ -15,7 +15,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, multiply
-from inflight.effects.channels import MATRIX, weigh
+from inflight.effects.channels import MATRIX, weighted_vectors
 from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
@@ -201,4 +201,4 @@ class SolarArray(Effect):
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``current * sum of light * panel``; (time, axis) nT."""
         current = self.channel(samples, "A")
-        return current[:, None] * weigh(self._light(samples), values["panels"])
+        return current[:, None] * weighted_vectors(self._light(samples), values["panels"])

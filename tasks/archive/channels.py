@@ -1,7 +1,7 @@
 """Every channel of a mission at the cadence of the search, day by day, with history and placebos.
 
 `ChannelReader` puts archived channels on bins, `DerivedChannels` makes slow responses, plays, products and
-placebos of them. Of a spin comparison, channels that show the spin are folded like the field (`Turning`).
+placebos of them. Of a spin comparison, channels that show the spin are folded like the field (`SpinClock`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def shows_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Turning:
+class SpinClock:
     """The clock of a spin comparison on one day."""
 
     cat: Catalog
@@ -51,7 +51,7 @@ class Turning:
     @classmethod
     def of(
         cls, cat: Catalog, mission: Mission, comparison: str, index: ArchiveIndex, day: np.datetime64
-    ) -> Turning | None:
+    ) -> SpinClock | None:
         """Return the clock; None of a comparison that folds nothing."""
         folding = folding_of(mission, comparison)
         if folding is None:
@@ -147,7 +147,7 @@ class ChannelReader:
     def _load(self, day: np.datetime64) -> dict[str, Floats]:
         edges = self.edges(day)
         homes = channel_homes(self.mission)
-        turning = Turning.of(self.cat, self.mission, self.comparison, self.index, day)
+        turning = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
         by_dataset: dict[str, list[Need]] = {}
         for need in self.needs:
             by_dataset.setdefault(need.dataset, []).append(need)
@@ -274,10 +274,10 @@ class DerivedChannels:
 
     def _filled(self, day: np.datetime64, channel: str) -> Floats:
         values = self.reader.day(day)[channel]
-        return np.where(np.isfinite(values), values, stands_in(self.told, channel))
+        return np.where(np.isfinite(values), values, stand_in_value(self.told, channel))
 
 
-def stands_in(told: Mapping[str, Told], channel: str) -> float:
+def stand_in_value(told: Mapping[str, Told], channel: str) -> float:
     """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
     return told[channel].mean if channel in told else 0.0
 

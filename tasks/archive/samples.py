@@ -153,7 +153,7 @@ _CACHED_CHANNELS = 48
 
 
 @contextmanager
-def kept_readings() -> Iterator[None]:
+def cached_readings() -> Iterator[None]:
     """Keep channels that were read last: margins of a day are its neighbours', which a batch reads, too."""
     before, _CACHE.rows = _CACHE.rows, OrderedDict()
     try:
@@ -196,7 +196,7 @@ def flips_of(mission: Mission) -> list[tuple[int, bool]]:
     return sorted((event.at, event.kind == "flip") for event in mission.events if event.kind in _FLIP_KINDS)
 
 
-def kept_span(mission: Mission, day: np.datetime64) -> tuple[int, int]:
+def longest_position(mission: Mission, day: np.datetime64) -> tuple[int, int]:
     """Return the half-open TT2000 span of a day's position: that which holds longest."""
     start, end = day_bounds(day)
     edges = [start, *(at for at, _ in flips_of(mission) if start < at < end), end]
@@ -205,7 +205,7 @@ def kept_span(mission: Mission, day: np.datetime64) -> tuple[int, int]:
 
 def flip_flags(mission: Mission, day: np.datetime64, stamps: Int64) -> np.ndarray:
     """Return ``FLIPPED`` for the samples of a day that its calibration is not for; (time,) uint32."""
-    low, high = kept_span(mission, day)
+    low, high = longest_position(mission, day)
     outside = (stamps < low) | (stamps >= high)
     return np.where(outside, np.uint32(Flag.FLIPPED), np.uint32(0))
 
@@ -215,7 +215,7 @@ def position_edges(mission: Mission) -> list[np.datetime64]:
     edges = []
     for at, _ in flips_of(mission):
         day = as_day(utc_text(at)[:10])
-        edges.append(day if kept_span(mission, day)[0] >= at else day + _DAY)
+        edges.append(day if longest_position(mission, day)[0] >= at else day + _DAY)
     return sorted(set(edges))
 
 
@@ -327,7 +327,7 @@ FAULTS = "spin_faults"
 
 
 @dataclass(frozen=True)
-class Turned:
+class PhaseOfDay:
     """How a day's samples were turned.
 
     Attributes
@@ -345,7 +345,7 @@ class Turned:
 
 def spin_phase(
     mission: Mission, comparison: str, need: Need, series: xr.DataArray | None, stamps: Int64
-) -> Turned:
+) -> PhaseOfDay:
     """Return the phase of the spin at stamps, and what was not as it should be.
 
     A day whose phase nothing tells has none, and says so: its field is still that of turning axes.
@@ -378,11 +378,11 @@ def spin_phase(
         fault = Fault(f"nothing tells the phase of the spin: {error.message}", error.remedy)
         attrs = {**common, "told": fault.found, **_listed([fault]), "period_s": 0.0}
         nothing = np.full(stamps.size, np.nan)
-        return Turned(
+        return PhaseOfDay(
             xr.Variable("time", nothing, attrs), np.full(stamps.size, Flag.NO_PHASE, dtype=np.uint32)
         )
     attrs = {**common, "told": found.told(), **_listed(found.faults), "period_s": found.period}
-    return Turned(xr.Variable("time", found.phase, attrs), found.flag)
+    return PhaseOfDay(xr.Variable("time", found.phase, attrs), found.flag)
 
 
 def _phase_of(
@@ -553,11 +553,13 @@ def _present(
     return {name: series for name, series in channels.items() if series is not None}
 
 
-def _add_phase(samples: xr.Dataset, mission: Mission, base: Need, day: np.datetime64, turned: Turned) -> None:
-    """Put the spin phase beside the samples, and flag what it, saturation and the flipper make unusable."""
-    samples[SPIN_PHASE] = turned.phase
+def _add_phase(
+    samples: xr.Dataset, mission: Mission, base: Need, day: np.datetime64, found: PhaseOfDay
+) -> None:
+    """Add the spin phase to the samples, and flag what it, saturation and the flipper make unusable."""
+    samples[SPIN_PHASE] = found.phase
     channel = mission.instruments[base.instrument].channels[base.channel]
-    flag = samples["flag"] | turned.flag | saturated(samples[base.name].values, channel)
+    flag = samples["flag"] | found.flag | saturated(samples[base.name].values, channel)
     samples["flag"] = flag | flip_flags(mission, day, samples["tt2000"].values)
 
 
