@@ -103,7 +103,7 @@ class Catalog:
             return run_records(session, kind)
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
-        """Return the published revision of a day, or None; its `key` tells whether there is work to do."""
+        """Return the published revision of a day, or None; with an equal `key` there is no work to do."""
         with self._database.read() as session:
             return current_day(session, name, as_date(day))
 

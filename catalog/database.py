@@ -104,8 +104,8 @@ def _open_sealed(
 ) -> sqlite3.Connection | None:
     """Open a database that this user cannot write, for reading; None leaves any other to SQLAlchemy.
 
-    A write-ahead log wants a file of its own beside the database even to read. Where none can be made and
-    nobody writes at this moment, the database is read as a file that does not change.
+    A write-ahead log needs a file of its own next to the database even to read. Where none can be made and
+    no process writes at this moment, the database is read as a file that does not change.
     """
     path = Path(str(arguments[0])) if arguments else Path()
     if not _is_sealed(path):

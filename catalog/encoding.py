@@ -17,7 +17,7 @@ from inflight.time import TT2000_FILL
 
 Array = npt.NDArray[Any]
 
-#: Attribute of a stored array that says how to decode it.
+#: Attribute of a stored array that describes its encoding.
 ENCODING_ATTRIBUTE: Final = "inflight"
 
 

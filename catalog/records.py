@@ -1,7 +1,7 @@
 """What the catalog gives and takes: days, segments, tables, files. Plain frozen records without a database.
 
 Words: a *segment* is one immutable Zarr store that holds several days of one dataset; a *day* is one
-revision of one UTC day of one dataset; a *row* of a segment says where a day lies in it.
+revision of one UTC day of one dataset; a *row* of a segment is the place of a day in it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DAMAGED: Final = "damaged: "
 
 
 def is_damaged(notes: Sequence[str]) -> bool:
-    """Tell whether a store's notes say that it was found damaged."""
+    """Return True when a store's notes state that it was found damaged."""
     return any(note.startswith(DAMAGED) for note in notes)
 
 
@@ -81,7 +81,7 @@ class SegmentRow:
 class Segment:
     """A complete, verified, immutable store.
 
-    `path` is relative to the workspace, `sha256` that of its manifest; `notes` tell what could not be packed.
+    `path` is relative to the workspace, `sha256` that of its manifest; `notes` list what could not be packed.
     """
 
     path: str
@@ -205,7 +205,7 @@ def idempotency_key(
     day : str or datetime64[D]
         The UTC day.
     algorithm_version : int
-        Bumped by hand beside each algorithm: a commit hash would re-run a mission for a typo.
+        Raised by hand with each change of the algorithm: a commit hash would re-run a mission for a typo.
     context : str or None
         Id of the context.
     inputs : sequence of str

@@ -1,6 +1,6 @@
 """The way back from damage: what a damaged store held is made again by the next ingest and reprocess.
 
-A key that is published tells a run that there is no work. So the days of a damaged store lose their
+A published key means that there is no work. So the days of a damaged store lose their
 pointer, and its tables their validity; what was delivered and what is whole is not touched.
 """
 
@@ -39,7 +39,7 @@ class Repair:
 
 
 def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair]:
-    """Let go of what lies in damaged stores; see `Catalog.repair`."""
+    """Withdraw what lies in damaged stores; see `Catalog.repair`."""
     with database.read() as session:
         damaged = [
             (store.path, item, tuple(file for file, _ in faults))

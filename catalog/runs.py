@@ -82,7 +82,7 @@ class Run:
         except CatalogError as refused:
             if error is None:
                 raise
-            # The first failure is the one to tell; the next opening after this process closes the run.
+            # The first failure is reported; the next opening after this process closes the run.
             error.add_note(f"the run could not be closed: {refused}")
 
     def attach(self, segment: Segment, parents: Iterable[Day | str] = ()) -> list[Day]:
@@ -93,7 +93,7 @@ class Run:
         segment : Segment
             From `write_segment` with this run's id.
         parents : iterable of Day or lineage ids
-            Of all its days, beside those each `DayData` states and the run's context.
+            Of all its days, in addition to those each `DayData` states and the run's context.
 
         Returns
         -------

@@ -171,7 +171,7 @@ def rotate(field: Floats, quaternion: Floats) -> Floats:
     size = x * x + y * y + z * z + w * w
     with np.errstate(invalid="ignore", divide="ignore"):
         twice = np.where(size > GEOMETRY_LIMITS.shortest_quaternion**2, 2.0 / size, np.nan)
-    # v + 2 w (q x v) + 2 q x (q x v), of a quaternion whose length is its own affair.
+    # v + 2 w (q x v) + 2 q x (q x v), of a quaternion of any length.
     tx, ty, tz = twice * (y * vz - z * vy), twice * (z * vx - x * vz), twice * (x * vy - y * vx)
     out = np.empty_like(field)
     out[:, 0] = vx + w * tx + y * tz - z * ty
@@ -264,18 +264,18 @@ GEOMETRY = {
     "sun_direction": "1",
 }
 
-#: Variables of samples that tell them.
+#: Variables of samples that they are made from.
 _GEOMETRY_INPUTS = ("tt2000", "position", "attitude", "vector", "inboard")
 
-#: Those that the orbit's plane tells.
+#: Those made from the orbit's plane.
 _PHASES = ("orbit_phase", "sun_phase")
 
-#: Those that a slow response or a play may be made of: positions alone tell them.
+#: Those that a slow response or a play may be made of: positions are enough for them.
 SLOW_GEOMETRY = ("sunlit", "latitude")
 
 
 def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) -> xr.Dataset:
-    """Add what position and attitude say of a sample; at any cadence, with gaps.
+    """Add geometry from position and attitude; at any cadence, with gaps.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) 
         nec); a vector reading with attribute `orientation`, the quaternion from sensor to
         spacecraft axes (the same axes when absent).
     names : collection of str
-        Of `GEOMETRY`, what is wanted.
+        Of `GEOMETRY`, what to add.
 
     Returns
     -------
@@ -328,7 +328,7 @@ def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, x
         return {}
     normal, known = _normals(place, np.searchsorted(around, before), np.searchsorted(around, after), longest)
     if not known.all():
-        # Beside a gap the orbit's plane comes from farther away.
+        # Next to a gap the orbit's plane comes from farther away.
         whole = add_geometry(samples)
         return {name: whole[name].variable.isel(time=rows) for name in GEOMETRY if name in whole}
     here = np.searchsorted(around, rows)
@@ -413,7 +413,7 @@ def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
 
 
 def _neighbours(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
-    """Return the samples on both sides that tell the orbit's plane, and their longest distance, ns."""
+    """Return the samples on both sides that the orbit's plane comes from, and their longest distance, ns."""
     usual = usual_step(stamps[:2000], SECOND)
     reach = max(1, round(0.5 * GEOMETRY_LIMITS.plane_step * SECOND / usual))
     return np.maximum(rows - reach, 0), np.minimum(rows + reach, stamps.size - 1), 1.5 * 2 * reach * usual
@@ -426,7 +426,7 @@ def _normals(
     normal = np.cross(place.inertial[before], place.inertial[after])
     with np.errstate(invalid="ignore", divide="ignore"):
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # Across a gap the two may be half an orbit apart and tell the opposite plane.
+    # Across a gap the two may be half an orbit apart and give the opposite plane.
     close = place.tt2000[after] - place.tt2000[before] <= longest
     return normal, np.asarray(np.isfinite(normal).all(axis=1) & close)
 

@@ -113,10 +113,10 @@ class DualComparison(Strict):
     kind: Literal["dual"]
     inboard: str
     outboard: str
-    #: Instrument that tells the ambient field in spacecraft axes for some of the time, such as a model or a
+    #: Instrument that gives the ambient field in spacecraft axes for some of the time, such as a model or a
     #: spacecraft nearby: then the part of the stray field that never changes is known, too.
     ambient: str | None = None
-    #: Where the units stand: geometry then tells what of the difference the outboard sensor sees.
+    #: Where the units are mounted: geometry then gives the outboard sensor's part of the difference.
     body: Body | None = None
     base: str | None = None
     preflight: str | None = None
@@ -242,7 +242,7 @@ class Mission(Strict):
         return self
 
     def _check_ambient(self, comparison: str, instrument: str) -> None:
-        """Raise ValueError unless an instrument can tell the ambient field of a comparison."""
+        """Raise ValueError unless an instrument can give the ambient field of a comparison."""
         found = self.instruments.get(instrument)
         if found is None or found.role != "vector":
             raise ValueError(
@@ -294,7 +294,7 @@ class Mission(Strict):
 
     @property
     def companions(self) -> list[str]:
-        """Files the mission names beside itself: pre-flight models and effects."""
+        """Further files the mission names: pre-flight models and effects."""
         models = [self.preflight, *(comparison.preflight for comparison in self.comparisons.values())]
         return list(dict.fromkeys([*filter(None, models), *self.effects]))
 

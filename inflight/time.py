@@ -153,8 +153,7 @@ def day_of(tt2000: npt.ArrayLike) -> Datetimes:
 def usual_step(stamps: Int64, alone: int = 1) -> int:
     """Return the median distance of neighbouring stamps, ns; `alone` for fewer than two.
 
-    Steps are nearly all alike, which is what a partition is slowest at: the one that most stamps have is
-    looked at first.
+    Steps are nearly all alike, the slowest case of a partition: the commonest one is tried first.
     """
     if stamps.size < 2:
         return alone

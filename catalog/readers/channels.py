@@ -29,7 +29,7 @@ def read_channel(source: Source, name: str, channel: Channel, shape: tuple[int, 
     name : str
         The channel's name, for errors.
     channel : Channel
-        What the YAML says.
+        Its description in the mission YAML.
     shape : tuple of int
         Shape of the file's times: (row,) or (report, sample).
 
@@ -109,7 +109,7 @@ def _series(request: _Request, variable_name: str, axes: int) -> Float:
 
 
 def _pick(request: _Request, variable: Variable, variable_name: str, axes: int) -> Variable:
-    """Return the variable cut to the shape the YAML promises, or say what is wrong with it."""
+    """Return the variable in the shape the YAML promises; raise `ContentError` when it has another."""
     values, shape, column = variable.values, request.shape, request.channel.column
     goal = (*shape, axes) if axes else shape
     found = f"variable {variable_name!r} has shape {values.shape}, {goal} is expected"
@@ -130,7 +130,7 @@ def _pick(request: _Request, variable: Variable, variable_name: str, axes: int) 
 
 
 def _converted(request: _Request, values: Float, stated: str | None) -> Float:
-    """Convert from the unit the YAML says the file has, else the one the file states."""
+    """Convert from `file_unit` of the YAML, else from the unit the file states."""
     goal = request.channel.unit
     unit = request.channel.file_unit or stated
     if unit is None:

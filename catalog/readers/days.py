@@ -7,7 +7,7 @@ The rule for one day:
 * two different values for one time refuse the day (`ClashError`);
 * a file whose clock stepped back covers a span twice. Where the repeated rows agree they are merged and
   flagged CLOCK_REPAIRED. Where they do not, the day is refused with the place, except for an excursion:
-  a clock that went elsewhere and came back, leaving a hole of exactly as many rows as it took. Those
+  a clock that jumped away and back, with a gap of exactly as many rows as it was away. Those
   rows have no known time; they are dropped and reported.
 """
 
@@ -170,7 +170,7 @@ def coverage(times: Int64, day: np.datetime64, cadence: int) -> dict[str, Any]:
 
 
 def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
-    """Drop the rows of a clock that went elsewhere and came back (see the module's rule)."""
+    """Drop the rows of a clock that jumped away and back (see the module's rule)."""
     times = part.times
     descents = np.flatnonzero(np.diff(times) < 0) + 1
     if not descents.size or not _crowded(times, cadence).any():
@@ -181,9 +181,9 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
         if not later.size:
             continue
         stop = begin + int(later[0])
-        hole = int(times[stop] - times[begin - 1]) - (stop - begin + 1) * cadence
+        missing = int(times[stop] - times[begin - 1]) - (stop - begin + 1) * cadence
         others = np.sort(np.delete(times, slice(begin, stop)))
-        if abs(hole) < 0.75 * cadence and _all_near(times[begin:stop], others, cadence):
+        if abs(missing) < 0.75 * cadence and _all_near(times[begin:stop], others, cadence):
             keep[begin:stop] = False
     return part.take(keep), int((~keep).sum())
 

@@ -1,4 +1,4 @@
-"""Finding delivered files by the patterns of a mission YAML, and what their names say.
+"""Delivered files by the patterns of a mission YAML, and the dates and versions in their names.
 
 A pattern is a path below the data folder with ``*`` and ``?`` (within one folder level) and date fields
 ``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``; upper and lower case are the same. A wildcard behind
@@ -42,7 +42,7 @@ _LENGTH = {"H": 3600 * SECOND, "M": 60 * SECOND, "S": SECOND}
 
 @dataclass(frozen=True)
 class NameSpan:
-    """The half-open TT2000 span a file's name states; None where it does not say."""
+    """The half-open TT2000 span a file's name states; None where it states none."""
 
     start: int | None = None
     end: int | None = None
@@ -56,7 +56,7 @@ class NameSpan:
 
 @dataclass(frozen=True)
 class Delivered:
-    """One delivered file: its path below the data folder, and what the name says."""
+    """One delivered file: its path below the data folder, and what its name states."""
 
     name: str
     span: NameSpan

@@ -80,7 +80,7 @@ def read_file(
     instrument : Instrument
         Its channels and cadence.
     span : NameSpan, optional
-        What the file's name says about time.
+        The span the file's name states.
     name : str
         How errors and reports call the file; its path when empty.
 
@@ -89,7 +89,7 @@ def read_file(
     ReadError
         When the file is empty, truncated, damaged or of another format.
     ContentError
-        When a variable, unit, shape or text is not what the YAML says.
+        When a variable, unit, shape or text is not as the YAML states.
     """
     span = span or NameSpan()
     with _open(path, files) as source:

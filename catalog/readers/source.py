@@ -43,10 +43,10 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable as it stands in a file, rows first.
+    """One variable as the file holds it, rows first.
 
     `values` are numbers or text before any scaling; ``value = scale[0] * number + scale[1]``. `times`
-    is set (TT2000, same shape) when the format itself says that the variable is a time.
+    is set (TT2000, same shape) when the format itself marks the variable as a time.
     """
 
     values: Array
@@ -63,7 +63,7 @@ class Source:
     path: Path
     names: tuple[str, ...]
     get: Callable[[str], Variable]
-    #: Variables the mission YAML says are never read.
+    #: Variables that are never read (``drop`` of the mission YAML).
     dropped: tuple[str, ...] = ()
 
     def read(self, name: str, channel: str = "") -> Variable:
@@ -121,7 +121,7 @@ def require_content(path: Path) -> None:
 
 
 def require_bytes(path: Path, needed: int) -> None:
-    """Raise `ReadError` when a file is shorter than its own header says."""
+    """Raise `ReadError` when a file is shorter than its own header states."""
     size = path.stat().st_size
     if size < needed:
         raise ReadError(

@@ -1,4 +1,4 @@
-"""Times of a file as TT2000, exact to the nanosecond of what the file says.
+"""Times of a file as TT2000, exact to the nanosecond.
 
 Numbers count a CF unit since an epoch without leap seconds ("seconds since 2000-01-01 12:00:00", CF
 conventions 1.10, section 4.4) or are TT2000 themselves; text follows ISO 8601 or a strptime layout.
@@ -91,7 +91,7 @@ def decode_times(source: Source, files: Files, span: NameSpan) -> Int64:
     files : Files
         The time options of the mission YAML.
     span : NameSpan
-        What the file's name says; it completes times without a date.
+        The span of the file's name; it completes times without a date.
 
     Returns
     -------

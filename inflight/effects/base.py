@@ -95,7 +95,7 @@ class Parameter:
     step : float
         Typical size, the unit of finite differences and of scaled columns.
     linear : bool
-        False when the residual bends within a typical step.
+        False when the correction is not linear over a typical step.
     bank : tuple of float, optional
         Grid of a parameter that is searched, not solved for (a lag, a width).
     per_channel : int
@@ -231,7 +231,7 @@ class Effect:
     acts_on: ClassVar[tuple[str, ...]] = ("vector", "inboard", "outboard", "scalar")
     #: Names in the samples; an option ``channel`` replaces the first one.
     channels: tuple[str, ...] = ()
-    #: Options the YAML may give beside parameters.
+    #: Options the YAML may give in addition to parameters.
     options: ClassVar[tuple[str, ...]] = CHANNEL_OPTIONS
     #: True when the field it adds is made from the field at the sensor.
     follows_field: ClassVar[bool] = False
@@ -387,7 +387,7 @@ class Effect:
         )
 
     def _at(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the field as the sensor sees it: a vector, or its projection on the field direction."""
+        """Return what the field adds to the reading: itself, or its projection on the field direction."""
         field = self.field(samples, values, sensor)
         if not sensor.is_scalar:
             return field
@@ -480,7 +480,7 @@ def best_field(samples: xr.Dataset) -> Floats:
     Raises
     ------
     SamplesError
-        When there is none yet: an effect that needs the field stands where the field is being made.
+        When there is none yet: the effect stands among those that make it.
     """
     if "field" not in samples:
         raise SamplesError(

@@ -308,7 +308,7 @@ class SoftIron(Induced):
 class Eddy(Effect):
     """Field of eddy currents an axis, in seconds: ``diagonal * dB/dt``.
 
-    The sensor sees the field late by `diagonal`; on the boom axis and across it differently.
+    The field at the sensor is late by `diagonal`, along the boom and across it differently.
     """
 
     family = "eddy"
@@ -316,7 +316,7 @@ class Eddy(Effect):
     diagonal = Parameter("s", AXES, step=1e-2, sigma=0.3)
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return ``diagonal * dB/dt``; (time, axis) nT, NaN where no neighbour tells the rate."""
+        """Return ``diagonal * dB/dt``; (time, axis) nT, NaN where a sample has no neighbour."""
         diagonal = values["diagonal"]
         return np.where(diagonal == 0.0, 0.0, _field_rate(samples) * diagonal)
 
@@ -353,7 +353,7 @@ class TollesLawson(Effect):
 
 
 class CrossTalk(Effect):
-    """Each axis reads some of the others: ``reading = (1 + C) E`` with six numbers beside the diagonal.
+    """Each axis reads some of the others: ``reading = (1 + C) E`` with six numbers off the diagonal.
 
     Components are named by what reads and what is read: xy is what axis x reads of y. It acts on the
     reading as the electronics pass it on, offsets included.
@@ -372,7 +372,7 @@ class CrossTalk(Effect):
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
-        """Return the one candidate there is: a field strength alone tells it not from the nine."""
+        """Return the one candidate there is: a field strength alone cannot separate it from the nine."""
         return [{}] if _compares(mission, "dual") else []
 
 

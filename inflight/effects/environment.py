@@ -23,7 +23,7 @@ class DayNight(Effect):
     """A field that is there by day and not by night: ``vector * sunlit`` (Yin 2010, chapter 4).
 
     `sunlit` is 1 in the Sun and 0 in the shadow, of the orbit's geometry, or any channel of kind
-    sunlight. Where no night falls it is a constant and not told from an offset.
+    sunlight. Without nights it is a constant and cannot be separated from an offset.
     """
 
     family = "day_night"
@@ -67,7 +67,7 @@ class SunDirectionField(Effect):
         self._degree = self.whole("degree", 1, 2)
         self.sized = {"amplitude": replace(self.amplitude, axes=_of_harmonics(self._degree))}
         if "channel" in self.given:
-            # A direction that is delivered says by itself, as NaN or 0, where there is no Sun.
+            # A delivered direction is NaN or 0 where there is no Sun.
             self.channels = self.channels[:1]
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
@@ -101,7 +101,7 @@ def harmonics(direction: Floats, degree: int) -> Floats:
     return np.stack(found, axis=1)
 
 
-#: Highest order of a series; above it a shape is better told by its own channel.
+#: Highest order of a series; above it the shape is better taken from a channel.
 MOST_ORDER = 12
 
 
@@ -114,8 +114,8 @@ def of_orders(order: int, sines: bool) -> tuple[str, ...]:
 class Periodic(Effect):
     """A Fourier series of an angle with a vector for each cosine and sine, up to option ``order``.
 
-    ``sum over k of c_k cos(k angle) + s_k sin(k angle)``; a constant is the sensor's offset. What the
-    angle is, subclasses say. Components of `amplitude` are named cx1, cy1, cz1, sx1, ...
+    ``sum over k of c_k cos(k angle) + s_k sin(k angle)``; a constant is the sensor's offset. Subclasses
+    define the angle. Components of `amplitude` are named cx1, cy1, cz1, sx1, ...
     """
 
     options: ClassVar[tuple[str, ...]] = ("order",)
@@ -173,7 +173,7 @@ class DayNightSeries(SunPeriodic):
     """The day/night field without a flag: cosines of `sun_phase` (Yin 2010, chapter 4).
 
     ``sum of a_k cos(2 pi k (t - t0) / T)`` with t0 nearest the Sun and T the orbit; the first k of a
-    square wave of any duty. Its constant part is not told from an offset.
+    square wave of any duty. Its constant part cannot be separated from an offset.
     """
 
     sines = False
@@ -201,7 +201,7 @@ class LocalTimePeriodic(Periodic):
 
 
 class Tone(Periodic):
-    """A field of one fixed period that no channel tells: option ``period``, a duration.
+    """A field of one fixed period without a channel: option ``period``, a duration.
 
     Phases count from 2000-01-01T12:00:00 TT, in SI seconds, so that a tone runs on over days and gaps.
     Option ``order`` adds harmonics; 1 when left out.
@@ -219,7 +219,7 @@ class Tone(Periodic):
 
     def angle(self, samples: xr.Dataset) -> Floats:
         """Return the phase since the epoch; (time,) rad."""
-        # The remainder is taken of integers: a float of 26 years has no room left for the phase.
+        # The remainder is taken of integers: a float of 26 years is too coarse for the phase.
         passed = samples["tt2000"].values % self._period
         return np.asarray(2.0 * np.pi * passed / self._period)
 

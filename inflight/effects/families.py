@@ -45,7 +45,7 @@ FAMILIES = (
     "unknown",
 )
 
-#: Which family a channel's kind speaks for; all others are currents of some kind.
+#: Family of a channel's kind; all others are currents of some kind.
 FAMILY_OF_KIND = {
     "temperature": "temperature",
     "solar_current": "solar",
@@ -59,7 +59,7 @@ FAMILY_OF_KIND = {
     "position": "unknown",
 }
 
-#: Kinds of channels that tell where and how the spacecraft is, and are no cause themselves.
+#: Kinds of channels that give place and attitude of the spacecraft, and are no cause themselves.
 NO_CAUSE = ("attitude", "position", "sun_pulse", "spin_phase", "spin_axis")
 
 #: The same of what `inflight.frames.add_geometry` works out.

@@ -116,7 +116,7 @@ class Nonlinearity(Effect):
         return np.asarray(reading + e * e * (values["quadratic"] + values["cubic"] * e))
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the bent reading: the root of the cubic next to the linear one, by Newton's method.
+        """Return the raw reading: the root of the cubic next to the linear one, by Newton's method.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class Nonlinearity(Effect):
 class ScaledReading(Effect):
     """An effect that multiplies the reading less `about`, the nominal offset, by a factor near 1.
 
-    Whoever derives from it states `about`, a parameter in nT an axis, and says what the factor is.
+    A subclass states `about`, a parameter in nT an axis, and the factor.
     """
 
     acts_on = VECTOR_ROLES
@@ -325,12 +325,12 @@ class Heading(Effect):
         return [{}]
 
 
-#: Seconds between the two rates that tell how a rate changes.
+#: Seconds between the two rates whose difference is the second rate of change (assumed: a minute in all).
 _CURVATURE_STEP = 20.0
 
 
 def _mean_effect(values: Values, samples: xr.Dataset) -> Floats:
-    """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where nothing tells it."""
+    """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where it is not known."""
     size, stamps = strength(samples), np.asarray(samples["tt2000"].values, dtype=np.int64)
     usual = usual_step(stamps, SECOND) / SECOND
     reach = max(1, round(_CURVATURE_STEP / usual))

@@ -112,7 +112,7 @@ class SpinningSensor(Effect):
     B is in axes that turn with the spacecraft, z along the spin axis (Plaschke et al. 2019, eq. 9). Angles
     count from their nominal values: `elevation` of sensors 1 and 2 from 90 deg to sensor 3, `azimuth` from
     90 deg between their projections, `spin_axis` in the sensor package, `rotation` about it. Gains that
-    follow a temperature are the effect `temperature`, which stands before.
+    follow a temperature are the effect `temperature`, listed before it.
     """
 
     family = "sensor"

@@ -49,7 +49,7 @@ def make_effect(
 ) -> ModelEffect:
     """Make an effect from one entry of the model YAML.
 
-    A key ``source`` is what `ModelEffect.as_yaml` wrote of the user's file; it is not looked at, since
+    A key ``source`` is what `ModelEffect.as_yaml` wrote of the user's file; it is not read, since
     the class is that of the file as it is now.
 
     Parameters
@@ -316,7 +316,7 @@ class Model:
 
     @property
     def known_layout(self) -> Layout:
-        """The layout; of a model without one, what the sensors of its effects tell."""
+        """The layout; of a model without one, from the sensors of its effects."""
         return self.layout or Layout.of_sensors(entry.sensor for entry in self.effects)
 
     def correct(self, samples: xr.Dataset) -> xr.Dataset:

@@ -79,7 +79,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """A comparison as the physics sees it.
+    """Kind, sensors and filter of a comparison.
 
     Attributes
     ----------
@@ -367,7 +367,7 @@ _KINDS = {"scalar": _scalar, "dual": _dual, "platform": _platform, "spin": _spin
 def folding_of(mission: Mission, comparison: str = "main") -> Folding | None:
     """Return how a comparison's samples are folded; None of a kind that folds nothing.
 
-    None, too, where the mission does not say how fast it spins: `rows_of` asks for it.
+    None, too, where the mission states no spin period: `rows_of` then refuses.
     """
     entry = mission.comparisons[comparison]
     if entry.kind != "spin" or "spin" not in mission.periods:

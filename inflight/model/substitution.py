@@ -27,7 +27,7 @@ from inflight.time import GAP, SECOND, Int64
 
 Rows = npt.NDArray[np.bool_]
 
-#: Possible values of what geometry tells, in its units.
+#: Possible values of geometry, in its units.
 GEOMETRY_RANGES: dict[str, tuple[float, float]] = {
     "latitude": (-90.0, 90.0),
     "longitude": (-180.0, 180.0),
@@ -250,13 +250,13 @@ def substitute(
     Parameters
     ----------
     model : Model
-        Its effects say which channels count.
+        Its effects name the channels.
     samples : xarray.Dataset
         Aligned raw samples.
     typical : mapping of str to Typical
         By name in the samples; of a derived channel, that of the series it is made from.
     ranges : mapping of str to (float, float), optional
-        Possible values of channels, beside `GEOMETRY_RANGES`.
+        Possible values of channels, in addition to `GEOMETRY_RANGES`.
     missing : mapping of str to ndarray of bool, optional
         As `missing_rows` returns it; looked for when absent.
 
@@ -371,11 +371,11 @@ def _any(rows: Rows) -> Rows:
 
 
 def _near(rows: Rows) -> Rows:
-    """Return the rows and some beside each."""
+    """Return the rows and some neighbours of each."""
     return np.asarray(np.convolve(rows, np.ones(2 * SUBSTITUTION.margin + 1), mode="same") > 0)
 
 
 def _range_of(name: str) -> tuple[float, float] | None:
-    """Return the possible values of what geometry tells; its slow responses and plays stay within."""
+    """Return the possible values of geometry; its slow responses and plays stay within."""
     parts = parse(name).parts
     return GEOMETRY_RANGES.get(parts[0].channel) if len(parts) == 1 else None

@@ -38,7 +38,7 @@ TRENDS = ("linear", "parabola", "log")
 
 INTERPOLATIONS = ("cubic", "linear")
 
-#: Keys of a parameter's entry that say how it depends on time.
+#: Keys of a parameter's entry that describe its time dependence.
 KEYS = ("t0", "per", "at", "events", "interpolation")
 
 
@@ -128,7 +128,7 @@ class Dependence:
         return np.asarray(CubicSpline(knots, unit, bc_type="natural")(x))
 
     def as_yaml(self) -> dict[str, Any]:
-        """Return the keys of a parameter's entry that say it."""
+        """Return the keys of a parameter's entry that describe it."""
         found: dict[str, Any] = {"time": self.time}
         if self.is_trend:
             found |= {"t0": f"{to_utc(self.t0)}Z", "per": f"{self.per} ns"}
@@ -229,7 +229,7 @@ class TimedValue:
     Attributes
     ----------
     parameter : Parameter
-        What the effect says of it, in the unit the model states.
+        Its definition by the effect, in the unit the model states.
     time : str
         constant, linear, parabola, log, block, event or spline: see `inflight.model.time_dependence`.
     value, sigma : ndarray, shape (component, coefficient)
@@ -243,7 +243,7 @@ class TimedValue:
     key : str
         ``effect.parameter``, the name in tables.
     table_name : str
-        What the model YAML says of the table its values lie in; kept, for a reader.
+        Name of the table its values lie in, as the model YAML states it; information only.
     moments : tuple of int
         TT2000 of the events between intervals, or of a spline's knots.
     interpolation : str

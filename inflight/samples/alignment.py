@@ -195,7 +195,7 @@ def _between(
 
 
 def _usual_step(stamps: Int64) -> int:
-    """Return the median distance of neighbours, from as many as tell it: gaps are rare."""
+    """Return the median distance of neighbours, of the first ones: gaps are rare."""
     return int(np.median(np.diff(stamps[: ALIGNMENT.usual_step_of]))) if stamps.size > 1 else 1
 
 
@@ -219,7 +219,7 @@ def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArra
     nearest = np.where(np.abs(stamps[right] - target) < np.abs(target - stamps[left]), right, left)
     off = np.abs(stamps[nearest] - target)
     there = off <= ALIGNMENT.same_stamp * cadence
-    # A target in a gap of the channel has no stamp near it: it says nothing about the phase.
+    # A target in a gap of the channel has no stamp near it and cannot decide.
     between = (off > ALIGNMENT.same_stamp * cadence) & (off < 0.5 * cadence * (1 + ALIGNMENT.same_cadence))
     return None if between.any() else (nearest.astype(np.int64), there)
 

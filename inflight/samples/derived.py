@@ -83,7 +83,7 @@ class Part:
 
     @property
     def name(self) -> str:
-        """Name as written, or the shortest one that says the same."""
+        """Name as written, or the shortest equal one."""
         if self.text:
             return self.text
         lag = f"@lag={self.lag_s:.12g}s" if self.lag_s else ""

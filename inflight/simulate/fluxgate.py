@@ -98,9 +98,9 @@ def reading(
         y = y - yz * z
         x = x - xy * y - xz * z
     cold = np.column_stack([x, y, z]) / factor
-    bent = "nonlinearity" in effects
-    quadratic = np.array(parameters.quadratic) * bent
-    cubic = np.array(parameters.cubic) * bent
+    nonlinear = "nonlinearity" in effects
+    quadratic = np.array(parameters.quadratic) * nonlinear
+    cubic = np.array(parameters.cubic) * nonlinear
     return solve_reading(cold, scale, quadratic, cubic) + offset
 
 

@@ -25,7 +25,7 @@ _SUN_RADIUS = np.radians(0.2666)
 
 @dataclass(frozen=True)
 class Geometry:
-    """Where the spacecraft is and how it stands, on the nodes of `grid`.
+    """Position and attitude of the spacecraft, on the nodes of `grid`.
 
     Attributes
     ----------

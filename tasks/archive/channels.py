@@ -63,7 +63,7 @@ class SpinClock:
         return shows_spin(self.mission, self.comparison, cadence_ns)
 
     def phase(self, stamps: Int64) -> Floats:
-        """Return the phase at the stamps of an instrument's channels, rad; NaN where nothing tells it."""
+        """Return the phase at the stamps of an instrument's channels, rad; NaN where it is not known."""
         series = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
         found = spin_phase(self.mission, self.comparison, self.clock, series, stamps)
         return np.asarray(found.phase.values, dtype=np.float64)

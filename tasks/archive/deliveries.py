@@ -69,7 +69,7 @@ class Source:
     variables: Mapping[str, Variable]
 
     def path(self, destination: Path, instrument: str, day: np.datetime64) -> Path:
-        """Return where a delivered file stands: ``fgm/champ_fgm_20050101_v01.cdf``."""
+        """Return the path of a delivered file: ``fgm/champ_fgm_20050101_v01.cdf``."""
         return destination / instrument / f"{self.name}_{instrument}_{compact(day)}_v01.cdf"
 
 
@@ -263,7 +263,7 @@ class DayWriter:
     simulate: Callable[[Any, np.datetime64], SimulatedDay]
 
     def truth_path(self, destination: Path, day: np.datetime64) -> Path:
-        """Return where the truth of a day stands, for tests and nobody else."""
+        """Return the path of the truth of a day, which only tests read."""
         return destination / TRUTH / f"{self.source.name}_truth_{compact(day)}.nc"
 
     def write(
@@ -425,12 +425,12 @@ def instruments_of(settings: SimulationSettings) -> tuple[str, ...]:
 
 
 def delivered_path(destination: Path, instrument: str, day: np.datetime64) -> Path:
-    """Return where a delivered file stands: ``fgm/champ_fgm_20050101_v01.cdf``."""
+    """Return the path of a delivered file: ``fgm/champ_fgm_20050101_v01.cdf``."""
     return _WRITER.source.path(destination, instrument, day)
 
 
 def truth_path(destination: Path, day: np.datetime64) -> Path:
-    """Return where the truth of a day stands, for tests and nobody else."""
+    """Return the path of the truth of a day, which only tests read."""
     return _WRITER.truth_path(destination, day)
 
 
@@ -535,7 +535,7 @@ _DUAL_WRITER = DayWriter(SOURCE, simulate_dual_day)
 
 
 def dual_truth_path(destination: Path, day: np.datetime64) -> Path:
-    """Return where the truth of a day stands, for tests and nobody else."""
+    """Return the path of the truth of a day, which only tests read."""
     return _DUAL_WRITER.truth_path(destination, day)
 
 
@@ -610,7 +610,7 @@ def _writer(settings: SpinningSettings) -> DayWriter:
 
 
 def spinning_truth_path(settings: SpinningSettings, destination: Path, day: np.datetime64) -> Path:
-    """Return where the truth of a day stands, for tests and nobody else."""
+    """Return the path of the truth of a day, which only tests read."""
     return _writer(settings).truth_path(destination, day)
 
 

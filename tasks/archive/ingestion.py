@@ -3,7 +3,7 @@
 `survey` finds an instrument's files and indexes them: a file whose size and time of change are those on
 record is not opened, any other is hashed and its times are read, so that every row is known by its own UTC
 day. A day is made from every file that holds rows of it (`make_batch`, which needs no database, so that Dask
-workers run it) and gets a key from their hashes and from what the mission YAML says: same key, no work. So a
+workers run it) and gets a key from their hashes and from the mission YAML: same key, no work. So a
 file delivered twice changes nothing, a corrected one makes new revisions of exactly its days, and an ingest
 that was killed goes on where it was.
 """
@@ -57,7 +57,7 @@ class IngestSettings:
     most_days : int
         Days of one batch (assumed).
     longest_name_span : int
-        Days that an unreadable file may take with it by what its name says (assumed).
+        Days that an unreadable file may mark as failed by the span of its name (assumed).
     """
 
     in_flight: int = 16
@@ -155,7 +155,7 @@ def survey(
     present, superseded = find_files(data, files)
     absent = (describe(path, files) for path in records if not (data / path).exists())
     gone = [delivered for delivered in absent if delivered is not None]
-    # A delivery that was taken in and cleared away since still stands for its days.
+    # A delivery that was taken in and removed since still holds for its days.
     listed, also = newest([*present, *gone])
     known = {file.name: _unchanged(file, data, records.get(file.name), key) for file in listed}
     fresh = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
@@ -277,7 +277,7 @@ def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str
 
 
 def file_report(index: FileIndex, key: str, notes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the catalog keeps of a file beside its hash and days."""
+    """Return what the catalog keeps of a file in addition to its hash and days."""
     problem = {"problem": index.problem} if index.problem else {}
     return {"key": key, **problem, **notes}
 

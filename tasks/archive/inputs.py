@@ -23,7 +23,7 @@ from inflight.time import DAY, SECOND
 #: Name of the spin's phase in samples.
 SPIN_PHASE = "spin_phase"
 
-#: Name of the need of the channel that tells the direction of the spin axis; samples do not hold it.
+#: Name of the need of the channel with the direction of the spin axis; samples do not hold it.
 SPIN_AXIS = "spin_axis"
 
 #: Name of the known ambient field in samples.
@@ -87,7 +87,7 @@ class Need:
 
     @property
     def history_ns(self) -> int:
-        """How much earlier data the series is made from, beside its margin."""
+        """How much earlier data the series is made from, in addition to its margin."""
         return round(self.part.history_s * SECOND) if self.part else 0
 
     @property
@@ -177,7 +177,7 @@ def channel_needs(mission: Mission) -> tuple[Need, ...]:
 
 
 def clock_of(mission: Mission, comparison: str) -> list[Need]:
-    """Return the channel that tells how a spin comparison's spacecraft is turned; none for others.
+    """Return the channel with the spin phase of a spin comparison; none for others.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def clock_of(mission: Mission, comparison: str) -> list[Need]:
 
 
 def axis_of(mission: Mission, comparison: str) -> list[Need]:
-    """Return the channel that tells how a spin comparison's spin axis lies; none where there is none.
+    """Return the channel with the spin axis of a spin comparison; none where there is none.
 
     Raises
     ------
@@ -295,7 +295,7 @@ class _Known:
 
 
 def position_channel(mission: Mission) -> str:
-    """Return the channel that tells where the spacecraft is over the Earth; empty when there is none."""
+    """Return the channel with the position over the Earth; empty when there is none."""
     for name, (instrument, channel) in channel_homes(mission).items():
         described = mission.instruments[instrument].channels[channel]
         if described.kind == "position" and described.frame in ("itrf", "gcrf"):
@@ -366,7 +366,7 @@ class ArchiveIndex:
         )
 
     def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
-        """Return the days that tell what a channel usually reads on a day: its own, else the nearest two.
+        """Return the days that a channel's typical value comes from: the day itself, else the nearest two.
 
         One before and one after, at most `INPUTS.stand_in_days` away; none when there is none. A day that
         hardly has the channel counts only when no other does.
@@ -415,6 +415,6 @@ class ArchiveIndex:
 
 
 def _known_part(day: Day, need: Need) -> float:
-    """Return the part of a day on which a channel has values; 1 where the archive does not tell."""
+    """Return the part of a day on which a channel has values; 1 where the archive does not state it."""
     summary = day.report.get("channels", {}).get(need.channel, {})
     return float(summary.get("coverage", 1.0))

@@ -112,7 +112,7 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
 
 
 def _derived(series: xr.DataArray, part: Part) -> xr.DataArray:
-    """Return a slow response or a play of a channel, or of what its positions tell, at its own stamps."""
+    """Return a slow response or a play of a channel, or of geometry made from positions, at its own stamps."""
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     attrs = dict(series.attrs)
     values = np.asarray(series.values, dtype=np.float64)
@@ -272,7 +272,7 @@ def stand_ins(
 
 
 def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetime64) -> Typical | None:
-    """Return what a channel usually reads, from days of the archive; None when they do not tell."""
+    """Return what a channel usually reads, from days of the archive; None when they have too few values."""
     known = list(days)
     if not known:
         return None
@@ -284,7 +284,7 @@ def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetim
 
 
 def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str, Any]:
-    """Return what a day's report says of stand-ins: by effect, and as the day's message.
+    """Return the entries of a day's report about typical values: by effect, and as the day's message.
 
     Parameters
     ----------
@@ -328,12 +328,12 @@ FAULTS = "spin_faults"
 
 @dataclass(frozen=True)
 class PhaseOfDay:
-    """How a day's samples were turned.
+    """The spin phase of a day's samples.
 
     Attributes
     ----------
     phase : Variable (time,)
-        Radians, unwrapped; NaN where nothing tells it. Attributes: `kind`, `told`, `found` and `remedies`
+        Radians, unwrapped; NaN where it is not known. Attributes: `kind`, `told`, `found` and `remedies`
         (lists of sentences about what was not as it should be), `period_s` (0 when not known).
     flag : ndarray of uint32, shape (time,)
         NO_PHASE, PHASE_BRIDGED, PHASE_JUMP.
@@ -348,13 +348,13 @@ def spin_phase(
 ) -> PhaseOfDay:
     """Return the phase of the spin at stamps, and what was not as it should be.
 
-    A day whose phase nothing tells has none, and says so: its field is still that of turning axes.
+    A day without a known phase has none, and a fault states it: its field is still that of turning axes.
 
     Parameters
     ----------
     need : Need
-        Of the channel that tells it.
-    told : DataArray or None
+        Of the channel it is taken from.
+    series : DataArray or None
         Its day with a margin of its neighbours, as the archive has it; a row whose value is missing is no
         pulse.
     stamps : ndarray of int64
@@ -406,7 +406,7 @@ def _listed(faults: Iterable[Fault]) -> dict[str, list[str]]:
 
 
 def saturated(readings: npt.NDArray[np.float64], channel: Channel) -> npt.NDArray[np.uint32]:
-    """Return the flag SATURATED where a component stands at an end of the range its channel states; (time,).
+    """Return the flag SATURATED where a component lies at an end of its channel's range; (time,).
 
     Parameters
     ----------
@@ -592,7 +592,7 @@ def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:
 
 
 def _absent(mission: Mission, need: Need, count: int) -> xr.DataArray:
-    """Return a channel of nothing but gaps, so that the samples say what is missing."""
+    """Return a channel of nothing but gaps, so that the samples show what is missing."""
     channel = mission.instruments[need.instrument].channels[need.channel]
     from_geometry = need.part is not None and need.part.channel in GEOMETRY
     width = 0 if from_geometry else len(channel.axis_names)
