@@ -55,7 +55,8 @@ def open_days(
 ) -> xr.Dataset:
     """Open published days as one lazy Dataset; the parameters and errors are those of `Catalog.open`."""
     requested = None if variables is None else list(variables)
-    pieces = [_cut(_piece(workspace, day), span) for day in days]
+    opened_days = [_Piece(open_store(str(workspace / day.segment)), day, *day.rows) for day in days]
+    pieces = [_cut(piece, span) for piece in opened_days]
     pieces = [piece for piece in pieces if piece.stop > piece.start] or pieces[:1]
     stores = list({piece.store.folder: piece.store for piece in pieces}.values())
     dataset, row_dim = days[0].dataset, stores[0].row_dim
@@ -89,10 +90,6 @@ def utc_of_day(stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.datetime64]:
         return to_utc(stamps)
     utc: npt.NDArray[np.datetime64] = (stamps + shifts[0]).view("datetime64[ns]")
     return utc
-
-
-def _piece(workspace: Path, day: Day) -> _Piece:
-    return _Piece(open_store(str(workspace / day.segment)), day, *day.rows)
 
 
 def _cut(piece: _Piece, span: Span) -> _Piece:

@@ -15,7 +15,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
-import xarray as xr
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -166,7 +165,9 @@ def _write_release(workspace: Path, folder: Path, collection: _Collection) -> No
     for batch in _batches(collection.days):
         _copy_days(workspace, folder, batch)
     for table in collection.tables:
-        _copy_table(workspace, folder, table)
+        store = open_store(str(workspace / table.segment))
+        dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
+        write_table(folder, "tables", f"{table.name}-{table.id}", dataset, portable=True)
     if (folder / "stores").exists():
         for group in (folder / "stores").iterdir():
             group.rename(folder / group.name)
@@ -194,7 +195,10 @@ def _batches(days: Sequence[Day]) -> Iterator[list[Day]]:
 def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
     """Write days again without the delta filter, and compare every value with the original."""
     contents = [
-        _without_time(read_one_day(workspace, day, None)).assign_attrs(version=day.version) for day in batch
+        read_one_day(workspace, day, None)
+        .drop_vars("time", errors="ignore")
+        .assign_attrs(version=day.version)
+        for day in batch
     ]
     data = [
         DayData(day.day, dataset, day.key, report=day.report)
@@ -210,16 +214,6 @@ def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
                 day=str(row.day),
                 remedy="run 'inflight catalog verify'",
             )
-
-
-def _copy_table(workspace: Path, folder: Path, table: TableRecord) -> None:
-    store = open_store(str(workspace / table.segment))
-    dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
-    write_table(folder, "tables", f"{table.name}-{table.id}", dataset, portable=True)
-
-
-def _without_time(dataset: xr.Dataset) -> xr.Dataset:
-    return dataset.drop_vars("time", errors="ignore")
 
 
 def _write_days(path: Path, collection: _Collection) -> None:

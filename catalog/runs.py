@@ -377,7 +377,7 @@ def close_dead_runs(workspace: Path, database: Database) -> list[str]:
         gone = [
             row.id
             for row in session.scalars(select(RunRow).where(RunRow.state == "running"))
-            if _is_gone(row)
+            if ProcessMark(row.host, row.pid, row.process).is_gone()
         ]
     if not gone:
         return []
@@ -389,10 +389,6 @@ def close_dead_runs(workspace: Path, database: Database) -> list[str]:
     for run_id in gone:
         shutil.rmtree(workspace / "staging" / run_id, ignore_errors=True)
     return gone
-
-
-def _is_gone(row: RunRow) -> bool:
-    return ProcessMark(row.host, row.pid, row.process).is_gone()
 
 
 def _dataset(session: Session, name: str) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -57,11 +56,11 @@ def valid_table(session: Session, name: str, at: int, context: str | None) -> tu
     CatalogError
         When no table holds then; the message lists those that hold at other times.
     """
-    found = (
-        (_certified(session, name, at, context) if context else None)
-        or (_pinned(session, name, context) if context else None)
-        or _certified(session, name, at, "")
-    )
+    found = _certified(session, name, at, context) if context else None
+    if found is None and context:
+        pinned = session.scalar(select(ContextRow.tables).where(ContextRow.id == context)) or {}
+        found = session.get(TableRow, pinned[name]) if name in pinned else None
+    found = found or _certified(session, name, at, "")
     if found is None:
         spans = session.scalars(select(CertificationRow).where(CertificationRow.name == name))
         others = "; ".join(f"table {row.table_id} {_span(row.start, row.end)}" for row in spans) or "none"
@@ -116,11 +115,6 @@ def _certified(session: Session, name: str, at: int, scope: str) -> TableRow | N
             CertificationRow.end > at,
         )
     )
-
-
-def _pinned(session: Session, name: str, context: str) -> TableRow | None:
-    pinned: dict[str, Any] | None = session.scalar(select(ContextRow.tables).where(ContextRow.id == context))
-    return session.get(TableRow, pinned[name]) if pinned and name in pinned else None
 
 
 def _take_out(session: Session, older: CertificationRow, start: int, end: int) -> None:

@@ -165,11 +165,22 @@ class _Case:
         return [name for channel in self.instrument.channels.values() for name in channel.sources]
 
 
+_CHECKS: list[Callable[[_Case], Iterator[str]]] = []
+
+
+def _check(function: Callable[[_Case], Iterator[str]]) -> Callable[[_Case], Iterator[str]]:
+    """Add a check; checks run in the order they stand in."""
+    _CHECKS.append(function)
+    return function
+
+
+@_check
 def _says_what_it_reads(case: _Case) -> Iterator[str]:
     if not (case.open_source.__doc__ or "").strip():
         yield "the function has no docstring; name the format and what its variables are"
 
 
+@_check
 def _gives_every_row(case: _Case) -> Iterator[str]:
     table, example = case.read(), case.example
     if table.times.shape != example.times.shape:
@@ -185,6 +196,7 @@ def _gives_every_row(case: _Case) -> Iterator[str]:
         yield "the times alone are others than those of the rows; read every variable the same way"
 
 
+@_check
 def _gives_the_values(case: _Case) -> Iterator[str]:
     table, example = case.read(), case.example
     for name, expected in (("field", example.field), ("temperature", example.temperature)):
@@ -200,6 +212,7 @@ def _gives_the_values(case: _Case) -> Iterator[str]:
             yield f"'{name}' has other values than were written; check scaling and order"
 
 
+@_check
 def _states_units_that_are_some(case: _Case) -> Iterator[str]:
     """A stated unit is a unit, and leads to the same values whatever unit the mission asks for."""
     with case.open_source(case.path, case.files) as source:
@@ -219,6 +232,7 @@ def _states_units_that_are_some(case: _Case) -> Iterator[str]:
             yield "in another unit the field has other values; leave conversions to the archive"
 
 
+@_check
 def _keeps_days_apart(case: _Case) -> Iterator[str]:
     days = split_days(case.read())
     if list(days) != [_DAY, _DAY + 1]:
@@ -231,6 +245,7 @@ def _keeps_days_apart(case: _Case) -> Iterator[str]:
             yield f"times of {day} do not rise within the day; give each row its own time"
 
 
+@_check
 def _reads_the_same_twice(case: _Case) -> Iterator[str]:
     before = hashlib.sha256(case.path.read_bytes()).hexdigest()
     first, second = case.read(), case.read()
@@ -259,6 +274,7 @@ def _is_open(path: Path) -> bool:
     return path.resolve() in held
 
 
+@_check
 def _lists_its_variables(case: _Case) -> Iterator[str]:
     with case.open_source(case.path, case.files) as source:
         if missing := [name for name in case.variables if name not in source.names]:
@@ -278,6 +294,7 @@ def _lists_its_variables(case: _Case) -> Iterator[str]:
     yield "a variable under 'drop' is read; give files.drop to Source as 'dropped'"
 
 
+@_check
 def _refuses_bad_files(case: _Case) -> Iterator[str]:
     """Empty, absent, damaged and foreign files are refused by name; of a cut text whole rows may be read."""
     whole = case.path.read_bytes()
@@ -319,15 +336,3 @@ def _refusal(case: _Case, label: str, content: bytes, cut: bool = False) -> Iter
     rows = table.times.size
     if not (cut and np.array_equal(table.times, case.example.tt2000[:rows])):
         yield f"a {label} is read as {rows} rows; refuse it with ReadError"
-
-
-_CHECKS = (
-    _says_what_it_reads,
-    _gives_every_row,
-    _gives_the_values,
-    _states_units_that_are_some,
-    _keeps_days_apart,
-    _reads_the_same_twice,
-    _lists_its_variables,
-    _refuses_bad_files,
-)

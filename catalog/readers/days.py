@@ -112,7 +112,8 @@ def assemble_day(
     files = [part.file for part in parts]
     _refuse_backwards(rows, files, day, instrument.cadence)
     merged, repeated = _merge_repeats(rows, files, day)
-    flag = merged.flag | _missing_flags(merged.channels, instrument) | _leap_flags(merged.times)
+    leap = np.where(in_leap_second(merged.times), Flag.LEAP_SECOND, 0).astype(np.uint32)
+    flag = merged.flag | _missing_flags(merged.channels, instrument) | leap
     dataset = _dataset(merged, flag, name, instrument)
     report = {
         "rows": int(merged.times.size),
@@ -173,7 +174,8 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
     """Drop the rows of a clock that jumped away and back (see the module's rule)."""
     times = part.times
     descents = np.flatnonzero(np.diff(times) < 0) + 1
-    if not descents.size or not _crowded(times, cadence).any():
+    crowded = np.less_equal(np.diff(np.sort(times)), DAY_ASSEMBLY.near * cadence)
+    if not descents.size or not crowded.any():
         return part, 0
     keep = np.ones(times.size, dtype=bool)
     for begin in descents:
@@ -186,10 +188,6 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
         if abs(missing) < 0.75 * cadence and _all_near(times[begin:stop], others, cadence):
             keep[begin:stop] = False
     return part.take(keep), int((~keep).sum())
-
-
-def _crowded(times: Int64, cadence: int) -> npt.NDArray[np.bool_]:
-    return np.asarray(np.less_equal(np.diff(np.sort(times)), DAY_ASSEMBLY.near * cadence))
 
 
 def _all_near(times: Int64, others: Int64, cadence: int) -> bool:
@@ -305,10 +303,6 @@ def _missing_flags(channels: dict[str, Float], instrument: Instrument) -> Flags:
         for name, values in channels.items()
     ]
     return np.asarray(np.bitwise_or.reduce(bits))
-
-
-def _leap_flags(times: Int64) -> Flags:
-    return np.where(in_leap_second(times), Flag.LEAP_SECOND, 0).astype(np.uint32)
 
 
 def _refuse_all_fill(

@@ -128,7 +128,8 @@ def _times(
 ) -> tuple[Int64, npt.NDArray[np.bool_], dict[str, int]]:
     """Return times (row,) or (report, sample), which rows are kept, and why the others are not."""
     if files.time_start is not None:
-        rows = _count_rows(source, instrument)
+        name, channel = next(iter(instrument.channels.items()))
+        rows = len(source.read(channel.sources[0], name).values)
         times = files.time_start + np.arange(rows, dtype=np.int64) * instrument.cadence
     else:
         times = _series(decode_times(source, files, span), source, files)
@@ -168,11 +169,6 @@ def _series(times: Int64, source: Source, files: Files) -> Int64:
         remedy="set 'flatten: true' for (report, sample), or choose one with 'time_column'",
         file=str(source.path),
     )
-
-
-def _count_rows(source: Source, instrument: Instrument) -> int:
-    name, channel = next(iter(instrument.channels.items()))
-    return len(source.read(channel.sources[0], name).values)
 
 
 def _good(source: Source, files: Files, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:

@@ -171,13 +171,10 @@ def missing_where(values: Array, fill: tuple[float, ...]) -> npt.NDArray[np.bool
     for value in fill:
         if np.isnan(value):
             continue
-        if values.dtype.kind in "iu" and not _fits(value, values.dtype):
-            continue
+        if values.dtype.kind in "iu":
+            limits = np.iinfo(values.dtype)
+            if not (float(value).is_integer() and limits.min <= value <= limits.max):
+                continue
         with np.errstate(over="ignore"):
             missing |= values == values.dtype.type(value)
     return missing
-
-
-def _fits(value: float, dtype: np.dtype[Any]) -> bool:
-    limits = np.iinfo(dtype)
-    return float(value).is_integer() and limits.min <= value <= limits.max

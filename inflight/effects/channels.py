@@ -10,6 +10,7 @@ From the field: soft magnetic parts and eddy currents (Tolles and Lawson; Leliak
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -176,7 +177,8 @@ class FunctionOfChannel(Effect):
     def prepare(self) -> None:
         """Give every knot three components."""
         self._knots = knots_of(self, "knots")
-        self.sized = {"value": _at_knots(self._knots.size)}
+        axes = tuple(f"{axis}{knot}" for knot in range(self._knots.size) for axis in AXES)
+        self.sized = {"value": replace(self.value, axes=axes)}
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the spline's value; (time, axis) nT."""
@@ -240,10 +242,6 @@ def knots_of(effect: Effect, key: str) -> Floats:
         )
     effect.given[key] = knots.tolist()
     return knots
-
-
-def _at_knots(count: int) -> Parameter:
-    return Parameter("nT", tuple(f"{axis}{knot}" for knot in range(count) for axis in AXES), sigma=10.0)
 
 
 def spline_basis(values: Floats, knots: Floats) -> Floats:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import pickle
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -502,9 +502,19 @@ def _geometry(turn: Floats) -> dict[str, Floats]:
     }
 
 
+_CHECKS: list[Callable[[_Case], Iterator[str]]] = []
+
+
+def _check(function: Callable[[_Case], Iterator[str]]) -> Callable[[_Case], Iterator[str]]:
+    """Add a check of what an effect does; checks run in the order they stand in."""
+    _CHECKS.append(function)
+    return function
+
+
 # --- what the effect does ---------------------------------------------------------------------------
 
 
+@_check
 def _shapes(case: _Case) -> Iterator[str]:
     reading, found = case.reading, case.correction(case.corrected)
     if found.shape != reading.shape:
@@ -521,6 +531,7 @@ def _shapes(case: _Case) -> Iterator[str]:
             yield f"field() returns shape {field.shape}; return (time, 3), here ({len(reading)}, 3)"
 
 
+@_check
 def _leaves_its_arguments_alone(case: _Case) -> Iterator[str]:
     samples, values = case.corrected.copy(deep=True), case.made.values(case.truth["tt2000"].values)
     kept = {key: np.array(value) for key, value in values.items()}
@@ -533,6 +544,7 @@ def _leaves_its_arguments_alone(case: _Case) -> Iterator[str]:
         yield "the same call gives other numbers the second time; keep no state between calls"
 
 
+@_check
 def _reads_declared_channels_only(case: _Case) -> Iterator[str]:
     always = {"tt2000", "time", "flag", "field", "field_direction", case.made.sensor.role}
     named = {str(name) for name in case.corrected.variables} & (always | set(case.made.effect.channels))
@@ -550,6 +562,7 @@ def _reads_declared_channels_only(case: _Case) -> Iterator[str]:
 _OTHER_UNITS = {"degC": "K", "K": "degC", "mA": "A", "A": "mA", "V": "mV", "deg": "rad", "Hz": "mHz"}
 
 
+@_check
 def _knows_the_units_of_its_channels(case: _Case) -> Iterator[str]:
     """A channel in another unit gives the same field, unless the effect asks for it as it is."""
     for name in case.made.effect.channels:
@@ -597,6 +610,7 @@ def _close(found: Floats, expected: Floats, rounding: float) -> bool:
     return bool(np.allclose(found, expected, rtol=1e-11, atol=rounding))
 
 
+@_check
 def _does_nothing_at_its_defaults(case: _Case) -> Iterator[str]:
     parameters = case.made.effect.parameters()
     if not parameters:
@@ -615,6 +629,7 @@ def _does_nothing_at_its_defaults(case: _Case) -> Iterator[str]:
         yield "it changes nothing, whatever its values; is a value used at all, and is 'step' its true size?"
 
 
+@_check
 def _is_undone_exactly(case: _Case) -> Iterator[str]:
     for time in ("constant", "linear"):
         made = case.made if time == "constant" else _in_time(case)
@@ -652,6 +667,7 @@ def _in_time(case: _Case) -> ModelEffect:
     return case.make(**grown)
 
 
+@_check
 def _columns_are_its_derivatives(case: _Case) -> Iterator[str]:
     """Columns of the design matrix against central differences of the residual of the whole chain."""
     entry, settings = case.plain, case.settings
@@ -718,6 +734,7 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 
+@_check
 def _is_linear_where_it_says_so(case: _Case) -> Iterator[str]:
     here = case.correction(case.corrected)
     for key, parameter in case.made.effect.parameters().items():
@@ -735,6 +752,7 @@ def _is_linear_where_it_says_so(case: _Case) -> Iterator[str]:
                 return
 
 
+@_check
 def _keeps_gaps_where_they_are(case: _Case) -> Iterator[str]:
     """What is missing of a channel or of the reading is missing of the correction, and nothing else."""
     gap, reach = slice(180, 190), case.settings.reach
@@ -755,6 +773,7 @@ def _keeps_gaps_where_they_are(case: _Case) -> Iterator[str]:
             yield f"a gap in '{name}' changes samples more than {reach} s away; use each sample's own values"
 
 
+@_check
 def _survives_the_model_yaml(case: _Case) -> Iterator[str]:
     model = case.model(case.made)
     again = Model.parse(model.text, case.mission)
@@ -768,6 +787,7 @@ def _survives_the_model_yaml(case: _Case) -> Iterator[str]:
         yield "read from the model YAML it gives other numbers; make everything from the options in prepare()"
 
 
+@_check
 def _survives_a_pickle(case: _Case) -> Iterator[str]:
     try:
         effect = pickle.loads(pickle.dumps(case.made.effect))
@@ -779,6 +799,7 @@ def _survives_a_pickle(case: _Case) -> Iterator[str]:
         yield "after pickling it gives other numbers; keep its state in attributes"
 
 
+@_check
 def _refuses_unknown_options(case: _Case) -> Iterator[str]:
     options = {key: case.entry[key] for key in case.entry if key in case.kind.option_names()}
     try:
@@ -786,19 +807,3 @@ def _refuses_unknown_options(case: _Case) -> Iterator[str]:
     except ModelError:
         return
     yield "an unknown option is taken without a word; do not override __init__, use prepare()"
-
-
-_CHECKS = (
-    _shapes,
-    _leaves_its_arguments_alone,
-    _reads_declared_channels_only,
-    _knows_the_units_of_its_channels,
-    _does_nothing_at_its_defaults,
-    _is_undone_exactly,
-    _columns_are_its_derivatives,
-    _is_linear_where_it_says_so,
-    _keeps_gaps_where_they_are,
-    _survives_the_model_yaml,
-    _survives_a_pickle,
-    _refuses_unknown_options,
-)

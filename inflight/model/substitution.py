@@ -191,7 +191,8 @@ class Substituted:
         vector, scalar = np.zeros((count, 3)), np.zeros(count)
         for name, rows in self.rows.items():
             users = [entry for entry in model.effects if name in _factors(entry, self.samples)]
-            missing, near = _any(rows), _near(_any(rows))
+            missing = _any(rows)
+            near = np.convolve(missing, np.ones(2 * SUBSTITUTION.margin + 1), mode="same") > 0
             part = self.samples.isel(time=near)
             known = self.model(model)
             before = _fields(known, part)
@@ -278,8 +279,10 @@ def substitute(
     flag[np.logical_or.reduce([_any(one) for one in rows.values()])] |= np.uint32(Flag.CHANNEL_MISSING)
     out = out.assign(flag=("time", flag, samples["flag"].attrs))
     used = {name: one for name, one in typical.items() if name in rows}
-    possible = {name: _range_of(name) for name in rows} | dict(ranges or {})
-    return Substituted(out, rows, used, {name: pair for name, pair in possible.items() if pair is not None})
+    # A slow response or a play of geometry stays within its possible values; a product does not.
+    single = {name: parts[0].channel for name in rows if len(parts := parse(name).parts) == 1}
+    possible = {name: GEOMETRY_RANGES[base] for name, base in single.items() if base in GEOMETRY_RANGES}
+    return Substituted(out, rows, used, possible | dict(ranges or {}))
 
 
 def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
@@ -296,16 +299,14 @@ def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
         unknown = ~np.isfinite(np.asarray(samples[name].values, dtype=np.float64))
         if not unknown.any():
             continue
-        read = np.logical_or.reduce([_is_read(samples, role) for role in users[name]])
+        readings = [np.asarray(samples[role].values, dtype=np.float64) for role in users[name]]
+        read = np.logical_or.reduce(
+            [np.isfinite(one if one.ndim == 1 else one.sum(axis=1)) for one in readings]
+        )
         lost = unknown & (read if unknown.ndim == 1 else read[:, None])
         if lost.any():
             found[name] = lost
     return found
-
-
-def _is_read(samples: xr.Dataset, role: str) -> Rows:
-    reading = np.asarray(samples[role].values, dtype=np.float64)
-    return np.asarray(np.isfinite(reading if reading.ndim == 1 else reading.sum(axis=1)))
 
 
 class _WithoutUnknown(Effect):
@@ -368,14 +369,3 @@ def _fields(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats]:
 
 def _any(rows: Rows) -> Rows:
     return rows if rows.ndim == 1 else np.asarray(rows.any(axis=1))
-
-
-def _near(rows: Rows) -> Rows:
-    """Return the rows and some neighbours of each."""
-    return np.asarray(np.convolve(rows, np.ones(2 * SUBSTITUTION.margin + 1), mode="same") > 0)
-
-
-def _range_of(name: str) -> tuple[float, float] | None:
-    """Return the possible values of geometry; its slow responses and plays stay within."""
-    parts = parse(name).parts
-    return GEOMETRY_RANGES.get(parts[0].channel) if len(parts) == 1 else None

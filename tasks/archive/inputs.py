@@ -6,6 +6,7 @@ published days of some needs: read once, and sent to workers, which open no data
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -374,15 +375,14 @@ class ArchiveIndex:
         far = INPUTS.stand_in_days + 1
         for least in (INPUTS.known_part, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
-                near = [self._first(need, [day + step * _DAY for step in side], least) for side in sides]
-                if found := [one for one in near if one is not None]:
+                found = []
+                for side in sides:
+                    there = (self.get(need, day + step * _DAY) for step in side)
+                    good = (one for one in there if one is not None and _coverage(one, need) >= least)
+                    found += list(itertools.islice(good, 1))
+                if found:
                     return found
         return []
-
-    def _first(self, need: Need, days: Sequence[np.datetime64], least: float) -> Day | None:
-        """Return the first of some days of which at least a part has the channel."""
-        there = (self.get(need, day) for day in days)
-        return next((one for one in there if one is not None and _known_part(one, need) >= least), None)
 
     def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
         """Return the days on which every field is there."""
@@ -414,7 +414,6 @@ class ArchiveIndex:
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
 
 
-def _known_part(day: Day, need: Need) -> float:
+def _coverage(day: Day, need: Need) -> float:
     """Return the part of a day on which a channel has values; 1 where the archive does not state it."""
-    summary = day.report.get("channels", {}).get(need.channel, {})
-    return float(summary.get("coverage", 1.0))
+    return float(day.report.get("channels", {}).get(need.channel, {}).get("coverage", 1.0))

@@ -112,7 +112,7 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
 
 
 def _derived(series: xr.DataArray, part: Part) -> xr.DataArray:
-    """Return a slow response or a play of a channel, or of geometry made from positions, at its own stamps."""
+    """Return a slow response or a play of a channel, or of geometry from positions, at its own stamps."""
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     attrs = dict(series.attrs)
     values = np.asarray(series.values, dtype=np.float64)
