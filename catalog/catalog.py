@@ -306,7 +306,14 @@ class Catalog:
     ) -> None:
         """Record a delivered file; `files` shows it once the run has published what was made from it."""
         record = FileRecord(
-            instrument, str(path), sha256, size, mtime_ns, tuple(map(str, days)), dict(report or {}), run.id
+            instrument=instrument,
+            path=str(path),
+            sha256=sha256,
+            size=size,
+            mtime_ns=mtime_ns,
+            days=tuple(map(str, days)),
+            report=dict(report or {}),
+            run=run.id,
         )
         self.record_files(run, [record])
 

@@ -40,7 +40,7 @@ class PackingSettings:
 PACKING = PackingSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Encoding:
     """How one variable is stored.
 
@@ -122,12 +122,12 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
     dtype = pieces[0].dtype
     if dtype.kind in "UOT":
         labels = sorted({str(value) for piece in pieces for value in piece.ravel()})
-        return Encoding("labels", "str", "uint32", 0, labels=tuple(labels))
+        return Encoding(kind="labels", dtype="str", stored="uint32", fill=0, labels=tuple(labels))
     if dtype.kind in "mM":
         unit = "datetime64[ns]" if dtype.kind == "M" else "timedelta64[ns]"
-        return Encoding("stamps", unit, "int64", int(TT2000_FILL), delta=True)
+        return Encoding(kind="stamps", dtype=unit, stored="int64", fill=int(TT2000_FILL), delta=True)
     fill: int | float | bool = np.nan if dtype.kind in "fc" else False if dtype.kind == "b" else 0
-    plain = Encoding("plain", dtype.name, dtype.name, fill)
+    plain = Encoding(kind="plain", dtype=dtype.name, stored=dtype.name, fill=fill)
     if name == "tt2000":
         return replace(plain, fill=int(TT2000_FILL), delta=True)
     resolution = attributes.get("resolution")
@@ -149,7 +149,15 @@ def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
         if not largest < 2**53 or not _lossless(finite, resolution):
             return None
     stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
-    return Encoding("packed", pieces[0].dtype.name, stored, missing, True, resolution, missing)
+    return Encoding(
+        kind="packed",
+        dtype=pieces[0].dtype.name,
+        stored=stored,
+        fill=missing,
+        delta=True,
+        resolution=resolution,
+        missing=missing,
+    )
 
 
 def _lossless(finite: Array, resolution: float) -> bool:

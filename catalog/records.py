@@ -60,7 +60,7 @@ class DayData:
     report: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SegmentRow:
     """Where one day lies in a segment: rows ``[start, stop)``; times are TT2000, both samples included."""
 
@@ -77,7 +77,7 @@ class SegmentRow:
     step_ns: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Segment:
     """A complete, verified, immutable store.
 
@@ -92,7 +92,7 @@ class Segment:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Day:
     """One revision of one day of one dataset, as the catalog knows it.
 
@@ -122,7 +122,7 @@ class Day:
     step_ns: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TableRecord:
     """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
 
@@ -141,7 +141,7 @@ class TableRecord:
     damaged: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FileRecord:
     """A delivered file that was taken in."""
 
@@ -155,7 +155,7 @@ class FileRecord:
     run: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunRecord:
     """One run; `state` is running, done or failed."""
 
@@ -181,7 +181,7 @@ class ContextRecord:
     tables: Mapping[str, int]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelRecord:
     """One version of a model; `parent` is the version it was made from."""
 

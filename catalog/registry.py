@@ -67,7 +67,14 @@ def model_text(session: Session, name: str | None, version: int | None) -> tuple
 def model_records(session: Session) -> list[ModelRecord]:
     """Return the history of all models, oldest first."""
     return [
-        ModelRecord(row.name, row.version, row.parent, row.message, row.sha256, row.created)
+        ModelRecord(
+            name=row.name,
+            version=row.version,
+            parent=row.parent,
+            message=row.message,
+            sha256=row.sha256,
+            created=row.created,
+        )
         for row in session.scalars(select(ModelRow).order_by(ModelRow.id))
     ]
 

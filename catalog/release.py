@@ -41,7 +41,7 @@ _MARKER: Final = "release.json"
 _WHOLE: Final = Span(None, None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Collection:
     """What goes into a release: the days, the days that are not there, the tables and the context."""
 
@@ -112,7 +112,9 @@ def _collect(
         there = {day.day for day in present}
         recorded = [day for day in status_of_days(session, name, _WHOLE, None) if day.day not in there]
         known = {day.day for day in recorded}
-        gaps = [Day(name, day, "missing") for day in missing_days(present) if day not in known]
+        gaps = [
+            Day(dataset=name, day=day, state="missing") for day in missing_days(present) if day not in known
+        ]
         absent += sorted(recorded + gaps, key=lambda day: day.day)
     if not days:
         raise CatalogError(f"no published days match {list(patterns)}", remedy="see 'inflight catalog list'")
@@ -124,7 +126,15 @@ def _collect(
         if table.id in pinned_ids or any(scope in {None, context} for scope, _, _ in table.certified)
     ]
     model = model_text(session, pinned.model_name, pinned.model_version)[2] if pinned else ""
-    return _Collection(version, notes, tuple(days), tuple(absent), tuple(tables), pinned, model)
+    return _Collection(
+        version=version,
+        notes=notes,
+        days=tuple(days),
+        absent=tuple(absent),
+        tables=tuple(tables),
+        context=pinned,
+        model=model,
+    )
 
 
 def _days_of(session: Session, name: str, context: str | None) -> list[Day]:

@@ -100,7 +100,7 @@ def write_segment(
     with _staged(Path(workspace), run_id, label) as staged:
         notes = _write_store(staged.folder, contents, layout, common, described, portable)
         path, sha256, size = staged.finish()
-    return Segment(path, name, sha256, size, layout.rows, tuple(notes))
+    return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(notes))
 
 
 def write_table(
@@ -127,7 +127,7 @@ def write_table(
     with _staged(Path(workspace), run_id, _label(name)) as staged:
         notes = _write_store(staged.folder, contents, None, attributes, described, portable)
         path, sha256, size = staged.finish()
-    return Segment(path, name, sha256, size, (), tuple(notes))
+    return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(notes))
 
 
 class _Staged:

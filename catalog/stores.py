@@ -33,7 +33,7 @@ Array = npt.NDArray[Any]
 REMEDY: Final = "run 'inflight catalog repair', then 'inflight ingest' and 'inflight reprocess' make it again"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StoredVariable:
     """One array of a store; `shape` and `chunks` are those on disk."""
 
@@ -52,7 +52,7 @@ class StoredVariable:
         return np.dtype(self.encoding.dtype)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Store:
     """An opened store: metadata only, until values are asked for."""
 

@@ -38,7 +38,7 @@ FORMATS: dict[str, Open] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RawTable:
     """Rows of one instrument in one file, in the order of the file.
 
@@ -106,7 +106,15 @@ def read_file(
             good = _good(source, files, times.shape)
             flag |= np.where(good, 0, Flag.INSTRUMENT_FLAG).astype(np.uint32)
     rows = np.arange(1, times.size + 1)
-    whole = RawTable(name or str(path), times.ravel(), channels, flag.ravel(), rows, dropped, tuple(notes))
+    whole = RawTable(
+        file=name or str(path),
+        times=times.ravel(),
+        channels=channels,
+        flag=flag.ravel(),
+        rows=rows,
+        dropped=dropped,
+        notes=tuple(notes),
+    )
     return whole.take(kept) if dropped else whole
 
 

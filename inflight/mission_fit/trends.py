@@ -527,10 +527,10 @@ class TrendFit:
             raise CalibrationError(f"components of '{key}' follow different trends", remedy="fit one for all")
         places = [self.place(name) for name in names]
         return TimedValue(
-            parameter,
-            first.time,
-            np.array([self.value[place] for place in places]),
-            np.array([self.sigma[place] for place in places]),
+            parameter=parameter,
+            time=first.time,
+            value=np.array([self.value[place] for place in places]),
+            sigma=np.array([self.sigma[place] for place in places]),
             free=free,
             t0=first.t0,
             per=first.per,

@@ -126,7 +126,7 @@ class Layout:
         return self.sensors[role]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ResidualRows:
     """Residual of a comparison and how a field at each of its sensors changes it.
 
@@ -259,12 +259,12 @@ def _scalar(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
     residual = (np.linalg.norm(field, axis=1) - total)[:, None]
     return ResidualRows(
-        residual,
-        {vector: along, scalar: -along},
-        {vector: field, scalar: field},
-        field,
-        _good(corrected, residual) & (total > 0),
-        _step(corrected),
+        residual=residual,
+        directions={vector: along, scalar: -along},
+        fields={vector: field, scalar: field},
+        field=field,
+        good=_good(corrected, residual) & (total > 0),
+        step_s=_step(corrected),
     )
 
 
@@ -278,12 +278,12 @@ def _dual(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
         outboard.name: np.broadcast_to(-outboard.rotation.as_matrix(), shape),
     }
     return ResidualRows(
-        residual,
-        directions,
-        fields,
-        fields[outboard.name],
-        _good(corrected, residual),
-        _step(corrected),
+        residual=residual,
+        directions=directions,
+        fields=fields,
+        field=fields[outboard.name],
+        good=_good(corrected, residual),
+        step_s=_step(corrected),
     )
 
 
@@ -296,13 +296,13 @@ def _platform(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     good = _good(corrected, np.column_stack([total, field])) & (total > 0)
     residual = filter_rows(total[:, None], step, layout.band, good)
     return ResidualRows(
-        residual,
-        {vector: np.zeros_like(along), scalar: along},
-        {vector: field, scalar: field},
-        field,
-        good & np.isfinite(residual[:, 0]),
-        step,
-        layout.band,
+        residual=residual,
+        directions={vector: np.zeros_like(along), scalar: along},
+        fields={vector: field, scalar: field},
+        field=field,
+        good=good & np.isfinite(residual[:, 0]),
+        step_s=step,
+        kept=layout.band,
     )
 
 
@@ -326,13 +326,13 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     with np.errstate(invalid="ignore", divide="ignore"):
         directions[:, 1, :2] = steady[:, :2] / np.hypot(steady[:, 0], steady[:, 1])[:, None]
     return ResidualRows(
-        residual,
-        {sensor: directions},
-        {sensor: steady},
-        steady,
-        good & np.isfinite(residual).all(axis=1),
-        _step(corrected),
-        layout.folding,
+        residual=residual,
+        directions={sensor: directions},
+        fields={sensor: steady},
+        field=steady,
+        good=good & np.isfinite(residual).all(axis=1),
+        step_s=_step(corrected),
+        kept=layout.folding,
     )
 
 

@@ -222,7 +222,7 @@ def _events_of(key: str, kind: str, events: Sequence[Event]) -> list[Any]:
     return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TimedValue:
     """A parameter of a model: its coefficients, what is known of them, and how they depend on time.
 
@@ -377,13 +377,13 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
     stated = entry.get("sigma") is not None
     free = bool(entry.get("free", dependence.time == "block" or stated))
     return TimedValue(
-        parameter,
-        dependence.time,
-        value,
-        sigma,
-        free,
-        dependence.t0,
-        dependence.per,
+        parameter=parameter,
+        time=dependence.time,
+        value=value,
+        sigma=sigma,
+        free=free,
+        t0=dependence.t0,
+        per=dependence.per,
         key=key,
         table_name=str(entry.get("table", "")),
         moments=dependence.at,

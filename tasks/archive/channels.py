@@ -36,7 +36,7 @@ def shows_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
     return _READINGS * cadence_ns <= mission.periods["spin"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpinClock:
     """The clock of a spin comparison on one day."""
 
@@ -56,7 +56,15 @@ class SpinClock:
         folding = folding_of(mission, comparison)
         if folding is None:
             return None
-        return cls(cat, mission, comparison, index, day, folding, clock_of(mission, comparison)[0])
+        return cls(
+            cat=cat,
+            mission=mission,
+            comparison=comparison,
+            index=index,
+            day=day,
+            folding=folding,
+            clock=clock_of(mission, comparison)[0],
+        )
 
     def is_seen_by(self, cadence_ns: int) -> bool:
         """Return True when a channel of a cadence shows what goes with the spin."""

@@ -73,7 +73,7 @@ Problem = dict[str, str]
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FileIndex:
     """One delivered file: its hash, the UTC days of its rows, and what is wrong with it."""
 
@@ -176,12 +176,12 @@ def _unchanged(file: Delivered, data: Path, record: FileRecord | None, key: str)
         if not same or record.report.get("key") != key:
             return None
     return FileIndex(
-        file,
-        record.sha256,
-        record.size,
-        record.mtime_ns,
-        tuple(record.days),
-        record.report.get("problem"),
+        delivered=file,
+        sha256=record.sha256,
+        size=record.size,
+        mtime_ns=record.mtime_ns,
+        days=tuple(record.days),
+        problem=record.report.get("problem"),
         known=True,
     )
 
@@ -199,14 +199,28 @@ def index_file(path: Path, file: Delivered, files: Files, instrument: Instrument
         sha256, size, mtime_ns = fingerprint(path)
     except OSError as error:
         unreadable = ReadError(f"cannot be read: {error}", remedy="check the file", file=file.name)
-        return FileIndex(file, "", 0, 0, named_days(file.span), problem_of(unreadable))
+        return FileIndex(
+            delivered=file,
+            sha256="",
+            size=0,
+            mtime_ns=0,
+            days=named_days(file.span),
+            problem=problem_of(unreadable),
+        )
     try:
         times = read_times(path, files, instrument, file.span)
     except InflightError as error:
         error.file = file.name  # as every later step and the catalog name it
-        return FileIndex(file, sha256, size, mtime_ns, named_days(file.span), problem_of(error))
+        return FileIndex(
+            delivered=file,
+            sha256=sha256,
+            size=size,
+            mtime_ns=mtime_ns,
+            days=named_days(file.span),
+            problem=problem_of(error),
+        )
     days = tuple(str(day) for day in np.unique(day_of(times)))
-    return FileIndex(file, sha256, size, mtime_ns, days)
+    return FileIndex(delivered=file, sha256=sha256, size=size, mtime_ns=mtime_ns, days=days)
 
 
 def fingerprint(path: Path) -> tuple[str, int, int]:
@@ -305,7 +319,7 @@ class SourceFile:
             raise ReadError("changed while it was taken in", remedy="ingest again", file=self.name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BatchJob:
     """Days of one instrument that a worker makes into one segment; it needs no database."""
 
@@ -425,7 +439,7 @@ def _cast(dataset: xr.Dataset, types: dict[str, np.dtype[Any]]) -> xr.Dataset:
     )
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Plan:
     """What one instrument's days need."""
 
@@ -535,7 +549,7 @@ def _bound(day: str | np.datetime64 | None) -> int | None:
 
 def _plan(cat: Catalog, delivery: Delivery, span: tuple[int | None, int | None]) -> _Plan:
     """Compare what was delivered with what is published, recorded as failed, or left by a dead run."""
-    plan = _Plan(delivery)
+    plan = _Plan(delivery=delivery)
     published = {str(day.day): day for day in cat.days(plan.dataset, states=["published"])}
     failed = {str(day.day): day for day in cat.days(plan.dataset, states=["failed"])}
     verified = {(str(day.day), day.key) for day in cat.days(plan.dataset, states=["verified"])}
@@ -587,13 +601,13 @@ def _jobs(
         needed = {file.name: file for day in days for file in by_day[day]}
         jobs.append(
             BatchJob(
-                cat.workspace,
-                run.id,
-                name,
-                instrument,
-                files,
-                tuple(source_file(file, data) for file in needed.values()),
-                tuple(
+                workspace=cat.workspace,
+                run=run.id,
+                instrument_name=name,
+                instrument=instrument,
+                files=files,
+                sources=tuple(source_file(file, data) for file in needed.values()),
+                days=tuple(
                     (
                         day,
                         plan.keys[day],
@@ -639,14 +653,14 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
         run,
         [
             FileRecord(
-                plan.delivery.instrument,
-                file.name,
-                file.sha256,
-                file.size,
-                file.mtime_ns,
-                tuple(map(str, file.days)),
-                file_report(file, plan.delivery.key, plan.notes.get(file.name, {})),
-                run.id,
+                instrument=plan.delivery.instrument,
+                path=file.name,
+                sha256=file.sha256,
+                size=file.size,
+                mtime_ns=file.mtime_ns,
+                days=tuple(map(str, file.days)),
+                report=file_report(file, plan.delivery.key, plan.notes.get(file.name, {})),
+                run=run.id,
             )
             for file in plan.delivery.files
             if not file.known

@@ -55,7 +55,7 @@ class InputSettings:
 INPUTS = InputSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Need:
     """One series the samples hold: its name there, and the instrument and channel it comes from.
 
@@ -129,7 +129,10 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         When the model uses a channel the mission has not, or a placebo.
     """
     roles = mission.comparisons[model.comparison].instruments()
-    needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
+    needs = [
+        Need(name=role, instrument=name, channel="field", cadence_ns=mission.instruments[name].cadence)
+        for role, name in roles.items()
+    ]
     known = _Known(mission)
     needs += [*known.clock(model.comparison), *known.axis(model.comparison)]
     needs += ambient_of(mission, model.comparison)
@@ -172,7 +175,12 @@ def geometry_channels(mission: Mission) -> list[str]:
 def channel_needs(mission: Mission) -> tuple[Need, ...]:
     """Return one need for every channel of the mission."""
     return tuple(
-        Need(name, instrument, channel, mission.instruments[instrument].cadence)
+        Need(
+            name=name,
+            instrument=instrument,
+            channel=channel,
+            cadence_ns=mission.instruments[instrument].cadence,
+        )
         for name, (instrument, channel) in channel_homes(mission).items()
     )
 
@@ -204,7 +212,14 @@ def ambient_of(mission: Mission, comparison: str) -> list[Need]:
     entry = mission.comparisons[comparison]
     if entry.kind != "dual" or entry.ambient is None:
         return []
-    return [Need(AMBIENT, entry.ambient, "field", mission.instruments[entry.ambient].cadence)]
+    return [
+        Need(
+            name=AMBIENT,
+            instrument=entry.ambient,
+            channel="field",
+            cadence_ns=mission.instruments[entry.ambient].cadence,
+        )
+    ]
 
 
 class _Known:
@@ -291,7 +306,14 @@ class _Known:
         called = part.name if part else name
         described = home.channels[channel]
         return Need(
-            called, instrument, channel, home.cadence, described.lag, part, products, described.smooth
+            name=called,
+            instrument=instrument,
+            channel=channel,
+            cadence_ns=home.cadence,
+            lag_ns=described.lag,
+            part=part,
+            products=products,
+            smooth_ns=described.smooth,
         )
 
 
