@@ -50,7 +50,7 @@ from inflight.tasks.archive import (
     each_result,
     load_samples,
     orbit_of,
-    stands_in,
+    stand_in_value,
 )
 from inflight.tasks.pipelines import Job, Outcome, adopted_days, make_days, take_outcome
 from inflight.tasks.pipelines.states import housekeeping
@@ -428,7 +428,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
-    filled = {need.name: stands_in(made.told, need.name) for need in made.channel_needs}
+    filled = {need.name: stand_in_value(made.told, need.name) for need in made.channel_needs}
     series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)

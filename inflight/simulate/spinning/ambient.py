@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.simulate.grid import Float
-from inflight.simulate.randomness import generator, wander
+from inflight.simulate.randomness import drift, generator
 from inflight.simulate.spinning.attitude import payload_axes, to_payload
 from inflight.simulate.spinning.settings import SpinningParameters
 
@@ -38,7 +38,7 @@ def wind(seconds: Float, seed: int, day: int, parameters: SpinningParameters) ->
 def _turbulent(
     seconds: Float, seed: int, day: int, stream: str, field: float, turning: float, compression: float
 ) -> Float:
-    slow = wander(seconds, seed, f"{stream} slow", (1.0,) * 4, periods=(_LONGEST, 4e5), waves=24)
+    slow = drift(seconds, seed, f"{stream} slow", (1.0,) * 4, periods=(_LONGEST, 4e5), waves=24)
     fast = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 4, seed, day, stream)
     # Power of the slow part over that of the fast one: both are one spectrum.
     shape = 0.8 * slow + 0.6 * fast
