@@ -54,7 +54,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class TwelveParameters:
+class CalibrationParameters:
     """Parameters of the calibration equation; the default is a perfect sensor.
 
     Attributes
@@ -85,7 +85,7 @@ class TwelveParameters:
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod
-    def of_values(cls, values: npt.ArrayLike) -> TwelveParameters:
+    def of_values(cls, values: npt.ArrayLike) -> CalibrationParameters:
         """Return parameters from twelve numbers in the order of `NAMES`."""
         one = [float(value) for value in np.asarray(values, dtype=np.float64)]
         if len(one) != len(NAMES):
@@ -123,7 +123,7 @@ class TwelveParameters:
         """Return the eight numbers in the order of `SPIN_RELATED`; shape (8,)."""
         return self.values()[[NAMES.index(name) for name in SPIN_RELATED]]
 
-    def changed(self, new: Mapping[str, float]) -> TwelveParameters:
+    def changed(self, new: Mapping[str, float]) -> CalibrationParameters:
         """Return the same parameters but for those named."""
         unknown = sorted(set(new) - set(NAMES))
         if unknown:
@@ -131,7 +131,7 @@ class TwelveParameters:
         values = self.values()
         for name, value in new.items():
             values[NAMES.index(name)] = value
-        return TwelveParameters.of_values(values)
+        return CalibrationParameters.of_values(values)
 
     def factors(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return Phi, Sigma, Gamma and G (eqs. 4 to 7), each of shape (3, 3)."""
@@ -202,7 +202,7 @@ class TemperatureGains:
 
 
 @dataclass(frozen=True)
-class SensorAngles:
+class AxisAngles:
     """Angles of the three sensor axes in spin-aligned axes, and gains (Kepko et al. 1996; Plaschke eq. 2).
 
     Attributes
@@ -217,7 +217,7 @@ class SensorAngles:
     gain: Floats
 
     @classmethod
-    def of_matrix(cls, matrix: Floats) -> SensorAngles:
+    def of_matrix(cls, matrix: Floats) -> AxisAngles:
         """Return angles and gains of a coupling matrix ``C``: row i of its inverse is ``s_i / gain_i``."""
         rows = np.linalg.inv(matrix)
         length = np.linalg.norm(rows, axis=1)

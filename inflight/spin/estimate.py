@@ -38,10 +38,10 @@ from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError
 from inflight.lsq import biweight, biweight_slope, long_run_covariance, sigma_of_mean
 from inflight.model import Model, ModelEffect, rows_of
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
-from inflight.spin.intervals import Bools, Layout
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
+from inflight.spin.intervals import BlockLayout, Bools
 from inflight.spin.kernels import SERIES
-from inflight.spin.tones import SpinTones, first_tones, next_tones
+from inflight.spin.tones import SpinTones, initial_tones, updated_tones
 from inflight.time import Int64
 
 #: The pairs in the order they are determined in, and for each which tones show it.
@@ -115,7 +115,7 @@ class SpinEstimates:
     uncertainty: Floats
     sensitivity: Floats
     usable: Bools
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     spread: Mapping[str, float]
     blocks: int
 
@@ -158,7 +158,7 @@ def spin_equations(tones: SpinTones) -> SpinEquations:
     return SpinEquations(residual, design, np.repeat(tones.noise, 2, axis=1))
 
 
-def _derivatives(parameters: TwelveParameters) -> tuple[Floats, Floats]:
+def _derivatives(parameters: CalibrationParameters) -> tuple[Floats, Floats]:
     """Return derivatives of Bz and of the modulus as sums of `SERIES`; both (8, series)."""
     at = {name: index for index, name in enumerate(SERIES)}
     axial, plane = (np.zeros((len(SPIN_RELATED), len(SERIES))) for _ in range(2))
@@ -257,7 +257,7 @@ Statistic = Literal["mean", "median"]
 
 #: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al.
 #: 2019, section 7), offsets unknown beside any field the sensor is flown for.
-UNKNOWN: Mapping[str, float] = {
+UNCALIBRATED_SIGMA: Mapping[str, float] = {
     name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0)
     for name in SPIN_RELATED
 }
@@ -300,9 +300,9 @@ class Selection:
     scatter: Floats
     threshold: Floats
     chosen: Bools
-    how: tuple[str, ...]
+    reasons: tuple[str, ...]
     estimates: SpinEstimates
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     passes: int
     settled: bool
 
@@ -322,21 +322,23 @@ class Selection:
                 "threshold": (one, self.threshold),
                 "count": (one, self.chosen.sum(axis=0)),
                 "determined": (one, self.determined),
-                "how": (one, list(self.how)),
+                "how": (one, list(self.reasons)),
             },
             coords={one: list(SPIN_RELATED), "units": (one, [UNITS[name] for name in SPIN_RELATED])},
             attrs={"passes": self.passes, "settled": int(self.settled)},
         )
 
 
-def choose(uncertainty: Floats, wanted: float | None = None, fewest: int = FEWEST) -> tuple[Bools, str]:
+def choose_estimates(
+    uncertainty: Floats, accuracy: float | None = None, fewest: int = FEWEST
+) -> tuple[Bools, str]:
     """Choose the estimates to average.
 
     Parameters
     ----------
     uncertainty : ndarray, shape (sub,)
         NaN for none.
-    wanted : float, optional
+    accuracy : float, optional
         Estimates below it are chosen. When absent, as many of the best as make the expected error of their
         mean, ``sqrt(sum u^2) / k``, smallest.
     fewest : int
@@ -354,14 +356,14 @@ def choose(uncertainty: Floats, wanted: float | None = None, fewest: int = FEWES
     none = np.zeros(known.size, dtype=np.bool_)
     if count < fewest:
         return none, f"{count} estimates, at least {fewest} needed"
-    if wanted is not None:
-        chosen = known < wanted
+    if accuracy is not None:
+        chosen = known < accuracy
         if chosen.sum() < fewest:
             return (
                 none,
-                f"{int(chosen.sum())} below {wanted:.3g}, at least {fewest} needed; best {ranked[0]:.2g}",
+                f"{int(chosen.sum())} below {accuracy:.3g}, at least {fewest} needed; best {ranked[0]:.2g}",
             )
-        return chosen, f"{int(chosen.sum())} below the accuracy wanted, {wanted:.3g}"
+        return chosen, f"{int(chosen.sum())} below the accuracy wanted, {accuracy:.3g}"
     expected = np.sqrt(np.cumsum(ranked[:count] ** 2)) / np.arange(1, count + 1)
     best = fewest + int(np.argmin(expected[fewest - 1 :]))
     none[order[:best]] = True
@@ -372,11 +374,11 @@ def calibrate_by_selection(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
-    layout: Layout,
-    present: TwelveParameters,
+    layout: BlockLayout,
+    present: CalibrationParameters,
     present_sigma: Mapping[str, float] | None = None,
     *,
-    wanted: Mapping[str, float] | None = None,
+    accuracy: Mapping[str, float] | None = None,
     statistic: Statistic = "mean",
 ) -> Selection:
     """Determine the eight parameters by selected estimates, corrected and estimated again until settled.
@@ -388,10 +390,10 @@ def calibrate_by_selection(
     present : TwelveParameters
         Where to begin; what is not determined keeps its value.
     present_sigma : mapping of str to float, optional
-        Uncertainties of the present values by name; `UNKNOWN` where absent. A parameter moves only where the
-        selected estimates know it better.
-    wanted : mapping of str to float, optional
-        Accuracy of an estimate by name; automatic where absent (see `choose`).
+        Uncertainties of the present values by name; `UNCALIBRATED_SIGMA` where absent. A parameter moves only
+        where the selected estimates know it better.
+    accuracy : mapping of str to float, optional
+        Accuracy of an estimate by name; automatic where absent (see `choose_estimates`).
     statistic : {"mean", "median"}
 
     Raises
@@ -399,18 +401,18 @@ def calibrate_by_selection(
     CalibrationError
         Nothing usable, or the field does not turn with the phase.
     """
-    known = np.array([{**UNKNOWN, **(present_sigma or {})}[name] for name in SPIN_RELATED])
+    known = np.array([{**UNCALIBRATED_SIGMA, **(present_sigma or {})}[name] for name in SPIN_RELATED])
     if statistic not in ("mean", "median"):
         raise CalibrationError(f"no statistic is called '{statistic}'", remedy="take 'mean' or 'median'")
     held, scatter, parameters = known.copy(), known.copy(), present
-    tones = first_tones(readings, phase, stamps, layout, present)
+    tones = initial_tones(readings, phase, stamps, layout, present)
     settled, passes = False, 0
     while not settled and passes < _SELECTION_PASSES:
         if passes:
-            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+            tones = updated_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
-        estimates = estimate_pairs(tones, spread_of(scatter))
-        found = _Rounds(estimates, known, held, scatter, wanted or {}, statistic)
+        estimates = estimate_pairs(tones, uncertainty_of_pairs(scatter))
+        found = _Rounds(estimates, known, held, scatter, accuracy or {}, statistic)
         found.run()
         parameters, held, scatter = found.put_in(), found.held, found.scatter
         moved = parameters.spin_related() - tones.parameters.spin_related()
@@ -421,7 +423,7 @@ def calibrate_by_selection(
         found.spread,
         found.threshold,
         found.chosen,
-        tuple(found.how),
+        tuple(found.reasons),
         estimates,
         parameters,
         passes,
@@ -429,7 +431,7 @@ def calibrate_by_selection(
     )
 
 
-def spread_of(scatter: Floats) -> dict[str, float]:
+def uncertainty_of_pairs(scatter: Floats) -> dict[str, float]:
     """Return the uncertainty of the pairs held that the published uncertainties need."""
     return {
         pair: float(max(scatter[SPIN_RELATED.index(name)] for name in names)) for pair, names in PAIRS.items()
@@ -445,10 +447,10 @@ class _Rounds:
         known: Floats,
         held: Floats,
         scatter: Floats,
-        wanted: Mapping[str, float],
+        accuracy: Mapping[str, float],
         statistic: Statistic,
     ) -> None:
-        self.estimates, self.known, self.wanted, self.statistic = estimates, known, wanted, statistic
+        self.estimates, self.known, self.accuracy, self.statistic = estimates, known, accuracy, statistic
         self.held, self.scatter = held.copy(), scatter.copy()
         self.begin = estimates.parameters.spin_related()
         self.value = self.begin.copy()
@@ -457,9 +459,9 @@ class _Rounds:
         self.spread = np.full(self.value.size, np.nan)
         self.threshold = np.full(self.value.size, np.nan)
         self.chosen = np.zeros(estimates.value.shape, dtype=np.bool_)
-        self.how = [""] * self.value.size
+        self.reasons = [""] * self.value.size
         for at, name in enumerate(SPIN_RELATED):
-            chosen, self.how[at] = choose(estimates.uncertainty[:, at], wanted.get(name))
+            chosen, self.reasons[at] = choose_estimates(estimates.uncertainty[:, at], accuracy.get(name))
             self.chosen[:, at] = chosen & estimates.usable
             if chosen.any():
                 self.threshold[at] = float(estimates.uncertainty[chosen, at].max())
@@ -501,7 +503,7 @@ class _Rounds:
         # The median of Gaussian numbers scatters by more than their mean.
         return float(sigma * (np.sqrt(0.5 * np.pi) if self.statistic == "median" else 1.0))
 
-    def put_in(self) -> TwelveParameters:
+    def put_in(self) -> CalibrationParameters:
         """Return the parameters with the values found."""
         return self.estimates.parameters.changed(
             {name: float(self.value[at]) for at, name in enumerate(SPIN_RELATED)}
@@ -547,10 +549,10 @@ class JointEstimate:
     value: Floats
     sigma: Floats
     covariance: Floats
-    say: Floats
+    robust_weight: Floats
     excess: Floats
     tones: SpinTones
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     passes: int
     settled: bool
 
@@ -582,18 +584,18 @@ class JointEstimate:
             attrs={
                 "passes": self.passes,
                 "settled": int(self.settled),
-                "sub_intervals": self.tones.told(),
+                "sub_intervals": self.tones.summary(),
                 "excess": self.excess.tolist(),
             },
         )
 
 
-def joint_estimate(
+def estimate_jointly(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
-    layout: Layout,
-    present: TwelveParameters,
+    layout: BlockLayout,
+    present: CalibrationParameters,
     present_sigma: Mapping[str, float] | None = None,
 ) -> JointEstimate:
     """Determine the eight parameters from all sub-intervals together.
@@ -612,19 +614,19 @@ def joint_estimate(
     CalibrationError
         Nothing usable, or the field does not turn with the phase.
     """
-    tones = first_tones(readings, phase, stamps, layout, present)
+    tones = initial_tones(readings, phase, stamps, layout, present)
     known = _Known.of(present, present_sigma or {})
     parameters, settled, passes = tones.parameters, False, 0
     while not settled and passes < _JOINT_PASSES:
         if passes:
-            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+            tones = updated_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
         fit = _fit(spin_equations(tones), tones, known)
         new = tones.parameters.spin_related() + fit.change
         parameters = tones.parameters.changed(dict(zip(SPIN_RELATED, new.tolist(), strict=True)))
         settled = bool(np.all(np.abs(fit.change) <= _JOINT_SETTLED * fit.sigma))
     return JointEstimate(
-        new, fit.sigma, fit.covariance, fit.say, fit.excess, tones, parameters, passes, settled
+        new, fit.sigma, fit.covariance, fit.robust_weight, fit.excess, tones, parameters, passes, settled
     )
 
 
@@ -636,7 +638,7 @@ class _Known:
     weight: Floats
 
     @classmethod
-    def of(cls, present: TwelveParameters, sigma: Mapping[str, float]) -> _Known:
+    def of(cls, present: CalibrationParameters, sigma: Mapping[str, float]) -> _Known:
         given = np.array([sigma.get(name, np.inf) for name in SPIN_RELATED], dtype=np.float64)
         return cls(present.spin_related(), 1.0 / given**2)
 
@@ -646,7 +648,7 @@ class _Fit:
     change: Floats
     sigma: Floats
     covariance: Floats
-    say: Floats
+    robust_weight: Floats
     excess: Floats
 
 
@@ -789,12 +791,12 @@ class SpinFit:
     after: float
 
 
-def spinning_entry(model: Model) -> ModelEffect | None:
+def spinning_sensor_of(model: Model) -> ModelEffect | None:
     """Return the model's spinning sensor; None when it has none."""
     return next((entry for entry in model.effects if isinstance(entry.effect, SpinningSensor)), None)
 
 
-def free_of(entry: ModelEffect) -> tuple[tuple[str, int], ...]:
+def free_parameters(entry: ModelEffect) -> tuple[tuple[str, int], ...]:
     """Return parameters and components of a spinning sensor that are free and show in the spin's tones."""
     return tuple(
         (name, index)
@@ -804,7 +806,9 @@ def free_of(entry: ModelEffect) -> tuple[tuple[str, int], ...]:
     )
 
 
-def at_values(model: Model, entry: ModelEffect, names: Sequence[tuple[str, int]], value: Floats) -> Model:
+def with_constant_values(
+    model: Model, entry: ModelEffect, names: Sequence[tuple[str, int]], value: Floats
+) -> Model:
     """Return a model whose spinning sensor has values, constant in time."""
     parameters = dict(entry.parameters)
     for (name, index), number in zip(names, value, strict=True):
@@ -815,7 +819,7 @@ def at_values(model: Model, entry: ModelEffect, names: Sequence[tuple[str, int]]
     return model.replace(replace(entry, parameters=parameters))
 
 
-def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
+def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     """Fit the free ones of the eight parameters to folded samples by robust weighted least squares.
 
     Parameters
@@ -830,10 +834,10 @@ def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     CalibrationError
         When there is nothing to fit to.
     """
-    entry = spinning_entry(model)
+    entry = spinning_sensor_of(model)
     if entry is None:
         raise CalibrationError("the model has no spinning_sensor", remedy="add one to the model")
-    names = free_of(entry)
+    names = free_parameters(entry)
     kinds = SpinningSensor.parameters()
     middle = int(np.median(np.concatenate([one["tt2000"].values for one in samples])))
     start = np.array([entry.parameters[name].at(middle)[index] for name, index in names])
@@ -841,15 +845,15 @@ def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     steps = np.array([kinds[name].step for name, _ in names])
     value, weight, before = start.copy(), None, np.nan
     for _ in range(_ROUNDS):
-        now = at_values(model, entry, names, value)
+        now = with_constant_values(model, entry, names, value)
         residual, base, interval = _rows(now, samples)
         if weight is None:
             weight, before = base, _rms(residual, base)
         columns = np.stack(
             [
                 (
-                    _rows(at_values(model, entry, names, value + step), samples)[0]
-                    - _rows(at_values(model, entry, names, value - step), samples)[0]
+                    _rows(with_constant_values(model, entry, names, value + step), samples)[0]
+                    - _rows(with_constant_values(model, entry, names, value - step), samples)[0]
                 )
                 for step in np.diag(steps)
             ],
@@ -860,7 +864,7 @@ def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
         value = value + change
         if np.all(np.abs(change) <= _SETTLED * np.sqrt(np.diag(covariance))):
             break
-    fitted = at_values(model, entry, names, value)
+    fitted = with_constant_values(model, entry, names, value)
     residual, base, _ = _rows(fitted, samples)
     return SpinFit(
         names, value, np.sqrt(np.diag(covariance)), covariance, fitted, before, _rms(residual, base)

@@ -60,7 +60,7 @@ class SpinFits:
         where the readings do not determine them.
     covariance : ndarray, shape (fit, component, coefficient, coefficient)
         From the fit's own residual, taken as white: it holds for the instrument's noise. Fluctuations of the
-        field are larger near the spin than far above it; `inflight.spin.farrell_1995` takes them from the
+        field are larger near the spin than far above it; `inflight.spin.farrell` takes them from the
         scatter between fits.
     rms : ndarray, shape (fit, component)
         Residual per degree of freedom.
@@ -156,7 +156,7 @@ class SpinFits:
             attrs={"spins": self.spins},
         )
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say in a sentence what was fitted and what was not."""
         whole = int(self.determined.all(axis=1).sum())
         text = f"{len(self)} fits of {self.spins} spin{'s' if self.spins > 1 else ''}, {whole} of them whole"
@@ -165,7 +165,7 @@ class SpinFits:
         return text + (f", {changing} fits while the field changed" if changing else "")
 
 
-def spin_fits(
+def fit_spins(
     stamps: Int64,
     field: Floats,
     phase: Floats,
@@ -386,7 +386,7 @@ def _turned(field: Floats, angle: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class SpinTones:
+class SteadyTones:
     """Tones that are left at the spin period and at half of it, nT; arrays of shape (component,).
 
     Attributes
@@ -420,7 +420,7 @@ class SpinTones:
         )
 
 
-def spin_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -> SpinTones:
+def measure_steady_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -> SteadyTones:
     """Measure the steady tone at the spin period in a field that should have none.
 
     Parameters
@@ -434,10 +434,10 @@ def spin_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -
     spins : int
         Turns of one fit.
     """
-    fits = spin_fits(stamps, field, phase, spins=spins, harmonics=2)
+    fits = fit_spins(stamps, field, phase, spins=spins, harmonics=2)
     whole = fits.whole
     means, sigmas = [], []
     for each in (whole.phasor, whole.double):
         means.append(np.abs(each.mean(axis=0)))
         sigmas.append(np.sqrt(0.5 * np.mean(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / len(whole)))
-    return SpinTones(means[0], means[1], sigmas[0], sigmas[1], len(whole))
+    return SteadyTones(means[0], means[1], sigmas[0], sigmas[1], len(whole))

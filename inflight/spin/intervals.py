@@ -97,7 +97,7 @@ class SubIntervals:
 
 
 @dataclass(frozen=True)
-class Layout:
+class BlockLayout:
     """Blocks of a record as ranges of samples, and samples and blocks that are of no use.
 
     Attributes
@@ -131,14 +131,14 @@ class Layout:
         return np.moveaxis(view, -1, 1)
 
 
-def lay_out(
+def cut_into_blocks(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
     good: Bools | None = None,
     settings: SubIntervals | None = None,
     exclusions: Sequence[Exclusion] = (),
-) -> Layout:
+) -> BlockLayout:
     """Cut a record into blocks of whole spins.
 
     Parameters
@@ -183,7 +183,7 @@ def lay_out(
     for one in exclusions:
         low, high = np.searchsorted(stamps, [one.start, one.end])
         reasons.append((one.reason, (start < high) & (stop > low)))
-    return Layout(start, stop, usable, tuple(_joined(reasons)), settings)
+    return BlockLayout(start, stop, usable, tuple(_joined(reasons)), settings)
 
 
 def _check_shapes(readings: Floats, phase: Floats, stamps: Int64) -> None:

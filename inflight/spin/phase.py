@@ -50,7 +50,7 @@ _BREAK = 0.5
 _READINGS_AROUND, _MOST = 21, 75
 
 
-def finely_read(apart: Floats, turns: Floats, advance: Floats) -> bool:
+def is_finely_sampled(apart: Floats, turns: Floats, advance: Floats) -> bool:
     """Return whether most readings are of an angle that moves on by less than `FINE` from one to the next.
 
     Parameters
@@ -65,7 +65,7 @@ def finely_read(apart: Floats, turns: Floats, advance: Floats) -> bool:
     return bool(np.any(turns > 0)) and moved < FINE
 
 
-def fine_period(seconds: Floats, turns: Floats, nominal: float) -> float | None:
+def period_of_fine_angle(seconds: Floats, turns: Floats, nominal: float) -> float | None:
     """Return the period that a finely read angle shows, s; None where it is not finely read.
 
     From one reading to the next the angle may move less than it scatters. The lag is doubled until it moves
@@ -86,7 +86,7 @@ def fine_period(seconds: Floats, turns: Floats, nominal: float) -> float | None:
     apart, part = np.diff(seconds), np.diff(turns)
     if not np.median(apart) < 0.5 * nominal:
         return None
-    if not finely_read(apart, turns, np.rint(apart / nominal - part) + part):
+    if not is_finely_sampled(apart, turns, np.rint(apart / nominal - part) + part):
         return None
     lag, rate = 1, 1.0 / nominal
     while True:
@@ -98,7 +98,7 @@ def fine_period(seconds: Floats, turns: Floats, nominal: float) -> float | None:
         lag *= 2
 
 
-def thinned(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
+def thin_readings(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
     """Return which readings to count turns with: of finely read stretches about three a turn, all others.
 
     They are chosen by their times, not by their angles, which scatter. Both ends of a fine stretch are kept,
@@ -179,7 +179,7 @@ class Marks:
     jumped, uncounted, gap : ndarray of bool, shape (mark - 1,)
         The turns do not fit; cannot be counted; are more than one and were counted.
     moved, doubtful : ndarray of bool, shape (mark,)
-        The mark's turn is taken back by the size of a jump; a jump leaves it in doubt. See `steadied`.
+        The mark's turn is taken back by the size of a jump; a jump leaves it in doubt. See `correct_jumps`.
     sigma : float
         Scatter of a mark, turns.
     dropped : int
@@ -189,15 +189,15 @@ class Marks:
     time: Int64
     turn: Floats
     rate: Floats
-    left: Floats
-    unsure: Floats
+    residual: Floats
+    predicted_sigma: Floats
     jumped: npt.NDArray[np.bool_]
-    uncounted: npt.NDArray[np.bool_]
+    uncountable: npt.NDArray[np.bool_]
     gap: npt.NDArray[np.bool_]
-    moved: npt.NDArray[np.bool_]
-    doubtful: npt.NDArray[np.bool_]
+    shifted: npt.NDArray[np.bool_]
+    ambiguous: npt.NDArray[np.bool_]
     sigma: float
-    dropped: int
+    repeated: int
 
     @property
     def period(self) -> Floats:
@@ -207,13 +207,13 @@ class Marks:
     @property
     def missing(self) -> int:
         """Number of whole turns without a mark, where they could be counted."""
-        return int(self.lacking.sum())
+        return int(self.missing_turns.sum())
 
     @property
-    def lacking(self) -> Int64:
+    def missing_turns(self) -> Int64:
         """Whole turns without a mark in each interval, 0 where they cannot be counted; (mark - 1,)."""
         lacking = np.maximum(np.rint(np.diff(self.turn)) - 1, 0)
-        return np.where(self.uncounted, 0, lacking).astype(np.int64)
+        return np.where(self.uncountable, 0, lacking).astype(np.int64)
 
     def table(self) -> xr.Dataset:
         """Return `value` (the local period) and `sigma` along ``mark``."""
@@ -224,15 +224,15 @@ class Marks:
                 "turn": ("mark", self.turn, {"units": "1"}),
                 "value": ("mark", self.period, {"units": "s"}),
                 "sigma": ("mark", self.sigma * self.period * np.sqrt(2.0 / _AROUND), {"units": "s"}),
-                "jump_behind": ("mark", np.append(np.where(self.jumped, 360.0 * self.left, 0.0), 0.0)),
+                "jump_behind": ("mark", np.append(np.where(self.jumped, 360.0 * self.residual, 0.0), 0.0)),
                 "bridged_behind": ("mark", np.append(self.gap, last)),
-                "uncounted_behind": ("mark", np.append(self.uncounted, last)),
+                "uncounted_behind": ("mark", np.append(self.uncountable, last)),
             },
             attrs={"scatter_deg": 360.0 * self.sigma, "missing": self.missing},
         )
 
 
-def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float:
+def find_period(seconds: Floats, turns: Floats, nominal: float | None) -> float:
     """Return the period that most intervals show, s.
 
     Parameters
@@ -256,7 +256,7 @@ def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float
             remedy="state the spin period to better than a tenth of a turn between readings",
         )
     if angle and nominal is not None:
-        fine = fine_period(seconds, turns, nominal)
+        fine = period_of_fine_angle(seconds, turns, nominal)
         if fine is not None and 0.0 < fine < np.inf:
             return fine
         if fine is not None:
@@ -284,7 +284,7 @@ def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float
     return float(np.median(apart[step > 0] / step[step > 0]))
 
 
-def believed(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
+def are_consistent(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
     """Return which marks are whole turns from at least half of their neighbours before, or of those after.
 
     One side is enough: after a jump of the phase the marks agree among themselves.
@@ -322,7 +322,7 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
     repeated = np.concatenate([[False], advance < _NEAR])
     if repeated.any():
         rest = count_turns(times[~repeated], turns[~repeated], period)
-        return Marks(**(rest.__dict__ | {"dropped": rest.dropped + int(repeated.sum())}))
+        return replace(rest, repeated=rest.repeated + int(repeated.sum()))
     apart = np.diff(seconds)
     before, after = _sides(rate)
     sigma = _scatter(seconds, turns, rate)
@@ -338,7 +338,7 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
     return Marks(times, turn, ends.mean(axis=0), left, unsure, jumped, uncounted, gap, none, none, sigma, 0)
 
 
-def steadied(marks: Marks) -> Marks:
+def correct_jumps(marks: Marks) -> Marks:
     """Return marks of a turn without jumps, as far as they tell which of them to believe.
 
     A body that spins goes on turning as it did: what jumps is the clock of its marks, or the mark. Marks
@@ -348,13 +348,13 @@ def steadied(marks: Marks) -> Marks:
     """
     if not marks.jumped.any():
         return marks
-    turn, moved, doubtful = marks.turn.copy(), marks.moved.copy(), marks.doubtful.copy()
-    starts = np.concatenate([[0], np.flatnonzero(marks.uncounted) + 1])
+    turn, moved, doubtful = marks.turn.copy(), marks.shifted.copy(), marks.ambiguous.copy()
+    starts = np.concatenate([[0], np.flatnonzero(marks.uncountable) + 1])
     for first, last in zip(starts, [*starts[1:], turn.size], strict=True):
         inside = slice(first, last - 1)
         jumped = marks.jumped[inside]
-        off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.left[inside], 0.0))])
-        error = np.hypot.reduce(np.where(jumped, marks.unsure[inside], 0.0))
+        off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.residual[inside], 0.0))])
+        error = np.hypot.reduce(np.where(jumped, marks.predicted_sigma[inside], 0.0))
         near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + _SURE * error
         away = np.abs(off - np.rint(off)) > near
         if away.size and away[-1]:
@@ -362,7 +362,7 @@ def steadied(marks: Marks) -> Marks:
         else:
             turn[first:last] += off
             moved[first:last] = away
-    return replace(marks, turn=turn, moved=moved, doubtful=doubtful)
+    return replace(marks, turn=turn, shifted=moved, ambiguous=doubtful)
 
 
 def _advance(seconds: Floats, turns: Floats, rate: Floats) -> Floats:
@@ -381,7 +381,7 @@ def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
     advance = np.rint(apart / period - part) + part
     usual = max(float(np.median(advance)), 1.0)
     near = (advance > 0.25) & (advance < 3.0 * usual) & (np.abs(apart / period - advance) < _COARSEST)
-    if not near.any() or finely_read(apart, turns, advance):
+    if not near.any() or is_finely_sampled(apart, turns, advance):
         return np.full(seconds.size, 1.0 / period)
     middle = 0.5 * (seconds[1:] + seconds[:-1])[near]
     rates = median_filter(advance[near] / apart[near], min(_AROUND, int(near.sum())), mode="nearest")
@@ -452,10 +452,10 @@ class PeriodCheck:
         numbers = {"value": self.period, "sigma": self.sigma, "used": self.used}
         return xr.Dataset(
             {name: ((), number, {"units": "s"}) for name, number in numbers.items()},
-            attrs={"agrees": int(self.agrees), "tone_nT": self.tone, "told": self.told()},
+            attrs={"agrees": int(self.agrees), "tone_nT": self.tone, "told": self.summary()},
         )
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say it in a sentence."""
         if self.aliased:
             return f"readings are too slow to tell a spin of {self.used:.6g} s"
@@ -661,10 +661,14 @@ class SpinPhase:
     def table(self) -> xr.Dataset:
         """Return the spin period at the marks with its sigma, and what lies behind each, along ``mark``."""
         table = self.marks.table()
-        table.attrs |= {"nominal_period_s": self.nominal, "reports": list(self.reports), "told": self.told()}
+        table.attrs |= {
+            "nominal_period_s": self.nominal,
+            "reports": list(self.reports),
+            "told": self.summary(),
+        }
         return table
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say it in a sentence or more."""
         known = 100.0 * float(self.good.mean()) if self.good.size else 0.0
         text = f"spin period {self.period:.6g} s, phase known for {known:.1f} % of {self.stamps.size} samples"
@@ -677,7 +681,7 @@ def phase_from_pulses(
     *,
     nominal_period: float | None = None,
     mark_phase: float = 0.0,
-    certain: float = LEAST_CERTAIN,
+    max_sigma: float = LEAST_CERTAIN,
 ) -> SpinPhase:
     """Return the spin phase from the times of Sun pulses.
 
@@ -692,8 +696,8 @@ def phase_from_pulses(
         interval shows is reported and not used.
     mark_phase : float
         Phase at a pulse, radians: minus the azimuth of the Sun sensor from XA.
-    certain : float
-        Samples whose phase is less certain have none, radians.
+    max_sigma : float
+        Samples whose phase has a larger standard deviation have none, radians.
 
     Returns
     -------
@@ -705,7 +709,9 @@ def phase_from_pulses(
         With fewer than three pulses, or when they show no period.
     """
     marks = np.asarray(pulses, dtype=np.int64)
-    return _from_marks(marks, np.zeros(marks.size), stamps, nominal_period, mark_phase, certain, "Sun pulse")
+    return _from_marks(
+        marks, np.zeros(marks.size), stamps, nominal_period, mark_phase, max_sigma, "Sun pulse"
+    )
 
 
 def phase_from_angle(
@@ -715,7 +721,7 @@ def phase_from_angle(
     *,
     nominal_period: float,
     sense: int = 1,
-    certain: float = LEAST_CERTAIN,
+    max_sigma: float = LEAST_CERTAIN,
 ) -> SpinPhase:
     """Return the spin phase from a delivered angle, read fast or slowly, wrapped or not.
 
@@ -734,7 +740,7 @@ def phase_from_angle(
         tenth of a turn may have made any number of turns besides.
     sense : int
         1 when the angle grows with time; -1 for one counted from XA to XP.
-    certain : float
+    max_sigma : float
         As for `phase_from_pulses`.
 
     Raises
@@ -750,7 +756,7 @@ def phase_from_angle(
         )
     known = np.isfinite(angle)
     turns = (sense * angle[known] / 360.0) % 1.0
-    return _from_marks(times[known], turns, stamps, nominal_period, 0.0, certain, "angle")
+    return _from_marks(times[known], turns, stamps, nominal_period, 0.0, max_sigma, "angle")
 
 
 def phase_from_period(stamps: Int64, period: float, epoch: int, phase: float = 0.0) -> Floats:
@@ -766,7 +772,7 @@ def _from_marks(
     stamps: Int64,
     nominal: float | None,
     offset: float,
-    certain: float,
+    max_sigma: float,
     kind: str,
 ) -> SpinPhase:
     order = np.argsort(times, kind="stable")
@@ -783,26 +789,26 @@ def _from_marks(
             remedy="take a longer span, or state a period and an epoch",
         )
     seconds = (times - times[0]) / SECOND
-    period = usual_period(seconds, turns, nominal)
-    kept = believed(seconds, turns, period)
+    period = find_period(seconds, turns, nominal)
+    kept = are_consistent(seconds, turns, period)
     if np.count_nonzero(kept) < 3:
         raise CalibrationError(
             f"{times.size} {kind}s found, none of them whole turns of {period:.6g} s from its neighbours",
             remedy="see whether the times are those of one Sun sensor",
         )
     few = np.flatnonzero(kept)
-    some = thinned(seconds[few], turns[few], period)
+    some = thin_readings(seconds[few], turns[few], period)
     spared, few = times[few[~some]], few[some]
     if spared.size and few.size > 2:
         # Neighbours of a fine angle hardly move: that readings agree over a turn they show only now.
-        few = few[believed(seconds[few], turns[few], period)]
+        few = few[are_consistent(seconds[few], turns[few], period)]
     if few.size < 3:
         raise CalibrationError(
             f"{times.size} {kind}s found, of {seconds[-1] / period:.2g} turns or not {period:.6g} s a turn",
             remedy="take a span of several turns",
         )
     counted = count_turns(times[few], turns[few], period)
-    marks = steadied(counted)
+    marks = correct_jumps(counted)
     wrong = np.setdiff1d(times, np.concatenate([marks.time, spared]))
     spurious = int(np.count_nonzero((wrong >= stamps.min()) & (wrong <= stamps.max()))) if stamps.size else 0
     if spurious:
@@ -810,7 +816,7 @@ def _from_marks(
         faults.append(Fault(found, "see what else the Sun sensor saw; the rest tells the phase without them"))
     held = _turns_between(marks, stamps)
     faults += _faults(counted, held, nominal, kind) + _jumps(marks, held)
-    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, certain, nominal, kind, faults)
+    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, max_sigma, nominal, kind, faults)
 
 
 def _turns_between(marks: Marks, stamps: Int64) -> Floats:
@@ -841,10 +847,10 @@ def _faults(marks: Marks, held: Floats, nominal: float | None, kind: str) -> lis
     if nominal is not None and abs(usual / nominal - 1.0) > _NOMINAL:
         found = f"the stated spin period of {nominal:.6g} s is wrong: {usual:.6g} s seen"
         faults.append(Fault(found, f"state 'spin: {usual:.6g} s' under the mission's periods"))
-    missing = int(np.minimum(marks.lacking, np.floor(np.maximum(held, 0.0))).sum())
+    missing = int(np.minimum(marks.missing_turns, np.floor(np.maximum(held, 0.0))).sum())
     if kind == "Sun pulse" and missing:
         faults.append(Fault(f"{missing} Sun pulses missing", f"deliver them; {_BRIDGED}"))
-    lost = np.flatnonzero(marks.uncounted & (held > 2.0 * _CARRIED))
+    lost = np.flatnonzero(marks.uncountable & (held > 2.0 * _CARRIED))
     if lost.size:
         longest = float((np.diff(marks.time)[lost] / SECOND).max())
         found = f"{lost.size} gap(s) too long to count turns, the longest {longest:.0f} s"
@@ -855,14 +861,14 @@ def _faults(marks: Marks, held: Floats, nominal: float | None, kind: str) -> lis
 def _jumps(marks: Marks, held: Floats) -> list[Fault]:
     """Say where the phase jumps: the first ten places, and how many more there are."""
     places = np.flatnonzero(marks.jumped & (held >= 0.0))
-    touched = marks.moved | marks.doubtful
+    touched = marks.shifted | marks.ambiguous
     if not places.size and not np.any((touched[1:] | touched[:-1]) & (held >= 0.0)):
         return []
     remedy = "see the Sun sensor and its clock; "
-    remedy += _DOUBTFUL if marks.doubtful.any() else _MOVED
+    remedy += _DOUBTFUL if marks.ambiguous.any() else _MOVED
     found = []
     for place in places[:10]:
-        size, when = 360.0 * marks.left[place], utc_text(int(marks.time[place]))
+        size, when = 360.0 * marks.residual[place], utc_text(int(marks.time[place]))
         found.append(Fault(f"the phase jumps by {size:+.2f} degrees after {when}", remedy))
     if not found:
         found.append(Fault("the phase jumps before or after the samples", remedy))
@@ -873,7 +879,7 @@ def _at_samples(
     marks: Marks,
     stamps: Int64,
     offset: float,
-    certain: float,
+    max_sigma: float,
     nominal: float | None,
     kind: str,
     faults: list[Fault],
@@ -889,22 +895,22 @@ def _at_samples(
     bridged = (marks.gap[place]) & (share > 0) & (share < 1)
     at = place[bridged]
     phase[bridged] += _bend(share[bridged], apart[at], marks.rate[at], marks.rate[at + 1], advance[bridged])
-    sigma[bridged] = np.hypot(sigma[bridged], _BENT * marks.unsure[at])
+    sigma[bridged] = np.hypot(sigma[bridged], _BENT * marks.predicted_sigma[at])
     flag[bridged] |= np.uint32(Flag.PHASE_BRIDGED)
     # In a gap whose turns cannot be counted the phase is carried on as before the first and after the last.
-    outside = (share < 0) | (share > 1) | (marks.uncounted[place] & (share > 0) & (share < 1))
+    outside = (share < 0) | (share > 1) | (marks.uncountable[place] & (share > 0) & (share < 1))
     end = np.where(share < 0.5, place, place + 1)
     since = (stamps - marks.time[end]) / SECOND * marks.rate[end]
     phase = np.where(outside, marks.turn[end] + since, phase)
     flag[outside] |= np.uint32(Flag.PHASE_BRIDGED)
     jump = marks.jumped[place] & (share > 0) & (share < 1)
-    touched = marks.moved | marks.doubtful
+    touched = marks.shifted | marks.ambiguous
     flag[jump] |= np.uint32(Flag.PHASE_JUMP)
     flag[touched[place] | (touched[place + 1] & (share >= 1))] |= np.uint32(Flag.PHASE_JUMP)
-    sigma[marks.moved[place]] = np.hypot(
-        sigma[marks.moved[place]], np.hypot.reduce(marks.unsure[marks.jumped])
+    sigma[marks.shifted[place]] = np.hypot(
+        sigma[marks.shifted[place]], np.hypot.reduce(marks.predicted_sigma[marks.jumped])
     )
-    bad = jump | (outside & (np.abs(since) > _CARRIED)) | (TURN * sigma > certain)
+    bad = jump | (outside & (np.abs(since) > _CARRIED)) | (TURN * sigma > max_sigma)
     flag[bad] &= ~np.uint32(Flag.PHASE_BRIDGED)
     flag[bad] |= np.uint32(Flag.NO_PHASE)
     beyond = int(np.count_nonzero(bad & (stamps < marks.time[0]) | bad & (stamps > marks.time[-1])))

@@ -12,7 +12,7 @@ from inflight.effects import coupling
 from inflight.flags import UNUSABLE, Flag, meanings
 from inflight.frames import gse_to_gsm, payload_to_gse
 from inflight.model import Model
-from inflight.spin.equation import NAMES, TwelveParameters
+from inflight.spin.equation import NAMES, CalibrationParameters
 from inflight.spin.fits import despin
 from inflight.time import Int64
 
@@ -38,11 +38,11 @@ class Attitude:
     towards: Floats
 
 
-def spin_level2(
+def make_spin_product(
     model: Model,
     corrected: xr.Dataset,
     readings: Floats,
-    twelve: TwelveParameters,
+    twelve: CalibrationParameters,
     covariance: Floats,
     attitude: Attitude | None = None,
 ) -> xr.Dataset:
@@ -66,7 +66,7 @@ def spin_level2(
     -------
     xarray.Dataset
         `field_sensor` (time, axis) nT in axes that turn with the spacecraft, z along the spin axis;
-        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `uncertainty`
+        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `field_uncertainty`
         (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
         `field_payload` is NaN and the flag says so. With an attitude `field_gse`, `field_gsm` (time, axis)
         nT; samples without one carry ``NO_ATTITUDE``.
@@ -89,7 +89,7 @@ def spin_level2(
         ),
         "uncertainty": (
             _VECTOR,
-            uncertainty(readings, twelve, covariance),
+            field_uncertainty(readings, twelve, covariance),
             {"units": "nT", "long_name": "one sigma of the calibration", "frame": "spin-aligned, turning"},
         ),
     }
@@ -121,7 +121,7 @@ def _geocentric(
     return np.where(known, np.uint32(0), lost)
 
 
-def uncertainty(readings: Floats, twelve: TwelveParameters, covariance: Floats) -> Floats:
+def field_uncertainty(readings: Floats, twelve: CalibrationParameters, covariance: Floats) -> Floats:
     """Return what the parameters' errors make of each component; (time, 3) nT.
 
     The field is linear in the readings, so the derivative by each parameter is one matrix and one shift.
@@ -145,7 +145,7 @@ def uncertainty(readings: Floats, twelve: TwelveParameters, covariance: Floats) 
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _matrix(one: TwelveParameters) -> Floats:
+def _matrix(one: CalibrationParameters) -> Floats:
     found, _ = coupling(
         one.gain_ratio,
         one.spin_plane_gain,

@@ -20,14 +20,14 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, TooLittleError
-from inflight.spin.equation import TwelveParameters
-from inflight.spin.intervals import WIDEST_STEP, Bools, Layout
+from inflight.spin.equation import CalibrationParameters
+from inflight.spin.intervals import WIDEST_STEP, BlockLayout, Bools
 from inflight.spin.kernels import LINES, NEIGHBOURS, SERIES, TONES, M, U, V, Z, sum_blocks, sum_tones
 from inflight.time import Int64
 
 
 def block_sums(
-    readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters
+    readings: Floats, phase: Floats, layout: BlockLayout, parameters: CalibrationParameters
 ) -> tuple[Floats, Floats, Floats]:
     """Return the sums of all blocks.
 
@@ -42,7 +42,9 @@ def block_sums(
     return sums
 
 
-def tone_sums(readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters) -> Floats:
+def tone_sums(
+    readings: Floats, phase: Floats, layout: BlockLayout, parameters: CalibrationParameters
+) -> Floats:
     """Return sums of lines and tones times themselves, Bz and modulus; (block, 6, 8)."""
     inner = np.empty((layout.start.size, LINES + TONES, LINES + TONES + 2))
     record = np.asarray(readings, dtype=np.float64), np.asarray(phase, dtype=np.float64), layout.good
@@ -50,11 +52,11 @@ def tone_sums(readings: Floats, phase: Floats, layout: Layout, parameters: Twelv
     return inner
 
 
-def _cut(layout: Layout) -> tuple[Int64, Int64, float]:
+def _cut(layout: BlockLayout) -> tuple[Int64, Int64, float]:
     return layout.start, layout.stop, layout.settings.turn
 
 
-def _correction(parameters: TwelveParameters) -> tuple[Floats, Floats]:
+def _correction(parameters: CalibrationParameters) -> tuple[Floats, Floats]:
     return parameters.matrix(), np.array(parameters.offset)
 
 
@@ -71,7 +73,7 @@ def without_lines(inner: Floats, known: Bools) -> Floats:
     return np.where(known[:, None, None], tones, 0.0)[:, :, LINES:]
 
 
-def beside_without_lines(inner: Floats, beside: Floats, known: Bools) -> Floats:
+def neighbours_without_lines(inner: Floats, beside: Floats, known: Bools) -> Floats:
     """Return the sums (block, 16, 2) of neighbours times what a line leaves of Bz and modulus."""
     both = _slopes(inner, known)[:, :, [Z - len(SERIES), M - len(SERIES)]]
     near = slice(LINES + TONES, -len(SERIES))
@@ -134,7 +136,7 @@ class SpinTones:
     mean: Floats
     excluded: tuple[tuple[str, Bools], ...]
     known: Bools
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     blocks: int
 
     @property
@@ -145,14 +147,14 @@ class SpinTones:
             bad |= hit
         return ~bad
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Return how many sub-intervals there are and why some are left out."""
         lost = ", ".join(f"{int(hit.sum())} {name}" for name, hit in self.excluded if hit.any())
         return f"{int(self.usable.sum())} of {self.start.size} sub-intervals" + (f"; {lost}" if lost else "")
 
 
-def spin_tones(
-    readings: Floats, phase: Floats, stamps: Int64, layout: Layout, parameters: TwelveParameters
+def measure_tones(
+    readings: Floats, phase: Floats, stamps: Int64, layout: BlockLayout, parameters: CalibrationParameters
 ) -> SpinTones:
     """Return the tones of a record under some parameters.
 
@@ -174,17 +176,17 @@ def spin_tones(
 
 
 def corrected_tones(
-    readings: Floats, phase: Floats, layout: Layout, before: SpinTones, parameters: TwelveParameters
+    readings: Floats, phase: Floats, layout: BlockLayout, before: SpinTones, parameters: CalibrationParameters
 ) -> SpinTones:
     """Return tones of Bz and of the modulus under other parameters, and all else as it was before.
 
-    A third of the work of `spin_tones`. Derivatives and noise change by the relative change of the field
-    only: for small steps (see `small_step`) they hold.
+    A third of the work of `measure_tones`. Derivatives and noise change by the relative change of the field
+    only: for small steps (see `is_small_step`) they hold.
 
     Parameters
     ----------
     readings, phase, layout
-        As for `spin_tones`.
+        As for `measure_tones`.
     before : SpinTones
         Of the same record and layout.
     parameters : TwelveParameters
@@ -200,7 +202,7 @@ def corrected_tones(
     return replace(before, tones=tones, parameters=parameters)
 
 
-def small_step(before: SpinTones, parameters: TwelveParameters) -> bool:
+def is_small_step(before: SpinTones, parameters: CalibrationParameters) -> bool:
     """Return True when new parameters change the field by less than 1 %, the spin-plane offsets included."""
     turned = np.abs(parameters.matrix() @ np.linalg.inv(before.parameters.matrix()) - np.eye(3)).max()
     shifted = np.abs(np.subtract(parameters.offset, before.parameters.offset)).max()
@@ -209,7 +211,12 @@ def small_step(before: SpinTones, parameters: TwelveParameters) -> bool:
 
 
 def _of_blocks(
-    layout: Layout, stamps: Int64, parameters: TwelveParameters, inner: Floats, beside: Floats, levels: Floats
+    layout: BlockLayout,
+    stamps: Int64,
+    parameters: CalibrationParameters,
+    inner: Floats,
+    beside: Floats,
+    levels: Floats,
 ) -> SpinTones:
     """Return the tones of all sub-intervals from the sums of blocks."""
     settings = layout.settings
@@ -218,7 +225,7 @@ def _of_blocks(
     filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
     enough = filled >= settings.filled
     known = covered > 0.1
-    rest = without_lines(inner, known), beside_without_lines(inner, beside, known)
+    rest = without_lines(inner, known), neighbours_without_lines(inner, beside, known)
     windows = [layout.over_blocks(one) for one in rest]
     summed = windows[0].sum(axis=1)
     gram = np.where(enough[:, None, None], summed[:, :, :TONES], np.eye(TONES))
@@ -277,7 +284,7 @@ def _noise(left: Floats, count: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(square) / half, np.stack(amplitude, axis=1) / half
 
 
-def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Layout) -> None:
+def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: BlockLayout) -> None:
     """Check that the field turns with the phase and that there is something to fit.
 
     Raises
@@ -303,7 +310,7 @@ def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Lay
         )
     if not found.usable.any():
         raise TooLittleError(
-            f"no sub-interval is usable: {found.told()}",
+            f"no sub-interval is usable: {found.summary()}",
             remedy="take a longer span, fewer spins a sub-interval, or look at flags and exclusions",
         )
 
@@ -334,8 +341,8 @@ _LARGE = 0.2
 _LOW = 0.25
 
 
-def first_tones(
-    readings: Floats, phase: Floats, stamps: Int64, layout: Layout, present: TwelveParameters
+def initial_tones(
+    readings: Floats, phase: Floats, stamps: Int64, layout: BlockLayout, present: CalibrationParameters
 ) -> SpinTones:
     """Return tones at the present parameters, the offsets guessed anew where they are large.
 
@@ -346,7 +353,7 @@ def first_tones(
     CalibrationError
         Nothing usable, or the field does not turn with the phase.
     """
-    tones = spin_tones(readings, phase, stamps, layout, present)
+    tones = measure_tones(readings, phase, stamps, layout, present)
     hidden = {"not turning with the phase"}
     kept = np.isfinite(tones.mean).all(axis=1)
     for name, hit in tones.excluded:
@@ -360,20 +367,20 @@ def first_tones(
         if np.hypot(*mean) > _LARGE * cross:
             plane = np.linalg.solve(present.matrix(), np.array([mean[0], mean[1], 0.0]))
             moved = {f"offset[{at + 1}]": present.offset[at] + float(plane[at]) for at in range(2)}
-            tones = spin_tones(readings, phase, stamps, layout, present.changed(moved))
+            tones = measure_tones(readings, phase, stamps, layout, present.changed(moved))
     check_turning(tones, readings, phase, layout)
     return tones
 
 
-def next_tones(
+def updated_tones(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
-    layout: Layout,
+    layout: BlockLayout,
     before: SpinTones,
-    parameters: TwelveParameters,
+    parameters: CalibrationParameters,
 ) -> SpinTones:
     """Return tones at new parameters: all of them, or after a small step those of Bz and modulus alone."""
-    if small_step(before, parameters):
+    if is_small_step(before, parameters):
         return corrected_tones(readings, phase, layout, before, parameters)
-    return spin_tones(readings, phase, stamps, layout, parameters)
+    return measure_tones(readings, phase, stamps, layout, parameters)

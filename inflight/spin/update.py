@@ -31,7 +31,7 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
 from inflight.spin.intervals import Bools
 
 Verdict = Literal["update", "confirm", "keep"]
@@ -86,7 +86,7 @@ class Updates:
     """Decisions in the order of `SPIN_RELATED`, and the parameters they lead to."""
 
     decisions: tuple[Decision, ...]
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
 
     def of(self, name: str) -> Decision:
         """Return the decision on one parameter."""
@@ -113,7 +113,7 @@ class Updates:
 def decide_updates(
     value: Floats,
     sigma: Floats,
-    present: TwelveParameters,
+    present: CalibrationParameters,
     present_sigma: Mapping[str, float],
     significance: float = SIGNIFICANCE,
 ) -> Updates:
@@ -133,7 +133,7 @@ def decide_updates(
     """
     old = present.spin_related()
     made = [
-        decide_one(
+        decide_update(
             name,
             (float(old[at]), float(present_sigma.get(name, np.inf))),
             (float(value[at]), float(sigma[at])),
@@ -145,7 +145,7 @@ def decide_updates(
     return Updates(tuple(made), present.changed(changed))
 
 
-def decide_one(
+def decide_update(
     name: str, old: tuple[float, float], new: tuple[float, float], significance: float = SIGNIFICANCE
 ) -> Decision:
     """Return the decision on one parameter from (value, sigma) in use and found."""
@@ -172,7 +172,7 @@ _RARE = float(stats.chi2.isf(2.0 * stats.norm.sf(SIGNIFICANCE), 2))
 
 
 @dataclass(frozen=True)
-class InUse:
+class ValuesInUse:
     """Values in use of the eight, in the order of `SPIN_RELATED`, before an interval.
 
     Attributes
@@ -190,19 +190,19 @@ class InUse:
 
     value: Floats
     covariance: Floats
-    flown: Bools
+    from_flight: Bools
     since: Floats
     drift: Drift
 
     @classmethod
-    def of_ground(cls, ground: TwelveParameters, sigma: Mapping[str, float]) -> Self:
+    def of_ground(cls, ground: CalibrationParameters, sigma: Mapping[str, float]) -> Self:
         """Return what is used before the flight."""
         value = ground.spin_related()
         errors = np.array([sigma[name] for name in SPIN_RELATED])
         none = np.zeros(value.size)
         return cls(value, np.diag(errors**2), none.astype(np.bool_), none, Drift(none, none))
 
-    def after(self, value: Floats, covariance: Floats, told: Bools, day: float) -> Step:
+    def update(self, value: Floats, covariance: Floats, told: Bools, day: float) -> UpdateStep:
         """Decide on an interval's estimate.
 
         Parameters
@@ -223,20 +223,20 @@ class InUse:
         decisions = self._decided(seen, sigma, own, told)
         put_in = np.array([one.verdict == "update" for one in decisions])
         new, spread = self._given(value, covariance, ~put_in)
-        drift = self.drift.seeing(
+        drift = self.drift.with_difference(
             seen - self.value,
             np.diag(self.covariance) + np.diag(own),
             day - self.since,
-            told & self.flown,
+            told & self.from_flight,
         )
-        used = InUse(
+        used = ValuesInUse(
             np.where(put_in, new, self.value),
             spread,
-            self.flown | put_in,
+            self.from_flight | put_in,
             np.where(put_in, day, self.since),
             drift,
         )
-        return Step(decisions, used, used.stated(seen, own, told & ~put_in, day), seen, sigma)
+        return UpdateStep(decisions, used, used.stated(seen, own, told & ~put_in, day), seen, sigma)
 
     def stated(self, seen: Floats, own: Floats, told: Bools, day: float) -> Floats:
         """Return the covariance to be stated for an interval; (8, 8).
@@ -245,7 +245,7 @@ class InUse:
         both errors make of it, is added; and the value is as sure as that estimate is, and where it lies.
         """
         variance, apart = np.diag(self.covariance), seen - self.value
-        moved = variance + np.where(self.flown, self.drift.rate * (day - self.since), 0.0)
+        moved = variance + np.where(self.from_flight, self.drift.rate * (day - self.since), 0.0)
         beyond = np.maximum(apart**2 - moved - np.diag(own), 0.0)
         now = np.where(told, np.minimum(moved + beyond, np.diag(own) + apart**2), moved)
         wider = np.sqrt(now / variance)
@@ -269,15 +269,15 @@ class InUse:
         return out, spread
 
     def _decided(self, seen: Floats, sigma: Floats, own: Floats, told: Bools) -> tuple[Decision, ...]:
-        present = TwelveParameters().changed(dict(zip(SPIN_RELATED, self.value.tolist(), strict=True)))
+        present = CalibrationParameters().changed(dict(zip(SPIN_RELATED, self.value.tolist(), strict=True)))
         known = dict(zip(SPIN_RELATED, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
         made = {one.name: one for one in decide_updates(seen, sigma, present, known).decisions}
         for at, name in enumerate(SPIN_RELATED):
-            if told[at] and not self.flown[at]:
-                made[name] = first_of_flight(made[name])
+            if told[at] and not self.from_flight[at]:
+                made[name] = accept_first_value(made[name])
         for pair in _TOGETHER:
             places = [SPIN_RELATED.index(name) for name in pair]
-            if told[places].all() and self.flown[places].all():
+            if told[places].all() and self.from_flight[places].all():
                 made |= self._together(pair, [made[name] for name in pair], seen, own)
         return tuple(made[name] for name in SPIN_RELATED)
 
@@ -324,14 +324,14 @@ class Drift:
         known = self.time > 0.0
         return np.where(known, np.maximum(self.square, 0.0) / np.where(known, self.time, 1.0), 0.0)
 
-    def seeing(self, apart: Floats, variance: Floats, age: Floats, told: Bools) -> Drift:
+    def with_difference(self, apart: Floats, variance: Floats, age: Floats, told: Bools) -> Drift:
         """Return the sums with one more difference (8,) of this variance without drift, `age` days old."""
         weight = np.where(told & (age > 0.0), 1.0 / (variance + self.rate * age) ** 2, 0.0)
         return Drift(self.square + weight * (apart**2 - variance), self.time + weight * age)
 
 
 @dataclass(frozen=True)
-class Step:
+class UpdateStep:
     """What became of an interval's estimate.
 
     Attributes
@@ -347,28 +347,28 @@ class Step:
     """
 
     decisions: tuple[Decision, ...]
-    used: InUse
+    used: ValuesInUse
     covariance: Floats
-    seen: Floats
+    estimate: Floats
     sigma: Floats
 
 
 @dataclass(frozen=True)
-class OneInUse:
+class ValueInUse:
     """One value in use that shares nothing with others, as the offset along the spin axis."""
 
     name: str
     value: float
     sigma: float
-    flown: bool = False
+    from_flight: bool = False
 
-    def after(self, value: float, sigma: float) -> tuple[Decision, OneInUse, float]:
+    def update(self, value: float, sigma: float) -> tuple[Decision, ValueInUse, float]:
         """Return the decision on a new value, what is used from now on, and the error to be stated."""
-        made = decide_one(self.name, (self.value, self.sigma), (value, sigma))
-        if np.isfinite(sigma) and not self.flown:
-            made = first_of_flight(made)
+        made = decide_update(self.name, (self.value, self.sigma), (value, sigma))
+        if np.isfinite(sigma) and not self.from_flight:
+            made = accept_first_value(made)
         if made.verdict == "update":
-            return made, OneInUse(self.name, value, sigma, True), sigma
+            return made, ValueInUse(self.name, value, sigma, True), sigma
         if not np.isfinite(sigma):
             return made, self, self.sigma
         apart = (value - self.value) ** 2
@@ -376,7 +376,7 @@ class OneInUse:
         return made, self, float(np.sqrt(min(moved, sigma**2 + apart)))
 
 
-def first_of_flight(made: Decision) -> Decision:
+def accept_first_value(made: Decision) -> Decision:
     """Return the decision to take what the flight tells for the first time: no product was made before."""
     better = made.present_sigma / made.sigma
     return replace(
@@ -391,7 +391,7 @@ GROUND, SPIN = "ground", "spin"
 
 
 @dataclass(frozen=True)
-class Known:
+class ExternalValue:
     """A value from elsewhere: `value` and `sigma` in the parameter's unit, and `source`, such as a method."""
 
     value: float
@@ -400,7 +400,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class TwelveTable:
+class ParameterTable:
     """The twelve parameters in the order of `NAMES`.
 
     Attributes
@@ -418,9 +418,9 @@ class TwelveTable:
     determined: npt.NDArray[np.bool_]
 
     @property
-    def parameters(self) -> TwelveParameters:
+    def parameters(self) -> CalibrationParameters:
         """The values as parameters of the calibration equation."""
-        return TwelveParameters.of_values(self.value)
+        return CalibrationParameters.of_values(self.value)
 
     def sigmas(self) -> dict[str, float]:
         """Return the uncertainties by name."""
@@ -440,13 +440,13 @@ class TwelveTable:
         )
 
 
-def join_twelve(
-    spin: tuple[Floats, Floats, TwelveParameters],
-    ground: TwelveParameters,
+def join_parameters(
+    spin: tuple[Floats, Floats, CalibrationParameters],
+    ground: CalibrationParameters,
     ground_sigma: Mapping[str, float],
-    others: Mapping[str, Known] | None = None,
+    others: Mapping[str, ExternalValue] | None = None,
     updates: Updates | None = None,
-) -> TwelveTable:
+) -> ParameterTable:
     """Join the spin's eight parameters with the axial offset and what the ground knows.
 
     The spin sees the part of all offsets that lies in the spin plane, ``C O``: estimates of offsets 1 and 2
@@ -493,19 +493,19 @@ def join_twelve(
             source[at] = SPIN
     _move_along(value, sigma, source, parameters)
     determined = np.array([each != GROUND for each in source])
-    return TwelveTable(value, sigma, tuple(source), determined)
+    return ParameterTable(value, sigma, tuple(source), determined)
 
 
-def along_axial(parameters: TwelveParameters) -> Floats:
+def axial_offset_slope(parameters: CalibrationParameters) -> Floats:
     """Return by how much offsets 1 and 2 move with the third, so that what the spin sees stays; (2,)."""
     matrix = parameters.matrix()
     return np.asarray(-np.linalg.solve(matrix[:2, :2], matrix[:2, 2]))
 
 
-def _move_along(value: Floats, sigma: Floats, source: list[str], parameters: TwelveParameters) -> None:
+def _move_along(value: Floats, sigma: Floats, source: list[str], parameters: CalibrationParameters) -> None:
     """Move offsets 1 and 2 to the third offset now in the table, in place."""
     third = NAMES.index("offset[3]")
-    slope = along_axial(parameters)
+    slope = axial_offset_slope(parameters)
     error = sigma[third] if np.isfinite(sigma[third]) else 0.0
     for at in range(2):
         row = NAMES.index(f"offset[{at + 1}]")

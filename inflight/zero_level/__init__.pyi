@@ -1,6 +1,6 @@
-from .combination import Combined, combined
+from .combination import CombinedEstimate, combine_methods
 from .estimate import Question
-from .flipper import PARTS, Flipped, separate
+from .flipper import PARTS, Flipped, separate_flipped
 from .intervals import AXES, Intervals
 from .methods import (
     ALFVENIC,
@@ -9,13 +9,13 @@ from .methods import (
     MINIMUM_CORRELATION,
     MIRROR_MODE,
     WANG_PAN,
-    Kinds,
-    correlation,
+    IntervalKinds,
     davis_smith,
     minimum_correlation,
     pairs_within,
+    size_angle_covariance,
 )
-from .published import PUBLISHED, SET, Scatter, Sets, averages, largest_leak
+from .published import PUBLISHED, SET, OffsetSets, ScatterWithHours, average_spans, largest_leak
 
 __all__ = [
     "ALFVENIC",
@@ -28,19 +28,19 @@ __all__ = [
     "PUBLISHED",
     "SET",
     "WANG_PAN",
-    "Combined",
+    "CombinedEstimate",
     "Flipped",
+    "IntervalKinds",
     "Intervals",
-    "Kinds",
+    "OffsetSets",
     "Question",
-    "Scatter",
-    "Sets",
-    "averages",
-    "combined",
-    "correlation",
+    "ScatterWithHours",
+    "average_spans",
+    "combine_methods",
     "davis_smith",
     "largest_leak",
     "minimum_correlation",
     "pairs_within",
-    "separate",
+    "separate_flipped",
+    "size_angle_covariance",
 ]

@@ -39,10 +39,10 @@ from inflight.lsq import long_run_covariance
 from inflight.zero_level.estimate import SETTLED, Estimate, Question, covariance_of, freedom_of
 from inflight.zero_level.intervals import AXES, Bools, Intervals
 from inflight.zero_level.methods import (
-    Kinds,
+    IntervalKinds,
+    classify_intervals,
     davis_smith,
-    kinds,
-    least_variance,
+    least_variance_offset,
     minimum_correlation,
     mirror_mode,
     wang_pan,
@@ -61,7 +61,7 @@ _LEAST_CHANCE = 0.5
 _LEAST = 1e-6
 
 
-def evidence(intervals: Intervals, offset: Floats) -> Floats:
+def log_likelihood(intervals: Intervals, offset: Floats) -> Floats:
     """Return the mean of a sample's log-likelihood in each interval, up to a constant; (interval,).
 
     Parameters
@@ -89,7 +89,7 @@ def evidence(intervals: Intervals, offset: Floats) -> Floats:
     return np.asarray(-0.5 * (np.log(np.maximum(squeezed, least)) + np.log(plane).sum(axis=1)) - volume)
 
 
-def against(better: Floats, other: Floats) -> float:
+def likelihood_ratio(better: Floats, other: Floats) -> float:
     """Return by how many standard deviations the intervals speak for one offset against another.
 
     Intervals of one verdict whose strength wanders for hours are no doubt; what is held against the sum
@@ -98,7 +98,7 @@ def against(better: Floats, other: Floats) -> float:
     Parameters
     ----------
     better, other : ndarray, shape (interval,)
-        Of `evidence`, in order of time.
+        Of `log_likelihood`, in order of time.
     """
     apart = better - other
     whole = float(np.abs(apart).sum())
@@ -109,7 +109,7 @@ def against(better: Floats, other: Floats) -> float:
     return float(apart.sum() / np.sqrt(chance))
 
 
-def most_evident(intervals: Intervals, through: Floats, question: Question) -> Floats:
+def most_likely_offset(intervals: Intervals, through: Floats, question: Question) -> Floats:
     """Return the offset of most evidence within the bound, one axis after the other; (3,), nT.
 
     Parameters
@@ -119,19 +119,19 @@ def most_evident(intervals: Intervals, through: Floats, question: Question) -> F
     """
     offset = np.asarray(through, dtype=np.float64)
     for axis in np.flatnonzero(question.free):
-        line = along(offset, int(axis), question)
-        offset = line[int(np.argmax([evidence(intervals, one).sum() for one in line]))]
+        line = offsets_along(offset, int(axis), question)
+        offset = line[int(np.argmax([log_likelihood(intervals, one).sum() for one in line]))]
     return offset
 
 
-def along(through: Floats, axis: int, question: Question) -> Floats:
+def offsets_along(through: Floats, axis: int, question: Question) -> Floats:
     """Return offsets on a line along an axis, from one end of the bound to the other; (point, 3), nT."""
     line = np.tile(np.asarray(through, dtype=np.float64), (_STEPS, 1))
     line[:, axis] = question.start[axis] + np.linspace(-question.bound, question.bound, _STEPS)
     return line
 
 
-def held_to_all(intervals: Intervals, found: Estimate, question: Question) -> Estimate:
+def without_ambiguous_axes(intervals: Intervals, found: Estimate, question: Question) -> Estimate:
     """Return an estimate without the axes along which other offsets within the bound do as well.
 
     Along each axis, the others at their values, the offsets that the readings do not refuse must be one
@@ -142,16 +142,16 @@ def held_to_all(intervals: Intervals, found: Estimate, question: Question) -> Es
     found : Estimate
         Of these intervals.
     """
-    own, reasons = evidence(intervals, found.solution), list[str]()
+    own, reasons = log_likelihood(intervals, found.solution), list[str]()
     told = found.determined.copy()
     for axis in np.flatnonzero(found.determined):
-        line = along(found.solution, int(axis), question)
-        verdict = np.array([against(own, evidence(intervals, one)) for one in line])
+        line = offsets_along(found.solution, int(axis), question)
+        verdict = np.array([likelihood_ratio(own, log_likelihood(intervals, one)) for one in line])
         why = _rivals(verdict, line[:, axis], float(found.solution[axis]))
         if why:
             told[axis] = False
             reasons.append(f"cannot tell {AXES[axis]}, {found.solution[axis]:.1f} nT by its methods: {why}")
-    return found.withdrawn(told, question).because(*reasons) if reasons else found
+    return found.with_axes(told, question).with_reasons(*reasons) if reasons else found
 
 
 def _rivals(verdict: Floats, place: Floats, solution: float) -> str:
@@ -209,7 +209,7 @@ class Agreement:
         """Whether chance may be all."""
         return self.chance >= DISAGREE
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say it in a sentence."""
         verb = "agree" if self.agrees else "DISAGREE"
         size = f"chi2 {self.chi2:.1f} of {self.axes} axes, p {self.chance:.2g}"
@@ -217,7 +217,7 @@ class Agreement:
 
 
 @dataclass(frozen=True)
-class Combined:
+class CombinedEstimate:
     """The offset of all methods.
 
     Attributes
@@ -237,7 +237,7 @@ class Combined:
     estimate: Estimate
     methods: tuple[Estimate, ...]
     agreement: tuple[Agreement, ...]
-    kinds: Kinds
+    kinds: IntervalKinds
     refused: tuple[str, ...]
 
     @property
@@ -245,10 +245,10 @@ class Combined:
         """Whether no two methods disagree."""
         return all(one.agrees for one in self.agreement)
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say everything, line by line."""
-        lines = [self.estimate.told(), self.kinds.told(), *(one.told() for one in self.methods)]
-        return "\n".join([*lines, *(one.told() for one in self.agreement), *self.refused])
+        lines = [self.estimate.summary(), self.kinds.summary(), *(one.summary() for one in self.methods)]
+        return "\n".join([*lines, *(one.summary() for one in self.agreement), *self.refused])
 
     def table(self) -> xr.Dataset:
         """Return the combined offset (`Estimate.table`) with each method's beside it, and their agreement."""
@@ -266,7 +266,7 @@ class Combined:
         )
 
 
-def combined(intervals: Intervals, question: Question | None = None) -> Combined:
+def combine_methods(intervals: Intervals, question: Question | None = None) -> CombinedEstimate:
     """Estimate the offset by every method on the intervals that suit it.
 
     Davis-Smith and Wang-Pan take Alfvenic intervals, the mirror mode compressional ones, minimum
@@ -291,34 +291,36 @@ def combined(intervals: Intervals, question: Question | None = None) -> Combined
         raise failed[0]
     best = _chosen(intervals, found)
     rivals = [one for one in found if one is not best and not _agrees(best.estimate, one.estimate)]
-    told = tuple(f"another start leads elsewhere: {one.estimate.told()}" for one in rivals)
-    return replace(best, estimate=held_to_all(intervals, best.estimate, question).because(*told))
+    told = tuple(f"another start leads elsewhere: {one.estimate.summary()}" for one in rivals)
+    return replace(
+        best, estimate=without_ambiguous_axes(intervals, best.estimate, question).with_reasons(*told)
+    )
 
 
-def _chosen(intervals: Intervals, found: list[Combined]) -> Combined:
+def _chosen(intervals: Intervals, found: list[CombinedEstimate]) -> CombinedEstimate:
     """Return the answer to take of those that the readings do not refuse for the one of most evidence.
 
     Under a wrong offset turning looks like compression and both get mixed: among offsets that do equally
     well the right one has methods that agree, and leaves most intervals pure.
     """
-    said = [evidence(intervals, one.estimate.solution) for one in found]
+    said = [log_likelihood(intervals, one.estimate.solution) for one in found]
     most = max(said, key=lambda one: float(one.sum()))
-    possible = [one for one, of in zip(found, said, strict=True) if against(most, of) < REFUSED]
+    possible = [one for one, of in zip(found, said, strict=True) if likelihood_ratio(most, of) < REFUSED]
     return min(possible, key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
 
 
-def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
+def _from(intervals: Intervals, question: Question, near: Floats) -> CombinedEstimate:
     """Estimate from one offset to begin with."""
-    offset, seen = near, list[Kinds]()
+    offset, seen = near, list[IntervalKinds]()
     for _ in range(_ROUNDS):
-        found = kinds(intervals, offset)
+        found = classify_intervals(intervals, offset)
         methods, refused = _each(intervals, found, replace(question, near=tuple(offset)))
         if not methods:
             raise CalibrationError(
-                f"no method tells an offset ({found.told()}): {'; '.join(refused)}",
+                f"no method tells an offset ({found.summary()}): {'; '.join(refused)}",
                 remedy="take a longer span, or one in which the field turns more",
             )
-        best = weighted(methods, question)
+        best = weighted_mean(methods, question)
         if any(_same(found, one) for one in seen):
             break
         seen.append(found)
@@ -327,16 +329,18 @@ def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
         pair
         for i, one in enumerate(methods)
         for other in methods[i + 1 :]
-        if (pair := agreement(one, other)) is not None
+        if (pair := compare_estimates(one, other)) is not None
     )
-    return Combined(_widened(best, pairs), tuple(methods), pairs, found, tuple(refused))
+    return CombinedEstimate(_widened(best, pairs), tuple(methods), pairs, found, tuple(refused))
 
 
 def _starts(intervals: Intervals, question: Question) -> list[Floats]:
     """Return offsets to begin with: what is known, of most evidence, and by two rules of all intervals."""
     start = np.asarray(question.start, dtype=np.float64)
-    least = np.clip(least_variance(intervals, question), start - question.bound, start + question.bound)
-    begins = [start, least, most_evident(intervals, least, question)]
+    least = np.clip(
+        least_variance_offset(intervals, question), start - question.bound, start + question.bound
+    )
+    begins = [start, least, most_likely_offset(intervals, least, question)]
     try:
         return [*begins, mirror_mode(intervals, None, question).solution]
     except CalibrationError:
@@ -344,15 +348,15 @@ def _starts(intervals: Intervals, question: Question) -> list[Floats]:
 
 
 def _agrees(one: Estimate, other: Estimate) -> bool:
-    pair = agreement(one, other)
+    pair = compare_estimates(one, other)
     return pair is None or pair.agrees
 
 
-def _same(one: Kinds, other: Kinds) -> bool:
+def _same(one: IntervalKinds, other: IntervalKinds) -> bool:
     return bool((one.alfvenic == other.alfvenic).all() and (one.compressional == other.compressional).all())
 
 
-def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[Estimate], list[str]]:
+def _each(intervals: Intervals, found: IntervalKinds, question: Question) -> tuple[list[Estimate], list[str]]:
     """Return what each method says of its intervals, and why others say nothing."""
     suited: tuple[tuple[Method, Bools], ...] = (
         (davis_smith, found.alfvenic),
@@ -374,7 +378,7 @@ def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[
     return methods, refused
 
 
-def weighted(methods: list[Estimate], question: Question) -> Estimate:
+def weighted_mean(methods: list[Estimate], question: Question) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
     Covariances that are by chance too small weigh too much, and so the mean errs by more than they say:
@@ -420,7 +424,7 @@ def _embedded(matrix: Floats, free: Bools) -> Floats:
     return whole
 
 
-def agreement(one: Estimate, other: Estimate) -> Agreement | None:
+def compare_estimates(one: Estimate, other: Estimate) -> Agreement | None:
     """Hold two estimates from the same intervals against each other; None when no axis is told by both."""
     both = one.determined & other.determined
     if not both.any():
@@ -446,8 +450,8 @@ def _widened(estimate: Estimate, pairs: tuple[Agreement, ...]) -> Estimate:
         estimate, covariance=factor * estimate.covariance, influence=np.sqrt(factor) * estimate.influence,
         systematic=factor * estimate.systematic,
     )  # fmt: skip
-    told = tuple(pair.told() for pair in apart)
+    told = tuple(pair.summary() for pair in apart)
     if min(pair.chance for pair in apart) < APART:
         blind = replace(wider, determined=np.zeros(3, dtype=bool))
-        return blind.because(*told, "one of these is wrong: no mean is told")
-    return wider.because(*told)
+        return blind.with_reasons(*told, "one of these is wrong: no mean is told")
+    return wider.with_reasons(*told)

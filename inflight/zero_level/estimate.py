@@ -99,14 +99,14 @@ class Estimate:
         """TT2000 of the intervals that took part; (interval, 2)."""
         return np.stack([self.start[self.used], self.end[self.used]], axis=1)
 
-    def pulled(self, pull: Floats, why: str) -> Estimate:
+    def with_systematic(self, pull: Floats, why: str) -> Estimate:
         """Return the same with a pull (3,), nT, of unknown size up to this one in its covariance."""
         told = ", ".join(f"{axis} {one:.3f}" for axis, one in zip(AXES, np.abs(pull), strict=True))
         more = np.outer(pull, pull)
         wider = replace(self, covariance=self.covariance + more, systematic=self.systematic + more)
-        return wider.because(f"{why} may pull it by {told} nT")
+        return wider.with_reasons(f"{why} may pull it by {told} nT")
 
-    def withdrawn(self, determined: Bools, question: Question) -> Estimate:
+    def with_axes(self, determined: Bools, question: Question) -> Estimate:
         """Return the same with only some axes (3,) told: the others at the question's start."""
         lost = np.where(self.determined & ~determined, (_UNTOLD * question.bound) ** 2, 0.0)
         return replace(
@@ -114,7 +114,7 @@ class Estimate:
             covariance=self.covariance + np.diag(lost), systematic=self.systematic + np.diag(lost),
         )  # fmt: skip
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say it in a sentence."""
         parts = [
             f"{axis} {value:.3f} +- {sigma:.3f} nT" if known else f"{axis} cannot be told"
@@ -122,7 +122,7 @@ class Estimate:
         ]
         return f"{self.method}, {int(self.used.sum())} of {self.used.size} intervals: {', '.join(parts)}"
 
-    def because(self, *reasons: str) -> Estimate:
+    def with_reasons(self, *reasons: str) -> Estimate:
         """Return the same with more reasons."""
         return replace(self, reasons=(*self.reasons, *reasons))
 
@@ -166,7 +166,7 @@ class Question:
     bound: float = BOUND
     near: tuple[float, float, float] | None = None
 
-    def begins(self, other: Floats) -> list[Floats]:
+    def starts(self, other: Floats) -> list[Floats]:
         """Return where to begin to look: `near`, else the start and another offset."""
         if self.near is not None:
             return [np.asarray(self.near, dtype=np.float64)]
@@ -177,9 +177,11 @@ class Question:
         known = np.sqrt(np.diag(covariance)) < self.bound / np.sqrt(3.0)
         return np.asarray(known & np.asarray(self.free))
 
-    def chosen(self, method: str, intervals: Intervals, used: Bools | None, *, lively: bool = True) -> Bools:
-        """Return the intervals to use, without those of noise only if `lively`; raise for too few."""
-        mask = (intervals.lively if lively else np.full(len(intervals), True)) & (
+    def select_intervals(
+        self, method: str, intervals: Intervals, used: Bools | None, *, above_noise: bool = True
+    ) -> Bools:
+        """Return the intervals to use, without those of noise only if `above_noise`; raise for too few."""
+        mask = (intervals.above_noise if above_noise else np.full(len(intervals), True)) & (
             True if used is None else np.asarray(used, dtype=bool)
         )
         if mask.sum() < FEWEST_INTERVALS:
@@ -191,7 +193,7 @@ class Question:
         return mask
 
 
-def informed(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]:
+def invert_slopes(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]:
     """Return the inverse of the summed slopes in the directions they tell, and the projector on these.
 
     Parameters
@@ -260,35 +262,35 @@ def solve(
     offset, settled = np.clip(np.where(free, begin, start), *within), False
     for _ in range(_ROUNDS):
         scores, slopes = equations(offset)
-        step = informed(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
+        step = invert_slopes(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
         settled = bool(np.abs(step).max() < SETTLED)
         # Far from the zero the slopes are those of another field: no step leaves their reach.
         step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
         offset = np.clip(offset + step, *within)
         if settled:
             break
-    inverse, told = informed(slopes[used], free, _TOLD if signed else 0.0)
+    inverse, told = invert_slopes(slopes[used], free, _TOLD if signed else 0.0)
     if answer is not None:
         slopes = answer(offset)
-        inverse = answering(inverse, slopes[used].sum(axis=0))
+        inverse = inverse_of_true_slopes(inverse, slopes[used].sum(axis=0))
     at_edge = free & (np.abs(offset - start) >= question.bound)
     notes = []
     if at_edge.any() or not settled:
         where = ", ".join(np.array(AXES)[at_edge]) or "all axes"
         notes.append(f"no zero within {question.bound:g} nT of the start ({where})")
         told = np.zeros((3, 3))
-    if not turning and intervals.where(used).around(offset):
+    if not turning and intervals.where(used).encloses(offset):
         notes.append("the zero found lies within the readings themselves")
         told = np.zeros((3, 3))
     return _estimate(method, offset, (scores, slopes, inverse, told), intervals, used, question, tuple(notes))
 
 
-def likeliest(found: Sequence[Estimate], merit: Callable[[Estimate], float]) -> Estimate:
+def best_estimate(found: Sequence[Estimate], merit: Callable[[Estimate], float]) -> Estimate:
     """Return the estimate that tells most axes, among equals that of the largest merit."""
     return max(found, key=lambda one: (int(one.determined.sum()), merit(one)))
 
 
-def answering(inverse: Floats, answer: Floats) -> Floats:
+def inverse_of_true_slopes(inverse: Floats, answer: Floats) -> Floats:
     """Return the inverse of how the summed scores truly give way, in the directions that are told.
 
     Weights that follow the offset lessen it; where chance makes it very small it is taken as `_LEAST_ANSWER`
@@ -297,7 +299,7 @@ def answering(inverse: Floats, answer: Floats) -> Floats:
     Parameters
     ----------
     inverse : ndarray, shape (3, 3)
-        Of the slopes stepped by (`informed`).
+        Of the slopes stepped by (`invert_slopes`).
     answer : ndarray, shape (3, 3)
     """
     size, vector = np.linalg.eigh(0.5 * (inverse + inverse.T))

@@ -48,7 +48,7 @@ class Flipped:
         place = PARTS.index(part)
         return bool(abs(self.value[place]) > 2.0 * self.sigma[place])
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say it in a sentence."""
         parts = [
             f"{name} {v:.2f} +- {s:.2f} nT" for name, v, s in zip(PARTS, self.value, self.sigma, strict=True)
@@ -69,7 +69,9 @@ class Flipped:
         )
 
 
-def separate(along_z: tuple[float, float], along_x: tuple[float, float], covariance: Floats) -> Flipped:
+def separate_flipped(
+    along_z: tuple[float, float], along_x: tuple[float, float], covariance: Floats
+) -> Flipped:
     """Separate sensors and spacecraft.
 
     Parameters

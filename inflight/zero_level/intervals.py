@@ -161,13 +161,13 @@ class Intervals:
         return np.asarray(np.einsum("ksi,ksj->kij", delta, delta) / self.count[:, None, None])
 
     @property
-    def lively(self) -> Bools:
+    def above_noise(self) -> Bools:
         """Whether more than noise fluctuates; (interval,)."""
         total = np.trace(self.covariance, axis1=1, axis2=2)
         noise = 3.0 * self.white**2 or np.sum(self.noise**2)
         return np.asarray(total > _ABOVE_NOISE * noise)
 
-    def around(self, offset: Floats) -> bool:
+    def encloses(self, offset: Floats) -> bool:
         """Whether an offset lies within the readings themselves: there a direction has no meaning.
 
         The field left is then, in half of the intervals, smaller than what fluctuates.

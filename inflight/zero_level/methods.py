@@ -73,13 +73,20 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import biweight, biweight_slope, robust_sigma
 from inflight.time import Int64
-from inflight.zero_level.estimate import Estimate, Question, answering, informed, likeliest, solve
+from inflight.zero_level.estimate import (
+    Estimate,
+    Question,
+    best_estimate,
+    inverse_of_true_slopes,
+    invert_slopes,
+    solve,
+)
 from inflight.zero_level.intervals import FEWEST_SAMPLES, Bools, Intervals
 
 DAVIS_SMITH = "davis-smith"
 
 
-def moments(intervals: Intervals) -> tuple[Floats, Floats]:
+def least_variance_equations(intervals: Intervals) -> tuple[Floats, Floats]:
     """Return A (interval, 3, 3), nT^2, and b (interval, 3), nT^3, without the white noise stated."""
     delta, count = intervals.fluctuation, intervals.count
     square = np.nan_to_num(0.5 * np.sum(intervals.field**2, axis=2))
@@ -119,8 +126,8 @@ def davis_smith(
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(DAVIS_SMITH, intervals, used)
-    a, b = moments(intervals)
+    mask = question.select_intervals(DAVIS_SMITH, intervals, used)
+    a, b = least_variance_equations(intervals)
     weight = intervals.count[:, None]
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
@@ -133,21 +140,21 @@ def davis_smith(
 
     if not corrected:
         found = solve(DAVIS_SMITH, equations, intervals, mask, question, turning=True)
-        return found.pulled(compression_pull(intervals, found, question), "compressions")
+        return found.with_systematic(compression_pull(intervals, found, question), "compressions")
     part = intervals.where(mask)
     each = [
         solve(DAVIS_SMITH, equations, intervals, mask, question, first=first, signed=True)
-        for first in question.begins(least_variance(part, question))
+        for first in question.starts(least_variance_offset(part, question))
     ]
     # The offset under which the size of the field varies least.
-    return likeliest(each, lambda one: -float(np.sum(compression(part, one.solution) * part.count)))
+    return best_estimate(each, lambda one: -float(np.sum(compression(part, one.solution) * part.count)))
 
 
-def least_variance(intervals: Intervals, question: Question) -> Floats:
+def least_variance_offset(intervals: Intervals, question: Question) -> Floats:
     """Return the offset of least variance of the square of all intervals, in closed form; (3,), nT."""
-    a, b = moments(intervals)
+    a, b = least_variance_equations(intervals)
     start, weight = np.asarray(question.start), intervals.count[:, None]
-    inverse, _ = informed(weight[..., None] * a, np.asarray(question.free), 0.0)
+    inverse, _ = invert_slopes(weight[..., None] * a, np.asarray(question.free), 0.0)
     return np.asarray(start + inverse @ np.sum(weight * (b - a @ start), axis=0))
 
 
@@ -155,8 +162,8 @@ def compression_pull(intervals: Intervals, found: Estimate, question: Question) 
     """Return what compressions along the mean field do to a Davis-Smith offset; (3,), nT."""
     part = intervals.where(found.used)
     rest = np.maximum(compression(part, found.solution) - part.white**2, 0.0)
-    slopes = part.count[:, None, None] * moments(part)[0]
-    inverse, _ = informed(slopes, np.asarray(question.free), 0.0)
+    slopes = part.count[:, None, None] * least_variance_equations(part)[0]
+    inverse, _ = invert_slopes(slopes, np.asarray(question.free), 0.0)
     weight = (part.count * rest)[:, None]
     return np.asarray(inverse @ np.sum(weight * (part.mean - found.solution), axis=0))
 
@@ -164,14 +171,14 @@ def compression_pull(intervals: Intervals, found: Estimate, question: Question) 
 MINIMUM_CORRELATION = "minimum correlation"
 
 
-def balance(intervals: Intervals, offset: Floats) -> Floats:
+def compression_over_rotation(intervals: Intervals, offset: Floats) -> Floats:
     """Return compression over rotation, ``<dB^2/B^2> / (<dn^2>/2)``, of all pairs: blind at 1."""
-    change, turn, size, pair = changes(intervals, offset)
+    change, turn, size, pair = pair_changes(intervals, offset)
     squeezed = np.sum((change / size) ** 2, where=pair)
     return np.asarray(squeezed / max(0.5 * float(np.sum(turn**2, where=pair[..., None])), 1e-300))
 
 
-def changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, Floats, Bools]:
+def pair_changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, Floats, Bools]:
     """Return dB (interval, pair), dn (interval, pair, 3), B of the pair, and which pairs there are.
 
     The offset has shape (3,), or (interval, 3) when each interval has its own.
@@ -208,7 +215,9 @@ def minimum_correlation(
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(MINIMUM_CORRELATION, intervals, used, lively=False)  # noise drops out
+    mask = question.select_intervals(
+        MINIMUM_CORRELATION, intervals, used, above_noise=False
+    )  # noise drops out
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
         return joint_equations(intervals, offset)
@@ -216,23 +225,23 @@ def minimum_correlation(
     part = intervals.where(mask)
     # Correlations vanish far out and within the readings, too: of several zeros that is taken at which
     # compression and rotation differ most.
-    found = likeliest(
+    found = best_estimate(
         [
             solve(MINIMUM_CORRELATION, equations, intervals, mask, question, first=first, signed=True)
-            for first in question.begins(least_variance(part, question))
+            for first in question.starts(least_variance_offset(part, question))
         ],
-        lambda one: abs(float(np.log(balance(part, one.solution)))),
+        lambda one: abs(float(np.log(compression_over_rotation(part, one.solution)))),
     )
-    ratio = float(balance(part, found.solution))
+    ratio = float(compression_over_rotation(part, found.solution))
     told = f"compression over rotation is {ratio:.2f}"
     if not found.determined[np.asarray(question.free)].all():
         told += "; the method is blind where it is 1"
-    return found.because(told)
+    return found.with_reasons(told)
 
 
 def joint_equations(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats]:
     """Return ``sum dB dn`` (interval, 3) and M (interval, 3, 3) of the pairs of each interval."""
-    change, turn, size, pair = changes(intervals, offset)
+    change, turn, size, pair = pair_changes(intervals, offset)
     middle = np.nan_to_num(0.5 * (intervals.field[:, 1:] + intervals.field[:, :-1]) - _each(offset))
     unit = middle / np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-300)
     squeezed = np.where(pair, (change / size) ** 2, 0.0)
@@ -250,7 +259,7 @@ def _each(offset: Floats) -> Floats:
 WANG_PAN = "wang-pan"
 
 
-def lines(intervals: Intervals) -> tuple[Floats, Floats]:
+def interval_lines(intervals: Intervals) -> tuple[Floats, Floats]:
     """Return the direction (interval, 3) of each line and the projector across it (interval, 3, 3)."""
     _, vectors = np.linalg.eigh(intervals.covariance)
     least = vectors[:, :, 0]
@@ -273,9 +282,9 @@ def wang_pan(intervals: Intervals, used: Bools | None = None, question: Question
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(WANG_PAN, intervals, used)
-    a, b = moments(intervals)
-    across = lines(intervals)[1]
+    mask = question.select_intervals(WANG_PAN, intervals, used)
+    a, b = least_variance_equations(intervals)
+    across = interval_lines(intervals)[1]
     slope = across @ a @ across
 
     def parts(offset: Floats) -> tuple[Floats, Floats]:
@@ -296,13 +305,13 @@ def wang_pan(intervals: Intervals, used: Bools | None = None, question: Question
         return np.asarray(weight[:, None, None] * slope - follow)
 
     found = solve(
-        WANG_PAN, equations, intervals, mask, question, answer, first=question.begins(np.zeros(3))[0]
+        WANG_PAN, equations, intervals, mask, question, answer, first=question.starts(np.zeros(3))[0]
     )
     left, weight = parts(found.solution)
     along = weight[:, None] * np.einsum("kij,kj->ki", np.eye(3) - across, left)
-    inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
-    inverse = answering(inverse, answer(found.solution)[mask].sum(axis=0))
-    return found.pulled(inverse @ along[mask].sum(axis=0), "errors of the lines' directions")
+    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse = inverse_of_true_slopes(inverse, answer(found.solution)[mask].sum(axis=0))
+    return found.with_systematic(inverse @ along[mask].sum(axis=0), "errors of the lines' directions")
 
 
 def _unrest(intervals: Intervals, offset: Floats) -> Floats:
@@ -315,7 +324,7 @@ def _unrest(intervals: Intervals, offset: Floats) -> Floats:
 MIRROR_MODE = "mirror mode"
 
 
-def most_variance(intervals: Intervals) -> Floats:
+def direction_of_most_variance(intervals: Intervals) -> Floats:
     """Return the direction of most variance of each interval; (interval, 3)."""
     _, vectors = np.linalg.eigh(intervals.covariance)
     return np.asarray(vectors[:, :, 2])
@@ -339,8 +348,8 @@ def mirror_mode(
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(MIRROR_MODE, intervals, used)
-    direction, mean = most_variance(intervals), intervals.mean
+    mask = question.select_intervals(MIRROR_MODE, intervals, used)
+    direction, mean = direction_of_most_variance(intervals), intervals.mean
 
     def leaning(offset: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         field = mean - offset
@@ -369,14 +378,14 @@ def mirror_mode(
         return np.asarray((lean / size**2)[:, None, None] * (biweight(pull)[:, None, None] * across + given))
 
     found = solve(
-        MIRROR_MODE, equations, intervals, mask, question, answer, first=question.begins(np.zeros(3))[0]
+        MIRROR_MODE, equations, intervals, mask, question, answer, first=question.starts(np.zeros(3))[0]
     )
     miss, pull, size, _, _ = leaning(found.solution)
     square = np.sum(miss**2, axis=1) * biweight(pull) / size**2
-    inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
-    inverse = answering(inverse, answer(found.solution)[mask].sum(axis=0))
+    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse = inverse_of_true_slopes(inverse, answer(found.solution)[mask].sum(axis=0))
     most = inverse @ np.sum((square[:, None] * (mean - found.solution))[mask], axis=0)
-    return found.pulled(most / np.sqrt(3.0), "turning of the mean field within intervals")
+    return found.with_systematic(most / np.sqrt(3.0), "turning of the mean field within intervals")
 
 
 #: Angles from the axis, degrees.
@@ -424,7 +433,7 @@ def pairs_within(field: Floats, axis: int, joined: Bools) -> Bools:
     return np.asarray(inside[1:] & inside[:-1] & joined)
 
 
-def correlation(field: Floats, axis: int, corrections: Floats, pairs: Bools) -> Floats:
+def size_angle_covariance(field: Floats, axis: int, corrections: Floats, pairs: Bools) -> Floats:
     """Return V(c) = cov(dB, dtheta), nT rad, for corrections (c,) taken off along an axis.
 
     Parameters
@@ -499,14 +508,14 @@ def axis_in_turn(
 def _zero(field: Floats, axis: int, pairs: Bools, bound: float) -> tuple[float, int]:
     """Return the zero of V nearest to 0 and how many there are within the bound."""
     grid = np.linspace(-bound, bound, _POINTS)
-    v = correlation(field, axis, grid, pairs)
+    v = size_angle_covariance(field, axis, grid, pairs)
     where = np.flatnonzero(np.sign(v[1:]) * np.sign(v[:-1]) <= 0)
     if not where.size:
         return float("nan"), 0
     place = where[np.argmin(np.abs(grid[where]))]
     low, high = grid[place], grid[place + 1]
     fine = np.linspace(low, high, _POINTS)
-    v = correlation(field, axis, fine, pairs)
+    v = size_angle_covariance(field, axis, fine, pairs)
     at = int(np.flatnonzero(np.sign(v[1:]) * np.sign(v[:-1]) <= 0)[0])
     share = v[at] / (v[at] - v[at + 1]) if v[at] != v[at + 1] else 0.0
     return float(fine[at] + share * (fine[at + 1] - fine[at])), int(where.size)
@@ -522,7 +531,7 @@ _ELONGATED = 2.0
 
 
 @dataclass(frozen=True)
-class Kinds:
+class IntervalKinds:
     """What fluctuates in each interval; all (interval,).
 
     Attributes
@@ -548,7 +557,7 @@ class Kinds:
         """Intervals of no kind."""
         return ~(self.alfvenic | self.compressional)
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say how many there are of each kind."""
         counts = [int(part.sum()) for part in (self.alfvenic, self.compressional, self.neither)]
         return f"{counts[0]} Alfvenic, {counts[1]} compressional, {counts[2]} neither"
@@ -568,7 +577,7 @@ class Kinds:
         )
 
 
-def kinds(intervals: Intervals, offset: Floats) -> Kinds:
+def classify_intervals(intervals: Intervals, offset: Floats) -> IntervalKinds:
     """Tell Alfvenic from compressional intervals.
 
     Parameters
@@ -584,9 +593,9 @@ def kinds(intervals: Intervals, offset: Floats) -> Kinds:
     squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
     part = np.minimum(squeezed / total, 1.0)
     rotation = np.sqrt(np.maximum(total - squeezed, 0.0) / (mean**2 + total))
-    lively = intervals.lively
+    lively = intervals.above_noise
     elongated = own[:, 2] > _ELONGATED * own[:, 1]
-    return Kinds(
+    return IntervalKinds(
         part, rotation, lively & (part < ALFVENIC), lively & elongated & (part > COMPRESSIONAL),
         intervals.start, intervals.end,
     )  # fmt: skip

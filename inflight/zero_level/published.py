@@ -24,9 +24,14 @@ from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance, robust_fit, robust_sigma
 from inflight.time import DAY, SECOND, Int64
 from inflight.zero_level.combination import Method
-from inflight.zero_level.estimate import BOUND, Estimate, Question, informed
+from inflight.zero_level.estimate import BOUND, Estimate, Question, invert_slopes
 from inflight.zero_level.intervals import AXES, Bools, Intervals
-from inflight.zero_level.methods import MINIMUM_CORRELATION, balance, joint_equations, least_variance
+from inflight.zero_level.methods import (
+    MINIMUM_CORRELATION,
+    compression_over_rotation,
+    joint_equations,
+    least_variance_offset,
+)
 
 #: Averages of a set, and parts of a set whose scatter says what the set tells.
 SET, _PARTS = 1440, 12
@@ -38,7 +43,7 @@ _ROUNDS, _SETTLED, _STRIDE = 60, 1e-4, 0.2
 
 
 @dataclass(frozen=True)
-class Sets:
+class OffsetSets:
     """Offsets of sets, one after the other.
 
     Attributes
@@ -55,7 +60,7 @@ class Sets:
     end: Int64
 
     @property
-    def told(self) -> Bools:
+    def determined(self) -> Bools:
         """Sets that tell an offset; (set,)."""
         return np.asarray(np.isfinite(self.value).all(axis=1))
 
@@ -114,7 +119,7 @@ class Sets:
         return SetTrend(line[0], error[0], line[1], error[1], scatter, centre, int(used.sum()))
 
     def _enough(self) -> Bools:
-        used = self.told
+        used = self.determined
         if used.sum() < _FEWEST:
             raise CalibrationError(
                 f"{int(used.sum())} of {used.size} sets tell an offset, {_FEWEST} needed",
@@ -183,7 +188,7 @@ def correlation_sets(
     good: Bools | None = None,
     bound: float = BOUND,
     free: tuple[bool, bool, bool] = (True, True, True),
-) -> Sets:
+) -> OffsetSets:
     """Find the offset of each set of successive averages by minimum correlation along all axes at once.
 
     Parameters
@@ -214,16 +219,16 @@ def correlation_sets(
     found = np.array([_zero(intervals.where(row), question) for row in rows]).reshape(-1, 2, 3)
     start = np.array([intervals.start[row[0]] for row in rows], dtype=np.int64)
     end = np.array([intervals.end[row[-1]] for row in rows], dtype=np.int64)
-    return Sets(found[:, 0], found[:, 1], start, end)
+    return OffsetSets(found[:, 0], found[:, 1], start, end)
 
 
 def _zero(part: Intervals, question: Question) -> Floats:
     """Return the offset of one set and its error; NaN when there is no zero within the bound; (2, 3)."""
-    found = [_from(part, question, first) for first in question.begins(least_variance(part, question))]
-    told = [one for one in found if np.isfinite(one).all() and not part.around(one[0])]
+    found = [_from(part, question, first) for first in question.starts(least_variance_offset(part, question))]
+    told = [one for one in found if np.isfinite(one).all() and not part.encloses(one[0])]
     if not told:
         return np.full((2, 3), np.nan)
-    return max(told, key=lambda one: abs(float(np.log(balance(part, one[0])))))
+    return max(told, key=lambda one: abs(float(np.log(compression_over_rotation(part, one[0])))))
 
 
 def _from(part: Intervals, question: Question, offset: Floats) -> Floats:
@@ -232,7 +237,7 @@ def _from(part: Intervals, question: Question, offset: Floats) -> Floats:
     for _ in range(_ROUNDS):
         scores, slopes = joint_equations(part, offset)
         # A set that tells little has a large error, and shows in the scatter of the sets.
-        inverse, _ = informed(slopes, free, 0.0)
+        inverse, _ = invert_slopes(slopes, free, 0.0)
         step = inverse @ scores.sum(axis=0)
         step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
         offset = offset + step
@@ -253,7 +258,7 @@ _BLOCK_S = 3600.0
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ScatterWithHours:
     """Scatter of a method's offset against hours of record.
 
     Attributes
@@ -265,15 +270,15 @@ class Scatter:
         Standard deviation of the draws, robust, nT.
     stated : ndarray, shape (length, 3)
         Median of the errors that the draws state, nT.
-    told : ndarray, shape (length,)
-        Part of the draws that told every axis.
+    determined_part : ndarray, shape (length,)
+        Part of the draws that determined every axis.
     """
 
     method: str
     hours: Floats
     scatter: Floats
     stated: Floats
-    told: Floats
+    determined_part: Floats
 
     def table(self) -> xr.Dataset:
         """Return `value` (the scatter) with the stated sigma along hours and axis."""
@@ -281,7 +286,7 @@ class Scatter:
             {
                 "value": (("hours", "axis"), self.scatter, {"units": "nT"}),
                 "sigma": (("hours", "axis"), self.stated, {"units": "nT"}),
-                "told": ("hours", self.told),
+                "told": ("hours", self.determined_part),
             },
             coords={"hours": self.hours, "axis": list(AXES)},
             attrs={"method": self.method},
@@ -296,7 +301,7 @@ def scatter_with_hours(
     generator: np.random.Generator,
     draws: int = 60,
     question: Question | None = None,
-) -> Scatter:
+) -> ScatterWithHours:
     """Draw sets of whole hours from a record, with repetition, and estimate each.
 
     Sets longer than the record repeat its hours: they say what more of the *same* weather would give.
@@ -337,7 +342,7 @@ def scatter_with_hours(
         raise CalibrationError(
             "no number of hours tells an offset in half of its draws", remedy="take a longer record"
         )
-    return Scatter(
+    return ScatterWithHours(
         name, np.asarray(hours, dtype=np.float64), np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]), np.array([row[2] for row in rows]),
     )  # fmt: skip
@@ -363,7 +368,7 @@ class AveragingWarning(UserWarning):
     """An average leaves part of the field that turns with the spacecraft."""
 
 
-def remaining(spin_period: float, sampling: float, samples: int) -> float:
+def remaining_part(spin_period: float, sampling: float, samples: int) -> float:
     """Return which part of a field that turns with the spin the mean of some samples leaves, 0 to 1.
 
     Parameters
@@ -381,7 +386,7 @@ def remaining(spin_period: float, sampling: float, samples: int) -> float:
 
 
 @dataclass(frozen=True)
-class Rule:
+class AveragingRule:
     """How an averaging time fits the spin and the samples.
 
     Attributes
@@ -401,7 +406,7 @@ class Rule:
         """Whether next to nothing stays."""
         return self.remaining <= TOLERANCE
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say what stays and why."""
         parts = [
             f"{number:.3f} {name}"
@@ -412,7 +417,9 @@ class Rule:
         return f"averages leave {100 * self.remaining:.1f} % of a field that turns with the spacecraft{why}"
 
 
-def rule_of(spin_period: float, sampling: float, averaging: float, *, strict: bool = False) -> Rule:
+def check_averaging(
+    spin_period: float, sampling: float, averaging: float, *, strict: bool = False
+) -> AveragingRule:
     """Hold an averaging time against spin and samples; warn when a turning field stays.
 
     Parameters
@@ -435,14 +442,14 @@ def rule_of(spin_period: float, sampling: float, averaging: float, *, strict: bo
     samples = averaging / sampling
     low = int(np.floor(samples + 1e-9))
     counts = {low, low if abs(samples - low) < 1e-6 else low + 1}
-    rule = Rule(
-        averaging / spin_period, samples, max(remaining(spin_period, sampling, one) for one in counts)
+    rule = AveragingRule(
+        averaging / spin_period, samples, max(remaining_part(spin_period, sampling, one) for one in counts)
     )
     if not rule.kept:
         remedy = "take a whole multiple of both the spin period and the sampling time"
         if strict:
-            raise CalibrationError(rule.told(), remedy=remedy)
-        warnings.warn(f"{rule.told()}; {remedy}", AveragingWarning, stacklevel=2)
+            raise CalibrationError(rule.summary(), remedy=remedy)
+        warnings.warn(f"{rule.summary()}; {remedy}", AveragingWarning, stacklevel=2)
     return rule
 
 
@@ -470,7 +477,7 @@ def largest_leak(
     return float(np.abs(means).max())
 
 
-def averages(
+def average_spans(
     tt2000: Int64, field: Floats, averaging: float, good: Bools | None = None, coverage: float = 1.0
 ) -> tuple[Int64, Floats]:
     """Return middles and means of successive spans of a despun field.
@@ -482,7 +489,7 @@ def averages(
     field : ndarray, shape (time, 3)
         nT, despun.
     averaging : float
-        s; see `rule_of`.
+        s; see `check_averaging`.
     good : ndarray of bool, shape (time,), optional
     coverage : float
         Spans with fewer than this part of the samples that fit are NaN: a hole in a span breaks the rule.

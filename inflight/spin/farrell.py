@@ -131,7 +131,7 @@ def _vectors(given: Floats) -> Floats:
     return given
 
 
-def phase_between(fits: SpinFits, first: int, second: int) -> npt.NDArray[np.float64]:
+def azimuth_between(fits: SpinFits, first: int, second: int) -> npt.NDArray[np.float64]:
     """Return the azimuth of one sensor from another at every fit, radians in (-pi, pi]; (fit,).
 
     ``arg(Z_second / Z_first) = atan2(C1, C2) of the first - atan2(C1, C2) of the second``: eqs. (24) and (31)
@@ -181,7 +181,7 @@ class Line:
     slope: complex
     scores: Complexes
     weight: Floats
-    left: Complexes
+    residual: Complexes
     reliability: float
     plain: complex
 
@@ -333,7 +333,7 @@ class Points:
     constant: Floats
     phasor: Complexes
     noise: Floats
-    doubt: Floats
+    relative_sigma: Floats
 
     @property
     def time(self) -> Int64:
@@ -363,12 +363,12 @@ class Points:
         phasor = np.add.reduceat(np.asarray(fits.phasor * unit), first) / number
         noise = np.add.reduceat(noise_variance(fits), first) / number[..., None] ** 2 * unit[:, None] ** 2
         start, end = fits.start[first], fits.end[first + count - 1]
-        doubt = noise_doubt(fits)
+        doubt = noise_uncertainty(fits)
         means = constant[kept], np.asarray(phasor[kept], dtype=np.complex128)
         return cls(start[kept], end[kept], *means, noise[kept], doubt)
 
 
-def noise_doubt(fits: SpinFits) -> Floats:
+def noise_uncertainty(fits: SpinFits) -> Floats:
     """Return the relative standard deviation of the squares of `instrument_noise`; (component,)."""
     part = _QUIET / 100.0
     out = np.zeros(fits.value.shape[1])
@@ -447,7 +447,7 @@ class Intercepts:
             },
         )
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say the last window's zero levels."""
         both = " and ".join(
             f"{value:+.3f} +- {sigma:.3f} nT"
@@ -501,7 +501,7 @@ class ZeroDrift:
             }
         )
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say what has moved, a line a sensor."""
         when = utc_text(int(self.levels.time[-1]))
         rows = []
@@ -514,7 +514,7 @@ class ZeroDrift:
         return "; ".join(rows)
 
 
-def intercepts_of(
+def find_intercepts(
     points: Points,
     lines: list[Line],
     slope_sigma: Floats,
@@ -560,7 +560,7 @@ def intercepts_of(
 
 def _errors_of_means(line: Line, group: Int64, windows: int) -> Floats:
     """Return the standard deviation of each window's mean residual, correlation in time respected."""
-    left, weight = line.left.real, line.weight
+    left, weight = line.residual.real, line.weight
     edges = np.searchsorted(group, np.arange(windows + 1))
     # Scaled so that the mean of a window's entries is its weighted mean.
     mean_weight = np.bincount(group, weight) / np.bincount(group)
@@ -697,15 +697,15 @@ class FarrellFit:
         )
         return table.merge(self.intercepts.table().rename({"value": "zero", "sigma": "zero_sigma"}))
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Say the angles in degrees and the zero levels in nT."""
         degrees, sigma = np.rad2deg(self.value), np.rad2deg(self.sigma)
         parts = [f"{NAMES[i]} {degrees[i]:+.4f} +- {sigma[i]:.4f} deg" for i in range(5)]
         parts.append(f"gain ratio {self.value[5]:.6f} +- {self.sigma[5]:.6f}")
-        return "; ".join([*parts, self.intercepts.told()])
+        return "; ".join([*parts, self.intercepts.summary()])
 
 
-def farrell(
+def calibrate_farrell(
     fits: SpinFits,
     *,
     sensitivity: Floats | None = None,
@@ -758,9 +758,9 @@ def farrell(
     value, covariance = _joined(lines, tilt, turned, _gain_ratio(phasor, both, turned.weight))
     # Both slopes lean on one estimate of the noise of sensor 3.
     leaning = np.array([line.slope.real * (1.0 / line.reliability - 1.0) for line in lines])
-    covariance[:2, :2] += np.outer(leaning, leaning) * points.doubt[2] ** 2
+    covariance[:2, :2] += np.outer(leaning, leaning) * points.relative_sigma[2] ** 2
     slope_sigma = np.sqrt(np.diag(covariance)[:2])
-    intercepts = intercepts_of(points, lines, slope_sigma, group, spin_axis_zero)
+    intercepts = find_intercepts(points, lines, slope_sigma, group, spin_axis_zero)
     span = int(whole.start[0]), int(whole.end[-1]) + 1
     plain = np.array([line.plain.real for line in lines])
     sure = np.array([line.reliability for line in lines])
@@ -864,7 +864,7 @@ class BoomBending:
         )
 
 
-def boom_bending(
+def measure_boom_bending(
     outer: SpinFits, inner: SpinFits, *, window: float | None = None, mounted: float = 0.0
 ) -> BoomBending:
     """Return the bend of the boom by the spin phase of its outer against its inner magnetometer.
