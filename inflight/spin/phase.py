@@ -133,10 +133,11 @@ def thin_readings(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[
         kept[at] = True
         at = following[at]
     first = np.concatenate([[True], step > _BREAK])
+    last_kept, moved_to = np.maximum.accumulate(np.where(kept, place, -1)), -1
     for end in np.flatnonzero(np.append(first[1:], True) & ~kept):
-        before = int(np.flatnonzero(kept[:end])[-1])
+        before = max(int(last_kept[end]), moved_to)
         if fine[before] and not first[before]:
-            kept[before], kept[end] = False, True
+            kept[before], kept[end], moved_to = False, True, int(end)
     return kept
 
 
@@ -809,7 +810,9 @@ def _from_marks(
         )
     counted = count_turns(times[few], turns[few], period)
     marks = correct_jumps(counted)
-    wrong = np.setdiff1d(times, np.concatenate([marks.time, spared]))
+    used = np.zeros(times.size, dtype=bool)
+    used[np.searchsorted(times, np.concatenate([marks.time, spared]))] = True
+    wrong = times[~used]
     spurious = int(np.count_nonzero((wrong >= stamps.min()) & (wrong <= stamps.max()))) if stamps.size else 0
     if spurious:
         found = f"{spurious} spurious {kind}s dropped"
