@@ -1,9 +1,18 @@
 """The calibration equation of a magnetometer on a spinning spacecraft (Plaschke et al. 2019, eq. 9).
 
-``B = Phi Sigma Gamma G (G_T B_S - O)``: readings `B_S` become the field `B` in axes that turn with the
-spacecraft, z along the spin axis. The sensor's own angles (Gamma), the place of the spin axis in the sensor
-package (Sigma), the turn about it (Phi) and the gains (G) are parameters of their own, so that a manoeuvre,
-which moves the spin axis in the spacecraft, touches two of them only.
+Takes: readings along the sensor axes, and temperatures. Makes: the field in axes that turn with the
+spacecraft, z along the spin axis, and back (`CalibrationParameters.correct`, `disturb`); eq. (8) is
+`TemperatureGains`.
+
+``B = Phi Sigma Gamma G (G_T B_S - O)``; O stands outside G. The sensor's own angles (Gamma), the direction of
+the spin axis in the sensor package (Sigma), the rotation about it (Phi) and the gains (G) are separate
+parameters, so that a manoeuvre, which moves the spin axis in the spacecraft, changes two of them only::
+
+    rows of Gamma^-1: [sin th1, 0, cos th1], [cos ph12 sin th2, sin ph12 sin th2, cos th2], [0, 0, 1]
+    Sigma = [c 0 -s; 0 1 0; s 0 c](sPx) [1 0 0; 0 c -s; 0 s c](sPy),   G = diag(g Gp, Gp / g, Ga)
+
+`spin_related` gives the eight parameters that disturb the field at the spin frequency or at twice it (eq.
+21).
 """
 
 from __future__ import annotations
@@ -163,7 +172,7 @@ class CalibrationParameters:
         return np.asarray((readings - np.array(self.offset)) @ self.matrix().T)
 
     def disturb(self, fields: Floats) -> Floats:
-        """Return what the sensor reads in a field: the exact inverse of `correct`; shapes alike."""
+        """Return the readings in a field: the exact inverse of `correct`; same shapes."""
         return np.asarray(fields @ np.linalg.inv(self.matrix()).T + np.array(self.offset))
 
 
