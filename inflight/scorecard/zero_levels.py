@@ -9,15 +9,12 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
+from inflight.scorecard.zero_level_studies import PUBLISHED, SET, average_spans, largest_leak
 from inflight.simulate.spinning import CRAFT, wind
 from inflight.time import DAY, SECOND
 from inflight.zero_level import (
-    PUBLISHED,
-    SET,
     Intervals,
-    average_spans,
     davis_smith,
-    largest_leak,
     minimum_correlation,
     pairs_within,
     separate_flipped,

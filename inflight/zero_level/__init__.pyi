@@ -1,46 +1,41 @@
 from .combination import CombinedEstimate, combine_methods
-from .estimate import Question
+from .estimate import Estimate, Question
 from .flipper import PARTS, Flipped, separate_flipped
-from .intervals import AXES, Intervals
+from .intervals import AXES, Bools, Intervals
 from .methods import (
-    ALFVENIC,
-    COMPRESSIONAL,
-    DAVIS_SMITH,
+    COMBINED_METHODS,
+    KINDS,
+    METHODS,
     MINIMUM_CORRELATION,
-    MIRROR_MODE,
-    WANG_PAN,
+    Estimator,
     IntervalKinds,
     davis_smith,
     minimum_correlation,
     pairs_within,
     size_angle_covariance,
+    zero_of_minimum_correlation,
 )
-from .published import PUBLISHED, SET, OffsetSets, ScatterWithHours, average_spans, largest_leak
 
 __all__ = [
-    "ALFVENIC",
     "AXES",
-    "COMPRESSIONAL",
-    "DAVIS_SMITH",
+    "COMBINED_METHODS",
+    "KINDS",
+    "METHODS",
     "MINIMUM_CORRELATION",
-    "MIRROR_MODE",
     "PARTS",
-    "PUBLISHED",
-    "SET",
-    "WANG_PAN",
+    "Bools",
     "CombinedEstimate",
+    "Estimate",
+    "Estimator",
     "Flipped",
     "IntervalKinds",
     "Intervals",
-    "OffsetSets",
     "Question",
-    "ScatterWithHours",
-    "average_spans",
     "combine_methods",
     "davis_smith",
-    "largest_leak",
     "minimum_correlation",
     "pairs_within",
     "separate_flipped",
     "size_angle_covariance",
+    "zero_of_minimum_correlation",
 ]

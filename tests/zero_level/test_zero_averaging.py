@@ -5,9 +5,15 @@ import pytest
 from nature import SECOND, unit
 
 from inflight.errors import CalibrationError
-from inflight.zero_level import Intervals, average_spans, largest_leak, minimum_correlation
+from inflight.scorecard.zero_level_studies import (
+    AveragingWarning,
+    average_spans,
+    check_averaging,
+    largest_leak,
+    remaining_part,
+)
+from inflight.zero_level import Intervals, minimum_correlation
 from inflight.zero_level.methods import axis_in_turn
-from inflight.zero_level.published import AveragingWarning, check_averaging, remaining_part
 
 SAMPLING = (0.1875, 0.375, 0.75, 1.5)
 SPINS = (1.00, 1.01, 1.02)

@@ -11,7 +11,7 @@ from inflight.simulate.spinning import CRAFT
 from inflight.simulate.spinning import wind as turbulent
 from inflight.zero_level import Intervals, Question, combine_methods, minimum_correlation
 from inflight.zero_level.combination import (
-    REFUSED,
+    LIKELIHOOD,
     compare_estimates,
     likelihood_ratio,
     log_likelihood,
@@ -50,7 +50,9 @@ def test_the_most_evident_offset_lies_near_the_truth_in_rotations_and_in_compres
     assert abs(found[2] - offset) < 1.5
     said = log_likelihood(intervals, found)
     for far in (-25.0, 25.0):
-        assert likelihood_ratio(said, log_likelihood(intervals, np.array([0.0, 0.0, far]))) > REFUSED
+        assert (
+            likelihood_ratio(said, log_likelihood(intervals, np.array([0.0, 0.0, far]))) > LIKELIHOOD.refused
+        )
 
 
 def test_two_methods_that_agree_on_a_false_zero_are_not_believed():
@@ -77,7 +79,9 @@ def test_a_field_that_fluctuates_alike_in_all_directions_tells_no_offset():
     field = np.array([3.0, -2.0, 1.0]) + 0.4 * generator.normal(size=(2880, 3))
     intervals = along_axis(stamps(2880, 30.0), field, 2.0)
     own = log_likelihood(intervals, np.array([0.0, 0.0, 2.0]))
-    assert abs(likelihood_ratio(own, log_likelihood(intervals, np.array([0.0, 0.0, 12.0])))) < REFUSED
+    assert (
+        abs(likelihood_ratio(own, log_likelihood(intervals, np.array([0.0, 0.0, 12.0])))) < LIKELIHOOD.refused
+    )
     estimate = minimum_correlation(intervals, None, AXIAL)
     claimed = replace(estimate, determined=np.array([False, False, True]), solution=np.array([0.0, 0.0, 2.0]))
     held = without_ambiguous_axes(intervals, claimed, AXIAL)
@@ -91,13 +95,13 @@ def test_the_sign_of_intervals_counts_and_not_how_strong_the_wind_was():
     generator = np.random.default_rng(47)
     strength = np.repeat(np.exp(generator.normal(size=12)), 8)
     nothing = np.zeros(96)
-    assert likelihood_ratio(strength, nothing) > 2 * REFUSED
+    assert likelihood_ratio(strength, nothing) > 2 * LIKELIHOOD.refused
     tossed = [
         abs(likelihood_ratio(strength * generator.choice([-1.0, 1.0], 96), nothing)) for _ in range(400)
     ]
-    assert np.mean(np.array(tossed) < REFUSED) > 0.98
+    assert np.mean(np.array(tossed) < LIKELIHOOD.refused) > 0.98
     # Four intervals cannot refuse anything, were they never so sure.
-    assert likelihood_ratio(np.ones(4), np.zeros(4)) < REFUSED
+    assert likelihood_ratio(np.ones(4), np.zeros(4)) < LIKELIHOOD.refused
 
 
 def test_two_roads_to_one_zero_agree():

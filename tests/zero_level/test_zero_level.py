@@ -7,6 +7,7 @@ import pytest
 from nature import magnetosheath, solar_wind, stamps, unit
 
 from inflight.errors import CalibrationError, SamplesError
+from inflight.scorecard.zero_level_studies import correlation_sets
 from inflight.zero_level import (
     Intervals,
     Question,
@@ -17,8 +18,13 @@ from inflight.zero_level import (
     size_angle_covariance,
 )
 from inflight.zero_level.combination import compare_estimates
-from inflight.zero_level.methods import axis_in_turn, classify_intervals, mirror_mode, wang_pan
-from inflight.zero_level.published import correlation_sets
+from inflight.zero_level.methods import (
+    axis_in_turn,
+    classify_intervals,
+    davis_smith_as_published,
+    mirror_mode,
+    wang_pan,
+)
 
 SEEDS = 40
 OFFSET = np.array([0.7, -1.1, 0.4])
@@ -77,7 +83,7 @@ def test_one_sigma_covers_two_thirds(method, compressed, size, record_property):
 
 def test_davis_smith_as_published_is_pulled_towards_the_field_by_what_it_says():
     cases = winds(0.1)
-    raw = [davis_smith(case, corrected=False) for case, _ in cases]
+    raw = [davis_smith_as_published(case) for case, _ in cases]
     field = np.array([unit((case.mean - offset).mean(axis=0)) for case, offset in cases])
     error = np.array([one.solution - offset for one, (_, offset) in zip(raw, cases, strict=True)])
     along = np.sum(error * field, axis=1)
@@ -134,7 +140,7 @@ def test_a_turning_sensor_tells_its_offset_in_its_own_axes():
         ],
         axis=1,
     )
-    found = davis_smith(Intervals.of(times, turned + OFFSET, 1800.0), corrected=False)
+    found = davis_smith_as_published(Intervals.of(times, turned + OFFSET, 1800.0))
     assert np.abs((found.solution - OFFSET)[:2]).max() < 0.1
 
 

@@ -45,8 +45,9 @@ def estimate_of(name, influence):
     count = len(influence)
     stamps = np.arange(count)
     return Estimate(
-        name, influence.sum(axis=0), covariance_of(influence), np.full(3, True), influence,
-        np.full(count, True), stamps, stamps + 1, np.zeros((3, 3)),
+        method=name, solution=influence.sum(axis=0), covariance=covariance_of(influence),
+        determined=np.full(3, True), influence=influence, used=np.full(count, True),
+        start=stamps, end=stamps + 1, systematic=np.zeros((3, 3)),
     )  # fmt: skip
 
 

@@ -47,11 +47,8 @@ from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
 from inflight.tasks.pipelines.tables import newest_tables
 from inflight.time import DAY, Int64, day_bounds, day_of, utc_text
 from inflight.zero_level import (
-    DAVIS_SMITH,
-    MINIMUM_CORRELATION,
-    MIRROR_MODE,
+    COMBINED_METHODS,
     PARTS,
-    WANG_PAN,
     Flipped,
     Intervals,
     Question,
@@ -74,9 +71,6 @@ _BETTER = 0.5
 
 #: Codes of the variable `source`, as `inflight.calibration.table.SOURCES` has them.
 _PRIOR, _DATA = 0, 2
-
-#: Methods of the zero level, each beside the combined one.
-METHODS = (DAVIS_SMITH, WANG_PAN, MIRROR_MODE, MINIMUM_CORRELATION)
 
 #: The parameter that the spin tells nothing of and nature does.
 AXIAL = "offset[3]"
@@ -342,14 +336,14 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
             "start": (one, np.array([row[0] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "end": (one, np.array([row[1] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
         },
-        coords={"method_name": list(METHODS)},
+        coords={"method_name": list(COMBINED_METHODS)},
         attrs={"comparison": model.comparison, "kind": "zero-level", "model": model.sha},
     )
 
 
 @dataclass(frozen=True)
 class _Zero:
-    """A window's offset along the spin axis; `each` has value, sigma and intervals used by `METHODS`."""
+    """A window's offset along the spin axis; `each` has value, sigma and intervals of `COMBINED_METHODS`."""
 
     value: float
     sigma: float
@@ -365,7 +359,7 @@ def _zero(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound: floa
     means = np.concatenate([day["mean"].values[0] for day in days])
     known = np.isfinite(means).all(axis=1)
     times, means = _sorted(times[known], means[known])
-    each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(METHODS))
+    each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(COMBINED_METHODS))
     count, start = 0, float(ground.offset[2])
     question = Question(free=(False, False, True), bound=bound)
     try:
@@ -379,9 +373,9 @@ def _zero(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound: floa
         return _Zero(start, float("inf"), GROUND, error.message, count, each)
     # A field of no size along the axis reads as the matrix's last row makes of the offset.
     turn = float(ground.matrix()[2, 2])
-    for one in (one for one in found.methods if one.method in METHODS):
+    for one in (one for one in found.methods if one.method in COMBINED_METHODS):
         told = start + one.value[2] / turn, one.sigma[2] / turn, int(one.used.sum())
-        each[:, METHODS.index(one.method)] = told
+        each[:, COMBINED_METHODS.index(one.method)] = told
     estimate = found.estimate
     if not estimate.determined[2]:
         return _Zero(start, float("inf"), GROUND, "; ".join(estimate.reasons), count, each)
