@@ -9,6 +9,8 @@ from nature import magnetosheath, solar_wind, stamps, unit
 from inflight.errors import CalibrationError, SamplesError
 from inflight.scorecard.zero_level_studies import correlation_sets
 from inflight.zero_level import (
+    COMBINED_METHODS,
+    METHODS,
     Intervals,
     Question,
     combine_methods,
@@ -277,3 +279,26 @@ def test_too_little_is_refused_with_what_was_found():
         axis_in_turn(np.tile([0.0, 0.0, 1.0], (500, 1)), axes=(2,))
     with pytest.raises(CalibrationError, match="sets tell an offset"):
         correlation_sets(*solar_wind(np.random.default_rng(17), hours=8.0)).mean()
+
+
+def test_every_method_of_the_table_is_called_alike_and_returns_an_estimate_of_its_name():
+    times, field = solar_wind(np.random.default_rng(18))
+    intervals = Intervals.of(times, field + np.array([0.0, 0.0, 0.8]), 1800.0)
+    assert list(METHODS) == [*COMBINED_METHODS, "hedgecock"]
+    for name, method in METHODS.items():
+        found = method.estimate(intervals, None, Question(free=(False, False, True)))
+        assert found.method == name
+        assert found.influence.shape == (len(intervals), 3)
+        assert not found.determined[:2].any()
+
+
+def test_one_axis_after_the_other_states_the_error_that_it_makes():
+    error = []
+    for seed in range(6):
+        times, field = solar_wind(np.random.default_rng(40 + seed), hours=16.0)
+        found = METHODS["hedgecock"].estimate(Intervals.of(times, field + OFFSET, 1800.0), None, None)
+        error.append((found.solution - OFFSET)[found.determined] / found.sigma[found.determined])
+    size = np.abs(np.concatenate(error))
+    assert size.size >= 15
+    assert np.mean(size < 1.0) > 0.45
+    assert size.max() < 4.0
