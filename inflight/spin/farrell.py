@@ -269,7 +269,10 @@ def fit_line(
         residual = across - slope * along
         if turn < FARRELL.rounds - 1:
             weight, slope_weight = _robust_weights(residual, real=np.isrealobj(x))
-            kept = _kept_noise(weight, residual, slope, noise)
+            # Residuals that are all noise along x keep what the biweight keeps of a Gaussian's variance.
+            total = float(np.sum(weight * np.abs(residual) ** 2))
+            part = abs(slope) ** 2 * float(np.sum(weight * noise)) / total if total > 0 else 0.0
+            kept = 1.0 - min(part, 1.0) * (1.0 - WEIGHTED_RMS**2)
     # Weights follow the residuals: the slope answers by more than with fixed weights.
     response = float(np.sum(slope_weight * np.abs(along) ** 2)) / square
     scores = weight * (np.conj(along) * residual + slope * kept * noise) / (square - error) / response
@@ -281,16 +284,6 @@ def fit_line(
         reliability=1.0 - error / square,
         plain=cross / square,
     )
-
-
-def _kept_noise(weight: Floats, residual: Complexes, slope: complex, noise: Floats) -> float:
-    """Return the part of the noise along x that stays under the weights, which favour small residuals.
-
-    Residuals that are all noise along x keep what the biweight keeps of a Gaussian's variance.
-    """
-    total = float(np.sum(weight * np.abs(residual) ** 2))
-    part = abs(slope) ** 2 * float(np.sum(weight * noise)) / total if total > 0 else 0.0
-    return 1.0 - min(part, 1.0) * (1.0 - WEIGHTED_RMS**2)
 
 
 def _centred(values: Complexes, weight: Floats, group: Int64 | None) -> Complexes:

@@ -224,7 +224,15 @@ def fit_spins(
     CalibrationError
         When no fit at all is determined.
     """
-    _check(stamps, field, phase, spins, harmonics)
+    if field.ndim != 2 or stamps.shape != phase.shape or field.shape[:1] != stamps.shape:
+        raise SamplesError(
+            f"times have shape {stamps.shape}, the phase {phase.shape}, the field {field.shape}",
+            remedy="give (time,), (time,) and (time, component)",
+        )
+    if spins < 1 or harmonics not in {1, 2}:
+        raise SamplesError(
+            f"fits of {spins} spins with {harmonics} harmonics asked for", remedy="at least 1 spin; 1 or 2"
+        )
     kept = np.isfinite(phase) if good is None else np.isfinite(phase) & good
     if not kept.all():
         stamps, field, phase = stamps[kept], field[kept], phase[kept]
@@ -245,18 +253,6 @@ def fit_spins(
     if robust:
         _refit_outliers(sums, samples, edges)
     return _result(stamps, turn * spins, edges, sums, spins, unit)
-
-
-def _check(stamps: Int64, field: Floats, phase: Floats, spins: int, harmonics: int) -> None:
-    if field.ndim != 2 or stamps.shape != phase.shape or field.shape[:1] != stamps.shape:
-        raise SamplesError(
-            f"times have shape {stamps.shape}, the phase {phase.shape}, the field {field.shape}",
-            remedy="give (time,), (time,) and (time, component)",
-        )
-    if spins < 1 or harmonics not in {1, 2}:
-        raise SamplesError(
-            f"fits of {spins} spins with {harmonics} harmonics asked for", remedy="at least 1 spin; 1 or 2"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -165,7 +165,13 @@ def cut_into_blocks(
         Less than one sub-interval of usable phase.
     """
     settings = settings or SubIntervals()
-    _check_shapes(readings, phase, stamps)
+    if readings.shape != (stamps.size, 3) or phase.shape != stamps.shape:
+        raise SamplesError(
+            f"readings have shape {readings.shape}, phase {phase.shape}, times {stamps.shape}",
+            remedy="give (time, 3), (time,) and (time,)",
+        )
+    if stamps.size > 1 and np.any(stamps[1:] <= stamps[:-1]):
+        raise SamplesError("times do not rise", remedy="sort them and drop duplicates")
     usable = np.isfinite(phase)
     for axis in range(3):
         usable &= np.isfinite(readings[:, axis])
@@ -190,16 +196,6 @@ def cut_into_blocks(
     for name, hit in reasons:
         together[name] = together.get(name, np.zeros_like(hit)) | hit
     return BlockLayout(start, stop, usable, tuple(together.items()), settings)
-
-
-def _check_shapes(readings: Floats, phase: Floats, stamps: Int64) -> None:
-    if readings.shape != (stamps.size, 3) or phase.shape != stamps.shape:
-        raise SamplesError(
-            f"readings have shape {readings.shape}, phase {phase.shape}, times {stamps.shape}",
-            remedy="give (time, 3), (time,) and (time,)",
-        )
-    if stamps.size > 1 and np.any(stamps[1:] <= stamps[:-1]):
-        raise SamplesError("times do not rise", remedy="sort them and drop duplicates")
 
 
 def _edges(phase: Floats, settings: SubIntervals) -> Floats:

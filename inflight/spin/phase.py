@@ -359,7 +359,10 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
         raise CalibrationError("all marks are of one turn", remedy="take a longer span")
     seconds = (times - times[0]) / SECOND
     rate = _local_rate(seconds, turns, period)
-    before, after = _sides(rate)
+    # The rate before and after each interval is from medians that do not reach over it.
+    reach, place = MARKS.around // 2, np.arange(rate.size - 1)
+    before = rate[np.maximum(place - reach, 0)]
+    after = rate[np.minimum(place + 1 + reach, rate.size - 1)]
     apart, part = np.diff(seconds), np.diff(turns)
     advance = np.asarray(np.rint(0.5 * (before + after) * apart - part) + part)
     repeated = np.concatenate([[False], advance < MARKS.near])
@@ -432,13 +435,6 @@ def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
     middle = 0.5 * (seconds[1:] + seconds[:-1])[near]
     rates = median_filter(advance[near] / apart[near], min(MARKS.around, int(near.sum())), mode="nearest")
     return np.asarray(np.interp(seconds, middle, rates))
-
-
-def _sides(rate: Floats) -> tuple[Floats, Floats]:
-    """Return the rate before and after each interval, from medians that do not reach over it; (mark - 1,)."""
-    reach = MARKS.around // 2
-    place = np.arange(rate.size - 1)
-    return rate[np.maximum(place - reach, 0)], rate[np.minimum(place + 1 + reach, rate.size - 1)]
 
 
 def _scatter(seconds: Floats, turns: Floats, rate: Floats) -> float:
@@ -977,9 +973,11 @@ def _at_samples(
     sigma = np.full(stamps.size, marks.sigma)
     bridged = (marks.gap[place]) & (share > 0) & (share < 1)
     at = place[bridged]
-    phase[bridged] += _cubic_part(
-        share[bridged], apart[at], marks.rate[at], marks.rate[at + 1], advance[bridged]
-    )
+    # What a cubic with the rates at both ends has above the straight line.
+    before = marks.rate[at] * apart[at] - advance[bridged]
+    after = marks.rate[at + 1] * apart[at] - advance[bridged]
+    inside = share[bridged]
+    phase[bridged] += inside * (1.0 - inside) * ((1.0 - inside) * before - inside * after)
     sigma[bridged] = np.hypot(sigma[bridged], PHASE.cubic_error * marks.predicted_sigma[at])
     flag[bridged] |= np.uint32(Flag.PHASE_BRIDGED)
     # In a gap whose turns cannot be counted the phase is extrapolated as before the first and after the last.
@@ -1016,9 +1014,3 @@ def _at_samples(
         nominal=stated,
         faults=tuple(faults),
     )
-
-
-def _cubic_part(share: Floats, apart: Floats, first: Floats, last: Floats, advance: Floats) -> Floats:
-    """Return what a cubic with the rates at both ends has above the straight line; turns."""
-    before, after = first * apart - advance, last * apart - advance
-    return np.asarray(share * (1.0 - share) * ((1.0 - share) * before - share * after))

@@ -34,7 +34,7 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance
 from inflight.zero_level.estimate import SOLVER, Estimate, Question, covariance_of, freedom_of
-from inflight.zero_level.intervals import AXES, Bools, Intervals
+from inflight.zero_level.intervals import AXES, Intervals
 from inflight.zero_level.methods import (
     METHODS,
     IntervalKinds,
@@ -309,7 +309,11 @@ def combine_methods(intervals: Intervals, question: Question | None = None) -> C
     if not found:
         raise failed[0]
     best = _chosen(intervals, found)
-    rivals = [one for one in found if one is not best and not _agrees(best.estimate, one.estimate)]
+    rivals = [
+        one
+        for one in found
+        if one is not best and (pair := compare_estimates(best.estimate, one.estimate)) and not pair.agrees
+    ]
     others = tuple(f"another start leads elsewhere: {one.estimate.summary()}" for one in rivals)
     return replace(
         best, estimate=without_ambiguous_axes(intervals, best.estimate, question).with_reasons(*others)
@@ -334,7 +338,7 @@ def _chosen(intervals: Intervals, found: list[CombinedEstimate]) -> CombinedEsti
 
 def _combine_from(intervals: Intervals, question: Question, near: Floats) -> CombinedEstimate:
     """Return the result from one offset to begin with."""
-    offset, seen = near, list[IntervalKinds]()
+    offset, seen = near, set[tuple[bytes, bytes]]()
     for _ in range(COMBINATION.rounds):
         found = classify_intervals(intervals, offset)
         methods, refused = _each(intervals, found, replace(question, near=tuple(offset)))
@@ -344,9 +348,10 @@ def _combine_from(intervals: Intervals, question: Question, near: Floats) -> Com
                 remedy="take a longer span, or one in which the field turns more",
             )
         best = weighted_mean(methods, question)
-        if any(_same(found, one) for one in seen):
+        kinds = found.alfvenic.tobytes(), found.compressional.tobytes()
+        if kinds in seen:
             break
-        seen.append(found)
+        seen.add(kinds)
         offset = best.solution
     pairs = tuple(
         pair
@@ -374,15 +379,6 @@ def _starts(intervals: Intervals, question: Question) -> list[Floats]:
         return [*begins, mirror_mode(intervals, None, question).solution]
     except CalibrationError:
         return begins
-
-
-def _agrees(one: Estimate, other: Estimate) -> bool:
-    pair = compare_estimates(one, other)
-    return pair is None or pair.agrees
-
-
-def _same(one: IntervalKinds, other: IntervalKinds) -> bool:
-    return bool((one.alfvenic == other.alfvenic).all() and (one.compressional == other.compressional).all())
 
 
 def _each(intervals: Intervals, found: IntervalKinds, question: Question) -> tuple[list[Estimate], list[str]]:
@@ -418,7 +414,9 @@ def weighted_mean(methods: list[Estimate], question: Question) -> Estimate:
     inside = np.ix_(free, free)
     each = [np.linalg.inv(one.covariance[inside]) for one in methods]
     whole = np.linalg.inv(np.sum(each, axis=0))
-    shares = [_embedded(whole @ one, free) for one in each]
+    shares = [np.zeros((3, 3)) for _ in each]
+    for share, one in zip(shares, each, strict=True):
+        share[inside] = whole @ one
     start = np.asarray(question.start)
     solution = start + sum(
         (share @ (one.solution - start) for share, one in zip(shares, methods, strict=True)), np.zeros(3)
@@ -448,12 +446,6 @@ def weighted_mean(methods: list[Estimate], question: Question) -> Estimate:
         systematic=systematic,
         reasons=() if determined[free].all() else ("no method tells every axis",),
     )
-
-
-def _embedded(matrix: Floats, free: Bools) -> Floats:
-    whole = np.zeros((3, 3))
-    whole[np.ix_(free, free)] = matrix
-    return whole
 
 
 def compare_estimates(one: Estimate, other: Estimate) -> Agreement | None:
