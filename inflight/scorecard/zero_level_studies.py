@@ -348,7 +348,7 @@ def scatter_with_hours(
 
 
 def _row(values: Floats, draws: int) -> tuple[Floats, Floats, float]:
-    """Return robust scatter, median stated error, and the part of draws that told."""
+    """Return robust scatter, median stated error, and the part of draws that determined every axis."""
     if len(values) < 2:
         return np.full(3, np.nan), np.full(3, np.nan), len(values) / draws
     low, high = np.percentile(values[:, 0], [15.865, 84.135], axis=0)

@@ -258,7 +258,7 @@ def published_uncertainty(tones: SpinTones, spread: Mapping[str, float]) -> Floa
 Statistic = Literal["mean", "median"]
 
 #: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al.
-#: 2019, section 7), offsets unknown beside any field the sensor is flown for.
+#: 2019, section 7), offsets unknown against any field the sensor is flown for.
 UNCALIBRATED_SIGMA: Mapping[str, float] = {
     name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0)
     for name in SPIN_RELATED

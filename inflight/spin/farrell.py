@@ -59,8 +59,8 @@ class FarrellSettings:
     rounds : int
         Rounds of weights and line. Assumed.
     quiet_percent : float
-        Part of the fits, those of least residual, that gives the noise of the instrument: nature only adds to
-        it. Assumed.
+        Part of the fits, those of least residual, that gives the noise of the instrument: the field only adds
+        to it. Assumed.
     most_noise : float
         A line is refused when noise makes more than this part of the variance along x. Assumed.
     fewest : int

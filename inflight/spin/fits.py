@@ -73,8 +73,8 @@ class SpinFits:
     turn : ndarray of int64, shape (fit,)
         Number of the first turn since phase zero.
     value : ndarray, shape (fit, component, coefficient)
-        C0, C1, C2 and, where asked for, S2 and D2 (sin and cos of twice the phase), in the field's unit; NaN
-        where the readings do not determine them.
+        C0, C1, C2 and, with two harmonics, S2 and D2 (sin and cos of twice the phase), in the field's unit;
+        NaN where the readings do not determine them.
     covariance : ndarray, shape (fit, component, coefficient, coefficient)
         From the fit's own residual, taken as white: it holds for the instrument's noise. Fluctuations of the
         field are larger near the spin than far above it; `inflight.spin.farrell` takes them from the
@@ -210,7 +210,7 @@ def fit_spins(
     harmonics : int
         1, or 2 for sin and cos of twice the phase too.
     robust : bool
-        Weigh wild readings down; False is plain least squares.
+        Down-weight outlying readings; False is plain least squares.
     unit : str
 
     Returns
@@ -407,7 +407,7 @@ class SteadyTones:
     Attributes
     ----------
     once, twice : ndarray
-        Steady amplitude: the mean phasor, which fluctuations of nature do not add up in.
+        Steady amplitude: the mean phasor, in which fluctuations of the field cancel.
     once_sigma, twice_sigma : ndarray
         Standard deviation of either part of the mean phasor, from the scatter between fits.
     fits : int

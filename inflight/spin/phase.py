@@ -94,7 +94,7 @@ class MarkSettings:
         Part of them it must agree with. Derived: the majority.
     around : int
         Intervals whose median gives the local period. Assumed.
-    sure : float
+    count_sigmas : float
         Standard deviations of a predicted count that must fit into half a turn, and beyond which a residual
         is a jump. Level of significance: 0.3 %.
     """
@@ -106,7 +106,7 @@ class MarkSettings:
     lags: int = 4
     agreement: float = 0.5
     around: int = 21
-    sure: float = 3.0
+    count_sigmas: float = 3.0
 
 
 MARKS = MarkSettings()
@@ -138,7 +138,7 @@ def period_of_fine_angle(seconds: Floats, turns: Floats, nominal: float) -> floa
     seconds, turns : ndarray, shape (reading,)
         Times in order, and parts of a turn in [0, 1).
     nominal : float
-        Stated period, s, above 0; it says how many whole turns lie between neighbouring readings.
+        Stated period, s, above 0; from it the whole turns are counted that lie between neighbouring readings.
 
     Returns
     -------
@@ -373,8 +373,8 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
     rate_error = np.hypot(0.5 * np.abs(after - before), sigma * rate.mean() * np.sqrt(2.0 / MARKS.around))
     predicted_sigma = rate_error * apart
     residual = 0.5 * (before + after) * apart - advance
-    uncountable = MARKS.sure * predicted_sigma > 0.5
-    jumped = ~uncountable & (np.abs(residual) > _tolerance(sigma) + MARKS.sure * predicted_sigma)
+    uncountable = MARKS.count_sigmas * predicted_sigma > 0.5
+    jumped = ~uncountable & (np.abs(residual) > _tolerance(sigma) + MARKS.count_sigmas * predicted_sigma)
     turn = turns[0] + np.concatenate([[0.0], np.cumsum(advance)])
     ends = np.stack([np.append(before, after[-1]), np.append(before[0], after)])
     none = np.zeros(turn.size, dtype=bool)
@@ -410,7 +410,7 @@ def correct_jumps(marks: Marks) -> Marks:
         jumped = marks.jumped[inside]
         off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.residual[inside], 0.0))])
         error = np.hypot.reduce(np.where(jumped, marks.predicted_sigma[inside], 0.0))
-        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + MARKS.sure * error
+        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + MARKS.count_sigmas * error
         away = np.abs(off - np.rint(off)) > near
         if away.size and away[-1]:
             ambiguous[first:last] = True
@@ -471,8 +471,8 @@ class PeriodSettings:
     empty : float
         Largest part of the even grid without a reading. Assumed.
     limit : float
-        Readings are pulled in to this many times the usual size: a wild one is white, and may stand above any
-        tone. Assumed.
+        Readings are pulled in to this many times the usual size: one outlier is white, and may stand above
+        any tone. Assumed.
     """
 
     contradiction: float = 5.0

@@ -73,7 +73,7 @@ def make_spin_product(
         `field_sensor` (time, axis) nT in axes that turn with the spacecraft, z along the spin axis;
         `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `field_uncertainty`
         (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
-        `field_payload` is NaN and the flag says so. With an attitude `field_gse`, `field_gsm` (time, axis)
+        `field_payload` is NaN and the flag is set. With an attitude `field_gse`, `field_gsm` (time, axis)
         nT; samples without one carry ``NO_ATTITUDE``.
     """
     flipped = np.asarray(corrected["flag"].values & np.uint32(Flag.FLIPPED)) > 0

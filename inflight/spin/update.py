@@ -413,7 +413,7 @@ def accept_first_value(made: Decision) -> Decision:
     )
 
 
-#: What a value came from where nothing else is said.
+#: Sources of values.
 GROUND, SPIN = "ground", "spin"
 
 
@@ -474,10 +474,10 @@ def join_parameters(
     others: Mapping[str, ExternalValue] | None = None,
     updates: Updates | None = None,
 ) -> ParameterTable:
-    """Join the spin's eight parameters with the axial offset and what the ground knows.
+    """Join the spin's eight parameters with the axial offset and the values of the ground.
 
     The tones hold the part of all offsets that lies in the spin plane, ``C O``: estimates of offsets 1 and 2
-    hold for the third offset used beside them. Where another one is put in, the two move along, and its
+    hold for the third offset they were made with. Where another one is put in, the two move along, and its
     uncertainty is theirs by the same slope.
 
     Parameters

@@ -3,14 +3,14 @@ r"""All methods on one record: one offset, whether they agree, and whether other
 Takes: `Intervals` and a `Question`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of the
 methods of `METHODS`, each on the intervals that suit it, with their agreement.
 
-Methods share intervals and nature, so they are not independent. Each is weighted by the inverse of its own
-covariance; the error of the mean is that of the weighted influences of every interval, in which what methods
-share is counted once. Pairs are compared with the covariance of their *difference*.
+Methods share intervals and fluctuations, so they are not independent. Each is weighted by the inverse of its
+own covariance; the error of the mean is that of the weighted influences of every interval, in which what
+methods share is counted once. Pairs are compared with the covariance of their *difference*.
 
 Each method solves equations that have several zeros, and its error is that of the zero it found. The
-likelihood tests all offsets within the bound, however far apart. In nature the size B and the direction n of
-the field fluctuate independently of each other; under a wrong offset they do not. With both Gaussian within
-an interval of N samples, their variances its own, the likelihood of its *readings* is
+likelihood tests all offsets within the bound, however far apart. In natural fluctuations the size B and the
+direction n of the field fluctuate independently of each other; under a wrong offset they do not. With both
+Gaussian within an interval of N samples, their variances its own, the likelihood of its *readings* is
 
 .. math:: \ell(c) / N = -\tfrac12 \ln \mathrm{var}(B) - \tfrac12 \ln\det\mathrm{cov}(n) - 2\langle\ln B\rangle
 
@@ -271,7 +271,7 @@ class CombinedEstimate:
         return "\n".join([*lines, *(one.summary() for one in self.agreement), *self.refused])
 
     def table(self) -> xr.Dataset:
-        """Return the combined offset (`Estimate.table`) with each method's beside it, and their agreement."""
+        """Return the combined offset (`Estimate.table`) with each method's and their agreement."""
         names = [one.method for one in self.methods]
         pairs = [f"{one.first} / {one.second}" for one in self.agreement]
         return self.estimate.table().assign(
@@ -341,7 +341,7 @@ def _combine_from(intervals: Intervals, question: Question, near: Floats) -> Com
     offset, seen = near, set[tuple[bytes, bytes]]()
     for _ in range(COMBINATION.rounds):
         found = classify_intervals(intervals, offset)
-        methods, refused = _each(intervals, found, replace(question, near=tuple(offset)))
+        methods, refused = _estimate_by_each(intervals, found, replace(question, near=tuple(offset)))
         if not methods:
             raise CalibrationError(
                 f"no method tells an offset ({found.summary()}): {'; '.join(refused)}",
@@ -381,7 +381,9 @@ def _starts(intervals: Intervals, question: Question) -> list[Floats]:
         return begins
 
 
-def _each(intervals: Intervals, found: IntervalKinds, question: Question) -> tuple[list[Estimate], list[str]]:
+def _estimate_by_each(
+    intervals: Intervals, found: IntervalKinds, question: Question
+) -> tuple[list[Estimate], list[str]]:
     """Return the estimates of the methods, and why others give none."""
     methods, refused = [], []
     for method in METHODS.values():
@@ -402,8 +404,8 @@ def _each(intervals: Intervals, found: IntervalKinds, question: Question) -> tup
 def weighted_mean(methods: list[Estimate], question: Question) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
-    Covariances that are by chance too small weigh too much, and so the mean errs by more than they say:
-    ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
+    Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they
+    state: ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of a method.
+    """Which axes to estimate, within which bound, from where.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class Question:
     bound : float
         The offset lies within this many nT of the start.
     near : tuple of float, optional
-        Where methods begin to look, nT; when absent the start and what simpler rules say.
+        Where methods begin to look, nT; when absent the start and offsets by simpler rules.
     """
 
     free: tuple[bool, bool, bool] = ALL

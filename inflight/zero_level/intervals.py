@@ -264,8 +264,8 @@ def _saturated(values: Floats) -> Bools:
 def _spikes(values: Floats) -> Bools:
     """Return single readings that leave their neighbours and come back at once, in any component.
 
-    Steps of nature do not come back. The limit is that of `inflight.residual.channel_steps`, or eight times
-    the usual change between neighbours where that is larger: a turbulent field moves on its own.
+    Steps of the field do not come back. The limit is that of `inflight.residual.channel_steps`, or eight
+    times the usual change between neighbours where that is larger: a turbulent field moves on its own.
     """
     out = np.zeros(len(values), dtype=bool)
     if len(values) < INTERVALS.fewest_samples:
