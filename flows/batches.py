@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from inflight.flows.progress import tell
 from inflight.flows.stages import step, unsearched
-from inflight.tasks.archive import result_of
+from inflight.tasks import result_of
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from inflight.tasks.pipelines import Mapper
+    from inflight.tasks import Mapper
 
 
 def batch_tasks(client: Client) -> Mapper:

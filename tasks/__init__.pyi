@@ -8,6 +8,7 @@ from .analysis import (
     open_workbench,
 )
 from .archive import ingest, simulate, simulate_dual, simulate_spinning
+from .batches import Mapper, each_result, result_of
 from .models import Versions, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release
@@ -15,6 +16,7 @@ from .report import Progress, RunReport, as_settings_error, place_of, print_repo
 
 __all__ = [
     "DiagnoseSettings",
+    "Mapper",
     "Progress",
     "ReprocessSettings",
     "Revision",
@@ -27,6 +29,7 @@ __all__ = [
     "current_model",
     "diagnose",
     "diagnose_span",
+    "each_result",
     "find_model",
     "ingest",
     "make_release",
@@ -35,6 +38,7 @@ __all__ = [
     "preflight_model",
     "print_report",
     "reprocess",
+    "result_of",
     "simulate",
     "simulate_dual",
     "simulate_spinning",

@@ -47,11 +47,11 @@ from inflight.tasks.archive import (
     DerivedChannels,
     Need,
     as_variables,
-    each_result,
     load_samples,
     orbit_of,
     stands_in,
 )
+from inflight.tasks.batches import each_result
 from inflight.tasks.pipelines import Job, Outcome, adopted_days, make_days, take_outcome
 from inflight.tasks.pipelines.states import housekeeping
 from inflight.tasks.report import Progress

@@ -1,6 +1,6 @@
 from .channels import ChannelReader, DerivedChannels, Turning, as_variables, orbit_of, shows_spin, stands_in
 from .deliveries import SECOND_FLUXGATE, simulate, simulate_dual, simulate_spinning
-from .ingestion import each_result, ingest, result_of
+from .ingestion import ingest
 from .inputs import (
     AMBIENT,
     SPIN_AXIS,
@@ -51,7 +51,6 @@ __all__ = [
     "channel_series",
     "cut_at_flips",
     "day_faults",
-    "each_result",
     "flips_of",
     "geometry_channels",
     "ingest",
@@ -63,7 +62,6 @@ __all__ = [
     "partial_problems",
     "position_channel",
     "replaceable_needs",
-    "result_of",
     "saturated",
     "shows_spin",
     "simulate",

@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -42,24 +42,20 @@ from inflight.catalog.readers import (
     read_times,
     split_days,
 )
-from inflight.errors import InflightError, MissionError, ReadError, StorageError, WorkerError
+from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
+from inflight.tasks.batches import each_result
 from inflight.tasks.report import Progress, RunReport, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_tt2000, to_utc
 
 #: Bumped when the same files would give other archive days.
 INGEST_VERSION = 1
 
-#: Jobs given to a cluster before the first result is waited for.
-IN_FLIGHT = 16
-
 #: Days that an unreadable file may take with it by what its name says.
 _LONGEST_NAME_SPAN = 366
 
 Problem = dict[str, str]
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -214,46 +210,6 @@ def named_days(span: NameSpan) -> tuple[str, ...]:
         return ()
     last = first if span.end is None else as_day(str(to_utc(span.end - 1)))
     return tuple(str(day) for day in day_range(first, last + 1)[:_LONGEST_NAME_SPAN])
-
-
-def each_result(
-    client: Any, function: Callable[..., Result], jobs: Sequence[Sequence[Any]]
-) -> Iterator[Result]:
-    """Yield the results of a function in the order of its jobs, on a Dask client when there is one.
-
-    At most `IN_FLIGHT` jobs are out at once, so results never pile up.
-    """
-    if client is None:
-        for job in jobs:
-            yield function(*job)
-        return
-    waiting: deque[Any] = deque()
-    for job in jobs:
-        waiting.append(client.submit(function, *job, pure=False))
-        if len(waiting) >= IN_FLIGHT:
-            yield result_of(waiting.popleft())
-    while waiting:
-        yield result_of(waiting.popleft())
-
-
-def result_of(future: Any) -> Any:
-    """Return the result of a Dask future.
-
-    Raises
-    ------
-    WorkerError
-        When several processes in turn died of it. What the function itself raised is raised as it is.
-    """
-    from distributed import KilledWorker
-
-    try:
-        return future.result()
-    except KilledWorker as error:
-        raise WorkerError(
-            f"{error.allowed_failures + 1} Dask processes in turn ended while they did one piece of work",
-            remedy="look for what ends them, most often too little memory: fewer '--workers' or "
-            "'--batch-days' need less; then run again",
-        ) from error
 
 
 def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str]:

@@ -1,25 +1,58 @@
-from .compare_rows import Sources, Spans, blocks_of, published_products, rows_of_day, scalar_channels
-from .compared import Compared
-from .job import Job, Outcome, make_days
-from .planning import ReprocessSettings, equations_of, plan, product_of
-from .publication import adopted_days, take_outcome
-from .published_tables import table_sections
-from .reprocessing import Mapper, reprocess
-from .tables import load_equations, span_solution
+from .base import (
+    Compared,
+    CompareReport,
+    Job,
+    Outcome,
+    Pipeline,
+    Plan,
+    Report,
+    ReprocessSettings,
+    Sources,
+    Spans,
+    TextLine,
+    Versions,
+    adopted_days,
+    blocks_of,
+    equations_of,
+    make_days,
+    product_of,
+    published_products,
+    rows_of_day,
+    scalar_channels,
+    take_outcome,
+)
+from .registry import (
+    PIPELINES,
+    find_pipeline,
+    pipeline_of,
+    plan,
+    reprocess,
+    table_sections,
+    whole_mission_pipeline,
+)
+from .scalar import load_equations, span_solution
 
 __all__ = [
+    "PIPELINES",
+    "CompareReport",
     "Compared",
     "Job",
-    "Mapper",
     "Outcome",
+    "Pipeline",
+    "Plan",
+    "Report",
     "ReprocessSettings",
     "Sources",
     "Spans",
+    "TextLine",
+    "Versions",
     "adopted_days",
     "blocks_of",
     "equations_of",
+    "find_pipeline",
     "load_equations",
     "make_days",
+    "pipeline_of",
     "plan",
     "product_of",
     "published_products",
@@ -29,4 +62,5 @@ __all__ = [
     "span_solution",
     "table_sections",
     "take_outcome",
+    "whole_mission_pipeline",
 ]

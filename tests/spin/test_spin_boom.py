@@ -8,7 +8,7 @@ from inflight.simulate.spinning import SpinningSettings, simulate_spinning_day
 from inflight.spin import TwelveParameters, respin
 from inflight.tasks.archive import ingest
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.tasks.pipelines.relation.reprocess import unwrapped
+from inflight.tasks.pipelines.relation.bending import unwrapped
 from inflight.time import to_utc
 
 SETTINGS = SpinningSettings(craft="imp8", days=3, seed=12)

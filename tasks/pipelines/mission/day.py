@@ -28,7 +28,6 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import RESIDUAL, BlockFit, NormalEquations
-from inflight.catalog import Catalog
 from inflight.errors import SamplesError
 from inflight.frames import direction_of, geometry_at
 from inflight.lsq import in_amperes
@@ -42,10 +41,10 @@ from inflight.mission_fit import (
     wide_and_beside,
     with_nine,
 )
-from inflight.model import Model, ResidualRows, rows_of
+from inflight.model import ResidualRows, rows_of
 from inflight.residual import find_steps
 from inflight.tasks.archive import channel_homes, own_readings, position_channel
-from inflight.tasks.pipelines.job import Job, Outcome, make_days
+from inflight.tasks.pipelines.base import Batch
 from inflight.tasks.pipelines.scalar import fit_day
 from inflight.time import Int64, day_bounds, usual_step
 
@@ -195,9 +194,6 @@ def _unpacked(layout: dict[str, Any], days: Sequence[xr.Dataset], name: str) -> 
     return xr.Dataset(own, coordinates, layout["attributes"])
 
 
-#: Bumped by hand when the numbers of the chain's days change.
-CHAIN_VERSION = 3
-
 #: Kinds of channels whose currents may step.
 CURRENTS = ("solar_current", "battery_current", "camera_current", "heater", "current")
 
@@ -263,24 +259,7 @@ class Witnesses:
         return Beside(self.temperatures, self.orbit)
 
 
-def chain_batch(
-    cat: Catalog, mission: Mission, model: Model, job: Job, witnesses: Witnesses, min_coverage: float
-) -> Outcome:
-    """Make the chain's days of a batch and write them as one segment; parameters as `calibrate_batch`."""
-    return make_days(
-        cat, job, lambda day: chain_day(cat, mission, model, day, job, witnesses, min_coverage), alike
-    )
-
-
-def chain_day(
-    cat: Catalog,
-    mission: Mission,
-    model: Model,
-    day: np.datetime64,
-    job: Job,
-    witnesses: Witnesses,
-    min_coverage: float,
-) -> tuple[xr.Dataset, dict[str, Any]]:
+def chain_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return all that one day says, and a report of its own fit.
 
     Raises
@@ -288,7 +267,8 @@ def chain_day(
     CalibrationError
         As `inflight.tasks.pipelines.scalar.calibrate.calibrate_day`.
     """
-    fitted = fit_day(cat, mission, model, day, job, None, min_coverage)
+    model, fitted = batch.model, fit_day(batch, day)
+    witnesses = Witnesses.of(batch.mission, model.comparison)
     span = day_bounds(day)
     attributes = {
         "comparison": model.comparison,
@@ -297,7 +277,7 @@ def chain_day(
         "filter": "raw",
     }
     means = _means(
-        _currents(fitted.samples, witnesses.driven) | _temperatures(cat, job, day, witnesses.temperatures)
+        _currents(fitted.samples, witnesses.driven) | _temperatures(batch, day, witnesses.temperatures)
     )
     if not fitted.fit.used:
         # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
@@ -398,12 +378,12 @@ def _currents(samples: xr.Dataset, names: Sequence[str]) -> dict[str, Floats]:
     return out
 
 
-def _temperatures(cat: Catalog, job: Job, day: np.datetime64, names: Sequence[str]) -> dict[str, Floats]:
+def _temperatures(batch: Batch, day: np.datetime64, names: Sequence[str]) -> dict[str, Floats]:
     """Return a day's own readings of temperatures, each at its own cadence; empty ones of what is missing."""
     out = {}
-    for need in job.needs:
+    for need in batch.job.needs:
         if need.name in names and need.part is None:
-            found = own_readings(cat, job.index, need, day)
+            found = own_readings(batch.cat, batch.job.index, need, day)
             out[need.name] = np.zeros(0) if found is None else np.asarray(found, dtype=np.float64)
     return out
 

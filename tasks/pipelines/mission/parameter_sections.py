@@ -46,8 +46,9 @@ from inflight.mission_fit import (
     running_mean,
     week_pattern,
 )
+from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.mission.fit import ChainResults
-from inflight.tasks.pipelines.mission.sections import SHOWN, Part, with_error
+from inflight.tasks.pipelines.mission.sections import SHOWN
 from inflight.tasks.pipelines.mission.tables import SHORTEST, faults_of, middles, spectra_of, stated_periods
 from inflight.time import DAY, mjd_of, to_tt2000
 

@@ -21,10 +21,9 @@ from inflight.figures import (
     relation_figure,
     write_page,
 )
-from inflight.mission import Mission, is_told_by_states
-from inflight.tasks.pipelines.mission import Part, with_error
-from inflight.tasks.pipelines.relation.reprocess import NO_PRODUCT, TABLES
-from inflight.tasks.pipelines.tables import newest_tables
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import Part, newest_tables, with_error
+from inflight.tasks.pipelines.relation.pipeline import NO_PRODUCT, RELATIONS
 from inflight.time import day_of
 
 
@@ -36,14 +35,8 @@ def dual_report(
     Raises
     ------
     CatalogError
-        When none is certified, or the spacecraft's states tell the sensors: these have tables of their own.
+        When none is certified.
     """
-    if is_told_by_states(mission, comparison):
-        raise CatalogError(
-            f"'{comparison}' is told by the spacecraft's states: no table says how its sensors stand to each "
-            "other",
-            remedy="'inflight compare' shows states, units and what is left",
-        )
     tables, parts = dual_parts(cat, comparison)
     daily = tables["relation-daily"]
     days = [str(one)[:10] for one in day_of(daily["start"].values[[0, -1]])]
@@ -72,7 +65,7 @@ def dual_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tu
     CatalogError
         When none is certified.
     """
-    tables = newest_tables(cat, comparison, TABLES)
+    tables = newest_tables(cat, comparison, tuple(RELATIONS[0].tables))
     if "relation-daily" not in tables:
         raise CatalogError(
             f"no tables are published for comparison '{comparison}'",

@@ -47,16 +47,18 @@ from inflight.spin import (
 )
 from inflight.tasks.archive import ArchiveIndex, Need, Turning, load_samples, needs_of
 from inflight.tasks.models import current_model
-from inflight.tasks.pipelines.compare_rows import (
+from inflight.tasks.pipelines.base import (
+    Compared,
+    CompareReport,
     Sources,
     Spans,
     blocks_of,
     channel_means,
+    fails_text,
     geometry_means,
     scalar_channels,
+    wandering_text,
 )
-from inflight.tasks.pipelines.compared import Compared
-from inflight.tasks.pipelines.scalar import CompareReport, fails_text, wandering_text
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
 

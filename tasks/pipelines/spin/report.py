@@ -27,7 +27,7 @@ from inflight.figures import (
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.spin import NAMES, SPIN_RELATED, UNITS
-from inflight.tasks.pipelines.mission import Part, with_error
+from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.spin.tables import METHODS, TABLES, SpinResults
 from inflight.time import DAY, day_of
 

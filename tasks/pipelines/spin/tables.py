@@ -42,9 +42,8 @@ from inflight.spin import (
     join_twelve,
 )
 from inflight.tasks.archive import flips_of
-from inflight.tasks.pipelines.planning import equations_of, product_of
+from inflight.tasks.pipelines.base import equations_of, newest_tables, product_of
 from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
-from inflight.tasks.pipelines.tables import newest_tables
 from inflight.time import DAY, Int64, day_bounds, day_of, utc_text
 from inflight.zero_level import (
     DAVIS_SMITH,

@@ -53,9 +53,8 @@ from inflight.dual import (
     switchings,
     to_dataset,
 )
-from inflight.mission import Mission, is_told_by_states
-from inflight.tasks.pipelines.compare_rows import scalar_channels
-from inflight.tasks.pipelines.planning import product_of
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import UsedTable, product_of, scalar_channels
 from inflight.time import SECOND, DayLike, Int64, day_bounds, day_of, usual_step
 
 #: Characters of a key that tell a window's own inputs; the others tell the windows before it, too.
@@ -432,10 +431,8 @@ def named_units(
 ) -> list[dict[str, Any]] | None:
     """Return the units of the span's states and the channels behind them, as plain fields.
 
-    None of a comparison without products of states. Units without a channel are told as such.
+    None of a comparison without products. Units without a channel are told as such.
     """
-    if not is_told_by_states(mission, comparison):
-        return None
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = cat.days(product_of(comparison), span, states=("published",))
     if not days:
@@ -527,7 +524,7 @@ def _steps(table: xr.Dataset) -> Iterator[tuple[Floats, Floats, Floats]]:
         yield value, difference, np.asarray(table[covariance].values)
 
 
-def remarks_of(tables: Mapping[np.datetime64, tuple[int, str, xr.Dataset]]) -> list[dict[str, str]]:
+def remarks_of(tables: Mapping[np.datetime64, UsedTable]) -> list[dict[str, str]]:
     """Return the remarks of the tables that hold, as problems of days that are there all the same."""
     seen: dict[int, dict[str, Any]] = {}
     for day in sorted(tables):
