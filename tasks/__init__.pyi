@@ -8,7 +8,7 @@ from .analysis import (
     open_workbench,
 )
 from .archive import ingest, simulate, simulate_dual, simulate_spinning
-from .batches import Mapper, each_result, result_of
+from .batches import Mapper, batch_mapper, counted, each_result, result_of
 from .models import Versions, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release
@@ -24,8 +24,10 @@ __all__ = [
     "Versions",
     "Workbench",
     "as_settings_error",
+    "batch_mapper",
     "compare",
     "comparison_of",
+    "counted",
     "current_model",
     "diagnose",
     "diagnose_span",

@@ -9,7 +9,7 @@ puts in its place.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from inflight.errors import WorkerError
@@ -68,14 +68,19 @@ def result_of(future: Any) -> Any:
 
 def batch_mapper(client: Any, progress: Progress | None = None) -> Mapper:
     """Return a mapper that runs batches here, or on a Dask client, and reports how many are done."""
+    tell = progress or (lambda stage, done, total: None)
 
     def run_batches(
         stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
     ) -> Iterator[Any]:
-        tell = progress or (lambda stage, done, total: None)
-        tell(stage, 0, len(arguments))
-        for done, outcome in enumerate(each_result(client, function, arguments), start=1):
-            tell(stage, done, len(arguments))
-            yield outcome
+        return counted(tell, stage, each_result(client, function, arguments), len(arguments))
 
     return run_batches
+
+
+def counted(progress: Progress, stage: str, results: Iterable[Any], total: int) -> Iterator[Any]:
+    """Yield results, reporting after each one how many of `total` are done."""
+    progress(stage, 0, total)
+    for done, result in enumerate(results, start=1):
+        progress(stage, done, total)
+        yield result
