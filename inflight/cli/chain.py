@@ -41,14 +41,13 @@ def chain(
 
     Of a spinning spacecraft: the twelve parameters, where each came from, and what each day decided.
     """
-    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
+    from inflight.tasks.pipelines import tables_report
 
     workspace = session.open_workspace()
     mission, catalog = workspace.mission(), session.open_catalog()
     require_comparison(mission, comparison)
     page = page_path(html) if html else None
-    together = ReprocessSettings(comparison=comparison, table="continuous")
-    report = pipeline_of(mission, comparison, together).report(catalog, mission, comparison, page, cross_talk)
+    report = tables_report(catalog, mission, comparison, page, cross_talk)
     fields = report.as_json()
 
     def show(console: Console) -> None:

@@ -24,11 +24,13 @@ from .base import (
 from .registry import (
     PIPELINES,
     find_pipeline,
+    learns_states,
     pipeline_of,
     plan,
     reprocess,
     table_sections,
-    whole_mission_pipeline,
+    tables_report,
+    units_of,
 )
 from .scalar import load_equations, span_solution
 
@@ -50,6 +52,7 @@ __all__ = [
     "blocks_of",
     "equations_of",
     "find_pipeline",
+    "learns_states",
     "load_equations",
     "make_days",
     "pipeline_of",
@@ -61,6 +64,7 @@ __all__ = [
     "scalar_channels",
     "span_solution",
     "table_sections",
+    "tables_report",
     "take_outcome",
-    "whole_mission_pipeline",
+    "units_of",
 ]

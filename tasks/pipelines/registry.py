@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from inflight.catalog import Catalog
@@ -9,7 +10,7 @@ from inflight.errors import MissionError
 from inflight.figures import Section
 from inflight.mission import Mission
 from inflight.tasks.batches import Mapper, batch_mapper
-from inflight.tasks.pipelines.base import Pipeline, Plan, ReprocessSettings, carry_out
+from inflight.tasks.pipelines.base import Pipeline, Plan, Report, ReprocessSettings, carry_out
 from inflight.tasks.pipelines.mission import MissionPipeline
 from inflight.tasks.pipelines.relation import RelationPipeline
 from inflight.tasks.pipelines.scalar import ScalarPipeline
@@ -26,6 +27,9 @@ PIPELINES: tuple[Pipeline, ...] = (
     RelationPipeline(),
     StatesPipeline(),
 )
+
+#: Chooses the pipeline that makes tables of all days together.
+ALL_DAYS = ReprocessSettings(table="continuous")
 
 
 def find_pipeline(
@@ -60,11 +64,6 @@ def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings |
             remedy=f"choose one of {', '.join(known) or 'none: the mission has none'}",
         )
     return found
-
-
-def whole_mission_pipeline(mission: Mission, comparison: str) -> Pipeline | None:
-    """Return the pipeline that makes tables of all days together; None as for `find_pipeline`."""
-    return find_pipeline(mission, comparison, ReprocessSettings(table="continuous"))
 
 
 def plan(
@@ -149,6 +148,44 @@ def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Sect
     CatalogError, SettingsError
         When tables are damaged or not whole.
     """
-    usual, whole = find_pipeline(mission, comparison), whole_mission_pipeline(mission, comparison)
+    usual, whole = find_pipeline(mission, comparison), find_pipeline(mission, comparison, ALL_DAYS)
     chosen = dict.fromkeys(one for one in (usual, whole) if one is not None)
     return [section for one in chosen for section in one.sections(cat, mission, comparison)]
+
+
+def tables_report(
+    cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+) -> Report:
+    """Return what the tables of all days together say, and write the page of it when a path is given.
+
+    Parameters
+    ----------
+    asked : str
+        A parameter or cause whose cross-talk with all others is asked for.
+
+    Raises
+    ------
+    MissionError
+        When nothing is calibrated in the comparison.
+    CatalogError
+        When no table is published.
+    """
+    return pipeline_of(mission, comparison, ALL_DAYS).report(cat, mission, comparison, output, asked)
+
+
+def learns_states(mission: Mission, comparison: str) -> bool:
+    """Return True for a comparison whose pipeline tells states of the spacecraft apart."""
+    found = find_pipeline(mission, comparison)
+    return found is not None and found.learns_states
+
+
+def units_of(
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+) -> list[dict[str, Any]] | None:
+    """Return the units of the spacecraft that switch, as plain fields; None where no states are learnt."""
+    found = find_pipeline(mission, comparison)
+    return None if found is None else found.units(cat, mission, comparison, start, end)
