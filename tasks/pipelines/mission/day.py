@@ -58,13 +58,13 @@ _ARRAYS = {"f": "number", "i": "stamp"}
 def pack_parts(day: xr.Dataset, parts: Mapping[str, xr.Dataset | None]) -> xr.Dataset:
     """Return a day with its parts: variables ``part.number``, ``part.stamp`` (block, row, column).
 
-    A part that is None leaves nothing behind. Rows beyond the most kept are spread evenly over the day.
+    A part that is None or has no row leaves nothing behind. Rows beyond the most kept are spread evenly over the day.
     """
     made: dict[str, xr.Variable] = {}
     for name, part in parts.items():
-        if part is None:
-            continue
         dim, most = ROWS[name]
+        if part is None or not part.sizes[dim]:
+            continue
         chosen = _chosen(part.sizes[dim], most)
         kept = part.isel({dim: chosen})
         made[f"{name}.kept"] = xr.Variable("block", np.array([len(chosen)], dtype=np.int64))
