@@ -42,6 +42,9 @@ from inflight.tasks.pipelines.relation.relation import (
 )
 from inflight.time import DayLike, is_within
 
+#: Days listed at most; the newest.
+_MOST = 15
+
 #: What is said where a product would be.
 NO_PRODUCT = (
     "two vector sensors against each other calibrate nothing: tables of how they stand to each other are "
@@ -255,13 +258,18 @@ def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
     """Return how two vector sensors stand to each other, and which of the three disagrees."""
     sections = fields["sections"]
     first, last = fields["span"]
+    items = {name: section.get("items", []) for name, section in sections.items()}
     lines = [
         f"{one['name']} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}"
-        for one in sections["relation"].get("items", [])
+        for one in items.get("relation", [])
     ]
     lines += [
         f"variance of the {one['sensor']} sensor {one['variance']:.4g} ± {one['sigma']:.2g} nT^2"
-        for one in sections["corners"].get("items", [])
+        for one in items.get("corners", [])
+    ]
+    lines += [
+        f"{one['day']} bend {one['value']:.4f} ± {one['sigma']:.2g} {one['unit']}"
+        for one in items.get("bending", [])[-_MOST:]
     ]
     title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"
     return [TextLine(title, "bold"), *(TextLine(f"  {line}") for line in [*lines, fields["note"]])]
