@@ -16,6 +16,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import Interval, NormalEquations, bend, calibration_table, empty_block, reference_of
 from inflight.catalog import Catalog, Day
+from inflight.errors import CatalogError
 from inflight.lsq import WEIGHTED_RMS, Solution, residual_sum
 from inflight.model import Model
 from inflight.time import day_bounds
@@ -25,7 +26,18 @@ MOST_BEND = 1e-3
 
 
 def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
-    """Read the normal equations of days, published or verified, in order of time."""
+    """Read the normal equations of days, published or verified, in order of time.
+
+    Raises
+    ------
+    CatalogError
+        When there is no day.
+    """
+    if not days:
+        raise CatalogError(
+            "no normal equations of single days are published in the span",
+            remedy="run 'inflight reprocess' first; a fit of all days at once keeps equations of its own",
+        )
     parts = [cat.read(day) for day in sorted(days, key=lambda day: day.day)]
     static = parts[0][["scale"]]
     rows = xr.concat(
