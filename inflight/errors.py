@@ -41,8 +41,8 @@ class InflightError(Exception):
             )
             if text
         )
-        told = f"{place}: {self.message}" if place else self.message
-        return f"{told}; {self.remedy}" if self.remedy else told
+        text = f"{place}: {self.message}" if place else self.message
+        return f"{text}; {self.remedy}" if self.remedy else text
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle whole, because errors travel from Dask workers."""
@@ -120,6 +120,10 @@ class WorkspaceError(CatalogError, FileNotFoundError):
 
 class SettingsError(InflightError, ValueError):
     """Parameters of a run make no sense together or for this mission."""
+
+
+class ConformanceError(InflightError, AssertionError):
+    """A plug-in does not keep its contract; the message lists every failed check and what to mend."""
 
 
 class CalibrationError(InflightError, ArithmeticError):

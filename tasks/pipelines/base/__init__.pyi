@@ -33,7 +33,7 @@ from .publication import (
     take_failure,
     take_outcome,
 )
-from .reprocessing import carry_out, residual_of_days
+from .reprocessing import carry_out, product_key, residual_of_days
 from .tables import content_keys, month_edges, newest_record, newest_table, newest_tables, window_edges
 
 __all__ = [
@@ -77,6 +77,7 @@ __all__ = [
     "newest_tables",
     "plan_archive_days",
     "plan_days",
+    "product_key",
     "product_of",
     "published_products",
     "residual_of_days",

@@ -23,6 +23,7 @@ from inflight.tasks.pipelines.base.planning import Plan
 from inflight.tasks.pipelines.base.publication import (
     Reprocessing,
     Solved,
+    UsedTable,
     adopted_days,
     take_outcome,
 )
@@ -134,18 +135,18 @@ def product_batch(pipeline: Pipeline, batch: ProductBatch) -> Outcome:
     return make_days(batch.cat, batch.job, partial(pipeline.make_product, batch))
 
 
+def product_key(pipeline: Pipeline, plan: Plan, day: np.datetime64, used: UsedTable) -> str:
+    """Return the key of a day's product: a hash of its samples, the model, and what holds of the table."""
+    inputs = [plan.keys[day], *used.inputs]
+    return idempotency_key(plan.product, day, pipeline.versions.products, plan.context, inputs)
+
+
 def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _Products:
     """Make and stage the products whose samples, model or table changed."""
     cat, plan = work.cat, work.plan
     current = {day.day: day for day in cat.days(plan.product, states=("published",))}
     keys = {
-        day: idempotency_key(
-            plan.product,
-            day,
-            pipeline.versions.products,
-            plan.context,
-            [plan.keys[day], *solved.used[day].inputs],
-        )
+        day: product_key(pipeline, plan, day, solved.used[day])
         for day in plan.days
         if day in solved.used and day not in work.failed
     }

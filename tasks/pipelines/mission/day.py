@@ -58,7 +58,8 @@ _ARRAYS = {"f": "number", "i": "stamp"}
 def pack_parts(day: xr.Dataset, parts: Mapping[str, xr.Dataset | None]) -> xr.Dataset:
     """Return a day with its parts: variables ``part.number``, ``part.stamp`` (block, row, column).
 
-    A part that is None or has no row leaves nothing behind. Rows beyond the most kept are spread evenly over the day.
+    A part that is None or has no row leaves nothing behind. Rows beyond the most kept are spread evenly over
+    the day.
     """
     made: dict[str, xr.Variable] = {}
     for name, part in parts.items():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.catalog import Catalog, Day
 from inflight.errors import CatalogError, MissionError
 from inflight.figures import Section
 from inflight.mission import Mission
@@ -22,7 +22,9 @@ from inflight.tasks.pipelines.base import (
     Reprocessing,
     ReprocessSettings,
     Solved,
+    UsedTable,
     Versions,
+    product_key,
 )
 from inflight.tasks.pipelines.states.day import states_day
 from inflight.tasks.pipelines.states.tables import (
@@ -93,9 +95,7 @@ class StatesPipeline(Pipeline):
         for group in groups:
             key = chained_key(window_key(plan, group, self.versions.tables), chain.keys)
             for day in group:
-                own = idempotency_key(
-                    plan.product, day, self.versions.products, plan.context, [plan.keys[day], key]
-                )
+                own = product_key(self, plan, day, UsedTable(0, (key,), xr.Dataset()))
                 (same if key in known.joined and current.get(day) == own else todo).append(day)
             if key in known.joined:
                 chain.add(key, cat.table_by_id(known.joined[key].id))
