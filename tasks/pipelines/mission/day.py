@@ -1,18 +1,14 @@
-"""A day of the whole-mission fit.
+"""A day of the whole-mission fit: its own fit, its wide equations, and what only its samples can witness.
 
-Parts of a chain's day side by side in one Dataset, and back again.
-
-A part is a table of rows: segments, epochs, channels. Its numbers stand in two arrays a day, one of floats
-and one of whole numbers, and an attribute says which columns are which variable: a store has a file for each
-array of each day, and fifty small ones would take longer to write and to read than all they hold to compute.
-Days of one store need arrays of one size: a part that has more rows on one day than on another is filled up,
-and says how many it has.
-
-A day of the whole chain: its own fit, its wide equations, and what only fast samples can witness.
-
-One look at a day's samples makes all that later steps are computed from: normal equations of everything
-the model lets data move, the equations of the torquers' band, epochs of currents that step, and means of
+One pass over a day's samples makes all that later steps are computed from: normal equations of everything the
+model lets data move, the equations of the torquers' band, epochs of currents that step, and means of
 channels.
+
+These parts stand side by side in one Dataset (`pack_parts`, `part_of`). A part is a table of rows: segments,
+epochs, channels. Its numbers stand in two arrays a day, one of floats and one of whole numbers, and an
+attribute says which columns are which variable: a store has a file for each array of each day, and fifty
+small ones would take longer to write and to read than all they hold to compute. Days of one store need arrays
+of one size: a part that has more rows on one day than on another is filled up, and says how many it has.
 """
 
 from __future__ import annotations

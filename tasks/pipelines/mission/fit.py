@@ -1,11 +1,10 @@
-"""The whole-mission fit.
+"""The whole-mission fit: all days at once, the tables of what they witness, and reading both back.
 
-The whole chain of a mission: one look at every day, one fit of all days, tables of what they witness.
-
-Stages of `inflight.tasks.pipelines.reprocessing.reprocess` for the table ``continuous``. Products are made
-with the fitted model, whose scale factors are functions of time, so that no day jumps against its neighbour.
-
-What a workspace holds of its chain: the published days and the tables that belong together.
+`chained` takes the statistics of all days (`chain_day`), fits everything the model lets data move
+(`inflight.mission_fit.fit_mission`), and makes every table that their parts allow; a table that cannot be
+made only says why. Products are made with the fitted model, whose scale factors are functions of time, so
+that no day jumps against its neighbour. `chain_results` reads the published days and the tables that belong
+together.
 """
 
 from __future__ import annotations

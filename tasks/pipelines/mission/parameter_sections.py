@@ -1,8 +1,7 @@
-"""Sections of parameters.
+"""Sections of the whole-mission report on parameters, and on what the model does not hold.
 
-Sections of a chain's report on daily parameters: periods, means, steps, clock, temperature.
-
-Sections of a chain's report on what the model does not hold: the coil's lag, day and night, cross-talk.
+Daily parameters: periods, means, steps, clock, temperature. What the model does not hold: the coil's lag, day
+and night, cross-talk. Each function takes `ChainResults` and returns a `Part`.
 """
 
 from __future__ import annotations

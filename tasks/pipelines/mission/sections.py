@@ -1,10 +1,6 @@
-"""Sections of the fit's page.
+"""Sections of the whole-mission report: what was fitted, currents that step, torquers, offsets.
 
-Sections of a chain's report on what was fitted: residual, coefficients, trend, jumps.
-
-Sections of a chain's report on currents that step: superposed epochs, dipole, panels by local time.
-
-Sections of a chain's report on the torquers, and on the offsets that the products' residual tells.
+Each function takes `ChainResults` and returns a `Part`: fields, paragraphs and figures.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""Comparison of a spinning sensor with its model.
+"""Compare of a spinning sensor: what of the products still goes with the spin, and what it follows.
 
-The page of a spin comparison's `compare`: tones before and after, and what they follow.
-
-Compare of a spin comparison: what of the products still goes with the spin, and what it follows.
-
-The residual of a turning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
+The residual of a spinning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
 folded into synthetic turns (`inflight.samples.spin_folding`), and so is the pre-flight calibration of the
-same readings.
+same readings. The page shows tones before and after, and what they follow.
 """
 
 from __future__ import annotations

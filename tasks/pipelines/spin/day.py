@@ -1,8 +1,8 @@
-"""A day of a spinning sensor.
+"""A day of a spinning sensor: eight parameters, where spin axis and Sun stand, and quiet averages.
 
-How a spinning spacecraft's axis lies in space on a day, from what a mission states or delivers.
-
-What one day of a turning sensor tells: its eight parameters, where they come from, and quiet averages.
+`spin_day` lays out sub-intervals of the day and estimates the eight parameters that the spin determines, in
+each and jointly (Plaschke et al. 2019; `inflight.spin`). `attitude_of` gives the direction of the spin axis,
+from what the mission states or a channel delivers.
 """
 
 from __future__ import annotations

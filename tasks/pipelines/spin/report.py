@@ -1,4 +1,4 @@
-"""What the tables of a turning sensor tell: fields for programs, and one page."""
+"""What the tables of a spinning sensor say: fields for programs, and one page."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
-"""Its tables.
+"""Tables of a spinning sensor: each day's parameters, windows of days, the offset along the spin axis, flips.
 
-Tables of a turning sensor: each day's parameters, windows of days, the offset along the spin axis.
-
-What a workspace holds of a spin comparison: its tables, their days, and the estimates chosen.
-
-What the flips of a mission tell of its sensors and its spacecraft, as a table.
+`spin_table` joins the days of a window and decides whether a new estimate replaces the value in use
+(`inflight.spin.update`); `zero_level_table` finds the offset along the axis from natural fluctuations
+(`inflight.zero_level`), `flipper_table` from flips of the sensor. `SpinResults` reads published tables with
+their days.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Comparison of two sensors.
+"""Compare of two sensors on one boom: by how far the field steps where the spacecraft switches.
 
-Compare the corrected field of two sensors with the measured one: by how far it steps at switchings.
-
-What is shown of two sensors on one boom: steps, states, units, before and after.
+The steps of the corrected field are held against those of the measured one and against the field where
+nothing switches; what is left is regressed on housekeeping. The page shows steps, states, units, before and
+after.
 """
 
 from __future__ import annotations

@@ -1,22 +1,17 @@
-"""Joined windows, constant part, attribution.
+"""What tables of states say across windows: numbers that run on, the constant part, units and channels.
 
-Windows of states joined in the order of time: the same state and unit have one number in all of them.
+Windows are learnt from independently, in any order. Afterwards each goes on from one of those before it
+(`joined`, `inflight.dual.tracking`), so that the same state and unit have one number in all of them. This can
+be undone: a window that changed is learnt from again, and those behind it are only joined anew. A window with
+few states does not end the sequence: the next one may go on from one before that.
 
-Windows are learnt from independently, in any order and at the same time. Afterwards each goes on from one
-of those before it (`inflight.dual.tracking`), which can be undone: a window that changed is learnt from
-again,
-and those behind it are only joined anew. A window that told little does not end the chain: the next one may
-go on from one before that.
+The constant part (`constant_of`): corrections by states are relative to one state, and windows that know it
+go on from each other. A gradiometer is determined from changes alone, and its constant is arbitrary: it is
+put where the states of the same window have it, so that the field does not step where one method follows the
+other.
 
-The constant part of the corrections: the same in all windows where the data tell it, else told.
-
-Corrections by states are relative to one state, and windows that know it go on from each other. A gradiometer
-is told from changes alone, and its constant is arbitrary: it is put where the states of the same window have
-it, so that the field does not step where one method follows the other.
-
-The units of a table of states beside housekeeping: which channel switches with which unit.
-
-What a table of states says against the delivery it was learnt from.
+Units beside housekeeping (`named_units`): which channel switches with which unit. `with_remark` notes sensors
+that look exchanged.
 """
 
 from __future__ import annotations
