@@ -52,7 +52,9 @@ class Part:
     def lack(self, what: str, why: str) -> None:
         """Say what is not there, with its reason."""
         self.absent[what] = why
-        self.text.append(f'<p class="absent"><b>{escape(what)}</b>: not told. {escape(_sentence(why))}</p>')
+        whole = why[:1].upper() + why[1:]
+        whole = whole if whole.endswith(".") else f"{whole}."
+        self.text.append(f'<p class="absent"><b>{escape(what)}</b>: not told. {escape(whole)}</p>')
 
     def attempt(self, what: str, make: Callable[[], None]) -> None:
         """Do a piece of the section; when the span does not suffice for it, say so."""
@@ -61,11 +63,6 @@ class Part:
         except InflightError as error:
             remedy = f"; {error.remedy}" if error.remedy else ""
             self.lack(what, f"{error.message}{remedy}")
-
-
-def _sentence(text: str) -> str:
-    whole = text[:1].upper() + text[1:]
-    return whole if whole.endswith(".") else f"{whole}."
 
 
 def shown(parts: Sequence[Part]) -> list[Section]:

@@ -19,7 +19,6 @@ import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -191,10 +190,7 @@ class Pipeline(ABC):
 
     def keeper(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TableKeeper:
         """Return what stages the tables of a run."""
-        return TableKeeper(work=work, days=days, key_of=partial(self._key_of, work.plan, days))
-
-    def _key_of(self, plan: Plan, days: Mapping[np.datetime64, Day], name: str) -> str:
-        return self.table_key(plan, name, days)
+        return TableKeeper(work=work, days=days, key_of=lambda name: self.table_key(work.plan, name, days))
 
     # --- products ---------------------------------------------------------------------------------------
 

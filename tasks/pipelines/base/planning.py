@@ -134,7 +134,8 @@ class Plan:
     @property
     def unchanged(self) -> list[np.datetime64]:
         """Days whose statistics are up to date; their products still follow the table."""
-        return [day for day in self.keys if day in self.published and self._is_current(day)]
+        known = {day: one.key for day, one in self.published.items()}
+        return [day for day, key in self.keys.items() if known.get(day) == key]
 
     @property
     def batches(self) -> list[list[np.datetime64]]:
@@ -154,9 +155,6 @@ class Plan:
         """Return days in batches, one a worker's task and a segment."""
         size = self.settings.batch_days
         return [list(days[at : at + size]) for at in range(0, len(days), size)]
-
-    def _is_current(self, day: np.datetime64) -> bool:
-        return self.published[day].key == self.keys[day]
 
 
 def plan_days(

@@ -123,7 +123,7 @@ def chained(
         "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
         "daily-after": lambda: daily_after(found.equations, found),
         "daily-temperature": lambda: daily_temperatures(mission, model, read),
-        "clock-faults": lambda: _clock_faults(out),
+        "clock-faults": lambda: faults_table(_made(out, "daily-after")),
         "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(mission)),
     }
     some = [read[place] for place in full]
@@ -144,10 +144,6 @@ def _made(out: Chained, name: str) -> xr.Dataset:
     if name not in out.tables:
         raise CalibrationError(out.left_out[name], remedy="see the table it is made from")
     return out.tables[name]
-
-
-def _clock_faults(out: Chained) -> xr.Dataset:
-    return faults_table(_made(out, "daily-after"))
 
 
 def _own_fits(read: Sequence[xr.Dataset], found: Continuous) -> xr.Dataset:
@@ -349,11 +345,15 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
         json.loads(tables["trend"].attrs.get(LEFT_OUT, "{}")) if "trend" in tables else {}
     )
     ids = {name: one.id for name, (one, _) in held.items()}
-    reports = _products(cat, comparison)
+    # Only products of the continuous fit tell the spread of their residual.
+    products = cat.days(product_of(comparison), states=("published",))
+    reports = {day.day: day.report for day in products if day.report.get("spread")}
     for name in ("z-offset", "window"):
         _beside(cat, comparison, name, tables, ids, left_out)
     if "z-offset" not in tables:
-        left_out["z-offset"] = _no_offsets(reports)
+        told = spread_offsets(reports)
+        anew = "products were made anew since; reprocess makes the table"
+        left_out["z-offset"] = told if isinstance(told, str) else anew
     model = _looked_with(cat, mission, comparison, days[0])
     version, fitted = _fitted(cat, mission, model)
     read = [_read(cat, day) for day in days]
@@ -394,17 +394,6 @@ def _beside(
         left_out[name] = (
             f"no table {comparison}-window to compare with; 'inflight reprocess --table window' makes one"
         )
-
-
-def _products(cat: Catalog, comparison: str) -> dict[np.datetime64, Mapping[str, Any]]:
-    """Return the reports of products; only those of the continuous fit tell the spread of their residual."""
-    found = cat.days(product_of(comparison), states=("published",))
-    return {day.day: day.report for day in found if day.report.get("spread")}
-
-
-def _no_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> str:
-    told = spread_offsets(reports)
-    return told if isinstance(told, str) else "products were made anew since; reprocess makes the table"
 
 
 def _read(cat: Catalog, day: Day) -> xr.Dataset:

@@ -23,7 +23,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import Part, newest_tables, with_error
-from inflight.tasks.pipelines.relation.pipeline import NO_PRODUCT, NO_PRODUCT_OF_BOOM, RELATIONS
+from inflight.tasks.pipelines.relation.pair import NO_PRODUCT, NO_PRODUCT_OF_BOOM, RELATIONS
 from inflight.time import day_of
 
 
