@@ -131,4 +131,4 @@ class CalibrationError(InflightError, ArithmeticError):
 
 
 class TooLittleError(CalibrationError):
-    """A record tells nothing of what is looked for, though nothing in it speaks against it."""
+    """A record is too short or too quiet to determine what is asked for; it is not contradicted."""

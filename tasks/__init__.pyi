@@ -12,7 +12,16 @@ from .batches import Mapper, batch_mapper, counted, each_result, result_of
 from .models import Versions, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release
-from .report import Progress, RunReport, as_settings_error, place_of, print_report, to_json, told_error
+from .report import (
+    Progress,
+    RunReport,
+    as_settings_error,
+    place_of,
+    print_report,
+    to_json,
+    told_error,
+    write_page,
+)
 
 __all__ = [
     "DiagnoseSettings",
@@ -46,4 +55,5 @@ __all__ = [
     "simulate_spinning",
     "to_json",
     "told_error",
+    "write_page",
 ]

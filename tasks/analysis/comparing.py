@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from inflight.catalog import Catalog
-from inflight.figures import html_page, write_page
+from inflight.figures import html_page
 from inflight.mission import Mission
 from inflight.tasks.pipelines import Compared, Report, pipeline_of, published_products
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, write_page
 from inflight.time import DayLike
 
 

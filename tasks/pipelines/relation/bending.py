@@ -10,7 +10,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.flags import UNUSABLE, Flag
-from inflight.spin import boom_bending, spin_fits
+from inflight.spin import fit_spins, measure_boom_bending
 from inflight.time import Int64, day_bounds
 
 
@@ -40,10 +40,10 @@ def bending_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.
     stamps = np.asarray(inboard["tt2000"].values, dtype=np.int64)
     phase = unwrapped(np.asarray(inboard["spin_phase"].values, dtype=np.float64), stamps)
     inner, outer = (
-        spin_fits(stamps, np.asarray(one["field_sensor"].values, dtype=np.float64), phase)
+        fit_spins(stamps, np.asarray(one["field_sensor"].values, dtype=np.float64), phase)
         for one in (inboard, outboard)
     )
-    found = boom_bending(outer, inner)
+    found = measure_boom_bending(outer, inner)
     start, end = day_bounds(day)
     dataset = xr.Dataset(
         {

@@ -19,11 +19,11 @@ from inflight.figures import (
     html_table,
     relation_days_figure,
     relation_figure,
-    write_page,
 )
 from inflight.mission import Mission
 from inflight.tasks.pipelines.base import Part, newest_tables, with_error
 from inflight.tasks.pipelines.relation.pair import NO_PRODUCT, NO_PRODUCT_OF_BOOM, RELATIONS
+from inflight.tasks.report import write_page
 from inflight.time import day_of
 
 
