@@ -80,11 +80,20 @@ def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
     from inflight.tasks.analysis import block_evidence
     from inflight.tasks.analysis import diagnosis as diagnose
     from inflight.tasks.archive import ArchiveIndex, ChannelReader, DerivedChannels, load_samples
+    from inflight.tasks.pipelines import learns_states
 
     mission = Workspace.open(cat.workspace).mission()
     made = diagnose.planned(cat, mission, diagnose.DiagnoseSettings())
     plan, index = made.plan, made.index
-    reader = ChannelReader(cat, mission, plan.channel_needs, index, plan.cadence_ns, plan.span)
+    reader = ChannelReader(
+        cat,
+        mission,
+        plan.channel_needs,
+        index,
+        plan.cadence_ns,
+        plan.span,
+        by_levels=learns_states(mission, "main"),
+    )
     derived = DerivedChannels(reader, plan.days, plan.told, plan.library.placebos)
     some = plan.blocks[2 : 2 + days]
     columns = len(plan.library.columns)

@@ -43,6 +43,7 @@ from inflight.tasks.archive import (
     shows_spin,
 )
 from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.pipelines import learns_states
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
@@ -197,7 +198,10 @@ def planned(
     cadence = native if platform else cadence_for(span[1] - span[0], native)
     if settings.cadence_s is not None and not platform:
         cadence = native * max(1, round(settings.cadence_s * SECOND / native))
-    reader = ChannelReader(cat, mission, channels, index, cadence, span, settings.comparison)
+    levels = learns_states(mission, settings.comparison)
+    reader = ChannelReader(
+        cat, mission, channels, index, cadence, span, settings.comparison, by_levels=levels
+    )
     tell("survey", 0, 1)
     found = survey(cat, mission, used.model, needs, index, days, reader)
     tell("survey", 1, 1)

@@ -75,7 +75,7 @@ from inflight.residual import drawn_periods, told_period
 from inflight.residual import known_periods as named_periods
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.pipelines.states import named_units
+from inflight.tasks.pipelines import units_of
 from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 
@@ -347,7 +347,7 @@ def examine(
     found = conclude(search, material)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
-    units = named_units(cat, mission, settings.comparison, start, end)
+    units = units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
     return Examined(search, material, found, settings, facts)
 

@@ -36,7 +36,7 @@ from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
 from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
-from inflight.mission import Mission, is_told_by_states, sensors_of
+from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, joined_floor, level_of_rows
 from inflight.samples import FOLDING_VERSION, Folding
@@ -47,12 +47,12 @@ from inflight.tasks.archive import (
     DerivedChannels,
     Need,
     as_variables,
-    each_result,
     load_samples,
     orbit_of,
     stand_in_value,
 )
-from inflight.tasks.pipelines import Job, Outcome, adopted_days, make_days, take_outcome
+from inflight.tasks.batches import each_result
+from inflight.tasks.pipelines import Job, Outcome, adopted_days, learns_states, make_days, take_outcome
 from inflight.tasks.pipelines.states import housekeeping
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, day_bounds
@@ -226,8 +226,16 @@ class PassPlan:
 
 def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
     """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
+    comparison = made.model.comparison
     reader = ChannelReader(
-        cat, mission, made.channel_needs, index, made.cadence_ns, made.span, made.model.comparison
+        cat,
+        mission,
+        made.channel_needs,
+        index,
+        made.cadence_ns,
+        made.span,
+        comparison,
+        by_levels=learns_states(mission, comparison),
     )
     derived = DerivedChannels(reader, made.days, made.told, made.library.placebos)
     days_of = {block[0]: block for block in made.blocks}
@@ -788,7 +796,7 @@ def switched_in(mission: Mission, plan: PassPlan, series: Series) -> JumpAttribu
     Switched or None
         None of another comparison than one of two sensors that tell of states, or when there are none.
     """
-    if not is_told_by_states(mission, plan.model.comparison):
+    if not learns_states(mission, plan.model.comparison):
         return None
     residual = series["residual"].reshape(len(series.tt2000), -1)
     there = (series["weight"] > 0) & np.asarray(np.isfinite(residual).all(axis=1))

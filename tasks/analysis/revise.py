@@ -50,7 +50,7 @@ from inflight.model import Model, ModelEffect, folding_of
 from inflight.tasks.analysis.diagnosis import Prepared, intervals_of, material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings, PassPlan
 from inflight.tasks.models import UsedModel, before_last, current_model, evidence_root
-from inflight.tasks.pipelines.states import named_units
+from inflight.tasks.pipelines import units_of
 from inflight.tasks.report import Progress, to_json
 from inflight.time import DayLike
 
@@ -553,7 +553,7 @@ def diagnose_span(
         fields = found.as_json() | {"command": "auto", "versions": [one.as_json() for one in steps]}
     else:
         fields = bench.diagnose().as_json()
-    units = named_units(bench.cat, mission, settings.comparison, start, end)
+    units = units_of(bench.cat, mission, settings.comparison, start, end)
     if units is not None:
         fields["units"] = units
     keep(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})

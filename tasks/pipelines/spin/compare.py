@@ -1,12 +1,8 @@
-"""Comparison of a spinning sensor with its model.
+"""Compare of a spinning sensor: what of the products still goes with the spin, and what it follows.
 
-The page of a spin comparison's `compare`: tones before and after, and what they follow.
-
-Compare of a spin comparison: what of the products still goes with the spin, and what it follows.
-
-The residual of a turning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
+The residual of a spinning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
 folded into synthetic turns (`inflight.samples.spin_folding`), and so is the pre-flight calibration of the
-same readings.
+same readings. The page shows tones before and after, and what they follow.
 """
 
 from __future__ import annotations
@@ -47,16 +43,18 @@ from inflight.spin import (
 )
 from inflight.tasks.archive import ArchiveIndex, Need, SpinClock, load_samples, needs_of
 from inflight.tasks.models import current_model
-from inflight.tasks.pipelines.compare_rows import (
+from inflight.tasks.pipelines.base import (
+    Compared,
+    CompareReport,
     Sources,
     Spans,
     blocks_of,
     channel_means,
+    fails_text,
     geometry_means,
     scalar_channels,
+    wandering_text,
 )
-from inflight.tasks.pipelines.compared import Compared
-from inflight.tasks.pipelines.scalar import CompareReport, fails_text, wandering_text
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
 

@@ -1,23 +1,16 @@
-"""A window and a day of two sensors.
+"""What a window and a day of two sensors on one boom tell: readings looked through, table of states, product.
 
-What two sensors on one boom deliver, looked through before anything is learnt from it.
-
-A sensor that is dead or not plugged in reads one value, and so does an axis that is stuck or full. The
-difference to the other sensor is then the ambient field itself, and a gradiometer would take that off:
-readings that stay the same while the other sensor's change are no measurements.
-
-What a window of days tells of two sensors: the table of states, and whether the correction helps.
-
-One day of two sensors with the table of states that holds: the product, and what it tells of itself.
-
-Windows of states and the keys of what is made from them: what has to be done, told before it is.
+Before anything is learnt, readings that are no measurements are flagged (`boom_samples`): a sensor that is
+dead or not plugged in reads one value, and so does an axis that is stuck or full. The difference to the other
+sensor is then the ambient field itself, and a gradiometer would take that off. `states_window` learns the
+table of a window of days and judges on held-out stretches whether its correction helps (`inflight.dual`);
+`states_day` corrects a day with the table that holds.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -28,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
-from inflight.catalog import Catalog, TableRecord, idempotency_key
+from inflight.catalog import Catalog
 from inflight.dual import (
     FORMS,
     WHOLE,
@@ -72,20 +65,14 @@ from inflight.tasks.archive import (
     load_samples,
     saturated,
 )
-from inflight.tasks.pipelines.job import Failure, Job, Outcome, failure_of, make_days
-from inflight.tasks.pipelines.planning import Plan, ReprocessSettings
-from inflight.tasks.pipelines.product import rounded
+from inflight.tasks.pipelines.base import Failure, ProductBatch, failure_of, rounded
 from inflight.tasks.pipelines.states.tables import (
-    OWN,
-    Chain,
-    chained_key,
     constant_of,
     constant_part,
     gradiometer_in_states,
     gradiometer_with_states,
     with_remark,
 )
-from inflight.tasks.pipelines.tables import window_edges
 from inflight.time import SECOND, Int64, day_bounds, usual_step
 from inflight.units import factor_and_offset
 
@@ -205,9 +192,6 @@ def _moved(values: Floats) -> float:
         return 0.0
     return float(np.ptp([one.mean() for one in np.array_split(known, _PARTS)]))
 
-
-#: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 8
 
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
@@ -407,29 +391,20 @@ def gradiometer_helps(table: xr.Dataset) -> bool:
     return told is not None and bool(told["helps"])
 
 
-#: Bumped by hand when the numbers of the products change.
-STATES_PRODUCT_VERSION = 2
-
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.NOT_CORRECTED
 
 
-def states_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job) -> Outcome:
-    """Make the products of a batch of days with one table, and write them as one segment."""
-    return make_days(cat, job, lambda day: states_day(cat, mission, model, table, day, job))
-
-
-def states_day(
-    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job
-) -> tuple[xr.Dataset, dict[str, Any]]:
+def states_day(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's product (`inflight.dual.product.dual_level2`) and a report.
 
     The report's residual is the rms step of the outboard field at the day's switchings, nT a component:
     as measured, corrected, and the floor, that of the corrected field where nothing switches.
     """
-    samples = boom_samples(cat, mission, model, day, job.needs, job.index)
+    mission, model, job = batch.mission, batch.model, batch.job
+    samples = boom_samples(batch.cat, mission, model, day, job.needs, job.index)
     readings, flag = readings_of(model, samples)
-    correction = correction_of(table, readings)
+    correction = correction_of(batch.table, readings)
     flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
     product = dual_level2(readings, correction, flag, model.comparison)
     product = rounded(product)
@@ -437,7 +412,7 @@ def states_day(
         "mission": mission.mission,
         "acknowledgement": mission.acknowledgement,
         "day": str(day),
-        "constant": constant_of(table),
+        "constant": constant_of(batch.table),
     }
     return product, report_of(product, day)
 
@@ -469,81 +444,3 @@ def report_of(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
         "constant": str(product.attrs["constant"]),
         **{name: value if np.isfinite(value) else None for name, value in steps.items()},
     }
-
-
-#: The table, by name without the comparison.
-STATES = "states"
-
-
-def windows(days: Sequence[np.datetime64], settings: ReprocessSettings) -> list[list[np.datetime64]]:
-    """Return the days of each window that has any: days, windows of the fixed grid, or all together."""
-    if settings.table == "span":
-        return [list(days)]
-    size = 1 if settings.table == "daily" else settings.window_days
-    edges = window_edges(min(days), max(days), size)
-    groups = [[day for day in days if low <= day < high] for low, high in pairwise(edges)]
-    return [group for group in groups if group]
-
-
-def table_name(made: Plan) -> str:
-    """Return the name of a plan's table of states."""
-    return f"{made.settings.comparison}-{STATES}"
-
-
-def window_key(made: Plan, group: Sequence[np.datetime64]) -> str:
-    """Return the key of what a window tells by itself: of its days' readings, mission and model."""
-    told = [STATES, str(STATES_VERSION), made.context, *(made.keys[day] for day in group)]
-    return hashlib.sha256("".join(told).encode()).hexdigest()
-
-
-def product_key(made: Plan, day: np.datetime64, table_key: str) -> str:
-    """Return the key of a day's product, from its readings and the table that holds."""
-    inputs = [made.keys[day], table_key]
-    return idempotency_key(made.product, day, STATES_PRODUCT_VERSION, made.context, inputs)
-
-
-@dataclass
-class KnownTables:
-    """The tables of states that the archive has, certified or left by a run that was ended.
-
-    Attributes
-    ----------
-    joined : dict of str to TableRecord
-        By the whole key.
-    learnt : dict of str to TableRecord
-        By the part of the key that tells a window's own inputs: what it tells by itself need not be
-        learnt again, whatever it was joined to.
-    """
-
-    joined: dict[str, TableRecord] = field(default_factory=dict)
-    learnt: dict[str, TableRecord] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, cat: Catalog, name: str) -> KnownTables:
-        """Return those of a name; damaged ones are not known."""
-        records = [one for one in cat.tables(name) if not one.damaged]
-        return cls({one.key: one for one in records}, {one.key[:OWN]: one for one in records})
-
-
-def days_to_do(cat: Catalog, made: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
-    """Return the days whose products a run would make, and those it would leave alone.
-
-    A window that is to be learnt from changes those behind it: they are joined to it anew.
-    """
-    name = table_name(made)
-    known = KnownTables.of(cat, name)
-    current = {day.day: day.key for day in cat.days(made.product, states=("published",))}
-    groups = windows(made.days, made.settings)
-    chain = Chain.before(cat, name, groups[0][0])
-    todo: list[np.datetime64] = []
-    same: list[np.datetime64] = []
-    for group in groups:
-        key = chained_key(window_key(made, group), chain.keys)
-        for day in group:
-            unchanged = key in known.joined and current.get(day) == product_key(made, day, key)
-            (same if unchanged else todo).append(day)
-        if key in known.joined:
-            chain.add(key, cat.table_by_id(known.joined[key].id))
-        else:
-            chain.add_unknown(key)
-    return todo, same

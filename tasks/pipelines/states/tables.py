@@ -1,22 +1,17 @@
-"""Joined windows, constant part, attribution.
+"""What tables of states say across windows: numbers that run on, the constant part, units and channels.
 
-Windows of states joined in the order of time: the same state and unit have one number in all of them.
+Windows are learnt from independently, in any order. Afterwards each goes on from one of those before it
+(`joined`, `inflight.dual.tracking`), so that the same state and unit have one number in all of them. This can
+be undone: a window that changed is learnt from again, and those behind it are only joined anew. A window with
+few states does not end the sequence: the next one may go on from one before that.
 
-Windows are learnt from independently, in any order and at the same time. Afterwards each goes on from one
-of those before it (`inflight.dual.tracking`), which can be undone: a window that changed is learnt from
-again,
-and those behind it are only joined anew. A window that told little does not end the chain: the next one may
-go on from one before that.
+The constant part (`constant_of`): corrections by states are relative to one state, and windows that know it
+go on from each other. A gradiometer is determined from changes alone, and its constant is arbitrary: it is
+put where the states of the same window have it, so that the field does not step where one method follows the
+other.
 
-The constant part of the corrections: the same in all windows where the data tell it, else told.
-
-Corrections by states are relative to one state, and windows that know it go on from each other. A gradiometer
-is told from changes alone, and its constant is arbitrary: it is put where the states of the same window have
-it, so that the field does not step where one method follows the other.
-
-The units of a table of states beside housekeeping: which channel switches with which unit.
-
-What a table of states says against the delivery it was learnt from.
+Units beside housekeeping (`named_units`): which channel switches with which unit. `with_remark` notes sensors
+that look exchanged.
 """
 
 from __future__ import annotations
@@ -53,9 +48,8 @@ from inflight.dual import (
     training_from_dataset,
     training_to_dataset,
 )
-from inflight.mission import Mission, is_told_by_states
-from inflight.tasks.pipelines.compare_rows import scalar_channels
-from inflight.tasks.pipelines.planning import product_of
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import UsedTable, product_of, scalar_channels
 from inflight.time import SECOND, DayLike, Int64, day_bounds, day_of, usual_step
 
 #: Characters of a key that tell a window's own inputs; the others tell the windows before it, too.
@@ -432,10 +426,8 @@ def named_units(
 ) -> list[dict[str, Any]] | None:
     """Return the units of the span's states and the channels behind them, as plain fields.
 
-    None of a comparison without products of states. Units without a channel are told as such.
+    None of a comparison without products. Units without a channel are told as such.
     """
-    if not is_told_by_states(mission, comparison):
-        return None
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = cat.days(product_of(comparison), span, states=("published",))
     if not days:
@@ -527,7 +519,7 @@ def _steps(table: xr.Dataset) -> Iterator[tuple[Floats, Floats, Floats]]:
         yield value, difference, np.asarray(table[covariance].values)
 
 
-def remarks_of(tables: Mapping[np.datetime64, tuple[int, str, xr.Dataset]]) -> list[dict[str, str]]:
+def remarks_of(tables: Mapping[np.datetime64, UsedTable]) -> list[dict[str, str]]:
     """Return the remarks of the tables that hold, as problems of days that are there all the same."""
     seen: dict[int, dict[str, Any]] = {}
     for day in sorted(tables):
