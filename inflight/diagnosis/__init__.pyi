@@ -18,9 +18,9 @@ from .scoring import (
 )
 from .search import Rules, Search
 from .series import Features, Series, features_of, pack_blocks, thin
-from .spectra import Periodogram, fold, periodogram
+from .signature import periods_of, residual_lines
 from .time_changes import DRIFTS, Carriers, Stretches, batches, carriers_of, drifts, episodes, steps
-from .verdict import conclude, known_periods, lag_profile
+from .verdict import conclude, lag_profile
 from .views import (
     CrossTalk,
     Curve,
@@ -57,7 +57,6 @@ __all__ = [
     "LagProfile",
     "Maker",
     "Material",
-    "Periodogram",
     "Present",
     "Response",
     "Rules",
@@ -85,18 +84,17 @@ __all__ = [
     "find_wanted",
     "flip_ratios",
     "flip_signs",
-    "fold",
     "folds_of",
     "grouped",
     "heat_maps",
     "held_at_nothing",
     "known_addition",
-    "known_periods",
     "lag_profile",
     "make_library",
     "pack_blocks",
-    "periodogram",
+    "periods_of",
     "projected",
+    "residual_lines",
     "responses",
     "score",
     "seen_of",

@@ -33,9 +33,9 @@ from inflight.residual import (
     known_periods,
     measure,
     noise_floor,
-    resolve_lines,
+    orbit_period,
+    record_lines,
     size_of,
-    slow_power,
     stretch_power,
 )
 from inflight.tasks.models import current_model
@@ -266,29 +266,15 @@ def _add_spectra(digest: _Digest, product: xr.Dataset, before: Floats, after: Fl
 def _spectra(digest: _Digest, rows: dict[str, Floats], direction: Floats, mission: Mission) -> Spectra:
     """Return the spectra of days and of weeks, and the lines in them."""
     stated = {name: period / SECOND for name, period in mission.periods.items()}
-    known = known_periods(stated, _orbit_period(rows))
+    seconds = rows["tt2000"] / SECOND
+    orbit = orbit_period(seconds, rows["orbit phase"]) if "orbit phase" in rows else None
+    known, seam = known_periods(stated, orbit), _SEAM * digest.length
     fast, before = finest(digest.power), finest(digest.power_before)
-    slow = slow_power(rows["tt2000"] / SECOND, rows["after"], direction, digest.length)
-    seam = _SEAM * digest.length
+    slow, slow_lines = record_lines((seconds, rows["after"], direction), digest.length, known, shortest=seam)
     lines: list[Line] = find_lines(fast, known, longest=seam if slow else np.inf) if fast else []
-    if slow is not None:
-        record = rows["tt2000"] / SECOND, rows["after"], direction
-        lines += resolve_lines(*record, find_lines(slow, known, shortest=seam), slow)
+    lines += slow_lines
     lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.strength))
     return Spectra(fast, before, slow, lines, known)
-
-
-def _orbit_period(rows: dict[str, Floats]) -> float | None:
-    """Return the nodal period that the orbit phase tells, s; None without one."""
-    phase = rows.get("orbit phase", np.empty(0))
-    known = np.flatnonzero(np.isfinite(phase))
-    if known.size < 100:
-        return None
-    turn = np.diff(phase[known]) % 360.0
-    step = np.diff(rows["tt2000"][known]) / SECOND
-    usual = step < 1.5 * np.median(step)
-    rate = float(np.median(turn[usual] / step[usual]))
-    return 360.0 / rate if rate > 0 else None
 
 
 _NO_COORDINATE = {"tt2000", "before", "after", "low", "high"}

@@ -21,7 +21,6 @@ from inflight.catalog import Catalog
 from inflight.diagnosis import (
     Diagnosis,
     Material,
-    Periodogram,
     Search,
     Seen,
     Signature,
@@ -29,11 +28,10 @@ from inflight.diagnosis import (
     conclude,
     cross_talk,
     epoch,
-    fold,
     heat_maps,
-    known_periods,
     lag_profile,
-    periodogram,
+    periods_of,
+    residual_lines,
     responses,
     seen_of,
     shifts_of,
@@ -44,6 +42,7 @@ from inflight.diagnosis import (
 from inflight.figures import (
     Section,
     along_field_figures,
+    axis_spectrum_figures,
     candidate_table,
     cross_talk_figure,
     daily_figure,
@@ -58,7 +57,6 @@ from inflight.figures import (
     lag_figure,
     ledger_table,
     order_figure,
-    periodogram_figures,
     response_figures,
     response_key,
     rivals_apart,
@@ -72,8 +70,7 @@ from inflight.figures import (
     write_page,
 )
 from inflight.mission import Mission
-from inflight.residual import drawn_periods, told_period
-from inflight.residual import known_periods as named_periods
+from inflight.residual import drawn_periods, fold, told_period
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 from inflight.tasks.pipelines.states import named_units
@@ -133,13 +130,14 @@ def _channels(seen: Seen, found: Diagnosis) -> list[str]:
 
 
 def spectrum(seen: Seen, material: Material) -> Section:
-    """Return the periodograms along each axis before and after."""
-    after = _periodogram(seen, material, seen.after)
-    before = _periodogram(seen, material, seen.before) if seen.changed else None
+    """Return the spectra along each axis before and after, with their lines."""
+    known = periods_of(material)
+    after, lines = residual_lines(seen.series, np.where(seen.good[:, None], seen.after, np.nan), known)
+    before = None
+    if seen.changed:
+        before, _ = residual_lines(seen.series, np.where(seen.good[:, None], seen.before, np.nan), known)
     if after is None:
         return "Spectrum along each axis", [], []
-    stated = {name: period / SECOND for name, period in material.mission.periods.items()}
-    known = drawn_periods(named_periods(stated, None))
     note = (
         "The residual times the field's direction: a field along one axis shows at its own period there. "
         "Grey dotted periods are known; a red one stands beyond chance and nothing known explains it."
@@ -147,18 +145,8 @@ def spectrum(seen: Seen, material: Material) -> Section:
     return (
         "Spectrum along each axis",
         [f'<p class="quiet">{escape(note)}</p>'],
-        periodogram_figures(before, after, known),
+        axis_spectrum_figures(before, after, drawn_periods(known), lines),
     )
-
-
-def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodogram | None:
-    series = seen.series
-    weight = np.where(seen.good, series["weight"], 0.0)
-    known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
-    if not turned.any():
-        # A platform's residual has no direction of its own: its spectrum stands in the first place.
-        turned[:, :, 0] = 1.0
-    return periodogram(series.tt2000, known, turned, weight, known_periods(material))
 
 
 # Which effect.

@@ -77,7 +77,10 @@ def test_spectrum_without_the_one_before_and_with_periods_outside():
 def test_a_spectrum_marks_unknown_lines_where_they_are_seen():
     frequency = np.linspace(1e-4, 0.5, 43_200)
     seen = np.array([NAN, NAN, NAN, 0.2])
-    lines = [Line(2460.0, "", "", 40.0, seen, seen / 10), Line(5550.0, "orbit", "", 90.0, seen, seen / 10)]
+    lines = [
+        Line(period_s=period, label=label, follows="", ratio=ratio, amplitude=seen, sigma=seen / 10)
+        for period, label, ratio in ((2460.0, "", 40.0), (5550.0, "orbit", 90.0))
+    ]
     along = written(
         spectrum_figure(frequency, np.ones(43_200), np.ones(43_200), {"orbit": 5550.0}, lines, "z")
     )
