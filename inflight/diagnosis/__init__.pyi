@@ -23,9 +23,7 @@ from .time_changes import DRIFTS, Carriers, Stretches, batches, carriers_of, dri
 from .verdict import conclude, lag_profile
 from .views import (
     CrossTalk,
-    Curve,
     HeatMap,
-    Response,
     Seen,
     Shift,
     Step,
@@ -47,7 +45,6 @@ __all__ = [
     "Addition",
     "Carriers",
     "CrossTalk",
-    "Curve",
     "Diagnosis",
     "Features",
     "Fitted",
@@ -58,7 +55,6 @@ __all__ = [
     "Maker",
     "Material",
     "Present",
-    "Response",
     "Rules",
     "Search",
     "Seen",

@@ -15,7 +15,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis import Curve, LagProfile, Response
+from inflight.diagnosis import LagProfile
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -29,7 +29,7 @@ from inflight.figures.style import (
     plain_figure,
     short_name,
 )
-from inflight.residual import AxisResponse, Dependence
+from inflight.residual import AxisResponse, Curve, Dependence, FieldResponse
 
 
 def dependence_figure(found: Dependence) -> figure:
@@ -113,7 +113,7 @@ def along_field_figures(found: Mapping[str, Sequence[Curve]], axis: str = "z") -
     return plots
 
 
-def response_figures(found: Response) -> list[figure]:
+def response_figures(found: FieldResponse) -> list[figure]:
     """Draw what a field along x, y and z would have to be to make the residual follow a channel.
 
     Bars are one sigma between blocks, the grey band is what the same channel at other times explains,
@@ -159,7 +159,7 @@ def response_key() -> str:
     return f"<p>{said}</p>"
 
 
-def _envelope(plot: figure, found: Response, axis: int) -> None:
+def _envelope(plot: figure, found: FieldResponse, axis: int) -> None:
     known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
     if known.sum() < 2:
         return

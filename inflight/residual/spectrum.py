@@ -160,7 +160,7 @@ def stretch_power(
     """
     rows = residual.reshape(len(residual), -1)
     factors = direction.reshape(*rows.shape, 3)
-    known = np.isfinite(rows).all(axis=1) & np.isfinite(factors).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(rows).all(axis=1) & np.isfinite(factors).all(axis=(1, 2)))
     if not known.any():
         return None
     measured, factors = rows[known] - rows[known].mean(axis=0), factors[known]
@@ -277,7 +277,7 @@ def mean_density(
     stretches : int
         How many were measured for at least half.
     """
-    known = np.isfinite(grid).all(axis=1)
+    known = np.asarray(np.isfinite(grid).all(axis=1))
     total, used = np.zeros(length // 2 + 1), 0
     for start in range(0, len(grid) - length + 1, length // 2):
         inside = known[start : start + length]

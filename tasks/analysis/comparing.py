@@ -24,6 +24,7 @@ from inflight.residual import (
     Power,
     Size,
     add_power,
+    branch_of,
     daily_wander,
     find_failures,
     find_lines,
@@ -64,6 +65,9 @@ _ROWS, _SHORTEST = 400_000, 60.0
 _SEAM = 4.0
 
 _BINS = 160
+
+#: Rows on either side over which a channel rises or falls.
+_REACH = 2
 
 
 @dataclass
@@ -303,7 +307,7 @@ def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordina
             continue
         if name in channels:
             told = channels[name][2]
-            yield Coordinate(name, told.unit, told.kind, values, _rising(values))
+            yield Coordinate(name, told.unit, told.kind, values, branch_of(values, _REACH))
         else:
             yield Coordinate(name, _UNITS.get(name, ""), _kind(name), values)
 
@@ -313,12 +317,3 @@ def _kind(name: str) -> str:
     if name.startswith("Sun "):
         return "sun_angle"
     return "_".join(name.removesuffix(" x").removesuffix(" y").removesuffix(" z").split())
-
-
-def _rising(values: Floats) -> Floats:
-    """Return +1 where a channel rises over five rows, -1 where it falls, 0 where it hardly moves."""
-    change = np.zeros_like(values)
-    change[2:-2] = values[4:] - values[:-4]
-    change = np.nan_to_num(change)
-    spread = float(np.nanstd(values)) if np.isfinite(values).any() else 0.0
-    return np.where(np.abs(change) > 0.02 * spread, np.sign(change), 0.0)

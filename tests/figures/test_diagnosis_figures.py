@@ -11,10 +11,8 @@ from bokeh.models import BoxAnnotation, ColorBar, Span
 
 from inflight.diagnosis import (
     CrossTalk,
-    Curve,
     HeatMap,
     LagProfile,
-    Response,
     Shift,
     Step,
     Trial,
@@ -46,7 +44,7 @@ from inflight.figures import (
 from inflight.figures.diagnosis import MEANING, explained
 from inflight.figures.residual import DIVERGING
 from inflight.figures.style import bare_parameter
-from inflight.residual import Power, find_lines
+from inflight.residual import Curve, FieldResponse, Power, find_lines
 from inflight.time import day_bounds
 
 NAN = float("nan")
@@ -183,7 +181,16 @@ def response(branches=("rising", "falling"), mean=(0.0, 1.0)):
     found = {name: [curve(name, mean)] * 3 for name in branches}
     found["after"] = [curve("after", (0.0, 0.0))] * 3
     envelope = [np.array([-0.2, -0.2])] * 3, [np.array([0.2, 0.2])] * 3
-    return Response("heater", "mA", ("x", "y", "z"), found, np.array([1.0, 2.0]), *envelope)
+    low, high = envelope
+    return FieldResponse(
+        channel="heater",
+        unit="mA",
+        axes=("x", "y", "z"),
+        branches=found,
+        centre=np.array([1.0, 2.0]),
+        low=low,
+        high=high,
+    )
 
 
 @pytest.mark.parametrize("branches", [("rising", "falling"), ("all",)])

@@ -74,6 +74,20 @@ def test_spectrum_without_the_one_before_and_with_periods_outside():
     assert "pre-flight" not in text
 
 
+def followed(name, unit, centre, mean, sigma, loop=None):
+    """Return a dependence with an amplitude of 0.1 +- 0.01 nT."""
+    return Dependence(
+        coordinate=name,
+        unit=unit,
+        centre=centre,
+        mean=mean,
+        sigma=sigma,
+        amplitude=0.1,
+        sigma_amplitude=0.01,
+        loop=loop,
+    )
+
+
 def test_a_spectrum_marks_unknown_lines_where_they_are_seen():
     frequency = np.linspace(1e-4, 0.5, 43_200)
     seen = np.array([NAN, NAN, NAN, 0.2])
@@ -96,13 +110,21 @@ def test_branches_are_drawn_where_they_differ():
     branch = Branch(mean, sigma)
     for opening, drawn in ((0.5, True), (0.01, False)):
         loop = Loop(branch, branch, opening, 0.01)
-        text = written(dependence_figure(Dependence("t", "K", centre, mean, sigma, 0.1, 0.01, loop)))
+        text = written(dependence_figure(followed("t", "K", centre, mean, sigma, loop)))
         assert ("rising" in text) == drawn
 
 
 def test_axes_and_wander_are_drawn_from_little():
     ones = np.ones((4, 3))
-    response = AxisResponse("current", "A", np.arange(4.0), ones, ones, np.ones(3), np.ones(3))
+    response = AxisResponse(
+        coordinate="current",
+        unit="A",
+        centre=np.arange(4.0),
+        field=ones,
+        sigma=ones,
+        amplitude=np.ones(3),
+        sigma_amplitude=np.ones(3),
+    )
     assert written(axis_figure(response))
     found = [
         Wander("fgm.offset[x]", "nT", 3.0, 1.0, 3.0, 0.2, 12),
@@ -128,7 +150,7 @@ def test_the_wander_of_daily_parameters_is_their_scatter_over_their_sigma():
 
 def test_dependence_takes_its_error_bars_into_the_range():
     centre, mean = np.array([1.0, 2.0]), np.array([0.0, NAN])
-    plot = dependence_figure(Dependence("current", "A", centre, mean, np.array([5.0, NAN]), 0.1, 0.01))
+    plot = dependence_figure(followed("current", "A", centre, mean, np.array([5.0, NAN])))
     assert written(plot)
     (bars,) = [item for item in plot.center if isinstance(item, Whisker)]
     drawn = np.concatenate(
