@@ -57,7 +57,7 @@ _DAY_BLOCKS = 10
 
 
 @dataclass(frozen=True)
-class Seen:
+class BeforeAfter:
     """The series with what is left of it before and after the found effects.
 
     Attributes
@@ -101,24 +101,24 @@ class Seen:
         values = self.before if which == "before" else self.after
         return np.where(self.good, values[:, self.row], np.nan)
 
-    def thinned(self, most: int = MOST_SAMPLES) -> Seen:
+    def thinned(self, most: int = MOST_SAMPLES) -> BeforeAfter:
         """Return every n-th sample, so that at most so many stay."""
         step = -(-len(self.before) // most)
         if step == 1:
             return self
         one = self.series
         series = Series(one.tt2000[::step], one.values[::step], one.block[::step], one.features)
-        return Seen(series, self.before[::step], self.after[::step], self.block[::step])
+        return BeforeAfter(series, self.before[::step], self.after[::step], self.block[::step])
 
 
-def seen_of(search: Search, material: Material) -> Seen:
+def before_after(search: Search, material: Material) -> BeforeAfter:
     """Return the series with what is left before and after what the search took."""
     material = of_known_rows(search, material)
     series = material.series
     before, after = (left_of(search, material, one) for one in (False, True))
     day = (series.tt2000 - series.tt2000[0]) // DAY
     long = day.size > 0 and day[-1] >= _DAY_BLOCKS
-    return Seen(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
+    return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
 
 
 # Heat maps.
@@ -147,7 +147,7 @@ class HeatMap:
     after: Floats
 
 
-def heat_maps(seen: Seen) -> list[HeatMap]:
+def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
     """Return maps of day against orbit phase and Sun phase, local time or what else there is."""
     series = seen.series
     there = [name for name in _COORDINATES if name in series.channels]
@@ -192,7 +192,7 @@ def _time_coordinate(tt2000: Int64, length: int) -> tuple[str, str, float, Float
 
 
 def _map(
-    seen: Seen,
+    seen: BeforeAfter,
     axis: tuple[str, str, float],
     values: Floats,
     place: Int64,
@@ -217,7 +217,7 @@ def _map(
 # Curves.
 
 
-def along_field(seen: Seen, axis: int = 2) -> dict[str, list[Curve]]:
+def along_field(seen: BeforeAfter, axis: int = 2) -> dict[str, list[Curve]]:
     """Return the mean residual against a component of the field's direction, by day and by night.
 
     A field fixed in the sensor is a straight line through this figure: its component is the slope.
@@ -270,7 +270,7 @@ class Sizes:
     rms: dict[str, Floats]
 
 
-def sizes_of(seen: Seen) -> Sizes:
+def sizes_of(seen: BeforeAfter) -> Sizes:
     """Return distribution and daily rms of all rows together."""
     good = seen.good
     span = int(seen.series.tt2000[-1] - seen.series.tt2000[0]) + 1
@@ -288,7 +288,7 @@ def sizes_of(seen: Seen) -> Sizes:
     return Sizes(edges, counts, np.asarray(middle, dtype=np.int64), rms)
 
 
-def epoch(seen: Seen, when: int, width: int = 40) -> dict[str, Curve]:
+def epoch(seen: BeforeAfter, when: int, width: int = 40) -> dict[str, Curve]:
     """Return the mean residual around an event, before and after; the coordinate is days from it."""
     days = (seen.series.tt2000 - when) / DAY
     inside = float(min(max(days[-1], 0.1), max(-days[0], 0.1), 10.0))
@@ -495,7 +495,7 @@ def _unit(material: Material, option: Option, column: str) -> str:
     return ""
 
 
-def responses(seen: Seen, channels: Sequence[str]) -> list[FieldResponse]:
+def responses(seen: BeforeAfter, channels: Sequence[str]) -> list[FieldResponse]:
     """Return the response to each channel that varies; those without enough bins are left out."""
     thin = seen.thinned()
     series = thin.series

@@ -14,7 +14,7 @@ from bokeh.plotting import figure
 
 from inflight.arrays import Floats
 from inflight.figures.style import AFTER, BEFORE, NEW, REFERENCE, log_ticks, place_legend, plain_figure
-from inflight.residual import SERIES, Line, Power, thinned, told_period
+from inflight.residual import SERIES, Line, Power, format_period, thinned
 
 #: What each series is called above its figure.
 _TITLES = {
@@ -109,7 +109,7 @@ def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Li
                 y=top,
                 x_offset=5,
                 y_offset=3,
-                text=told_period(seconds),
+                text=format_period(seconds),
                 text_font_size="10px",
                 text_color=NEW,
             )

@@ -156,7 +156,7 @@ class Line:
         }
 
 
-def told_period(seconds: float) -> str:
+def format_period(seconds: float) -> str:
     """Return a period as a person writes it: seconds, minutes, hours or days, three figures."""
     for name, size in (("d", 86_400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * size:
@@ -370,7 +370,7 @@ def _relation(frequency: float, step: float, orbit: float, lines: Sequence[Line]
             for side in range(-2, 3) if orbit else (0,):
                 # An error of the base counts as often as it is multiplied.
                 if abs(abs(times * base + side * orbit) - frequency) <= (1.0 + 0.5 * times) * step:
-                    period = told_period(line.period_s)
+                    period = format_period(line.period_s)
                     whole = period if times == 1 else f"({period})/{times}"
                     if side == 0:
                         return f"multiple: {whole}"
@@ -482,7 +482,7 @@ def _as_multiple(line: Line, stronger: Sequence[Line], step: float, settings: Li
             and 2 <= times <= settings.multiples
             and abs(ratio - times) <= settings.apart * step * base.period_s
         ):
-            return replace(line, follows=f"multiple: ({told_period(base.period_s)})/{times}")
+            return replace(line, follows=f"multiple: ({format_period(base.period_s)})/{times}")
     return line
 
 

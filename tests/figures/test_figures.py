@@ -21,7 +21,7 @@ from inflight.figures import (
     spectrum_figure,
     wander_figure,
 )
-from inflight.residual import AxisResponse, Dependence, Line, Wander, daily_wander
+from inflight.residual import AxisResponse, Dependence, Line, ParameterScatter, daily_scatter
 from inflight.residual.dependence import Branch, Loop
 from inflight.time import day_bounds
 
@@ -127,8 +127,12 @@ def test_axes_and_wander_are_drawn_from_little():
     )
     assert written(axis_figure(response))
     found = [
-        Wander("fgm.offset[x]", "nT", 3.0, 1.0, 3.0, 0.2, 12),
-        Wander("fgm.offset[y]", "nT", NAN, NAN, NAN, NAN, 0),
+        ParameterScatter(
+            name="fgm.offset[x]", unit="nT", std=3.0, sigma=1.0, ratio=3.0, sigma_ratio=0.2, days=12
+        ),
+        ParameterScatter(
+            name="fgm.offset[y]", unit="nT", std=NAN, sigma=NAN, ratio=NAN, sigma_ratio=NAN, days=0
+        ),
     ]
     assert "offset[y]" in written(wander_figure(found))
     assert written(wander_figure([]))
@@ -140,12 +144,12 @@ def test_the_wander_of_daily_parameters_is_their_scatter_over_their_sigma():
     shape = daily["value"].shape
     daily["value"] = daily["value"] + generator.normal(0, 0.1, shape) * np.array([1.0, 1.0, 3.0, 1.0])
     daily["determined"] = daily["determined"] & (np.arange(shape[1]) != 3)
-    found = daily_wander(daily)
+    found = daily_scatter(daily)
     assert [one.ratio for one in found[:3]] == pytest.approx([1.0, 1.0, 3.0], rel=0.15)
     assert found[0].sigma_ratio == pytest.approx(1 / np.sqrt(2 * 199))
     assert np.isnan(found[3].ratio)
     start, end = int(daily["start"].values[50]), int(daily["start"].values[60])
-    assert {one.days for one in daily_wander(daily, start, end)[:3]} == {10}
+    assert {one.days for one in daily_scatter(daily, start, end)[:3]} == {10}
 
 
 def test_dependence_takes_its_error_bars_into_the_range():

@@ -9,12 +9,12 @@ from inflight.residual import (
     drawn_periods,
     find_lines,
     finest,
+    format_period,
     known_periods,
     record_power,
     resolve_lines,
     stretch_power,
     thinned,
-    told_period,
 )
 
 ORBIT, STEP, DAY = 5550.0, 60.0, 86_400.0
@@ -152,7 +152,12 @@ def test_periods_are_named_and_harmonics_beyond_the_sixth_are_not_drawn():
     assert {"orbit", "orbit/6", "day", "torquer"} <= set(drawn)
     assert not {"orbit/7", "orbit/16", "day/2"} & set(drawn)
     assert known_periods({}, None) == {"day": DAY, "day/2": DAY / 2, "day/3": DAY / 3}
-    assert [told_period(s) for s in (19.97, 2461.0, 7200.0, 200_000.0)] == ["20 s", "41 min", "2 h", "2.31 d"]
+    assert [format_period(s) for s in (19.97, 2461.0, 7200.0, 200_000.0)] == [
+        "20 s",
+        "41 min",
+        "2 h",
+        "2.31 d",
+    ]
 
 
 def test_a_thinned_spectrum_keeps_its_power_and_its_slow_end():

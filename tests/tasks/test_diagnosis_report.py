@@ -14,8 +14,8 @@ from tiny_mission import TINY_START, TINY_YAML, tiny_readings
 
 from inflight.catalog import Catalog, Workspace
 from inflight.diagnosis import (
+    BeforeAfter,
     Features,
-    Seen,
     Series,
     along_field,
     cross_talk,
@@ -307,7 +307,7 @@ def series_of(days, step_s, channels, residual, seed=0):
     block = ((tt2000 - start) // DAY).astype(np.int64)
     features = Features(names, widths, ("1",) * len(names), ("v",), 1)
     series = Series(np.asarray(tt2000, dtype=np.int64), values, block, features)
-    return Seen(series, y[:, None], 0.1 * y[:, None], block)
+    return BeforeAfter(series, y[:, None], 0.1 * y[:, None], block)
 
 
 def wave(seconds):

@@ -32,11 +32,11 @@ from inflight.residual import (
     Failure,
     Line,
     NoiseFloor,
+    ParameterScatter,
     Power,
     Size,
-    Wander,
     drawn_periods,
-    told_period,
+    format_period,
 )
 from inflight.tasks.pipelines.compared import Structure
 from inflight.time import to_utc
@@ -63,7 +63,7 @@ class CompareReport:
     determined: list[str]
     block: str
     lines: list[Line]
-    wander: list[Wander]
+    wander: list[ParameterScatter]
     path: Path | None = None
     left_out: int = 0
     outliers: int = 0
@@ -274,7 +274,7 @@ def _lines(report: CompareReport) -> list[str]:
     )
     rows = [
         (
-            told_period(line.period_s),
+            format_period(line.period_s),
             line.label or line.follows or "unknown",
             f"{line.ratio:.0f}",
             *(
