@@ -4,7 +4,7 @@ Takes the residual that a finished search leaves (`inflight.diagnosis.series`); 
 verdict from its spectrum (`inflight.residual.spectrum`), its lines and the known periods
 (`inflight.residual.lines`) and its waveform (`inflight.residual.waveform`).
 
-A rotating wheel whose speed drifts leaves no sharp line and no slow structure. Its power stands in a band of
+A rotating wheel whose speed drifts leaves no sharp line and no slow structure. Its power is in a band of
 the spectrum all the same, and in no form of the search: `fast_part` measures it.
 """
 
@@ -51,15 +51,15 @@ class SignatureSettings:
         By how much the field's direction must turn to have a period of its own. Assumed.
     length, fewest, smooth : int
         Samples of a stretch of the fast spectrum; stretches needed; frequencies it is smoothed over. Assumed.
-    stands, holds : float
-        A band stands this many times above the usual power, and holds this part of what is missing. Assumed.
+    above, holds : float
+        A band is this many times above the usual power, and holds this part of what is missing. Assumed.
     widest : float
         Longest over shortest period of one band. Assumed.
     more, part : float
         Missing power counts when its size is this many times the structure's, and this part of the noise
         floor. Assumed.
     around : float
-        A known period explains a band when it is within it or so many times beside it. Assumed.
+        A known period explains a band when it is within it, or beyond its ends by this factor. Assumed.
     """
 
     least_samples: int = 128
@@ -68,7 +68,7 @@ class SignatureSettings:
     length: int = 256
     fewest: int = 12
     smooth: int = 5
-    stands: float = 3.0
+    above: float = 3.0
     holds: float = 0.5
     widest: float = 4.0
     more: float = 2.0
@@ -82,7 +82,7 @@ SIGNATURES = SignatureSettings()
 def periods_of(material: Material) -> dict[str, float]:
     """Return the periods that need no explanation, by name, s: of orbit, day, mission, and the field's own.
 
-    The orbit's is the one its phase tells; without it the stated one; without that the one with which the
+    The orbit's is measured from its phase; without it the stated one; without that the one with which the
     field turns in the sensor.
     """
     series = material.series
@@ -197,7 +197,7 @@ class Fast:
 def fast_part(
     series: Series, residual: Floats, residual_nT: float, floor_nT: float, structure: Structure
 ) -> Fast | None:
-    """Return what the residual holds beside noise and slow structure; None when that is little.
+    """Return what the residual holds besides noise and slow structure; None when that is little.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def _band(series: Series, residual: Floats, missing: float) -> tuple[float, floa
     padded = np.pad(density, rule.smooth // 2, mode="edge")
     power = np.convolve(padded, np.ones(rule.smooth) / rule.smooth, mode="valid")
     usual = float(np.median(power))
-    bands, count = label(power > rule.stands * usual)
+    bands, count = label(power > rule.above * usual)
     excess = (power - usual) * frequency[1]
     held = np.array([excess[bands == one].sum() for one in range(1, count + 1)])
     # The slow end is structure, and has its own words.

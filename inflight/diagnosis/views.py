@@ -1,14 +1,10 @@
-"""Aggregates for figures (to become residual/dependence).
+"""Aggregates that the figures and tables of a diagnosis are drawn from.
 
-Aggregates of the series before and after the found effects: what a report's figures are drawn from.
-
-All are means, sums or counts of bounded size, however long the record.
-
-What a diagnosis rests on besides its table: every step's worth, cross-talk, values of what was not taken.
-
-All of it is algebra on the evidence of a finished search; nothing here changes the search.
-
-What the residual follows: the field along each sensor axis as a function of a channel, and chance.
+Takes a finished search and the series of its span; makes means, sums and counts of bounded size, however long
+the record: the residual before and after the found effects by time and phase, along the field, around an
+event, against channels (`inflight.residual.field_response`); how the held-out error falls effect by effect;
+correlations of the parameters' errors, shifts of the calibration, values of candidates that were not taken.
+The last are algebra on the Gram blocks of the search; nothing here changes the search.
 """
 
 from __future__ import annotations
@@ -30,19 +26,48 @@ from inflight.lsq import correlation_of, gram_inverse
 from inflight.residual import DEPENDENCES, Curve, FieldResponse, curve_of, field_axes, field_response
 from inflight.time import DAY, SECOND, Int64, to_utc
 
-#: Rows and columns of a heat map at most, and coordinates that are drawn.
-MAP_ROWS, MAP_COLUMNS, _MAPS = 84, 72, 2
 
-#: Samples curves are taken from at most, and seconds on either side over which a channel rises or falls.
-MOST_SAMPLES, _REACH_S = 250_000, 120.0
+@dataclass(frozen=True, kw_only=True)
+class ViewSettings:
+    """Sizes of what is drawn.
 
-#: Bins of the histogram, and days drawn at most.
-_HISTOGRAM, _DAYS = 120, 1000
+    Attributes
+    ----------
+    map_rows, map_columns, maps : int
+        Rows and columns of a heat map at most, and maps that are drawn.
+    most_samples : int
+        Samples curves are taken from at most.
+    reach_s : float
+        Seconds on either side over which a channel rises or falls. Assumed.
+    histogram, days : int
+        Bins of the histogram, and days drawn at most.
+    parts : int
+        Parts of a bin of time that its error is taken from.
+    turned : float
+        Least range of a component of the direction that is drawn. Assumed.
+    day_blocks : int
+        Days of a record whose uncertainties are taken between days. Assumed.
+    most_parameters, most_trials : int
+        Parameters of a cross-talk matrix at most; candidates whose values are worked out.
+    """
 
-#: Parts of a bin of time that its error is taken from; the least range of a direction that is drawn.
-_PARTS, _TURNED = 8, 0.2
+    map_rows: int = 84
+    map_columns: int = 72
+    maps: int = 2
+    most_samples: int = 250_000
+    reach_s: float = 120.0
+    histogram: int = 120
+    days: int = 1000
+    parts: int = 8
+    turned: float = 0.2
+    day_blocks: int = 10
+    most_parameters: int = 42
+    most_trials: int = 16
 
-#: Coordinates of a heat map with unit and whole turn, the one that tells most first.
+
+VIEWS = ViewSettings()
+
+#: Coordinates of a heat map with unit and whole turn, the most informative first.
 _COORDINATES = {
     "orbit_phase": ("deg", 360.0),
     "sun_phase": ("deg", 360.0),
@@ -52,13 +77,10 @@ _COORDINATES = {
 #: Units of time, their seconds, and the shortest row they are used for, seconds.
 _CLOCK = (("h", 3600.0, 7200.0), ("min", 60.0, 300.0), ("s", 1.0, 0.0))
 
-#: Days of a record whose uncertainties are taken between days.
-_DAY_BLOCKS = 10
-
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """The series with what is left of it before and after the found effects.
+    """The series with its residual before and after the found effects.
 
     Attributes
     ----------
@@ -101,7 +123,7 @@ class BeforeAfter:
         values = self.before if which == "before" else self.after
         return np.where(self.good, values[:, self.row], np.nan)
 
-    def thinned(self, most: int = MOST_SAMPLES) -> BeforeAfter:
+    def thinned(self, most: int = VIEWS.most_samples) -> BeforeAfter:
         """Return every n-th sample, so that at most so many stay."""
         step = -(-len(self.before) // most)
         if step == 1:
@@ -112,12 +134,12 @@ class BeforeAfter:
 
 
 def before_after(search: Search, material: Material) -> BeforeAfter:
-    """Return the series with what is left before and after what the search took."""
+    """Return the series with its residual before and after what the search took."""
     material = of_known_rows(search, material)
     series = material.series
     before, after = (left_of(search, material, one) for one in (False, True))
     day = (series.tt2000 - series.tt2000[0]) // DAY
-    long = day.size > 0 and day[-1] >= _DAY_BLOCKS
+    long = day.size > 0 and day[-1] >= VIEWS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
 
 
@@ -156,12 +178,12 @@ def heat_maps(seen: BeforeAfter) -> list[HeatMap]:
     place = (series.tt2000 - series.tt2000[0]) // length
     first, rows = int(series.tt2000[0]), int(place[-1]) + 1
     # No more columns than a row has samples, or every other one were empty.
-    columns = int(np.clip(length / (SECOND * series.step_s), 4, MAP_COLUMNS))
+    columns = int(np.clip(length / (SECOND * series.step_s), 4, VIEWS.map_columns))
     span = (first, first + rows * length)
     out = []
-    for name in varied[:_MAPS]:
+    for name in varied[: VIEWS.maps]:
         unit, reach = _COORDINATES[name]
-        out.append(_map(seen, (name, unit, reach), series[name], place, span, MAP_COLUMNS))
+        out.append(_map(seen, (name, unit, reach), series[name], place, span, VIEWS.map_columns))
     if not out:
         name, unit, reach, values = _time_coordinate(series.tt2000, length)
         out.append(_map(seen, (name, unit, reach), values, place, span, columns))
@@ -178,7 +200,7 @@ def _row_length(tt2000: Int64) -> int:
     """Return the length of a row, ns: a day or more of a long record, else a part of it."""
     span = int(tt2000[-1] - tt2000[0]) + 1
     if span >= 4 * DAY:
-        return DAY * -(-span // (DAY * MAP_ROWS))
+        return DAY * -(-span // (DAY * VIEWS.map_rows))
     return max(-(-span // 24), 1)
 
 
@@ -232,7 +254,7 @@ def along_field(seen: BeforeAfter, axis: int = 2) -> dict[str, list[Curve]]:
         return {}
     thin = seen.thinned()
     part = thin.series.direction()[:, 0, axis]
-    if not thin.good.any() or np.ptp(part[thin.good]) < _TURNED:
+    if not thin.good.any() or np.ptp(part[thin.good]) < VIEWS.turned:
         return {}
     sides = {"all": np.ones(part.size, dtype=bool)}
     if "sunlit" in thin.series.channels:
@@ -274,11 +296,11 @@ def sizes_of(seen: BeforeAfter) -> Sizes:
     """Return distribution and daily rms of all rows together."""
     good = seen.good
     span = int(seen.series.tt2000[-1] - seen.series.tt2000[0]) + 1
-    width = DAY * -(-span // (DAY * _DAYS)) if span >= 2 * DAY else max(-(-span // 24), 1)
+    width = DAY * -(-span // (DAY * VIEWS.days)) if span >= 2 * DAY else max(-(-span // 24), 1)
     day = (seen.series.tt2000 - seen.series.tt2000[0]) // width
     count = np.bincount(day[good], minlength=int(day[-1]) + 1)
     wide = 6.0 * float(np.quantile(np.abs(seen.before[good]), 0.8)) if good.any() else 1.0
-    edges = np.linspace(-wide, wide, _HISTOGRAM + 1)
+    edges = np.linspace(-wide, wide, VIEWS.histogram + 1)
     counts, rms = {}, {}
     for which, values in (("before", seen.before), ("after", seen.after)):
         counts[which] = np.histogram(values[good], edges)[0].astype(np.float64)
@@ -295,14 +317,10 @@ def epoch(seen: BeforeAfter, when: int, width: int = 40) -> dict[str, Curve]:
     edges = np.linspace(-inside, inside, width + 1)
     near = np.abs(days) < inside
     # A bin of time lies within one block of the search: its error is that between its own parts.
-    part = np.floor((days + inside) / (edges[1] - edges[0]) * _PARTS).astype(np.int64)
+    part = np.floor((days + inside) / (edges[1] - edges[0]) * VIEWS.parts).astype(np.int64)
     return {
         which: curve_of(which, days, seen.of_row(which), part, edges, near) for which in ("before", "after")
     }
-
-
-#: Parameters of a cross-talk matrix at most; candidates whose values are worked out.
-MOST_PARAMETERS, MOST_TRIALS = 42, 16
 
 
 @dataclass(frozen=True)
@@ -362,7 +380,7 @@ class CrossTalk:
     groups : tuple of str
         ``calibration``, ``model`` or ``found`` of each.
     correlation : ndarray, shape (parameter, parameter)
-        Of their errors, the whole span as one calibration interval; 0 where data say nothing.
+        Of their errors, the whole span as one calibration interval; 0 where the data determine nothing.
     """
 
     names: tuple[str, ...]
@@ -403,8 +421,8 @@ def _known(columns: Sequence[str], sigma: Sequence[float]) -> list[tuple[str, fl
 
 
 def _most_correlated(correlation: Floats, groups: Sequence[str]) -> list[int]:
-    fixed = [place for place, group in enumerate(groups) if group != "model"][:MOST_PARAMETERS]
-    room = MOST_PARAMETERS - len(fixed)
+    fixed = [place for place, group in enumerate(groups) if group != "model"][: VIEWS.most_parameters]
+    room = VIEWS.most_parameters - len(fixed)
     own = [place for place, group in enumerate(groups) if group == "model"]
     apart = np.abs(correlation - np.diag(np.diag(correlation)))
     strength = apart[:, fixed].max(axis=1, initial=0.0)
@@ -465,13 +483,13 @@ class Trial:
 
 
 def trials(search: Search, material: Material, names: Sequence[str]) -> dict[str, Trial]:
-    """Return the values that candidates would have, each alone beside the model as it was.
+    """Return the values that candidates would have, each alone added to the model as it was.
 
-    Changes bound to a time and candidates of many columns are left out: they have no value to print.
+    Changes bound to a time and candidates of many columns are skipped: they have no value to print.
     """
     known = {option.name: option for option in search.options}
     out = {}
-    for name in list(dict.fromkeys(names))[:MOST_TRIALS]:
+    for name in list(dict.fromkeys(names))[: VIEWS.most_trials]:
         option = known.get(name)
         if option is None or option.change is not None:
             continue
@@ -502,7 +520,7 @@ def responses(seen: BeforeAfter, channels: Sequence[str]) -> list[FieldResponse]
     direction = np.where(thin.good[:, None, None], series.direction(), 0.0)
     columns = field_axes(direction, thin.is_scalar)
     residuals = {"before": thin.before} | ({"after": thin.after} if thin.changed else {})
-    reach = max(1, round(_REACH_S / series.step_s))
+    reach = max(1, round(VIEWS.reach_s / series.step_s))
     units = dict(zip(series.features.names, series.features.units, strict=True))
     coordinates = [(name, units[name], series[name]) for name in channels if series[name].ndim == 1]
     found = [field_response(one, residuals, columns, thin.block, thin.good, reach) for one in coordinates]

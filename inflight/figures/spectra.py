@@ -121,7 +121,7 @@ def axis_spectrum_figures(
 ) -> list[figure]:
     """Draw dB u_x, dB u_y, dB u_z: amplitude density against period, both logarithmic.
 
-    Known periods are named; lines of what is left that no known period explains are red with their period.
+    Known periods are named; lines of the residual that no known period explains are red with their period.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def axis_spectrum_figures(
         Of the spectrum after.
     """
     same = before is not None and before.frequency.size == after.frequency.size
-    # Along axes that are never seen there is nothing: one figure of the residual stands for all.
+    # Along axes that are never seen there is nothing: one figure of the residual is enough.
     axes = SERIES[1:] if after.direction_square[2:].any() else SERIES[:1]
     plots = []
     for name in axes:

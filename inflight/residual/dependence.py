@@ -51,7 +51,7 @@ class DependenceSettings:
     axis_clear : float
         The same for the axis along which a field would make it.
     condition : float
-        Largest condition of the equations of a bin's field: beyond, its axes are not told apart. Assumed.
+        Largest condition of the equations of a bin's field: beyond, its axes cannot be separated. Assumed.
     count : int
         Structures that are reported at most.
     least_part : float
@@ -574,8 +574,8 @@ class FieldResponse:
 def field_axes(direction: Floats, is_scalar: bool) -> tuple[Floats, tuple[str, ...]]:
     """Return the columns of a field (sample, row, axis), and what their axes are called.
 
-    Where the direction of a scalar comparison hardly turns, the axes are not told apart: the field along it
-    stands for all.
+    Where the direction of a scalar comparison hardly turns, the axes cannot be separated: the field along it
+    is fitted alone.
     """
     if not is_scalar:
         return direction, ("x", "y", "z")
@@ -592,7 +592,7 @@ def field_response(
     used: Bools,
     reach: int,
 ) -> FieldResponse | None:
-    """Return the response of a residual of any rows to a channel: branches, what is left, and chance.
+    """Return the response of a residual of any rows to a channel: branches, the rest, and chance.
 
     Parameters
     ----------
@@ -634,8 +634,8 @@ def field_response(
     chance = []
     for moved in shifted(x):
         inside = {"chance": used & np.isfinite(moved)}
-        nobody = np.zeros_like(block)
-        chance.append(_field_curves(moved, bin_of(moved, edges), count, rest, u, nobody, inside)["chance"])
+        one_block = np.zeros_like(block)
+        chance.append(_field_curves(moved, bin_of(moved, edges), count, rest, u, one_block, inside)["chance"])
     return FieldResponse(
         channel=name,
         unit=unit,
@@ -722,9 +722,9 @@ def successive(
                 break
         else:
             return
-        left = measure(rest)
-        yield best, residual, clear, rest, left
-        residual, found = rest, left
+        remaining = measure(rest)
+        yield best, residual, clear, rest, remaining
+        residual, found = rest, remaining
 
 
 #: What a structure in a coordinate could come from, by the coordinate's kind.
@@ -801,7 +801,7 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """What a physicist would say of it."""
+        """The structure as a sentence: what, how large, along which axis, and what could make it."""
         opening = "The residual" if self.rank == 0 else "Beyond that, the residual"
         meaning = _MEANING.get(self.kind, _OTHERWISE)
         return (
@@ -813,11 +813,11 @@ class Failure:
         found = self.dependence
         low, high = int(np.nanargmin(found.mean)), int(np.nanargmax(found.mean))
         unit = f" {found.unit}" if found.unit not in ("", "1") else ""
-        told = [
+        ends = [
             f"{found.mean[at]:+.3f} +- {found.sigma[at]:.3f} nT near {found.centre[at]:.4g}{unit}"
             for at in (low, high)
         ]
-        return f" ({told[0]}, {told[1]})"
+        return f" ({ends[0]}, {ends[1]})"
 
     def _along(self) -> str:
         if not self.axis or self.response is None:

@@ -39,7 +39,7 @@ class LineSettings:
     drawn_harmonics, known_harmonics : int
         Harmonics of the orbit that are drawn, and those that are recognised. Assumed.
     day_harmonics, daily_harmonics : int
-        Harmonics of the day that are recognised: beside those of an orbit, where what follows local time is
+        Harmonics of the day that are recognised: with an orbit, where what follows local time is
         smooth, and where there is no orbit and the day is what all repeats with. Assumed.
     stated_harmonics : int
         Harmonics of a period that the mission states. Assumed.
@@ -64,7 +64,7 @@ class LineSettings:
     multiples : int
         Multiples of an unknown period that are recognised as parts of one wave. Assumed.
     comparable : float
-        Amplitude, beside the strongest line's, from which a line of a multiple of its period is the
+        Part of the strongest line's amplitude from which a line at a multiple of its period is the
         fundamental. Assumed: of a switch a harmonic can be stronger along one axis.
     """
 
@@ -189,7 +189,7 @@ def drawn_periods(known: Mapping[str, float]) -> dict[str, float]:
 
 
 def orbit_period(seconds: Floats, phase: Floats) -> float | None:
-    """Return the nodal period that the orbit phase tells, s; None with fewer than a hundred readings.
+    """Return the nodal period of an orbit phase, s; None with fewer than a hundred readings.
 
     Parameters
     ----------
@@ -403,11 +403,11 @@ def resolve_lines(
     power: Power,
     settings: LineSettings = LINES,
 ) -> list[Line]:
-    """Keep those of the lines that stand for themselves: fields along the axes at their periods.
+    """Return the lines that are fields along the axes of their own, not sidebands of others.
 
     A field with a period shows in every series, with sidebands. All lines are fitted to the record
     as ``u_k cos`` and ``u_k sin`` (six columns each); the one that explains most is taken, then the
-    one that explains most of the rest, until none is left that chance could not explain.
+    one that explains most of the rest, until chance could explain every other one.
 
     Parameters
     ----------
@@ -433,7 +433,7 @@ def resolve_lines(
         return []
     count = rows.shape[1]
     y, u = rows[known].reshape(-1), factors[known].reshape(-1, 3)
-    # A constant field is no line, but the orbit's would have to stand for it.
+    # A constant field is no line, but the orbit's would explain it.
     constant = np.column_stack([np.tile(np.eye(count), (int(known.sum()), 1)), u])
     y = y - constant @ np.linalg.lstsq(constant, y)[0]
     frequency = np.array([1.0 / line.period_s for line in lines])
@@ -463,7 +463,7 @@ def _unless_alone(line: Line, found: Sequence[Line], settings: LineSettings) -> 
 
 
 def _turns(line: Line) -> tuple[str, int]:
-    """Return which of the orbit's lines a line is beside, and by how many times a day."""
+    """Return the orbit's line that a line is a sideband of, and by how many times a day."""
     parts = line.label.split(" ")
     if len(parts) != 3 or not parts[2].endswith("/day"):
         return line.label, 0
@@ -556,7 +556,7 @@ def record_lines(
     shortest: float = 0.0,
     settings: SpectrumSettings = SPECTRA,
 ) -> tuple[Power | None, list[Line]]:
-    """Return the spectrum of a record of means, and the lines in it that stand for themselves.
+    """Return the spectrum of a record of means, and the lines in it that are no sidebands of others.
 
     Parameters
     ----------

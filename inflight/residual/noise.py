@@ -6,7 +6,7 @@ Takes a residual at equal steps, or a table of daily parameters; makes `Size`, `
 The noise floor is the white level of the residual, measured from its own fast part, whatever its slow part
 does: the record is divided into the longest segments that its gaps leave whole; their mean spectrum between a
 tenth of the Nyquist frequency and the Nyquist frequency is a white level plus a part that falls with the
-square of the frequency; lines that stand above that are left out. The white level is carried to the whole
+square of the frequency; lines above that are not used. The white level is carried to the whole
 band, and to a slower working cadence where one is stated. Segments with gaps are not bridged here, as those
 of `inflight.residual.spectrum` are: a bridge would lower the level.
 
@@ -50,9 +50,9 @@ class NoiseSettings:
     mixed : int
         Neighbouring frequencies that a Hann window mixes into one. Derived: half its main lobe.
     outlier : float
-        Readings this many sigmas from the mean of their neighbours are left out. Assumed.
+        Readings this many sigmas from the mean of their neighbours are not used. Assumed.
     loud : float
-        Segments whose power is this many times the usual one are left out. Assumed.
+        Segments whose power is this many times the usual one are not used. Assumed.
     groups : int
         Groups of segments the interval is taken from.
     wide : float
@@ -112,7 +112,7 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
     cadence : float
         Seconds between samples.
     working : float, optional
-        Seconds of the means that the level is wanted for; the cadence itself when absent. White
+        Seconds of the means that the level is asked for; the cadence itself when absent. White
         noise falls with the square root of the samples in a mean.
 
     Returns

@@ -37,7 +37,7 @@ class SpectrumSettings:
     least_samples : int
         Fewest measured samples of a stretch. Assumed.
     bridge : int
-        Samples whose mean stands in a gap, centred on it. Assumed: short beside the periods looked for.
+        Samples whose mean fills a gap, centred on it. Assumed: short beside the periods looked for.
     longest_s : float
         Longest stretch of a record, s: the longer, the better lines of the orbit and others are resolved.
         32 days, about a calibration interval; assumed.
@@ -191,7 +191,7 @@ def finest(sums: Mapping[tuple[int, float], Power]) -> Power | None:
 
 
 def _bridged(values: Floats, known: npt.NDArray[np.bool_], bridge: int) -> Floats:
-    """Return a whole series (time,) from its known values: means of what is around stand for the rest.
+    """Return a whole series (time,) from its known values: gaps are filled with means of what is around.
 
     Straight lines between neighbours would repeat their noise, which is then no longer white.
     """

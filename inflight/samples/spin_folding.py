@@ -151,16 +151,16 @@ def fourier_sums(
     starts = np.searchsorted(group[used], np.arange(groups + 1))
     wave, angle = np.exp(1j * phase[used]), np.ones(used.size, dtype=np.complex128)
     data = values[used]
-    moments = np.empty((groups, 2 * order + 1), dtype=np.complex128)
+    sums = np.empty((groups, 2 * order + 1), dtype=np.complex128)
     right = np.empty((groups, 2 * order + 1, values.shape[1]), dtype=np.complex128)
     for harmonic in range(2 * order + 1):
-        moments[:, harmonic] = _sums(angle[:, None], starts)[:, 0]
+        sums[:, harmonic] = _sums(angle[:, None], starts)[:, 0]
         if harmonic <= order:
             right[:, order + harmonic] = _sums(data * np.conj(angle)[:, None], starts)
             right[:, order - harmonic] = _sums(data * angle[:, None], starts)
         angle = angle * wave
-    count = moments[:, 0].real.copy()
-    return FourierSums(_solved(moments, right, order), count)
+    count = sums[:, 0].real.copy()
+    return FourierSums(_solved(sums, right, order), count)
 
 
 def _sums(values: Complex, starts: npt.NDArray[np.int64]) -> Complex:
@@ -172,14 +172,14 @@ def _sums(values: Complex, starts: npt.NDArray[np.int64]) -> Complex:
     return out
 
 
-def _solved(moments: Complex, right: Complex, order: int) -> Complex:
+def _solved(sums: Complex, right: Complex, order: int) -> Complex:
     """Solve the groups' normal equations; NaN where they are nearly singular."""
     size = 2 * order + 1
     difference = np.arange(size)[None, :] - np.arange(size)[:, None]
-    gram = moments[:, np.abs(difference)]
+    gram = sums[:, np.abs(difference)]
     gram = np.where(difference[None] < 0, np.conj(gram), gram)
     out = np.full(right.shape, np.nan + 0j)
-    enough = moments[:, 0].real >= size
+    enough = sums[:, 0].real >= size
     if enough.any():
         spread = np.linalg.eigvalsh(gram[enough])
         sound = np.flatnonzero(enough)[spread[:, 0] * FOLDING.worst_condition > spread[:, -1]]
@@ -408,7 +408,7 @@ class _Day:
             return np.asarray(np.sqrt(FOLDING.higher * total / count))
 
     def _wild(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Return which samples stand far off their own turn's fit."""
+        """Return which samples are far from their own turn's fit."""
         fit = self._of_turns(payload, good)
         off = np.abs(payload - fit.along(self.phase, self.turn)).max(axis=1)
         usual = np.median(off[good & np.isfinite(off)]) if good.any() else 0.0
@@ -438,7 +438,7 @@ class _Day:
         after = np.searchsorted(knots, phase)
         inside = (after > 0) & (after < knots.size)
         after = np.clip(after, 1, knots.size - 1)
-        # Beyond the ends, and beside a turn that is not there, the line is a guess.
+        # Beyond the ends, and next to a missing turn, the line is a guess.
         sure = inside & (knots[after] - knots[after - 1] < FOLDING.next_turn * _TWO_PI)
         out = np.asarray(line(np.where(sure, phase, knots[0])))
         out[~sure] = np.nan

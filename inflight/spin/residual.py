@@ -42,7 +42,7 @@ TONES = tuple((row, harmonic) for row in range(len(ROWS)) for harmonic in range(
 
 @dataclass(frozen=True, kw_only=True)
 class ToneSettings:
-    """How dependences of tones are measured and reported, beside `inflight.residual.DependenceSettings`.
+    """How dependences of tones are measured and reported; see also `inflight.residual.DependenceSettings`.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class Tones:
 def tones_of(rows: Floats, sectors: int) -> Complex:
     """Return the tones of rows (time, 2) of synthetic turns of so many samples; (interval, 8), nT."""
     whole = rows[: len(rows) // sectors * sectors].reshape(-1, sectors, rows.shape[1])
-    # The first sample stands half a sector after phase zero.
+    # The first sample is half a sector after phase zero.
     phase = (np.arange(sectors) + 0.5) * 2.0 * np.pi / sectors
     wheel = np.exp(1j * phase[:, None] * np.arange(1, ORDER + 1))
     # As a cosine and a sine: Re(A exp(-i h phase)).
@@ -276,13 +276,15 @@ class ToneFailure:
 
     @property
     def sentence(self) -> str:
-        """What a physicist would say of it."""
+        """The structure as a sentence: which tone, what it follows, how large, and what could make it."""
         opening = "The residual" if self.rank == 0 else "Beyond that, the residual"
         row, harmonic = TONES[self.tone]
-        told = f"{opening} {ROWS[row]}, {_times(harmonic)}, {self._follows()}{self._ends()}; it could be "
+        structure = (
+            f"{opening} {ROWS[row]}, {_times(harmonic)}, {self._follows()}{self._ends()}; it could be "
+        )
         rivals = ", ".join(self.rivals)
         also = f". These data cannot tell it from: {rivals}" if rivals else ""
-        return f"{told}{meaning(self.dependence.coordinate, row, harmonic)}{also}."
+        return f"{structure}{meaning(self.dependence.coordinate, row, harmonic)}{also}."
 
     def _follows(self) -> str:
         size = f"{self.amplitude:.4f} +- {self.sigma:.4f} nT rms"
@@ -324,7 +326,7 @@ _OF = {
     (1, 3): "a non-linearity of a spin-plane sensor",
 }
 
-#: What a tone of the modulus or along the axis that grows with the field says.
+#: What makes a tone of the modulus or along the axis that grows with the field.
 _OF_FIELD = {
     ("field_along", 1, 1): "the elevation of a spin-plane sensor",
     ("field_across", 0, 1): "the direction of the spin axis",
@@ -392,8 +394,8 @@ def find_tone_failures(
         count=TONE_SETTINGS.count,
     )
     failures = [
-        ToneFailure(best, best.strongest, _rivals(best, clear, left), rank)
-        for rank, (best, _, clear, _, left) in enumerate(structures)
+        ToneFailure(best, best.strongest, _rivals(best, clear, after), rank)
+        for rank, (best, _, clear, _, after) in enumerate(structures)
     ]
     return failures, measured(tones)
 

@@ -27,7 +27,7 @@ from inflight.diagnosis import (
     trials,
     waterfall,
 )
-from inflight.diagnosis.views import MAP_COLUMNS, MAP_ROWS
+from inflight.diagnosis.views import VIEWS
 from inflight.errors import CatalogError
 from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis import diagnosis_page as module
@@ -369,10 +369,14 @@ def test_maps_find_the_phase_and_keep_gaps_open():
     seen = series_of(6, 60, turn, lambda s, u, c: np.where(c["orbit_phase"] > 180.0, 1.0, -1.0))
     seen.series.values[:1440, seen.series.features.place("weight")] = 0.0
     (found,) = heat_maps(seen)
-    assert (found.coordinate, found.reach, found.before.shape) == ("orbit_phase", 360.0, (6, MAP_COLUMNS))
+    assert (found.coordinate, found.reach, found.before.shape) == (
+        "orbit_phase",
+        360.0,
+        (6, VIEWS.map_columns),
+    )
     assert np.isnan(found.before[0]).all()
-    assert np.nanmax(found.before[1:, : MAP_COLUMNS // 2 - 1]) < -0.9
-    assert np.nanmin(found.before[1:, MAP_COLUMNS // 2 + 1 :]) > 0.9
+    assert np.nanmax(found.before[1:, : VIEWS.map_columns // 2 - 1]) < -0.9
+    assert np.nanmin(found.before[1:, VIEWS.map_columns // 2 + 1 :]) > 0.9
     np.testing.assert_allclose(found.after[1:], 0.1 * found.before[1:])
 
 
@@ -380,7 +384,7 @@ def test_maps_find_the_phase_and_keep_gaps_open():
 def test_maps_and_sizes_stay_small_whatever_the_span(days, step_s):
     seen = series_of(days, step_s, {}, lambda s, u, c: u[:, 0])
     (found,) = heat_maps(seen)
-    assert found.before.shape[0] <= MAP_ROWS
+    assert found.before.shape[0] <= VIEWS.map_rows
     assert np.isfinite(found.before).any()
     sizes = sizes_of(seen)
     assert sizes.day.size <= 1000
