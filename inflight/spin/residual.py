@@ -106,9 +106,9 @@ def tones_of(rows: Floats, sectors: int) -> Complex:
     whole = rows[: len(rows) // sectors * sectors].reshape(-1, sectors, rows.shape[1])
     # The first sample is half a sector after phase zero.
     phase = (np.arange(sectors) + 0.5) * 2.0 * np.pi / sectors
-    wheel = np.exp(1j * phase[:, None] * np.arange(1, ORDER + 1))
+    waves = np.exp(1j * phase[:, None] * np.arange(1, ORDER + 1))
     # As a cosine and a sine: Re(A exp(-i h phase)).
-    found = np.einsum("isr,sh->irh", whole, wheel) * 2.0 / sectors
+    found = np.einsum("isr,sh->irh", whole, waves) * 2.0 / sectors
     return np.asarray(found.reshape(len(whole), -1))
 
 
@@ -120,7 +120,7 @@ class ToneCoordinate:
     ----------
     values : ndarray, shape (interval,)
         In `unit`.
-    wheel : ndarray of complex, shape (interval,), optional
+    channel_tone : ndarray of complex, shape (interval,), optional
         A channel's own tone: residual tones in step with it are looked for, in proportion to it.
     """
 
@@ -128,7 +128,7 @@ class ToneCoordinate:
     unit: str
     kind: str
     values: Floats
-    wheel: Complex | None = None
+    channel_tone: Complex | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,8 +182,8 @@ def tone_dependence(tones: Tones, one: ToneCoordinate, block: Ints) -> ToneDepen
         None when the coordinate does not vary, or too few blocks meet.
     """
     used = np.isfinite(tones.value).all(axis=1) & (tones.weight > 0.0) & np.isfinite(one.values)
-    if one.wheel is not None:
-        used &= np.isfinite(one.wheel)
+    if one.channel_tone is not None:
+        used &= np.isfinite(one.channel_tone)
     blocks, which = np.unique(block[used], return_inverse=True)
     index = _bins(one, used, block)
     if index is None or blocks.size < DEPENDENCES.min_blocks:
@@ -191,7 +191,7 @@ def tone_dependence(tones: Tones, one: ToneCoordinate, block: Ints) -> ToneDepen
     weight, value, bins = tones.weight[used], tones.value[used], int(index.max()) + 1
     if bins > 1:
         value = value - weight @ value / weight.sum()
-    factor = np.ones(index.size, dtype=np.complex128) if one.wheel is None else one.wheel[used]
+    factor = np.ones(index.size, dtype=np.complex128) if one.channel_tone is None else one.channel_tone[used]
     fit = BinnedFit.of(factor[:, None, None], value[:, None, :], which, index, bins, weight)
     met = fit.met()
     if met.sum() < min(2, bins):
@@ -216,8 +216,8 @@ def tone_dependence(tones: Tones, one: ToneCoordinate, block: Ints) -> ToneDepen
 
 def _bins(one: ToneCoordinate, used: npt.NDArray[np.bool_], block: Ints) -> Ints | None:
     """Return the bin of each used interval; None when the coordinate does not vary."""
-    if one.wheel is not None:
-        turns = used.any() and np.abs(one.wheel[used]).max() > 0.0
+    if one.channel_tone is not None:
+        turns = used.any() and np.abs(one.channel_tone[used]).max() > 0.0
         return np.zeros(int(used.sum()), dtype=np.int64) if turns else None
     if one.kind == "spin_phase":
         return np.zeros(int(used.sum()), dtype=np.int64) if used.any() else None
@@ -228,8 +228,8 @@ def _bins(one: ToneCoordinate, used: npt.NDArray[np.bool_], block: Ints) -> Ints
 def without_structure(tones: Tones, found: ToneDependence) -> Tones:
     """Return tones less what follows a coordinate clearly."""
     one, mean = found.coordinate, np.where(found.clear, np.nan_to_num(found.mean), 0.0)
-    if one.wheel is not None:
-        fitted = np.nan_to_num(one.wheel)[:, None] * mean[0]
+    if one.channel_tone is not None:
+        fitted = np.nan_to_num(one.channel_tone)[:, None] * mean[0]
     elif one.kind == "spin_phase":
         fitted = np.broadcast_to(mean[0], tones.value.shape)
     else:
@@ -293,7 +293,7 @@ class ToneFailure:
             return f"has a steady tone of {size}"
         return (
             f"goes in step with {one.name}, {size}"
-            if one.wheel is not None
+            if one.channel_tone is not None
             else f"follows {one.name} with {size}"
         )
 
@@ -352,7 +352,7 @@ def meaning(one: ToneCoordinate, row: int, harmonic: int) -> str:
     """Return what could make a tone follow a coordinate."""
     if (one.kind, row, harmonic) in _OF_FIELD:
         return _OF_FIELD[one.kind, row, harmonic]
-    if one.wheel is not None or one.kind in _CURRENTS:
+    if one.channel_tone is not None or one.kind in _CURRENTS:
         return f"a stray field of what {one.name.rsplit(' at ', 1)[0]} drives"
     of = _OF.get((row, harmonic), "a field of the spacecraft that goes with the spin")
     if one.kind == "spin_phase":
@@ -404,9 +404,9 @@ def _at_other_times(one: ToneCoordinate) -> Iterator[ToneCoordinate]:
     """Yield a coordinate as it was in other parts of the record; none of the spin's own phase."""
     if one.kind == "spin_phase":
         return
-    wheels = shifted(one.wheel) if one.wheel is not None else repeat(None)
-    for values, wheel in zip(shifted(one.values), wheels, strict=False):
-        yield replace(one, values=values, wheel=wheel)
+    channel_tones = shifted(one.channel_tone) if one.channel_tone is not None else repeat(None)
+    for values, tone in zip(shifted(one.values), channel_tones, strict=False):
+        yield replace(one, values=values, channel_tone=tone)
 
 
 def _rivals(

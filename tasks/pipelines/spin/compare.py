@@ -161,7 +161,7 @@ def _legend(report: SpinCompareReport) -> str:
 def _in_step(found: Sequence[ToneDependence]) -> str:
     """Return the table of channels that go with the spin themselves."""
     rows = []
-    for one in (one for one in found if one.coordinate.wheel is not None):
+    for one in (one for one in found if one.coordinate.channel_tone is not None):
         tone = one.strongest
         slope, sigma = np.abs(one.mean[0, tone]), one.sigma[0, tone]
         unit = f"nT/{one.coordinate.unit}" if one.coordinate.unit else "nT"
