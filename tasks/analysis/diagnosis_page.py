@@ -67,14 +67,13 @@ from inflight.figures import (
     unscorable_list,
     verdict_strip,
     waterfall_figure,
-    write_page,
 )
 from inflight.mission import Mission
 from inflight.residual import drawn_periods, fold, format_period
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 from inflight.tasks.pipelines.states import named_units
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 
 #: Channels whose response is drawn, beside those of found effects; and found effects drawn one by one.

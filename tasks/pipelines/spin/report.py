@@ -20,7 +20,6 @@ from inflight.figures import (
     moved_figure,
     parameter_days_figure,
     uncertainty_figure,
-    write_page,
     zero_drift_figure,
     zero_methods_figure,
 )
@@ -29,6 +28,7 @@ from inflight.mission import Mission
 from inflight.spin import NAMES, SPIN_RELATED, UNITS
 from inflight.tasks.pipelines.mission import Part, with_error
 from inflight.tasks.pipelines.spin.tables import METHODS, TABLES, SpinResults
+from inflight.tasks.report import write_page
 from inflight.time import DAY, day_of
 
 #: Days with an update, and days of phase, that the page lists.
