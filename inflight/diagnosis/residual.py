@@ -30,7 +30,7 @@ from inflight.dual import JumpAttribution
 from inflight.lsq import Evidence, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.residual import NoiseFloor, joined_floor, level_of_rows
+from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import Part, parse, product, respond
 from inflight.time import DAY, SECOND, utc_text
 
@@ -112,7 +112,7 @@ def floor_left(series: Series, residual: Floats, samples: float, floor: NoiseFlo
     days = (series.tt2000 - series.tt2000[0]) // DAY
     edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))
     parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if good[a:b].any()]
-    found = joined_floor([level_of_rows(residual[at], good[at], series.tt2000[at]) for at in parts])
+    found = join_floors([floor_of_rows(residual[at], good[at], series.tt2000[at]) for at in parts])
     return found if found.high_nT < floor.low_nT else floor
 
 

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from inflight.residual import told_period
+from inflight.residual import format_period
 
 Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "NOTHING_LEFT"]
 
@@ -325,7 +325,7 @@ def _of_effect(effect: FoundEffect) -> str:
     if effect.at:
         times = [one.rstrip("Z").removesuffix(":00").replace("T", " ") for one in effect.at]
         cause += f" from {' to '.join(times)}"
-        cause += f" +- {told_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
+        cause += f" +- {format_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
     lag = f" with a lag of {effect.lag_s:.3g} s" if effect.lag_s > 0 else ""
     axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
     text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
@@ -394,7 +394,7 @@ def _of_fast(signature: Signature) -> str:
         short, long = signature.periods_s
         text = f"something with periods of {short:.3g} to {long:.3g} s, not steady enough for a line"
     else:
-        text = f"something faster than {told_period(signature.faster_than_s or 0.0)}"
+        text = f"something faster than {format_period(signature.faster_than_s or 0.0)}"
     text += f", about {signature.amplitude_nT:.3g} nT rms"
     return f"{text}; of its slow part, {_of_hint(signature)}" if signature.channel else text
 

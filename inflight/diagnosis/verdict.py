@@ -41,7 +41,7 @@ from inflight.diagnosis.result import (
 )
 from inflight.diagnosis.scoring import fit, folds_of
 from inflight.diagnosis.search import Option, Search, Table
-from inflight.diagnosis.spectra import Fast, Periodogram, describe, fast_part, periodogram, strongest_line
+from inflight.diagnosis.signature import Fast, fast_part, is_unknown_band, line_signature
 from inflight.diagnosis.stepwise import (
     WEAK,
     Estimate,
@@ -272,21 +272,8 @@ def refined(search: Search) -> tuple[dict[str, Any], ...]:
     return tuple(out)
 
 
-#: A line that explains less than this part of the residual's square is no effect worth a name.
-_LEAST_PART = 0.01
-
-#: Lines beside a harmonic at so many turns of the Earth; resolutions within which they are the same; what a
-#: nominal period may be off by; and by how much the field must turn to have a period of its own.
-_SPLITS, _APART, _SHARP, _TURNING = 2, 1.5, 2e-4, 0.3
-
-#: Harmonics of a known period that are no news: beyond, any period is near one of a day's.
-_HARMONICS = 30
-
 #: Structure below this part of the noise does not make a residual coloured, however sure it is.
 _WHITE = 0.1
-
-#: A known period explains a band when it is within it or so many times beside it.
-_AROUND = 1.1
 
 
 @dataclass(frozen=True)
@@ -343,13 +330,13 @@ def look_at(search: Search, material: Material, last: Table, left: Floats, struc
     unit = unit_unseen(material)
     if unit is not None:
         return Unknown(structure, False, unit, noise, floor, has_unit=True)
-    line = _line(material, left)
+    line = line_signature(material, left)
     found = Unknown(structure, line is not None, line, noise, floor)
     if line is not None:
         return found
     size = native_rms(material, search)
     fast = fast_part(material.series, left, size, floor.level_nT, structure)
-    found = replace(found, has_band=fast is not None and _is_news(material, fast))
+    found = replace(found, has_band=fast is not None and is_unknown_band(material, fast))
     if not found.is_there:
         return found
     told = _hinted(search, last, structure)
@@ -370,14 +357,6 @@ def unit_unseen(material: Material) -> Signature | None:
     )
 
 
-def _is_news(material: Material, fast: Fast) -> bool:
-    """Return True when a band of periods was found and no known period lies in it."""
-    if fast.periods_s is None:
-        return False
-    short, long = fast.periods_s
-    return not any(short / _AROUND <= period <= long * _AROUND for period in known_periods(material))
-
-
 def _fast(hint: Signature, fast: Fast) -> Signature:
     """Return the signature of what is fast; a channel that the slow part hints at stays beside it."""
     return replace(
@@ -387,66 +366,6 @@ def _fast(hint: Signature, fast: Fast) -> Signature:
         faster_than_s=fast.faster_than_s,
         periods_s=fast.periods_s,
     )
-
-
-def _line(material: Material, left: Floats) -> Signature | None:
-    """Return the signature of the strongest line, or None when none stands out and matters."""
-    found = spectrum_left(material, left) if material.series.turn_rows == 1 else None
-    line = strongest_line(found) if found is not None else None
-    if found is None or line is None:
-        return None
-    series = material.series
-    told, part = describe(
-        series.tt2000, left, series.direction(), series["weight"], line[0], float(found.frequency[1])
-    )
-    if part < _LEAST_PART or _is_known(material, float(told.period_s or 0.0)):
-        return None
-    return told
-
-
-def _is_known(material: Material, period: float) -> bool:
-    """Return True for a harmonic of a known period, or one that the turning Earth splits from it.
-
-    Judged at the resolution of the whole span, which is finer than that of the periodogram's segments.
-    """
-    series = material.series
-    span = float(series.tt2000[-1] - series.tt2000[0]) / SECOND
-    frequency = 1.0 / period if period > 0 else 0.0
-    for known in known_periods(material):
-        for split in range(-_SPLITS, _SPLITS + 1):
-            offset = frequency - split / 86_400.0
-            harmonic = round(offset * known)
-            if 1 <= harmonic <= _HARMONICS and abs(offset - harmonic / known) < _APART * max(
-                1.0 / span, _SHARP * frequency
-            ):
-                return True
-    return False
-
-
-def _own_period(material: Material) -> list[float]:
-    """Return the period with which the field turns in the sensor, s: the orbit's, or the spin's."""
-    series = material.series
-    direction = series.direction()[:, 0]
-    good = (series["weight"] > 0) & np.isfinite(direction).all(axis=1)
-    if good.sum() < 64 or float(np.ptp(direction[good], axis=0).max()) < _TURNING:
-        return []
-    even = np.where(good[:, None], direction - direction[good].mean(axis=0), 0.0)
-    power = (np.abs(np.fft.rfft(even, 4 * len(even), axis=0)) ** 2).sum(axis=1)
-    at = int(np.argmax(power[8:])) + 8
-    return [4 * len(even) * series.step_s / at]
-
-
-def known_periods(material: Material) -> list[float]:
-    """Return the periods whose harmonics are no news: orbit, day, and those of the mission; seconds."""
-    periods = {name: period / SECOND for name, period in material.mission.periods.items()}
-    known = [86_400.0, *(period for period in periods.values() if period > 2 * material.series.step_s)]
-    return known + _own_period(material)
-
-
-def spectrum_left(material: Material, left: Floats) -> Periodogram | None:
-    """Return the periodogram of what is left, demodulated along each axis."""
-    series = material.series
-    return periodogram(series.tt2000, left, series.direction(), series["weight"], known_periods(material))
 
 
 def _hinted(search: Search, last: Table, structure: Structure) -> Signature:
@@ -496,7 +415,7 @@ def _hint(search: Search, last: Table) -> tuple[Option, float] | None:
 #: A search that leaves no more than so many times as much explains as much.
 _AS_MUCH = 1.003
 
-__all__ = ["Material", "conclude", "held_out", "known_periods", "lag_profile"]
+__all__ = ["Material", "conclude", "held_out", "lag_profile"]
 
 
 def conclude(search: Search, material: Material) -> Diagnosis:

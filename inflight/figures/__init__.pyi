@@ -78,7 +78,7 @@ from .parameters import (
     wander_figure,
 )
 from .residual import daily_figure, heat_map_figures, histogram_figure, series_figure
-from .spectra import periodogram_figures, spectrum_figure
+from .spectra import axis_spectrum_figures, spectrum_figure
 from .spin import (
     Cloud,
     correlation_figure,
@@ -123,6 +123,7 @@ __all__ = [
     "Section",
     "along_field_figures",
     "axis_figure",
+    "axis_spectrum_figures",
     "band",
     "band_level_figure",
     "before_after_figure",
@@ -173,7 +174,6 @@ __all__ = [
     "parameter_days_figure",
     "parameter_figures",
     "parameter_spectrum_figure",
-    "periodogram_figures",
     "plain_figure",
     "prior_figure",
     "relation_days_figure",

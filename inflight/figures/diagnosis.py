@@ -40,7 +40,7 @@ from inflight.figures.style import (
     short_name,
     short_parameter,
 )
-from inflight.residual import told_period
+from inflight.residual import format_period
 
 #: What each verdict means to somebody who reads the page for the first time.
 MEANING = {
@@ -377,7 +377,7 @@ def _signature(left: Fields | None) -> list[str]:
         return []
     period, lag, duty = left["period_s"], left["lag_s"], left["duty"]
     parts = [
-        ("period", told_period(period) if period else ""),
+        ("period", format_period(period) if period else ""),
         ("axis", left["axis"] or ""),
         ("shape", left["shape"] or ""),
         ("half of peak to peak" if period else "amplitude", _nanotesla(left["amplitude_nT"])),
@@ -385,9 +385,9 @@ def _signature(left: Fields | None) -> list[str]:
             (f"step on {name}", f"{_formatted(size, '+.3g')} ± {_formatted(sigma, '.2g')} nT")
             for name, (size, sigma) in left["steps"].items()
         ),
-        ("periods", " to ".join(told_period(one) for one in left["periods_s"] or ())),
+        ("periods", " to ".join(format_period(one) for one in left["periods_s"] or ())),
         ("channel", left["channel"] or ""),
-        ("lag", told_period(lag) if lag else ""),
+        ("lag", format_period(lag) if lag else ""),
         ("duty", f"{duty:.2f}" if duty is not None else ""),
     ]
     said = ", ".join(f"{name} {value}" for name, value in parts if value)

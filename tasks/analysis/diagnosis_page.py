@@ -19,23 +19,21 @@ import numpy as np
 from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.diagnosis import (
+    BeforeAfter,
     Diagnosis,
     Material,
-    Periodogram,
     Search,
-    Seen,
     Signature,
     along_field,
+    before_after,
     conclude,
     cross_talk,
     epoch,
-    fold,
     heat_maps,
-    known_periods,
     lag_profile,
-    periodogram,
+    periods_of,
+    residual_lines,
     responses,
-    seen_of,
     shifts_of,
     sizes_of,
     trials,
@@ -44,6 +42,7 @@ from inflight.diagnosis import (
 from inflight.figures import (
     Section,
     along_field_figures,
+    axis_spectrum_figures,
     candidate_table,
     cross_talk_figure,
     daily_figure,
@@ -58,7 +57,6 @@ from inflight.figures import (
     lag_figure,
     ledger_table,
     order_figure,
-    periodogram_figures,
     response_figures,
     response_key,
     rivals_apart,
@@ -71,8 +69,7 @@ from inflight.figures import (
     waterfall_figure,
 )
 from inflight.mission import Mission
-from inflight.residual import drawn_periods, told_period
-from inflight.residual import known_periods as named_periods
+from inflight.residual import drawn_periods, fold, format_period
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 from inflight.tasks.pipelines import units_of
@@ -87,7 +84,7 @@ _STATES = ("before", "after")
 # Fails here.
 
 
-def fails_here(seen: Seen) -> Section:
+def fails_here(seen: BeforeAfter) -> Section:
     """Return heat maps, and the residual against the field's direction."""
     plots = [plot for one in heat_maps(seen) for plot in heat_map_figures(one, seen.changed)]
     note = [
@@ -109,7 +106,7 @@ def fails_here(seen: Seen) -> Section:
     )
 
 
-def follows(seen: Seen, found: Diagnosis) -> Section:
+def follows(seen: BeforeAfter, found: Diagnosis) -> Section:
     """Return the responses to the channels of found effects and of the best candidates."""
     found_ones = responses(seen, _channels(seen, found))
     note = (
@@ -122,7 +119,7 @@ def follows(seen: Seen, found: Diagnosis) -> Section:
     return "What it follows", [f'<p class="quiet">{escape(note)}</p>', response_key()] if plots else [], plots
 
 
-def _channels(seen: Seen, found: Diagnosis) -> list[str]:
+def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
     """Return the channels of found effects, then those of the best candidates."""
     there = [name for name in seen.series.channels if seen.series[name].ndim == 1]
     own = [name for one in found.effects for name in one.channels if name in there]
@@ -131,14 +128,15 @@ def _channels(seen: Seen, found: Diagnosis) -> list[str]:
     return [*dict.fromkeys(own), *more[:_CHANNELS]]
 
 
-def spectrum(seen: Seen, material: Material) -> Section:
-    """Return the periodograms along each axis before and after."""
-    after = _periodogram(seen, material, seen.after)
-    before = _periodogram(seen, material, seen.before) if seen.changed else None
+def spectrum(seen: BeforeAfter, material: Material) -> Section:
+    """Return the spectra along each axis before and after, with their lines."""
+    known = periods_of(material)
+    after, lines = residual_lines(seen.series, np.where(seen.good[:, None], seen.after, np.nan), known)
+    before = None
+    if seen.changed:
+        before, _ = residual_lines(seen.series, np.where(seen.good[:, None], seen.before, np.nan), known)
     if after is None:
         return "Spectrum along each axis", [], []
-    stated = {name: period / SECOND for name, period in material.mission.periods.items()}
-    known = drawn_periods(named_periods(stated, None))
     note = (
         "The residual times the field's direction: a field along one axis shows at its own period there. "
         "Grey dotted periods are known; a red one stands beyond chance and nothing known explains it."
@@ -146,18 +144,8 @@ def spectrum(seen: Seen, material: Material) -> Section:
     return (
         "Spectrum along each axis",
         [f'<p class="quiet">{escape(note)}</p>'],
-        periodogram_figures(before, after, known),
+        axis_spectrum_figures(before, after, drawn_periods(known), lines),
     )
-
-
-def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodogram | None:
-    series = seen.series
-    weight = np.where(seen.good, series["weight"], 0.0)
-    known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
-    if not turned.any():
-        # A platform's residual has no direction of its own: its spectrum stands in the first place.
-        turned[:, :, 0] = 1.0
-    return periodogram(series.tt2000, known, turned, weight, known_periods(material))
 
 
 # Which effect.
@@ -184,7 +172,7 @@ def which_effect(search: Search, material: Material, found: Diagnosis) -> Sectio
 # The error falls.
 
 
-def error_falls(seen: Seen, search: Search, material: Material, found: Diagnosis) -> Section:
+def error_falls(seen: BeforeAfter, search: Search, material: Material, found: Diagnosis) -> Section:
     """Return the held-out error step by step, daily sizes and distributions."""
     told = found.residual
     floor = tuple(float(told[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
@@ -207,7 +195,7 @@ def error_falls(seen: Seen, search: Search, material: Material, found: Diagnosis
     return "How the error falls", [f'<p class="quiet">{escape(note)}</p>'], plots
 
 
-def shapes(seen: Seen, search: Search, found: Diagnosis) -> Section:
+def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
     """Lag profiles of responses, epochs of events, and the fold of a period that is left."""
     plots: list[Any] = []
     rows = float(search.forms["raw"].count.sum())
@@ -224,12 +212,12 @@ def shapes(seen: Seen, search: Search, found: Diagnosis) -> Section:
     return "Form of what was found", [f'<p class="quiet">{escape(note)}</p>'] if plots else [], plots
 
 
-def _folded(seen: Seen, period: float) -> Any:
+def _folded(seen: BeforeAfter, period: float) -> Any:
     good, series = seen.good, seen.series
     rows = seen.after.shape[1]
     seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, rows)
     y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
-    return fold_figure(told_period(period), *fold(seconds, y, u, period))
+    return fold_figure(format_period(period), *fold(seconds, y, u, period))
 
 
 # Cross-talk.
@@ -383,7 +371,7 @@ def diagnosis_sections(
     facts : mapping, optional
         More lines of the ledger.
     """
-    seen = seen_of(search, material)
+    seen = before_after(search, material)
     told = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, told["residual"], told["remaining"]["verdict"])
     sections: list[Section] = [

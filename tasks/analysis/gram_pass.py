@@ -38,7 +38,7 @@ from inflight.frames import GEOMETRY, add_geometry
 from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
-from inflight.residual import NoiseFloor, joined_floor, level_of_rows
+from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import FOLDING_VERSION, Folding
 from inflight.spin import fit_folded_samples, spinning_sensor_of
 from inflight.tasks.archive import (
@@ -60,7 +60,7 @@ from inflight.time import DAY, SECOND, day_bounds
 
 def floor_of_samples(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
     """Return the white level of a day's residual, all rows together, as sums of squares over its samples."""
-    level = level_of_rows(residual, good, stamps)
+    level = floor_of_rows(residual, good, stamps)
     if not np.isfinite(level.level_nT):
         return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
     return {
@@ -93,7 +93,7 @@ def floor_of_turns(samples: xr.Dataset, good: np.ndarray, sectors: int) -> dict[
 def joined_floors(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
     """Return the white level of several blocks together."""
     known = [report for report in reports if report.get("floor_samples")]
-    return joined_floor(
+    return join_floors(
         [
             NoiseFloor(
                 float(np.sqrt(report["floor"] / report["floor_samples"])),

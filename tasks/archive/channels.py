@@ -19,7 +19,7 @@ from inflight.effects import NO_CAUSE
 from inflight.frames import add_geometry
 from inflight.mission import Mission
 from inflight.model import folding_of
-from inflight.residual import without_noise
+from inflight.residual import piecewise_mean
 from inflight.samples import Folding, Part, fold_series, parse, product
 from inflight.tasks.archive.inputs import ArchiveIndex, Need, channel_homes, clock_of
 from inflight.tasks.archive.samples import channel_series, spin_phase
@@ -180,7 +180,7 @@ class ChannelReader:
                     cadence = max(cadence, self.cadence_ns + 1)
                 values, stamps = data[need.channel].values, data["tt2000"].values
                 if self.by_levels and values.ndim == 1:
-                    values = without_noise(np.asarray(values, dtype=np.float64))
+                    values = piecewise_mean(np.asarray(values, dtype=np.float64))
                 if turning is not None and turning.is_seen_by(cadence):
                     # One instrument's channels have the same stamps.
                     phase = turning.phase(stamps) if phase is None else phase

@@ -8,7 +8,7 @@ from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, fligh
 
 from inflight.diagnosis import Carriers, batches, drifts, episodes, steps
 from inflight.diagnosis.refine import at_its_moment
-from inflight.residual import told_period
+from inflight.residual import format_period
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, BLOCK_DAYS = 14, 0.25
@@ -82,7 +82,7 @@ def test_the_moment_is_told_with_how_sharp_it_is(residual):
     assert STEP_S / 12**0.5 < effect.at_sigma_s < 0.1 * BLOCK_DAYS * 86_400
     told = told_of(residual)
     when = effect.at[0].rstrip("Z").replace("T", " ")
-    assert f"{when} +- {told_period(effect.at_sigma_s)}" in told.sentence
+    assert f"{when} +- {format_period(effect.at_sigma_s)}" in told.sentence
     assert told.as_json()["effects"][0]["at_sigma_s"] == effect.at_sigma_s
 
 

@@ -14,8 +14,8 @@ from tiny_mission import TINY_START, TINY_YAML, tiny_readings
 
 from inflight.catalog import Catalog, Workspace
 from inflight.diagnosis import (
+    BeforeAfter,
     Features,
-    Seen,
     Series,
     along_field,
     cross_talk,
@@ -27,7 +27,7 @@ from inflight.diagnosis import (
     trials,
     waterfall,
 )
-from inflight.diagnosis.views import MAP_COLUMNS, MAP_ROWS
+from inflight.diagnosis.views import VIEWS
 from inflight.errors import CatalogError
 from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis import diagnosis_page as module
@@ -307,7 +307,7 @@ def series_of(days, step_s, channels, residual, seed=0):
     block = ((tt2000 - start) // DAY).astype(np.int64)
     features = Features(names, widths, ("1",) * len(names), ("v",), 1)
     series = Series(np.asarray(tt2000, dtype=np.int64), values, block, features)
-    return Seen(series, y[:, None], 0.1 * y[:, None], block)
+    return BeforeAfter(series, y[:, None], 0.1 * y[:, None], block)
 
 
 def wave(seconds):
@@ -369,10 +369,14 @@ def test_maps_find_the_phase_and_keep_gaps_open():
     seen = series_of(6, 60, turn, lambda s, u, c: np.where(c["orbit_phase"] > 180.0, 1.0, -1.0))
     seen.series.values[:1440, seen.series.features.place("weight")] = 0.0
     (found,) = heat_maps(seen)
-    assert (found.coordinate, found.reach, found.before.shape) == ("orbit_phase", 360.0, (6, MAP_COLUMNS))
+    assert (found.coordinate, found.reach, found.before.shape) == (
+        "orbit_phase",
+        360.0,
+        (6, VIEWS.map_columns),
+    )
     assert np.isnan(found.before[0]).all()
-    assert np.nanmax(found.before[1:, : MAP_COLUMNS // 2 - 1]) < -0.9
-    assert np.nanmin(found.before[1:, MAP_COLUMNS // 2 + 1 :]) > 0.9
+    assert np.nanmax(found.before[1:, : VIEWS.map_columns // 2 - 1]) < -0.9
+    assert np.nanmin(found.before[1:, VIEWS.map_columns // 2 + 1 :]) > 0.9
     np.testing.assert_allclose(found.after[1:], 0.1 * found.before[1:])
 
 
@@ -380,7 +384,7 @@ def test_maps_find_the_phase_and_keep_gaps_open():
 def test_maps_and_sizes_stay_small_whatever_the_span(days, step_s):
     seen = series_of(days, step_s, {}, lambda s, u, c: u[:, 0])
     (found,) = heat_maps(seen)
-    assert found.before.shape[0] <= MAP_ROWS
+    assert found.before.shape[0] <= VIEWS.map_rows
     assert np.isfinite(found.before).any()
     sizes = sizes_of(seen)
     assert sizes.day.size <= 1000

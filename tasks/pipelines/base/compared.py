@@ -12,7 +12,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from inflight.figures import Later, Section, html_table
-from inflight.residual import Line, NoiseFloor, Size, Wander
+from inflight.residual import Line, NoiseFloor, ParameterScatter, Size
 from inflight.tasks.pipelines.base.parts import TextLine
 
 _NO_FLOOR = "unknown: every stretch of the residual has missing samples"
@@ -68,7 +68,7 @@ class CompareReport:
     determined: list[str]
     block: str
     lines: list[Line]
-    wander: list[Wander]
+    wander: list[ParameterScatter]
     path: Path | None = None
     left_out: int = 0
     outliers: int = 0

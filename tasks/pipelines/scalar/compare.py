@@ -27,18 +27,19 @@ from inflight.residual import (
     Power,
     Size,
     add_power,
-    daily_wander,
+    branch_of,
+    daily_scatter,
     find_failures,
     find_lines,
     finest,
-    joined,
-    joined_floor,
+    join_floors,
+    join_sizes,
     known_periods,
     measure,
     noise_floor,
-    resolve_lines,
+    orbit_period,
+    record_lines,
     size_of,
-    slow_power,
     stretch_power,
 )
 from inflight.tasks.models import current_model
@@ -64,6 +65,9 @@ _ROWS, _SHORTEST = 400_000, 60.0
 _SEAM = 4.0
 
 _BINS = 160
+
+#: Rows on either side over which a channel rises or falls.
+_REACH = 2
 
 
 @dataclass
@@ -108,16 +112,16 @@ def compare_samples(
     report = CompareReport(
         comparison,
         days[-1].context or "",
-        joined(digest.before),
-        joined(digest.after),
-        joined_floor(digest.floors),
+        join_sizes(digest.before),
+        join_sizes(digest.after),
+        join_floors(digest.floors),
         [_told_of_day(*told) for told in zip(days, digest.before, digest.after, strict=True)],
         find_failures(coordinates, found, rows["after"], direction, block),
         directions,
         determined,
         block_name,
         spectra.lines,
-        daily_wander(tables[0], day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
+        daily_scatter(tables[0], day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         left_out=digest.left_out,
         outliers=digest.outliers,
         acknowledgement=mission.acknowledgement,
@@ -221,29 +225,15 @@ def _add_spectra(digest: _Digest, product: xr.Dataset, before: Floats, after: Fl
 def _spectra(digest: _Digest, rows: dict[str, Floats], direction: Floats, mission: Mission) -> Spectra:
     """Return the spectra of days and of weeks, and the lines in them."""
     stated = {name: period / SECOND for name, period in mission.periods.items()}
-    known = known_periods(stated, _orbit_period(rows))
+    seconds = rows["tt2000"] / SECOND
+    orbit = orbit_period(seconds, rows["orbit phase"]) if "orbit phase" in rows else None
+    known, seam = known_periods(stated, orbit), _SEAM * digest.length
     fast, before = finest(digest.power), finest(digest.power_before)
-    slow = slow_power(rows["tt2000"] / SECOND, rows["after"], direction, digest.length)
-    seam = _SEAM * digest.length
+    slow, slow_lines = record_lines((seconds, rows["after"], direction), digest.length, known, shortest=seam)
     lines: list[Line] = find_lines(fast, known, longest=seam if slow else np.inf) if fast else []
-    if slow is not None:
-        record = rows["tt2000"] / SECOND, rows["after"], direction
-        lines += resolve_lines(*record, find_lines(slow, known, shortest=seam), slow)
+    lines += slow_lines
     lines.sort(key=lambda line: (not line.is_new, line.is_known, -line.strength))
     return Spectra(fast, before, slow, lines, known)
-
-
-def _orbit_period(rows: dict[str, Floats]) -> float | None:
-    """Return the nodal period that the orbit phase tells, s; None without one."""
-    phase = rows.get("orbit phase", np.empty(0))
-    known = np.flatnonzero(np.isfinite(phase))
-    if known.size < 100:
-        return None
-    turn = np.diff(phase[known]) % 360.0
-    step = np.diff(rows["tt2000"][known]) / SECOND
-    usual = step < 1.5 * np.median(step)
-    rate = float(np.median(turn[usual] / step[usual]))
-    return 360.0 / rate if rate > 0 else None
 
 
 _NO_COORDINATE = {"tt2000", "before", "after", "low", "high"}
@@ -272,7 +262,7 @@ def _coordinates(rows: dict[str, Floats], mission: Mission) -> Iterator[Coordina
             continue
         if name in channels:
             told = channels[name][2]
-            yield Coordinate(name, told.unit, told.kind, values, _rising(values))
+            yield Coordinate(name, told.unit, told.kind, values, branch_of(values, _REACH))
         else:
             yield Coordinate(name, _UNITS.get(name, ""), _kind(name), values)
 
@@ -282,12 +272,3 @@ def _kind(name: str) -> str:
     if name.startswith("Sun "):
         return "sun_angle"
     return "_".join(name.removesuffix(" x").removesuffix(" y").removesuffix(" z").split())
-
-
-def _rising(values: Floats) -> Floats:
-    """Return +1 where a channel rises over five rows, -1 where it falls, 0 where it hardly moves."""
-    change = np.zeros_like(values)
-    change[2:-2] = values[4:] - values[:-4]
-    change = np.nan_to_num(change)
-    spread = float(np.nanstd(values)) if np.isfinite(values).any() else 0.0
-    return np.where(np.abs(change) > 0.02 * spread, np.sign(change), 0.0)

@@ -31,7 +31,7 @@ from inflight.residual import (
     Line,
     Power,
     drawn_periods,
-    told_period,
+    format_period,
 )
 from inflight.tasks.pipelines.base import CompareReport, fails_text, wandering_text
 from inflight.time import to_utc
@@ -200,7 +200,7 @@ def _lines(report: CompareReport) -> list[str]:
     )
     rows = [
         (
-            told_period(line.period_s),
+            format_period(line.period_s),
             line.label or line.follows or "unknown",
             f"{line.ratio:.0f}",
             *(

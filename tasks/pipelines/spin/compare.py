@@ -30,7 +30,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.model import Model, folding_of, rows_of, turn_residual
-from inflight.residual import NO_FLOOR, NoiseFloor, Size, daily_wander
+from inflight.residual import NO_FLOOR, NO_SIZE, NoiseFloor, Size, daily_scatter
 from inflight.samples import Complex, Folding, fold
 from inflight.spin import (
     TONES,
@@ -159,7 +159,7 @@ def _legend(report: SpinCompareReport) -> str:
 def _in_step(found: Sequence[ToneDependence]) -> str:
     """Return the table of channels that go with the spin themselves."""
     rows = []
-    for one in (one for one in found if one.coordinate.wheel is not None):
+    for one in (one for one in found if one.coordinate.channel_tone is not None):
         tone = one.strongest
         slope, sigma = np.abs(one.mean[0, tone]), one.sigma[0, tone]
         unit = f"nT/{one.coordinate.unit}" if one.coordinate.unit else "nT"
@@ -271,7 +271,7 @@ def compare_spin(
         ],
         block_name,
         [],
-        daily_wander(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
+        daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         left_out=found.left_out,
         acknowledgement=mission.acknowledgement,
         tones=(before.size, after.size),
@@ -439,14 +439,21 @@ def _size(rows: Floats, weight: Floats) -> Size:
     known = np.isfinite(rows).all(axis=1) & (weight > 0.0)
     values, shares = rows[known], weight[known]
     if not len(values):
-        nan = float("nan")
-        return Size(0, nan, nan, nan, nan, nan, nan)
+        return NO_SIZE
     rms = float(np.sqrt(shares @ (values**2).sum(axis=1) / (2.0 * shares.sum())))
     # Rows are less their turn's mean: nothing else is left.
     order = np.argsort(np.abs(values).max(axis=1), kind="stable")
     half = np.searchsorted(np.cumsum(shares[order]), 0.5 * shares.sum())
     robust = 1.4826 * float(np.median(np.abs(values[order[: 2 * int(half) + 1]])))
-    return Size(int(known.sum()), 0.0, rms, rms, robust, float(values.min()), float(values.max()))
+    return Size(
+        count=int(known.sum()),
+        mean=0.0,
+        std=rms,
+        rms=rms,
+        robust=robust,
+        least=float(values.min()),
+        largest=float(values.max()),
+    )
 
 
 def _whole(sizes: Sequence[Size], tones: Tones) -> Size:
@@ -456,13 +463,13 @@ def _whole(sizes: Sequence[Size], tones: Tones) -> Size:
     if not known:
         return sizes[0]
     return Size(
-        sum(one.count for one in known),
-        0.0,
-        rms,
-        rms,
-        float(np.median([one.robust for one in known])),
-        min(one.least for one in known),
-        max(one.largest for one in known),
+        count=sum(one.count for one in known),
+        mean=0.0,
+        std=rms,
+        rms=rms,
+        robust=float(np.median([one.robust for one in known])),
+        least=min(one.least for one in known),
+        largest=max(one.largest for one in known),
     )
 
 
