@@ -97,7 +97,7 @@ def phase_figure(found: SpinPhase) -> figure:
     plot.line(time[part], period[part], color=AFTER, legend_label=f"period, median {found.period:.6g} s")
     for chosen, colour, name in (
         (marks.jumped, NEW, "jump of the phase"),
-        (marks.uncounted, BEFORE, "turns not counted"),
+        (marks.uncountable, BEFORE, "turns not counted"),
     ):
         place = np.flatnonzero(chosen)
         if place.size:

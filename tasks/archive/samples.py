@@ -381,7 +381,7 @@ def spin_phase(
         return PhaseOfDay(
             xr.Variable("time", nothing, attrs), np.full(stamps.size, Flag.NO_PHASE, dtype=np.uint32)
         )
-    attrs = {**common, "told": found.told(), **_listed(found.faults), "period_s": found.period}
+    attrs = {**common, "told": found.summary(), **_listed(found.faults), "period_s": found.period}
     return PhaseOfDay(xr.Variable("time", found.phase, attrs), found.flag)
 
 

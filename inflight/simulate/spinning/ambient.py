@@ -70,8 +70,8 @@ def position(seconds: Float, parameters: SpinningParameters) -> Float:
     mean = np.sqrt(_MU / axis**3) * seconds
     anomaly = np.mod(mean, 2.0 * np.pi)
     for _ in range(40):
-        fall = anomaly - eccentricity * np.sin(anomaly) - np.mod(mean, 2.0 * np.pi)
-        anomaly = anomaly - 0.9 * fall / (1.0 - eccentricity * np.cos(anomaly))
+        error = anomaly - eccentricity * np.sin(anomaly) - np.mod(mean, 2.0 * np.pi)
+        anomaly = anomaly - 0.9 * error / (1.0 - eccentricity * np.cos(anomaly))
     # Apogee towards the Sun.
     x = -axis * (np.cos(anomaly) - eccentricity)
     y = -axis * np.sqrt(1.0 - eccentricity**2) * np.sin(anomaly)
@@ -94,8 +94,8 @@ def field(seconds: Float, place: Float, seed: int, day: int, parameters: Spinnin
     inside = to_payload(_dipole(place), payload_axes(place, parameters))
     # Currents of the magnetosphere: fluctuations that grow with the field.
     strength = np.linalg.norm(inside, axis=1, keepdims=True)
-    loose = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 3, seed, day, "magnetosphere")
-    inside = inside + loose * (0.5 + _QUIET * strength)
+    fluctuation = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 3, seed, day, "magnetosphere")
+    inside = inside + fluctuation * (0.5 + _QUIET * strength)
     out = np.where((radius < MAGNETOPAUSE)[:, None], inside, outside)
     between = (radius >= MAGNETOPAUSE) & (radius < BOW_SHOCK)
     out[between] = sheath[between]
