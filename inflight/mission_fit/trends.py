@@ -535,7 +535,7 @@ class TrendFit:
             t0=first.t0,
             per=first.per,
             key=key,
-            moments=first.at,
+            change_times=first.at,
             interpolation=first.interpolation,
         )
 
