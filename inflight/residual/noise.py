@@ -377,7 +377,7 @@ def daily_scatter(
 
     Returns
     -------
-    list of Wander
+    list of ParameterScatter
         In the table's order; NaN where fewer than three days determine a parameter.
     """
     begin = daily["start"].values
