@@ -14,16 +14,16 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis import (
-    Carriers,
     Index,
-    Present,
+    ModelColumns,
     Search,
-    activity,
+    TimeVariableColumns,
+    active_blocks,
     batches,
     drifts,
     episodes,
-    folds_of,
-    grouped,
+    group_by_size,
+    make_folds,
     projected,
     score,
     steps,
@@ -78,15 +78,15 @@ def suspects(search: Search, residuals: Sequence[int]) -> list[int]:
 
 
 def _reached(
-    search: Search, evidence: Evidence, present: Present, columns: Sequence[Index], y: Index
+    search: Search, evidence: Evidence, present: ModelColumns, columns: Sequence[Index], y: Index
 ) -> Floats:
     """Return which residuals have a candidate beyond the rules' t and gain; (residual,) of bool."""
-    gain, t = score_many(evidence, present, columns, y, folds_of(len(evidence)))
+    gain, t = score_many(evidence, present, columns, y, make_folds(len(evidence)))
     return np.asarray(((t > search.rules.t) & (gain > search.rules.gain)).any(axis=0))
 
 
 def score_many(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
+    evidence: Evidence, present: ModelColumns, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
 ) -> tuple[Floats, Floats]:
     """Return held-out gain and t of all candidates on several residuals; (candidate, residual) each.
 
@@ -105,7 +105,7 @@ def score_many(
         blocks = _turned(evidence.gram[fold], present, train)
         train = projected(train, present)
         loss0[fold] = blocks[:, y, y]
-        for positions, columns in grouped(candidates):
+        for positions, columns in group_by_size(candidates):
             half = half_inverse(train[columns[:, :, None], columns[:, None, :]])
             right = train[columns[:, :, None], y]
             gamma = -np.matmul(half, np.matmul(half.transpose(0, 2, 1), right))
@@ -116,13 +116,13 @@ def score_many(
             promised[np.ix_(fold, positions)] = square
     whole = loss0.sum(axis=0)
     gain = gained.sum(axis=0) / np.where(whole > 0, whole, 1.0)
-    active = np.broadcast_to(activity(evidence, candidates)[:, :, None], gained.shape)
+    active = np.broadcast_to(active_blocks(evidence, candidates)[:, :, None], gained.shape)
     flat = (len(evidence), -1)
     t = promised_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
     return gain, t.reshape(gain.shape)
 
 
-def _turned(blocks: Floats, present: Present, train: Floats) -> Floats:
+def _turned(blocks: Floats, present: ModelColumns, train: Floats) -> Floats:
     """Return blocks whose columns have lost what the model's explain of them in the training blocks."""
     p = present.columns
     if not p.size:
@@ -154,11 +154,11 @@ def _small(search: Search, residuals: Sequence[int]) -> tuple[Evidence, list[str
 
 def _absorbed(
     search: Search, small: Evidence, base: Sequence[str], refined: Sequence[str]
-) -> tuple[Evidence, Present]:
+) -> tuple[Evidence, ModelColumns]:
     sigma = np.asarray([s for term in search.library.base for s in term.sigma])
     wide = small.absorbed(base, search.intervals, search.precision(small, base, sigma))
     own = np.asarray([s for term in search.library.refined for s in term.sigma])
-    return wide, Present(wide.index(refined), search.precision(wide, refined, own))
+    return wide, ModelColumns(wide.index(refined), search.precision(wide, refined, own))
 
 
 def _timed(search: Search, residuals: Sequence[int]) -> Floats:
@@ -177,7 +177,7 @@ def _timed(search: Search, residuals: Sequence[int]) -> Floats:
 def _episode(search: Search, residual: int) -> bool:
     """Return True when an episode of clock or bias may be added to a residual."""
     small, base, refined = _small(search, [residual])
-    carriers = Carriers(
+    carriers = TimeVariableColumns(
         clock=tuple(name for name in search.carriers.clock if name not in base),
         bias=tuple(name for name in search.carriers.bias if name not in base),
     )
@@ -188,5 +188,5 @@ def _episode(search: Search, residual: int) -> bool:
     functions = {name: told for change in found for name, told in change.functions.items()}
     wide, present = _absorbed(search, small.expand(functions), base, refined)
     columns = [wide.index(list(change.functions)) for change in found]
-    scores = score(wide, present, columns, wide.residuals[0], folds_of(len(wide), True))
+    scores = score(wide, present, columns, wide.residuals[0], make_folds(len(wide), True))
     return bool(np.any((scores.t > search.rules.t) & (scores.gain > search.rules.gain)))

@@ -72,7 +72,7 @@ class Rows:
     kept: RowFilter | None = None
 
 
-def turns_of(model: Model, tt2000: int) -> dict[str, Floats]:
+def sensor_matrices(model: Model, tt2000: int) -> dict[str, Floats]:
     """Return the matrix of every sensor that has an equation, row by row; (9,) each."""
     found = {}
     for entry in model.effects:
@@ -112,7 +112,7 @@ def term_columns(term: Term, rows: Rows) -> Floats:
     return np.moveaxis(made, 0, -1)
 
 
-def _changed(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:
+def _with_step(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:
     moved = dict(values)
     moved[name] = np.array(values[name], dtype=np.float64)
     moved[name][..., index] += step
@@ -126,7 +126,7 @@ def _additive(
     entry = term.entry
     others = {key: value * 0.0 if _is_linear(term, key) else value for key, value in values.items()}
     others[name] = others[name] * 0.0
-    field = entry.effect.field(rows.samples, _changed(others, name, index, step), entry.sensor)
+    field = entry.effect.field(rows.samples, _with_step(others, name, index, step), entry.sensor)
     return np.asarray(-np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], field))
 
 
@@ -141,7 +141,9 @@ def _differenced(
     entry = term.entry
     reading = np.asarray(rows.samples[entry.sensor.role].values, dtype=np.float64)
     up, down = (
-        entry.effect.correct(reading, rows.samples, _changed(values, name, index, sign * step), entry.sensor)
+        entry.effect.correct(
+            reading, rows.samples, _with_step(values, name, index, sign * step), entry.sensor
+        )
         for sign in (1.0, -1.0)
     )
     change = (up - down) / 2.0
@@ -246,7 +248,7 @@ class Outliers:
         return {"samples": self.spikes + (0 if self.kept else self.burst_samples), **vars(self)}
 
 
-def bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> list[Burst]:
+def find_bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> list[Burst]:
     """Return the bursts of a residual (time, row), whatever made them, in order.
 
     The usual scatter is the record's median one, so that a residual that is lively all the time has none.
@@ -260,18 +262,18 @@ def bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> li
     place = np.flatnonzero(usable)
     if place.size < _FEWEST_SAMPLES:
         return []
-    size = _bends(residual[place], stamps[place])
+    size = _second_differences(residual[place], stamps[place])
     local = np.stack([median_filter(row, size=_BURST_AROUND, mode="nearest") for row in size.T], axis=1)
     usual = np.array([np.median(row[row > 0]) if (row > 0).any() else np.inf for row in local.T])
     times = (local / usual).max(axis=1)
     wild = np.asarray((size > _WILD * usual).any(axis=1))
     return [
         Burst(int(place[first]), int(place[last - 1]) + 1, float(np.median(times[first:last])))
-        for first, last in _stretches(times > FAR, wild, stamps[place])
+        for first, last in _runs_around(times > FAR, wild, stamps[place])
     ]
 
 
-def _bends(values: Floats, stamps: Int64) -> Floats:
+def _second_differences(values: Floats, stamps: Int64) -> Floats:
     """Return how far each sample is from the line through its neighbours, in sizes of noise; (time, row)."""
     seconds = (stamps - stamps[0]) / SECOND
     part = ((seconds[1:-1] - seconds[:-2]) / (seconds[2:] - seconds[:-2]))[:, None]
@@ -283,7 +285,7 @@ def _bends(values: Floats, stamps: Int64) -> Floats:
     return np.asarray(np.pad(out, ((1, 1), (0, 0)), mode="edge"))
 
 
-def _stretches(
+def _runs_around(
     far: npt.NDArray[np.bool_], wild: npt.NDArray[np.bool_], stamps: Int64
 ) -> list[tuple[int, int]]:
     """Return first and last+1 of the stretches around far samples, from the first wild one to the last."""
@@ -328,11 +330,13 @@ def is_signal(
     edges : ndarray of int64, shape (bin + 1,)
         TT2000 of the bins.
     """
-    return _both_fluctuate(burst, others, rows, stamps) or _goes_with(burst, others, stamps, channels, edges)
+    return _both_fluctuate(burst, others, rows, stamps) or _follows_channel(
+        burst, others, stamps, channels, edges
+    )
 
 
 def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: ResidualRows, stamps: Int64) -> bool:
-    pair = _readings(rows)
+    pair = _instrument_readings(rows)
     quiet = np.ones(len(stamps), dtype=bool)
     for one in others:
         quiet[max(one.first - 2, 0) : one.last + 2] = False
@@ -340,14 +344,14 @@ def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: ResidualRows, s
     inside[burst.first : burst.last] = True
     lively, sizes = True, []
     for values in (*pair, rows.residual):
-        ripple = _ripple(values, stamps, rows.good)
+        ripple = _fourth_differences(values, stamps, rows.good)
         there, usual = _median_square(ripple[inside]), _median_square(ripple[quiet])
         sizes.append(max(there - usual, 0.0))
         lively &= there > _LIVELY**2 * usual
     return lively and FAR**2 * min(sizes[:-1]) > sizes[-1]
 
 
-def _readings(rows: ResidualRows) -> list[Floats]:
+def _instrument_readings(rows: ResidualRows) -> list[Floats]:
     """Return what each of the two instruments says; (time, component)."""
     if rows.residual.shape[1] == 1:
         size = np.linalg.norm(rows.field, axis=1, keepdims=True)
@@ -355,7 +359,7 @@ def _readings(rows: ResidualRows) -> list[Floats]:
     return list(rows.fields.values())
 
 
-def _ripple(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+def _fourth_differences(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
     """Return fourth differences, in sizes of noise; (time,), NaN where neighbours are missing.
 
     The field that an orbit leads through bends by as much as noise does; hardly anything of it is left here.
@@ -376,7 +380,7 @@ def _median_square(values: Floats) -> float:
     return float(np.median(known) ** 2) if known.size else 0.0
 
 
-def _goes_with(
+def _follows_channel(
     burst: Burst, others: Sequence[Burst], stamps: Int64, channels: Mapping[str, Floats], edges: Int64
 ) -> bool:
     """Return True when some channel is lively all through the burst and not elsewhere, or is on for it."""
@@ -401,7 +405,7 @@ def _goes_with(
     return False
 
 
-def told_of(found: Sequence[Burst], stamps: Int64, usable: npt.NDArray[np.bool_]) -> dict[str, Any]:
+def burst_report(found: Sequence[Burst], stamps: Int64, usable: npt.NDArray[np.bool_]) -> dict[str, Any]:
     """Return what a block's report says of its bursts: how many, how long, and the first ones."""
     samples = [int(usable[one.first : one.last].sum()) for one in found]
     return {
@@ -458,7 +462,7 @@ def _sums_of_runs(values: Floats, starts: Int64) -> Floats:
     return out
 
 
-def spikes(residual: Floats) -> npt.NDArray[np.bool_]:
+def find_spikes(residual: Floats) -> npt.NDArray[np.bool_]:
     """Return which samples stand out from their neighbours; (time,) of a residual (time, row).
 
     The measure is local, so that no effect, however large, is taken for an outlier, nor a lively hour
@@ -468,10 +472,10 @@ def spikes(residual: Floats) -> npt.NDArray[np.bool_]:
         return np.zeros(len(residual), dtype=bool)
     filled = np.where(np.isfinite(residual), residual, 0.0)
     known = np.asarray(np.isfinite(residual).all(axis=1))
-    return np.asarray(np.any([_stands_out(row, known) for row in filled.T], axis=0))
+    return np.asarray(np.any([_is_spike(row, known) for row in filled.T], axis=0))
 
 
-def _stands_out(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _is_spike(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """Return which samples of one row (time,) stand out from their neighbours.
 
     On a slope every sample is the median of its neighbours: what is noise there, second differences tell.
@@ -487,7 +491,7 @@ def _stands_out(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.boo
     return np.asarray(off > _SPIKE * sigma)
 
 
-def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
+def bin_channel(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
     """Put a channel on the bins: means where it is faster, straight lines where it is slower; (bin, ...)."""
     width = int(edges[1] - edges[0])
     flat = np.asarray(values, dtype=np.float64)
@@ -495,7 +499,7 @@ def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> 
     if not good.any():
         return np.full((edges.size - 1, *flat.shape[1:]), np.nan)
     if cadence_ns <= width:
-        return bridged(bin_means(flat, stamps, edges, good)[0])
+        return bridge_gaps(bin_means(flat, stamps, edges, good)[0])
     centre = edges[:-1] + width // 2
     own, told = stamps[good], flat[good].reshape(int(good.sum()), -1)
     after = np.clip(np.searchsorted(own, centre), 1, max(own.size - 1, 1))
@@ -505,7 +509,7 @@ def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> 
     return out.reshape(edges.size - 1, *flat.shape[1:])
 
 
-def bridged(values: Floats) -> Floats:
+def bridge_gaps(values: Floats) -> Floats:
     """Return the series with its short gaps bridged by straight lines; (bin, ...)."""
     flat = values.reshape(len(values), -1).copy()
     known = np.isfinite(flat).all(axis=1)
@@ -551,11 +555,11 @@ def coarsen(
     -------
     Rows, dict
         The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
-        the scatter within bins, of one row, nT^2, ``spikes``; and of `inflight.design.columns.told_of`.
+        the scatter within bins, of one row, nT^2, ``spikes``; and of `burst_report`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     usable = rows.good & np.isfinite(rows.residual).all(axis=1)
-    single, burst, told = _outliers(rows, usable, stamps, edges, recorded or {})
+    single, burst, told = _find_outliers(rows, usable, stamps, edges, recorded or {})
     out = single if keep_bursts else single | burst
     good = usable & ~out
     residual, count = bin_means(rows.residual, stamps, edges, good)
@@ -606,7 +610,7 @@ def _binned(
     return xr.Dataset(data)
 
 
-def _outliers(
+def _find_outliers(
     rows: NativeRows,
     usable: npt.NDArray[np.bool_],
     stamps: Int64,
@@ -617,11 +621,11 @@ def _outliers(
     none = np.zeros(len(stamps), dtype=bool)
     if rows.kept is not None:
         # What went through a filter has no wild samples left.
-        return none, none, told_of([], stamps, none)
-    single = spikes(np.where(usable[:, None], rows.residual, np.nan))
-    every = bursts(rows.residual, stamps, usable & ~single)
+        return none, none, burst_report([], stamps, none)
+    single = find_spikes(np.where(usable[:, None], rows.residual, np.nan))
+    every = find_bursts(rows.residual, stamps, usable & ~single)
     wild = [one for one in every if not is_signal(one, every, rows, stamps, recorded, edges)]
     burst = none.copy()
     for one in wild:
         burst[one.first : one.last] = True
-    return single & ~burst, burst, told_of(wild, stamps, usable)
+    return single & ~burst, burst, burst_report(wild, stamps, usable)

@@ -103,7 +103,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Told:
+class ChannelSummary:
     """What is known of a channel before the pass.
 
     Attributes

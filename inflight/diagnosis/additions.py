@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import EQUATIONS, Candidate, Library, Term, turns_of
-from inflight.diagnosis.refine import dated_columns, dated_term, mixture
-from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.design import EQUATIONS, Candidate, Library, Term, sensor_matrices
+from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
+from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option
 from inflight.diagnosis.stepwise import sandwich
-from inflight.diagnosis.time_changes import Carriers, moment_text
+from inflight.diagnosis.time_changes import TimeVariableColumns, time_text
 from inflight.effects import ANGLES
 from inflight.errors import ModelError
 from inflight.lsq import Evidence, solve_scaled
@@ -57,7 +57,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class JointFit:
     """Values of everything a model lets data move, in one fit.
 
     Attributes
@@ -80,7 +80,7 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Ground:
+class FitSetup:
     """What a fit stands on: the evidence as the library has it, and what the calibration absorbs.
 
     Attributes
@@ -106,7 +106,7 @@ class Ground:
         fixed: Mapping[str, float] | None = None,
         *,
         interleaved: bool = False,
-    ) -> Fitted:
+    ) -> JointFit:
         """Fit the model's own columns and more, all together.
 
         Parameters
@@ -131,8 +131,8 @@ class Ground:
         left = evidence.total[y, y] + 2.0 * evidence.total[y, present.columns] @ value
         left += value @ evidence.total[np.ix_(present.columns, present.columns)] @ value
         rows = max(float(evidence.count.sum()), 1.0)
-        held = score(evidence, present, [], y, folds_of(len(evidence), interleaved)).loss0.sum()
-        return Fitted(
+        held = score(evidence, present, [], y, make_folds(len(evidence), interleaved)).loss0.sum()
+        return JointFit(
             dict(zip(names, (value * scale).tolist(), strict=True)),
             dict(zip(names, found.tolist(), strict=True)),
             *base,
@@ -140,7 +140,9 @@ class Ground:
             max(float(held), 0.0) / rows,
         )
 
-    def absorbed(self, columns: Sequence[Column], fixed: Mapping[str, float]) -> tuple[Evidence, Present]:
+    def absorbed(
+        self, columns: Sequence[Column], fixed: Mapping[str, float]
+    ) -> tuple[Evidence, ModelColumns]:
         """Return what the calibration leaves of the model's columns, and which they are with their priors.
 
         Those of `columns` come last.
@@ -159,14 +161,20 @@ class Ground:
         ]
         names = [name for name, _ in free] + [one.name for one in columns]
         sigma = [sigma for _, sigma in free] + [np.inf] * len(columns)
-        return combined(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed), names, sigma
+        return (
+            combine_columns(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed),
+            names,
+            sigma,
+        )
 
     def _beside(
         self, whole: Evidence, names: Sequence[str], sigma: Sequence[float]
-    ) -> tuple[Evidence, Present]:
+    ) -> tuple[Evidence, ModelColumns]:
         gone = self._base_names
         evidence = whole.absorbed(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
-        return evidence, Present(evidence.index(names), self._precision(evidence, names, np.array(sigma)))
+        return evidence, ModelColumns(
+            evidence.index(names), self._precision(evidence, names, np.array(sigma))
+        )
 
     @property
     def _base_names(self) -> list[str]:
@@ -181,7 +189,7 @@ class Ground:
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
 
-    def _solved(self, evidence: Evidence, present: Present) -> tuple[Floats, Floats]:
+    def _solved(self, evidence: Evidence, present: ModelColumns) -> tuple[Floats, Floats]:
         """Return values and covariance of the model's columns, scaled."""
         p = present.columns
         if not p.size:
@@ -219,7 +227,7 @@ class Ground:
         )
 
 
-def variance_of(white: Evidence, base: Sequence[Term]) -> float:
+def row_variance(white: Evidence, base: Sequence[Term]) -> float:
     """Return the variance of a row the calibration alone leaves, as the search weighs priors by; nT^2."""
     names = [name for term in base for name in term.columns]
     free = white.select(names).absorbed(names, [range(len(white))], np.zeros(len(names)))
@@ -228,7 +236,7 @@ def variance_of(white: Evidence, base: Sequence[Term]) -> float:
     return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
 
 
-def combined(
+def combine_columns(
     evidence: Evidence, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
 ) -> Evidence:
     """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
@@ -326,7 +334,7 @@ class Addition:
 
 
 @dataclass(frozen=True)
-class Maker:
+class AdditionMaker:
     """Makes additions of one mission, one model and one library.
 
     Attributes
@@ -342,7 +350,7 @@ class Maker:
     mission: Mission
     model: Model
     library: Library
-    carriers: Carriers
+    carriers: TimeVariableColumns
     raw: Evidence
     names: frozenset[str] = frozenset()
 
@@ -354,7 +362,7 @@ class Maker:
         lag = candidate.lag_s if lag_s is None else lag_s
         weights = {candidate.name: 1.0}
         if bank and lag != candidate.lag_s:
-            mixed = mixture(lag, tuple(bank))
+            mixed = lag_weights(lag, tuple(bank))
             weights = {
                 one.name: float(w) for one, w in zip(bank.values(), mixed, strict=True) if abs(w) > 1e-12
             }
@@ -368,7 +376,7 @@ class Maker:
             entry = self.entry(term.entry, title, lag if bank else None)
             entries.append(entry)
             own = {one: self.library.terms[by_name[one].terms[place]].columns for one in weights}
-            for index, column in enumerate(names_of(entry, term.parameters)):
+            for index, column in enumerate(value_names(entry, term.parameters)):
                 columns.append(Column(column, tuple((own[one][index], w) for one, w in weights.items())))
         others = list(bank.values()) or [candidate]
         needs = [self.library.terms[key] for one in others for key in one.terms]
@@ -392,13 +400,13 @@ class Maker:
 
     def _of_parameter(self, candidate: Candidate) -> Addition:
         term = self.library.terms[candidate.terms[0]]
-        names = names_of(term.entry, term.parameters)
+        names = value_names(term.entry, term.parameters)
         columns = [Column(name, ((own, 1.0),)) for name, own in zip(names, term.columns, strict=True)]
         return Addition(candidate.name, tuple(columns), (term.entry,), (term,))
 
     def of_term(self, term: Term, name: str = "") -> Addition:
         """Return the addition of an effect of no library; the evidence may not have its columns yet."""
-        names = names_of(term.entry, term.parameters)
+        names = value_names(term.entry, term.parameters)
         columns = [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
         return Addition(name or term.entry.name, tuple(columns), (term.entry,), (term,))
 
@@ -409,7 +417,7 @@ class Maker:
         for place, term in enumerate(terms):
             title = self.title(term.entry) + (f"_{place + 1}" if place else "")
             entries.append(self.entry(term.entry, title))
-            names = names_of(entries[-1], term.parameters)
+            names = value_names(entries[-1], term.parameters)
             columns += [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
         return Addition(name, tuple(columns), tuple(entries), tuple(terms))
 
@@ -444,7 +452,7 @@ class Maker:
         return next(term for term in self.library.all_terms if column in term.columns)
 
 
-def names_of(entry: ModelEffect, parameters: Sequence[str]) -> list[str]:
+def value_names(entry: ModelEffect, parameters: Sequence[str]) -> list[str]:
     """Return the names the model calls the values of some parameters by."""
     return [name for key in parameters for name in entry.parameters[key].columns]
 
@@ -458,7 +466,7 @@ def values_of(entry: ModelEffect) -> dict[str, float]:
     }
 
 
-def held_at_nothing(entry: ModelEffect, term: Term) -> dict[str, float] | None:
+def neutral_changes(entry: ModelEffect, term: Term) -> dict[str, float] | None:
     """Return the changes of a term's columns that take its effect out; None when they are not all."""
     kinds = type(entry.effect).parameters()
     fitted = [key for key, kind in kinds.items() if np.isfinite(kind.sigma)]
@@ -471,7 +479,7 @@ def held_at_nothing(entry: ModelEffect, term: Term) -> dict[str, float] | None:
 
 
 #: Effect and parameter of a drift, its neutral values and unit, by what drifts.
-_DRIFTING: dict[str, tuple[str, str, list[float], str]] = {
+_DRIFT_FORMS: dict[str, tuple[str, str, list[float], str]] = {
     "scale": ("affine", "matrix", np.eye(3).ravel().tolist(), "1/d"),
     "angle": ("affine", "matrix", np.eye(3).ravel().tolist(), "deg/d"),
     "offset": ("affine", "shift", [0.0, 0.0, 0.0], "nT/d"),
@@ -480,7 +488,7 @@ _DRIFTING: dict[str, tuple[str, str, list[float], str]] = {
 }
 
 
-def addition_of(maker: Maker, option: Option) -> Addition:
+def addition_of(maker: AdditionMaker, option: Option) -> Addition:
     """Return the addition of what a search took."""
     if option.change is not None:
         if not option.change.at:
@@ -492,7 +500,7 @@ def addition_of(maker: Maker, option: Option) -> Addition:
     return maker.of_terms(option.name, [maker.library.terms[key] for key in option.terms])
 
 
-def drift_of(maker: Maker, kind: str, name: str = "") -> Addition:
+def drift_of(maker: AdditionMaker, kind: str, name: str = "") -> Addition:
     """Return a drift straight in time: of scale factors, angles or offsets, of the scalar's clock or bias.
 
     It grows from nothing at the middle of the span; calibration intervals still have their own nine. Of
@@ -511,22 +519,22 @@ def drift_of(maker: Maker, kind: str, name: str = "") -> Addition:
     origin = float(middle.mean())
     days = (middle - origin) / DAY
     term = maker.carrier(columns[0])
-    entry = _drifting(maker, what, name or maker.free_name(kind), term, int(origin))
-    _, part, _, unit = _DRIFTING[what]
+    entry = _drift_entry(maker, what, name or maker.free_name(kind), term, int(origin))
+    _, part, _, unit = _DRIFT_FORMS[what]
     if len(columns) == 1:
         titles, turn, values = [f"{entry.name}.{what}"], np.eye(1), [f"{entry.name}.{part}*b"]
     else:
         axes = ANGLES if what == "angle" else tuple("xyz")
         titles = [f"{entry.name}.{what}[{axis}]" for axis in axes]
-        turn = _before_the_nine(maker, what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
+        turn = _before_sensor_matrix(maker, what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
         values = [f"{entry.name}.{part}[{2 * axis if what == 'scale' else axis}]*b" for axis in axes]
     made = tuple(Column(title, ((column, 1.0),), days) for title, column in zip(titles, columns, strict=True))
-    gains = {value: _weighted(titles, row) for value, row in zip(values, turn, strict=True)}
+    gains = {value: _weights(titles, row) for value, row in zip(values, turn, strict=True)}
     return Addition(kind, made, (entry,), (term,), gains=gains, unit=unit)
 
 
-def _drifting(maker: Maker, what: str, name: str, term: Term, origin: int) -> ModelEffect:
-    effect, part, neutral, _ = _DRIFTING[what]
+def _drift_entry(maker: AdditionMaker, what: str, name: str, term: Term, origin: int) -> ModelEffect:
+    effect, part, neutral, _ = _DRIFT_FORMS[what]
     timed = {
         "time": "linear",
         "t0": f"{to_utc(origin)}Z",
@@ -538,7 +546,7 @@ def _drifting(maker: Maker, what: str, name: str, term: Term, origin: int) -> Mo
     return make_effect(told, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
 
 
-def _before_the_nine(maker: Maker, what: str, term: Term) -> Floats:
+def _before_sensor_matrix(maker: AdditionMaker, what: str, term: Term) -> Floats:
     """Return what changes of the sensor's own parameters are as changes of its reading; (3, 3).
 
     Rows are those of the reading: relative ones of its axes, or of angles of its own next to 90 deg. A
@@ -556,7 +564,7 @@ def _before_the_nine(maker: Maker, what: str, term: Term) -> Floats:
     return np.array([[xy / kx, 0.0, 0.0], [0.0, xz / kx, across], [0.0, 0.0, yz / ky]])
 
 
-def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addition:
+def step_of(maker: AdditionMaker, kind: str, at: Sequence[int], name: str = "") -> Addition:
     """Return a step of a sensor's parameter, or an episode between two moments.
 
     At edges of blocks its columns are the sensor's own times a function of the block, else columns of
@@ -581,12 +589,12 @@ def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addit
     if len(at) == 2:
         inside = inside & (maker.raw.start < at[1])
     label = f"{kind}_{'episode' if len(at) == 2 else 'step'}"
-    title = name or maker.free_name(f"{label}_{_stamp(at[0])}")
-    entries = _dated(maker, kind, title, at, maker.carrier(found[0]))
-    values = [names_of(entry, (_only(entry),)) for entry in entries]
+    title = name or maker.free_name(f"{label}_{_time_label(at[0])}")
+    entries = _step_entries(maker, kind, title, at, maker.carrier(found[0]))
+    values = [value_names(entry, (_single_parameter(entry),)) for entry in entries]
     source, factor = maker.carrier(found[0]), inside.astype(np.float64)
-    gains = _gains(maker, kind, values, source)
-    told = f"{label}@{'/'.join(moment_text(when) for when in at)}"
+    gains = _value_weights(maker, kind, values, source)
+    told = f"{label}@{'/'.join(time_text(when) for when in at)}"
     if set(at) <= {*maker.raw.start.tolist(), int(maker.raw.end[-1])}:
         parts = zip(values[0], found, strict=True)
         made = tuple(Column(one, ((column, 1.0),), factor) for one, column in parts)
@@ -596,7 +604,9 @@ def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addit
     return Addition(told, made, entries, (dated_term(source, found, told, tuple(at)),), True, gains)
 
 
-def _dated(maker: Maker, kind: str, title: str, at: Sequence[int], term: Term) -> tuple[ModelEffect, ...]:
+def _step_entries(
+    maker: AdditionMaker, kind: str, title: str, at: Sequence[int], term: Term
+) -> tuple[ModelEffect, ...]:
     """Return the effects that say it; a bias that comes and goes is two steps."""
     sensors = sensors_of(maker.mission, maker.model.comparison)
     when = [f"{to_utc(one)}Z" for one in at]
@@ -616,34 +626,34 @@ def _dated(maker: Maker, kind: str, title: str, at: Sequence[int], term: Term) -
     return tuple(make_effect(one | given, sensors, mission=maker.mission) for one in told)
 
 
-def _gains(
-    maker: Maker, kind: str, values: Sequence[Sequence[str]], term: Term
+def _value_weights(
+    maker: AdditionMaker, kind: str, values: Sequence[Sequence[str]], term: Term
 ) -> dict[str, tuple[tuple[str, float], ...]]:
     """Return how the model's values follow from those of the carrier's columns."""
     first = values[0]
     turn = np.eye(len(first))
     if kind == "offset":
-        turns = turns_of(maker.model, int(maker.raw.start[0]))
+        turns = sensor_matrices(maker.model, int(maker.raw.start[0]))
         # Behind the sensor's equation a step of its offset is that step through K.
         affine = term.entry.effect.label() == "affine"
         turn = -np.eye(3) if affine else np.reshape(turns.get(term.entry.sensor.name, np.eye(3)), (3, 3))
     elif kind in ("scale", "angle"):
-        turn = _before_the_nine(maker, kind, term)
+        turn = _before_sensor_matrix(maker, kind, term)
     gains = {}
     for sign, names in zip((1.0, -1.0), values, strict=False):
         for row, name in enumerate(names):
-            gains[name] = _weighted(first, sign * turn[row])
+            gains[name] = _weights(first, sign * turn[row])
     return gains
 
 
-def _weighted(names: Sequence[str], weights: Floats) -> tuple[tuple[str, float], ...]:
+def _weights(names: Sequence[str], weights: Floats) -> tuple[tuple[str, float], ...]:
     return tuple((name, float(weight)) for name, weight in zip(names, weights, strict=True))
 
 
-def _only(entry: ModelEffect) -> str:
+def _single_parameter(entry: ModelEffect) -> str:
     return next(iter(type(entry.effect).parameters()))
 
 
-def _stamp(when: int) -> str:
+def _time_label(when: int) -> str:
     """Return a moment as a part of a name."""
     return "".join(c for c in str(to_utc(when))[:16] if c.isalnum())

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from inflight.design import Candidate, Library, Term, Told, term_of
+from inflight.design import Candidate, ChannelSummary, Library, Term, term_of
 from inflight.effects import Effect, family_of, known_effects
 from inflight.errors import InflightError
 from inflight.mission import Mission, Sensor, sensors_of
@@ -59,7 +59,7 @@ WIDE = frozenset({"function_of_channel", "function_of_two", "tolles_lawson"})
 def make_library(
     mission: Mission,
     model: Model,
-    channels: Mapping[str, Told],
+    channels: Mapping[str, ChannelSummary],
     geometry: Sequence[str],
     shifts: Mapping[str, float],
     base: Sequence[Term],
@@ -99,12 +99,12 @@ def make_library(
             library.unscorable.append({"name": label, "family": kind.family, "reason": error.message})
             continue
         for given in options:
-            _offer(library, mission, model, label, given, there, channels, periods)
+            _add_effect(library, mission, model, label, given, there, channels, periods)
     for term in fixed:
         key = f"{term.key}.{term.parameters[0]}"
         own = replace(term, key=key)
         library.add(Candidate(key, key, "sensor", (), (key,)), [own])
-    _offer_placebos(library, mission, model, shifts)
+    _add_placebos(library, mission, model, shifts)
     return library
 
 
@@ -121,20 +121,20 @@ def _refined(model: Model, base: Sequence[Term]) -> list[Term]:
     return found
 
 
-def _offer(
+def _add_effect(
     library: Library,
     mission: Mission,
     model: Model,
     label: str,
     options: Mapping[str, Any],
     there: set[str],
-    channels: Mapping[str, Told],
+    channels: Mapping[str, ChannelSummary],
     periods: tuple[float, float],
 ) -> None:
     """Add the candidates of one effect with one choice of options."""
     kind = known_effects(model.own)[label]
     for sensor in _sensors(kind, mission, model):
-        entry = _made({"effect": label, "sensor": sensor.name, **options}, mission, model)
+        entry = _make({"effect": label, "sensor": sensor.name, **options}, mission, model)
         if entry is None:
             continue
         used = [name for name in entry.effect.channels if name]
@@ -150,10 +150,10 @@ def _offer(
             continue
         if "period" in options and not periods[0] <= _seconds(options["period"]) <= periods[1]:
             continue
-        _expand(library, mission, model, label, dict(options), entry, mechanism, family, channels)
+        _add_forms(library, mission, model, label, dict(options), entry, mechanism, family, channels)
 
 
-def _expand(
+def _add_forms(
     library: Library,
     mission: Mission,
     model: Model,
@@ -162,7 +162,7 @@ def _expand(
     entry: ModelEffect,
     mechanism: str,
     family: str,
-    channels: Mapping[str, Told],
+    channels: Mapping[str, ChannelSummary],
 ) -> None:
     """Add an effect with every lag or width of its bank."""
     base = _base_channels(entry.effect.channels)
@@ -178,14 +178,14 @@ def _expand(
     given = {"effect": label, "sensor": entry.sensor.name, **options}
     if label in SLOW and (lone in channels or not lone):
         for lag in LAGS if lone not in library.unlagged else (0.0,):
-            made = _made(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
+            made = _make(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
                 library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
     elif label == "hysteresis" and lone in library.unlagged:
         return
     elif label == "hysteresis" and lone in channels:
-        _offer_plays(library, mission, model, given, channels[lone].spread, common)
+        _add_plays(library, mission, model, given, channels[lone].spread, common)
     else:
         form = "".join(f"@{key}={options[key]}" for key in ("degree", "order") if key in options)
         term = term_of(entry, f"{mechanism}{form}")
@@ -193,7 +193,7 @@ def _expand(
             library.add(Candidate(term.key, terms=(term.key,), **common), [term])
 
 
-def _offer_plays(
+def _add_plays(
     library: Library,
     mission: Mission,
     model: Model,
@@ -202,7 +202,7 @@ def _offer_plays(
     common: dict[str, Any],
 ) -> None:
     """Add a channel with its play of several widths; its own columns are those of its plain field."""
-    plain = _made(
+    plain = _make(
         {"effect": "channel_field", "sensor": given["sensor"], "channel": given["channel"]}, mission, model
     )
     if plain is None:
@@ -210,14 +210,14 @@ def _offer_plays(
     direct = term_of(plain, f"channel_field({given['channel']})")
     for part in WIDTHS:
         width = float(f"{part * spread:.3g}")
-        made = _made(given | {"width": width}, mission, model)
+        made = _make(given | {"width": width}, mission, model)
         if made is not None:
             key = f"{common['mechanism']}@width={width:g}"
             own = Term(key, made, ("play",), (np.inf,) * 3)
             library.add(Candidate(key, terms=(direct.key, key), **common), [direct, own])
 
 
-def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:
+def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:
     """Add the plain field of shifted channels, with a few lags."""
     kind = known_effects(model.own)["channel_field"]
     sensors = _sensors(kind, mission, model)
@@ -225,7 +225,7 @@ def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Ma
         channel, number = name.split("~")
         for lag in FEW_LAGS if channel not in library.unlagged else (0.0,):
             derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
-            entry = _made(
+            entry = _make(
                 {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model
             )
             if entry is None:
@@ -253,7 +253,7 @@ def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]
     return []
 
 
-def _made(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
+def _make(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
     try:
         return make_effect(entry, sensors_of(mission, model.comparison), model.own, mission)
     except InflightError:

@@ -34,16 +34,16 @@ from inflight.arrays import Floats
 from inflight.design import Rows, Term, design, within_span
 from inflight.diagnosis.candidates import SLOW
 from inflight.diagnosis.residual import (
-    Material,
+    Context,
     correlation_s,
+    derived_channels,
     joint_values,
-    made_channels,
     model_columns,
-    residual_left,
+    residual_after,
 )
-from inflight.diagnosis.scoring import Index, Present, folds_of, projected
-from inflight.diagnosis.search import Option, Search, Table
-from inflight.diagnosis.time_changes import Change, moment_text
+from inflight.diagnosis.scoring import Index, ModelColumns, make_folds, projected
+from inflight.diagnosis.search import Option, ScoreTable, Search
+from inflight.diagnosis.time_changes import Change, time_text
 from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
 from inflight.lsq import Evidence, hac_t, half_inverse, prewhiten, solve_scaled
@@ -60,7 +60,7 @@ _GRID = 60
 
 
 @lru_cache(maxsize=4096)
-def _mixture(lag: float, bank: tuple[float, ...]) -> tuple[float, ...]:
+def _lag_weights(lag: float, bank: tuple[float, ...]) -> tuple[float, ...]:
     omega = np.geomspace(_SLOWEST, _FASTEST, _FREQUENCIES)
     known = 1.0 / (1.0 + 1j * omega[:, None] * np.asarray(bank)[None, :])
     wanted = 1.0 / (1.0 + 1j * omega * lag)
@@ -68,7 +68,7 @@ def _mixture(lag: float, bank: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(np.linalg.lstsq(rows[0], rows[1], rcond=1e-4)[0].tolist())
 
 
-def mixture(lag: float, bank: Sequence[float]) -> Floats:
+def lag_weights(lag: float, bank: Sequence[float]) -> Floats:
     """Return the weights of the bank's responses that together respond with another lag.
 
     Parameters
@@ -84,7 +84,7 @@ def mixture(lag: float, bank: Sequence[float]) -> Floats:
         Right to one to three hundredths of the response between neighbours of a bank whose lags grow
         three times a step, to seven where they grow four times.
     """
-    return np.array(_mixture(float(lag), tuple(float(one) for one in bank)))
+    return np.array(_lag_weights(float(lag), tuple(float(one) for one in bank)))
 
 
 @dataclass(frozen=True)
@@ -116,9 +116,9 @@ class LagProfile:
         }
 
 
-def profile(
+def profile_lag(
     evidence: Evidence,
-    present: Present,
+    present: ModelColumns,
     bank: Mapping[float, Index],
     y: int,
     folds: Sequence[Index],
@@ -138,7 +138,7 @@ def profile(
     grid = np.concatenate([[0.0], np.geomspace(smallest / 4.0, 1.5 * largest, _GRID)])
     columns = np.concatenate([bank[lag] for lag in lags])
     size = len(bank[lags[0]])
-    mixed = np.array([mixture(lag, tuple(lags)) for lag in grid])
+    mixed = np.array([lag_weights(lag, tuple(lags)) for lag in grid])
 
     def explained(gram: Floats) -> Floats:
         left = projected(gram, present)
@@ -180,13 +180,15 @@ _CHANNELS, _PAIRS = 8, 60
 _STEADY = 1e-3
 
 #: Angles: a field may follow them, but no product with them means anything.
-NO_FACTOR = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
+ANGLES = frozenset({"longitude", "orbit_phase", "sun_phase", "local_time"})
 
 #: Rows of the series at most: of longer records a user asks for a product by name.
 MOST_ROWS = 400_000
 
 
-def look_again(search: Search, material: Material, tables: Sequence[Table], unexplained: bool) -> bool:
+def add_interactions(
+    search: Search, context: Context, tables: Sequence[ScoreTable], unexplained: bool
+) -> bool:
     """Add products of channels to the search's candidates; return whether there were any.
 
     Parameters
@@ -195,17 +197,17 @@ def look_again(search: Search, material: Material, tables: Sequence[Table], unex
         Something is left: all pairs of the most telling channels are tried. Else only pairs with a
         channel that was taken, because its field may depend on another channel.
     """
-    if not can_join(search, material):
+    if not can_add_columns(search, context):
         return False
     known = {option.mechanism for option in search.options}
     terms = [
         term
-        for one, other in _pairs(search, material, tables, unexplained)
-        if (term := _product(material, one, other)) is not None and term.key not in known
+        for one, other in _channel_pairs(search, context, tables, unexplained)
+        if (term := _product(context, one, other)) is not None and term.key not in known
     ]
     if not terms:
         return False
-    join_terms(search, material, terms)
+    join_terms(search, context, terms)
     for term in terms:
         channels = tuple(term.entry.effect.channels[0].split("*"))
         search.options.append(
@@ -214,11 +216,11 @@ def look_again(search: Search, material: Material, tables: Sequence[Table], unex
     return True
 
 
-def join_terms(search: Search, material: Material, terms: Sequence[Term]) -> None:
+def join_terms(search: Search, context: Context, terms: Sequence[Term]) -> None:
     """Join the columns of new terms to the evidence and its forms, with their products with all others."""
     names = [name for term in terms for name in term.columns]
     scale = np.array([one for term in terms for one in term.scale])
-    raw, white = _borders(search, material, terms)
+    raw, white = _borders(search, context, terms)
     base, sigma = search.base()
     precision = search.precision(search.raw, base, sigma)
     for form, (source, groups) in search.sources().items():
@@ -227,24 +229,24 @@ def join_terms(search: Search, material: Material, terms: Sequence[Term]) -> Non
     search.raw = search.raw.bordered(names, scale, *raw)
     search.white = search.white.bordered(names, scale, *white)
     for term in terms:
-        search.library.terms[term.key] = material.terms[term.key] = term
+        search.library.terms[term.key] = context.terms[term.key] = term
 
 
-def can_join(search: Search, material: Material) -> bool:
+def can_add_columns(search: Search, context: Context) -> bool:
     """Return True when columns can still be made: of long records the days' own equations are gone."""
-    return search.within is None and len(material.series.tt2000) <= MOST_ROWS
+    return search.within is None and len(context.series.tt2000) <= MOST_ROWS
 
 
-def _pairs(
-    search: Search, material: Material, tables: Sequence[Table], unexplained: bool
+def _channel_pairs(
+    search: Search, context: Context, tables: Sequence[ScoreTable], unexplained: bool
 ) -> list[tuple[str, str]]:
     """Return the pairs to try: a channel that was taken with every other one; of the telling ones all."""
-    series = material.series
+    series = context.series
     scalars = [name for name in series.channels if series[name].ndim == 1 and _varies(series[name], name)]
     taken = [name for option in search.accepted for name in option.channels if name in scalars]
     pairs = [(one, other) for one in dict.fromkeys(taken) for other in scalars if other != one]
     if unexplained:
-        pairs += combinations(telling_channels(search, material, tables), 2)
+        pairs += combinations(strongest_channels(search, context, tables), 2)
     first: dict[frozenset[str], tuple[str, str]] = {}
     for pair in pairs:
         first.setdefault(frozenset(pair), pair)
@@ -254,12 +256,12 @@ def _pairs(
 def _varies(values: Floats, name: str) -> bool:
     """Return True when a product with the channel is another thing than the other channel alone."""
     known = values[np.isfinite(values)]
-    return name not in NO_FACTOR and known.size > 0 and bool(np.std(known) > _STEADY * np.abs(known).mean())
+    return name not in ANGLES and known.size > 0 and bool(np.std(known) > _STEADY * np.abs(known).mean())
 
 
-def telling_channels(search: Search, material: Material, tables: Sequence[Table]) -> list[str]:
+def strongest_channels(search: Search, context: Context, tables: Sequence[ScoreTable]) -> list[str]:
     """Return the channels whose own effects explain most, by any round's scores; those taken come first."""
-    there = set(material.series.channels)
+    there = set(context.series.channels)
     gains = {channel: np.inf for option in search.accepted for channel in option.channels if channel in there}
     for table in tables:
         scores = table.scores["raw"]
@@ -267,33 +269,35 @@ def telling_channels(search: Search, material: Material, tables: Sequence[Table]
             if option.placebo or len(option.channels) != 1 or option.channels[0] not in there:
                 continue
             name = option.channels[0]
-            if material.series[name].ndim == 1 and scores.t[place] > 1.0:
+            if context.series[name].ndim == 1 and scores.t[place] > 1.0:
                 gains[name] = max(gains.get(name, 0.0), float(scores.gain[place]))
-    scalars = [name for name in gains if material.series[name].ndim == 1]
+    scalars = [name for name in gains if context.series[name].ndim == 1]
     return sorted(sorted(scalars), key=lambda name: -gains[name])[:_CHANNELS]
 
 
-def _product(material: Material, one: str, other: str) -> Term | None:
-    sensors = sensors_of(material.mission, material.model.comparison)
-    first = next(iter(material.series.features.sensors))
+def _product(context: Context, one: str, other: str) -> Term | None:
+    sensors = sensors_of(context.mission, context.model.comparison)
+    first = next(iter(context.series.features.sensors))
     entry = {"effect": "channel_field", "channel": f"{one}*{other}", "sensor": first}
     try:
-        made = make_effect(entry, sensors, material.model.own, material.mission)
+        made = make_effect(entry, sensors, context.model.own, context.mission)
     except InflightError:
         return None
     return Term(f"channel_field({one}*{other})", made, ("coefficient",), (np.inf,) * 3)
 
 
-def _wall(search: Search, material: Material, terms: Sequence[Term]) -> tuple[list[str], list[np.ndarray]]:
+def _cached_design(
+    search: Search, context: Context, terms: Sequence[Term]
+) -> tuple[list[str], list[np.ndarray]]:
     """Return the names of the columns of all terms, and pieces of them on the coarse series.
 
     Pieces are (sample, row, column) float32. They are kept: each further column costs its own making only.
     """
-    series = material.series
+    series = context.series
     known, kept = search.wall
     new = [term for term in [*search.library.all_terms, *terms] if not set(term.columns) <= set(known)]
     channels = {name for term in new for name in term.entry.effect.channels if name}
-    rows = series.rows(material.turn, made_channels(series, channels, search.library.placebos))
+    rows = series.rows(context.turn, derived_channels(series, channels, search.library.placebos))
     made = [design([term], rows).astype(np.float32) for term in new]
     search.wall = [*known, *(name for term in new for name in term.columns)], [*kept, *made]
     return search.wall
@@ -303,10 +307,10 @@ def _wall(search: Search, material: Material, terms: Sequence[Term]) -> tuple[li
 Border = tuple[Floats, Floats]
 
 
-def _borders(search: Search, material: Material, terms: Sequence[Term]) -> tuple[Border, Border]:
+def _borders(search: Search, context: Context, terms: Sequence[Term]) -> tuple[Border, Border]:
     """Return the terms' products with all columns, raw and prewhitened."""
-    series = material.series
-    names, wall = _wall(search, material, terms)
+    series = context.series
+    names, wall = _cached_design(search, context, terms)
     fresh = [name for term in terms for name in term.columns]
     places = [names.index(name) for name in fresh]
     residual = series["residual"].reshape(len(series.tt2000), -1, 1)
@@ -317,7 +321,7 @@ def _borders(search: Search, material: Material, terms: Sequence[Term]) -> tuple
         used = np.where((weight > 0)[:, None, None], np.nan_to_num(residual[part]), 0.0)
         columns = np.concatenate([*(piece[part] for piece in wall), used], axis=2)
         for gram, values in zip(
-            grams, (columns, prewhiten(columns, weight, stamps, material.memory_s)), strict=True
+            grams, (columns, prewhiten(columns, weight, stamps, context.memory_s)), strict=True
         ):
             _add(gram, values, weight, block, places)
     changes = {
@@ -375,7 +379,7 @@ _COARSE_S = 2.0
 _NEAR_MOMENT = 0.5
 
 
-def at_its_moment(search: Search, material: Material, option: Option) -> Option:
+def refine_change_time(search: Search, context: Context, option: Option) -> Option:
     """Return a step or an episode at the moment that leaves least; its columns join the evidence.
 
     Returns
@@ -384,37 +388,37 @@ def at_its_moment(search: Search, material: Material, option: Option) -> Option:
         Its `change.sharpness` is the moment's standard deviation, the larger one of an episode's two. The
         option itself when it is a drift, or at that moment already.
     """
-    change, carriers = option.change, _carriers(search, option)
+    change, carriers = option.change, _changing_columns(search, option)
     if change is None or not change.at or not carriers:
         return option
-    at, sigma = _moments(search, material, option, carriers)
+    at, sigma = _change_times(search, context, option, carriers)
     moved = max(abs(new - old) for new, old in zip(at, change.at, strict=True))
-    if option.terms and moved <= max(_NEAR_MOMENT * sigma, material.series.step_s * SECOND):
+    if option.terms and moved <= max(_NEAR_MOMENT * sigma, context.series.step_s * SECOND):
         return option
-    made = _all_kinds(search, at, round(sigma))
+    made = _every_kind(search, at, round(sigma))
     known = {one.name for one in search.options}
     terms = [_term(search, one) for one in made if one.name not in search.library.terms]
     if terms:
-        join_terms(search, material, terms)
+        join_terms(search, context, terms)
     search.options += [one for one in made if one.name not in known]
     return next(one for one in made if one.mechanism == option.mechanism)
 
 
-def _all_kinds(search: Search, at: tuple[int, ...], sigma: int) -> list[Option]:
+def _every_kind(search: Search, at: tuple[int, ...], sigma: int) -> list[Option]:
     """Return what may change at some moments: one at its moment must not be held against others at edges."""
     made = []
     form = "episode" if len(at) == 2 else "step"
     for kind, (family, carriers) in search.carriers.kinds.items():
         if form == "episode" and len(carriers) > 1:
             continue
-        name = f"{kind}_{form}@{'/'.join(moment_text(one) for one in at)}"
+        name = f"{kind}_{form}@{'/'.join(time_text(one) for one in at)}"
         change = Change(name, f"{kind}_{form}", family, {}, at, sharpness=sigma)
         columns = tuple(dated_columns(_source(search, carriers), carriers, name))
         made.append(Option(name, change.mechanism, family, columns, terms=(name,), change=change))
     return made
 
 
-def _carriers(search: Search, option: Option) -> tuple[str, ...]:
+def _changing_columns(search: Search, option: Option) -> tuple[str, ...]:
     found: tuple[str, ...] = getattr(search.carriers, option.mechanism.rsplit("_", 1)[0], ())
     return found
 
@@ -425,7 +429,7 @@ def _source(search: Search, carriers: tuple[str, ...]) -> Term:
 
 def _term(search: Search, option: Option) -> Term:
     assert option.change is not None
-    carriers = _carriers(search, option)
+    carriers = _changing_columns(search, option)
     return dated_term(_source(search, carriers), carriers, option.name, option.change.at)
 
 
@@ -442,14 +446,14 @@ def dated_columns(source: Term, carriers: tuple[str, ...], name: str) -> list[st
     return [f"{name}.{one.removeprefix(f'{source.key}.')}" for one in carriers]
 
 
-def _moments(
-    search: Search, material: Material, option: Option, carriers: tuple[str, ...]
+def _change_times(
+    search: Search, context: Context, option: Option, carriers: tuple[str, ...]
 ) -> tuple[tuple[int, ...], float]:
     """Return when a change begins, and ends if it does, TT2000, and the standard deviation, ns."""
     assert option.change is not None
-    series, at = material.series, option.change.at
-    beside, left, columns = _beside(search, material, option, carriers)
-    noise = _noise(material, left)
+    series, at = context.series, option.change.at
+    beside, left, columns = _residual_without(search, context, option, carriers)
+    noise = _sum_variance(context, left)
     windows = [_window(search, option, place) for place in range(len(at))]
     sigma = 0.0
     for _ in range(_TURNS):
@@ -460,10 +464,10 @@ def _moments(
         with_it = beside - columns @ np.linalg.lstsq(*flat, rcond=None)[0]
         gained = np.sum(with_it**2 - beside**2, axis=1) * series["weight"]
         found = [
-            _moment(series.tt2000, gained * (-1.0) ** place, window, noise)
+            _change_time(series.tt2000, gained * (-1.0) ** place, window, noise)
             for place, window in enumerate(windows)
         ]
-        before, at = at, tuple(_rounded(one[0], series.step_s) for one in found)
+        before, at = at, tuple(_round_time(one[0], series.step_s) for one in found)
         sigma = max(one[1] for one in found)
         if at == before or (len(at) == 2 and at[0] >= at[1]):
             break
@@ -474,17 +478,15 @@ def _moments(
     )
 
 
-def _beside(
-    search: Search, material: Material, option: Option, carriers: tuple[str, ...]
+def _residual_without(
+    search: Search, context: Context, option: Option, carriers: tuple[str, ...]
 ) -> tuple[Floats, Floats, Floats]:
     """Return the residual without and with an option, and its columns as if it held always.
 
     Each is (sample, row) or (sample, row, column).
     """
-    rows, names, columns = model_columns(
-        search, material.series, material.terms, material.turn, search.accepted
-    )
-    left = residual_left(search, material.series, material.terms, material.turn)
+    rows, names, columns = model_columns(search, context.series, context.terms, context.turn, search.accepted)
+    left = residual_after(search, context.series, context.terms, context.turn)
     taken = [name for one in search.accepted for name in one.columns]
     values, known = joint_values(search, taken)[0]
     value = dict(zip(known, values[len(values) - len(known) :], strict=True))
@@ -495,9 +497,9 @@ def _beside(
     return beside, left, every[:, :, [source.columns.index(name) for name in carriers]]
 
 
-def _noise(material: Material, left: Floats) -> float:
+def _sum_variance(context: Context, left: Floats) -> float:
     """Return the variance of what a row adds to a sum over many, correlation with its neighbours counted."""
-    series = material.series
+    series = context.series
     used = series["weight"] > 0
     memory = 2.0 * correlation_s(series, left) / series.step_s
     return float(np.mean(left[used] ** 2)) * max(memory, 1.0)
@@ -517,7 +519,7 @@ def _window(search: Search, option: Option, place: int) -> tuple[int, int]:
     return low, high
 
 
-def _moment(stamps: Int64, gained: Floats, window: tuple[int, int], noise: float) -> tuple[int, float]:
+def _change_time(stamps: Int64, gained: Floats, window: tuple[int, int], noise: float) -> tuple[int, float]:
     """Return the median moment of those that leave little, and the root mean square of the others about it.
 
     Parameters
@@ -544,20 +546,20 @@ def _moment(stamps: Int64, gained: Floats, window: tuple[int, int], noise: float
     return int(stamps[0]) + round(float(best)), float(np.sqrt(spread))
 
 
-def _rounded(when: int, step_s: float) -> int:
+def _round_time(when: int, step_s: float) -> int:
     unit = "datetime64[s]" if step_s >= _COARSE_S else "datetime64[ms]"
     return int(to_tt2000(to_utc(when).astype(unit)))
 
 
-class Trials:
+class FormTrials:
     """Trials of forms of an option that the model holds; the option itself is taken off the model."""
 
-    def __init__(self, search: Search, material: Material, option: Option) -> None:
-        self.search, self.material = search, material
-        self.series = material.series
+    def __init__(self, search: Search, context: Context, option: Option) -> None:
+        self.search, self.context = search, context
+        self.series = context.series
         others = [one for one in search.accepted if one is not option and one.terms]
         keys = sorted({key for one in others for key in one.terms})
-        kept = [*search.library.refined, *(material.terms[key] for key in keys)]
+        kept = [*search.library.refined, *(context.terms[key] for key in keys)]
         self.rows = self._rows([*search.library.base, *kept])
         self.block = np.repeat(self.series.block, self.rows.residual.shape[1])
         self.root = np.sqrt(np.repeat(self.rows.weight, self.rows.residual.shape[1]))
@@ -605,7 +607,7 @@ class Trials:
         return before, before - own @ solve_scaled(own.T @ own, own.T @ before)
 
     def _columns(self, term: Term) -> Floats:
-        if term.key not in self.material.terms:
+        if term.key not in self.context.terms:
             return self._absorbed(self._flat([term], self._rows([term])))
         if term.key not in self._known:
             self._known[term.key] = self._absorbed(self._flat([term], self._rows([term])))
@@ -613,7 +615,7 @@ class Trials:
 
     def _rows(self, terms: Sequence[Term]) -> Rows:
         channels = {name for term in terms for name in term.entry.effect.channels if name}
-        return self.series.rows(self.material.turn, made_channels(self.series, channels))
+        return self.series.rows(self.context.turn, derived_channels(self.series, channels))
 
     def _flat(self, terms: Sequence[Term], rows: Rows) -> Floats:
         columns = design(terms, rows)
@@ -626,9 +628,9 @@ class Trials:
         return out
 
 
-def like(
+def similar_term(
     search: Search,
-    material: Material,
+    context: Context,
     source: Term,
     key: str,
     options: dict[str, Any],
@@ -643,7 +645,7 @@ def like(
         **options,
     }
     made = make_effect(
-        wanted, sensors_of(material.mission, material.model.comparison), material.model.own, material.mission
+        wanted, sensors_of(context.mission, context.model.comparison), context.model.own, context.mission
     )
     size = sum(made.effect.parameters()[name].size for name in parameters)
     return Term(key, made, tuple(parameters), (np.inf,) * size)
@@ -661,76 +663,76 @@ _SHORTEST, _LONGEST, _RESPONSES = 0.5, 8000.0, 12
 _NEEDED = 2.0
 
 
-def refine(search: Search, material: Material, option: Option) -> Option:
+def refine(search: Search, context: Context, option: Option) -> Option:
     """Return the option in its best form; the option itself when the bank has it already.
 
     The new columns join the evidence, from the coarse series.
     """
-    if not can_join(search, material):
+    if not can_add_columns(search, context):
         return option
     if option.change is not None:
-        return at_its_moment(search, material, option)
+        return refine_change_time(search, context, option)
     if not option.channels or set(option.channels) & search.library.unlagged:
         return option
-    return _of_channel(search, material, option)
+    return _of_channel(search, context, option)
 
 
-def _of_channel(search: Search, material: Material, option: Option) -> Option:
+def _of_channel(search: Search, context: Context, option: Option) -> Option:
     if option.mechanism.startswith("hysteresis("):
-        return _with_width(search, material, option)
+        return _with_width(search, context, option)
     if option.mechanism.split("(")[0] in SLOW and len(option.channels) == 1:
-        return _with_lag(search, material, option)
+        return _with_lag(search, context, option)
     if len(option.terms) == 1:
-        return _with_response(search, material, option)
+        return _with_response(search, context, option)
     return option
 
 
-def _with_lag(search: Search, material: Material, option: Option) -> Option:
+def _with_lag(search: Search, context: Context, option: Option) -> Option:
     """Return the option with the lag that explains most; without one when that is not clearly more."""
     source = search.library.terms[option.terms[0]]
-    trials = Trials(search, material, option)
+    trials = FormTrials(search, context, option)
 
     def term(lag: float, key: str = "trial") -> Term:
         given = {"lag": f"{lag:g} s"} if lag else {}
-        return like(search, material, source, key, given, source.parameters)
+        return similar_term(search, context, source, key, given, source.parameters)
 
     def left(lag: float) -> Floats:
         return trials.left([term(lag)])
 
-    best, sigma = _best_lag(search, material, left)
+    best, sigma = _best_lag(search, context, left)
     if float(hac_t((left(0.0) - left(best))[:, None])[0]) < search.rules.t:
         plain = [one for one in search.options if one.mechanism == option.mechanism and one.lag_s == 0.0]
         return plain[0] if plain else option
     if abs(best - option.lag_s) <= _NEAR * best:
         return option
-    return _joined(search, material, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
+    return _with_term(search, context, option, term(best, f"{option.mechanism}@lag={best:g}s"), best, sigma)
 
 
 def _best_lag(
-    search: Search, material: Material, left: Callable[[float], Floats]
+    search: Search, context: Context, left: Callable[[float], Floats]
 ) -> tuple[float, float | None]:
     """Return the lag that leaves least, s, and its error by leaving out folds of blocks."""
-    lags = np.geomspace(_SHORTEST * material.series.step_s, _LONGEST, _RESPONSES)
-    best = _least(lags, left, (0.7, 1.43))
+    lags = np.geomspace(_SHORTEST * context.series.step_s, _LONGEST, _RESPONSES)
+    best = _minimise(lags, left, (0.7, 1.43))
     beside = best * np.array([0.9, 1.0, 1.0 / 0.9])
     each = np.stack([left(float(one)) for one in beside])
     total = each.sum(axis=1)
-    folds = folds_of(each.shape[1])
+    folds = make_folds(each.shape[1])
     others = [_vertex(np.log(beside), total - each[:, fold].sum(axis=1)) for fold in folds]
     if not np.all(np.isfinite(others)):
         return best, None
     return best, best * jackknife(others)
 
 
-def _with_response(search: Search, material: Material, option: Option) -> Option:
+def _with_response(search: Search, context: Context, option: Option) -> Option:
     """Return an effect whose channel, or a factor of it, acts slowly, when that explains clearly more."""
     made = option
     parts = _channel_of(search.library.terms[option.terms[0]]).parts
-    if any(part.channel not in material.series.channels or part.width for part in parts):
+    if any(part.channel not in context.series.channels or part.width for part in parts):
         return option
     for place, part in enumerate(parts):
         if part.channel not in GEOMETRY or part.channel in SLOW_GEOMETRY:
-            made = _slower(search, material, option, made, place)
+            made = _with_slow_factor(search, context, option, made, place)
     return made
 
 
@@ -740,21 +742,23 @@ def _channel_of(term: Term) -> Derived:
     return parse(channel) if isinstance(channel, str) else Derived(())
 
 
-def _slower(search: Search, material: Material, option: Option, now: Option, place: int) -> Option:
+def _with_slow_factor(search: Search, context: Context, option: Option, now: Option, place: int) -> Option:
     """Return the option with the best lag of one factor of its channel; the present one if none is better."""
     source = search.library.terms[now.terms[0]]
     parts = list(_channel_of(source).parts)
     old = parts[place].lag_s
-    trials = Trials(search, material, option)
+    trials = FormTrials(search, context, option)
 
     def term(lag: float, key: str) -> Term:
         parts[place] = replace(parts[place], lag_s=lag, text="")
-        return like(search, material, source, key, {"channel": Derived(tuple(parts)).name}, source.parameters)
+        return similar_term(
+            search, context, source, key, {"channel": Derived(tuple(parts)).name}, source.parameters
+        )
 
     def left(lag: float) -> Floats:
         return trials.left([term(lag, f"{option.mechanism}@trial")])
 
-    best, sigma = _best_lag(search, material, left)
+    best, sigma = _best_lag(search, context, left)
     if old and abs(best - old) <= _NEAR * old:
         return now
     before, after = trials.left([source]), left(best)
@@ -771,29 +775,29 @@ def _slower(search: Search, material: Material, option: Option, now: Option, pla
         if len(parts) == 1
         else f"{type(made.entry.effect).label()}({name})"
     )
-    return _joined(search, material, option, replace(made, key=key), best, sigma)
+    return _with_term(search, context, option, replace(made, key=key), best, sigma)
 
 
-def _with_width(search: Search, material: Material, option: Option) -> Option:
+def _with_width(search: Search, context: Context, option: Option) -> Option:
     """Return the play of the best width, with the channel itself where it is needed."""
-    trials = Trials(search, material, option)
+    trials = FormTrials(search, context, option)
     source = search.library.terms[option.terms[-1]]
     direct = [search.library.terms[option.terms[0]]] if len(option.terms) > 1 else []
-    low, high = np.nanquantile(material.series[option.channels[0]], [0.02, 0.98])
+    low, high = np.nanquantile(context.series[option.channels[0]], [0.02, 0.98])
     widths = _WIDTHS * float(high - low)
 
     def term(width: float, key: str) -> Term:
-        return like(search, material, source, key, {"width": width}, ("play",))
+        return similar_term(search, context, source, key, {"width": width}, ("play",))
 
     def left(width: float, beside: list[Term]) -> Floats:
         return trials.left([*beside, term(width, f"{option.mechanism}@trial")])
 
-    alone = _least(widths, lambda width: left(width, []), (0.85, 1.18))
-    width = _least(widths, lambda width: left(width, direct), (0.85, 1.18)) if direct else alone
+    alone = _minimise(widths, lambda width: left(width, []), (0.85, 1.18))
+    width = _minimise(widths, lambda width: left(width, direct), (0.85, 1.18)) if direct else alone
     needed = bool(direct) and float(hac_t((left(alone, []) - left(width, direct))[:, None])[0]) > _NEEDED
     width = width if needed else alone
     key = f"{option.mechanism}@width={width:g}"
-    made = _joined(search, material, option, term(width, key), 0.0)
+    made = _with_term(search, context, option, term(width, key), 0.0)
     if not needed:
         return made
     whole = replace(made, terms=(direct[0].key, key), columns=(*direct[0].columns, *made.columns))
@@ -801,17 +805,17 @@ def _with_width(search: Search, material: Material, option: Option) -> Option:
     return whole
 
 
-def _least(grid: Floats, left: Callable[[float], Floats], around: tuple[float, float]) -> float:
+def _minimise(grid: Floats, left: Callable[[float], Floats], around: tuple[float, float]) -> float:
     """Return where least is left: on the whole grid, then twice on finer ones around it; four digits."""
     best = 0.0
     for part in (1.0, 0.25, 0.0):
-        best = _lowest(grid, np.array([left(float(one)).sum() for one in grid]))
+        best = _grid_minimum(grid, np.array([left(float(one)).sum() for one in grid]))
         if part:
             grid = best * np.geomspace(*around, 7) ** part
     return float(f"{best:.4g}")
 
 
-def _lowest(grid: Floats, sums: Floats) -> float:
+def _grid_minimum(grid: Floats, sums: Floats) -> float:
     """Return where the sums are least, by a parabola in the logarithm."""
     at = int(np.argmin(sums))
     if at in (0, len(sums) - 1):
@@ -827,9 +831,9 @@ def _vertex(x: Floats, y: Floats) -> float:
     return float(x[1] - b / (2.0 * a)) if a > 0 else float("nan")
 
 
-def _joined(
+def _with_term(
     search: Search,
-    material: Material,
+    context: Context,
     option: Option,
     term: Term,
     lag: float,
@@ -840,6 +844,6 @@ def _joined(
         option, name=term.key, terms=(term.key,), columns=tuple(term.columns), lag_s=lag, lag_sigma_s=sigma
     )
     if term.key not in search.library.terms:
-        join_terms(search, material, [term])
+        join_terms(search, context, [term])
     search.options.append(made)
     return made

@@ -22,8 +22,8 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import Outliers, Rows, Term, design, turns_of
-from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.design import Outliers, Rows, Term, design, sensor_matrices
+from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.dual import Switched
@@ -91,7 +91,7 @@ def structure_of(series: Series, residual: Floats) -> Structure:
     return Structure(float(np.sqrt(max(mean, 0.0))), mean / error if error > 0 else 0.0)
 
 
-def floor_left(series: Series, residual: Floats, samples: float, floor: NoiseFloor) -> NoiseFloor:
+def remaining_floor(series: Series, residual: Floats, samples: float, floor: NoiseFloor) -> NoiseFloor:
     """Return the noise floor of what is left: that of the native samples, or a clearly lower one.
 
     A cause that is as fast as the samples, a switch without a rise time, looks like noise until it is taken
@@ -116,7 +116,7 @@ def floor_left(series: Series, residual: Floats, samples: float, floor: NoiseFlo
     return found if found.high_nT < floor.low_nT else floor
 
 
-def residual_left(
+def residual_after(
     search: Search, series: Series, terms: Mapping[str, Term], turn: dict[str, Floats], accepted: bool = True
 ) -> Floats:
     """Return the residual after calibration, model and (when asked) what the search took; (sample, row)."""
@@ -150,7 +150,7 @@ def model_columns(
     used |= {key for key, term in terms.items() if carried & set(term.columns)}
     wanted += [terms[key] for key in sorted(used - {term.key for term in wanted})]
     channels = {name for term in wanted for name in term.entry.effect.channels if name}
-    rows = series.rows(turn, made_channels(series, channels))
+    rows = series.rows(turn, derived_channels(series, channels))
     names = [name for term in wanted for name in term.columns]
     columns = design(wanted, rows)
     for option in options:
@@ -200,7 +200,7 @@ def _base_values(
     return -solve_scaled(total[np.ix_(inner, inner)] + np.diag(precision), right)
 
 
-def made_channels(
+def derived_channels(
     series: Series, names: set[str], shifts: Mapping[str, float] | None = None
 ) -> dict[str, xr.Variable]:
     """Return derived channels on the series' own rows; placebos shifted by `shifts`, seconds."""
@@ -238,7 +238,7 @@ _FORGOTTEN = 0.2
 
 
 @dataclass(frozen=True)
-class Uncorrected:
+class UncorrectableRows:
     """Rows that what was taken cannot be taken off of.
 
     Attributes
@@ -264,11 +264,11 @@ class Uncorrected:
         return [{"channel": name, "part": part} for name, part in self.channels.items()]
 
 
-def uncorrected(search: Search, series: Series, terms: Mapping[str, Term]) -> Uncorrected | None:
+def uncorrectable_rows(search: Search, series: Series, terms: Mapping[str, Term]) -> UncorrectableRows | None:
     """Return the rows that what a search took cannot be taken off of; None when there are none."""
     rows, weight = np.zeros(len(series.tt2000), dtype=bool), series["weight"]
     channels: dict[str, float] = {}
-    for part in _parts_taken(search, terms):
+    for part in _channels_taken(search, terms):
         lost = unknown_rows(series, part)
         if lost is not None and (share := _weight_part(lost, weight)) > 0:
             rows |= lost
@@ -276,14 +276,14 @@ def uncorrected(search: Search, series: Series, terms: Mapping[str, Term]) -> Un
     # Where hardly anything is left, a model is judged by the whole record or not at all.
     if not channels or not (weight[~rows] > 0).any():
         return None
-    return Uncorrected(rows, series, dict(sorted(channels.items(), key=lambda one: -one[1])))
+    return UncorrectableRows(rows, series, dict(sorted(channels.items(), key=lambda one: -one[1])))
 
 
 def _weight_part(rows: np.ndarray, weight: Floats) -> float:
     return float(weight[rows].sum() / max(weight.sum(), 1e-300))
 
 
-def _parts_taken(search: Search, terms: Mapping[str, Term]) -> list[Part]:
+def _channels_taken(search: Search, terms: Mapping[str, Term]) -> list[Part]:
     names = {
         name
         for option in search.accepted
@@ -324,8 +324,8 @@ def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
     return out
 
 
-def known_evidence(
-    search: Search, gaps: Uncorrected, terms: Mapping[str, Term], turn: dict[str, Floats]
+def correctable_evidence(
+    search: Search, gaps: UncorrectableRows, terms: Mapping[str, Term], turn: dict[str, Floats]
 ) -> Evidence:
     """Return the raw form of the model's columns and the residual, of the rows that could be corrected.
 
@@ -373,7 +373,7 @@ _NEARLY_ALL, _FEW = 0.9, 12
 
 
 @dataclass(frozen=True)
-class Material:
+class Context:
     """What a verdict needs beside the search.
 
     Attributes
@@ -393,7 +393,7 @@ class Material:
     outliers : Outliers
         What the pass left out.
     gaps : Uncorrected, optional
-        Rows that count in no size, and weigh nothing in the series (see `of_known_rows`).
+        Rows that count in no size, and weigh nothing in the series (see `with_correctable_rows`).
     switched : Switched, optional
         Switchings that two sensors show; residuals are relative to the stretches between those that no
         channel follows.
@@ -411,62 +411,62 @@ class Material:
     run: str = ""
     memory_s: float = 600.0
     outliers: Outliers = field(default_factory=Outliers)
-    gaps: Uncorrected | None = None
+    gaps: UncorrectableRows | None = None
     switched: Switched | None = None
 
     @property
     def turn(self) -> dict[str, Floats]:
         """K of every vector sensor, row by row; (9,) each."""
-        return turns_of(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
+        return sensor_matrices(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
-def of_known_rows(search: Search, material: Material) -> Material:
-    """Return the material of the rows in which the channels of all that was taken are known.
+def with_correctable_rows(search: Search, context: Context) -> Context:
+    """Return the context of the rows in which the channels of all that was taken are known.
 
     A comparison in a band of frequencies has no such rows: its filter mixes them.
     """
-    if material.mission.comparisons[material.model.comparison].kind == "platform":
-        return material
-    whole = material.series if material.gaps is None else material.gaps.series
-    gaps = uncorrected(search, whole, material.terms)
+    if context.mission.comparisons[context.model.comparison].kind == "platform":
+        return context
+    whole = context.series if context.gaps is None else context.gaps.series
+    gaps = uncorrectable_rows(search, whole, context.terms)
     if gaps is None:
-        return replace(material, series=whole, gaps=None)
-    return replace(material, series=whole.without(gaps.rows), gaps=gaps)
+        return replace(context, series=whole, gaps=None)
+    return replace(context, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence(search: Search, material: Material) -> tuple[Evidence, Present, int]:
+def _evidence_of_sizes(search: Search, context: Context) -> tuple[Evidence, ModelColumns, int]:
     """Return the raw form that sizes are told of, the model's columns in it, and the residual's index."""
-    if material.gaps is None:
+    if context.gaps is None:
         return search.forms["raw"], search.present(), search.y()
-    evidence = known_evidence(search, material.gaps, material.terms, material.turn)
+    evidence = correctable_evidence(search, context.gaps, context.terms, context.turn)
     return evidence, search.present_in(evidence), evidence.residuals[0]
 
 
-def held_out(search: Search, material: Material) -> float:
+def held_out_rms(search: Search, context: Context) -> float:
     """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
-    evidence, present, y = _evidence(search, material)
+    evidence, present, y = _evidence_of_sizes(search, context)
     interleaved = any(option.interleaved for option in search.accepted)
     empty: list[Any] = []
-    found = score(evidence, present, empty, y, folds_of(len(evidence), interleaved))
+    found = score(evidence, present, empty, y, make_folds(len(evidence), interleaved))
     mean = float(found.loss0.sum() / max(evidence.count.sum(), 1.0))
-    return float(np.sqrt(max(mean, 0.0) + _inside(material)))
+    return float(np.sqrt(max(mean, 0.0) + _square_within_bins(context)))
 
 
-def _inside(material: Material) -> float:
-    return material.sums.get("inside", 0.0) / max(material.sums.get("count", 1.0), 1.0)
+def _square_within_bins(context: Context) -> float:
+    return context.sums.get("inside", 0.0) / max(context.sums.get("count", 1.0), 1.0)
 
 
-def native_rms(material: Material, search: Search) -> float:
+def native_rms(context: Context, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
-    evidence, present, y = _evidence(search, material)
+    evidence, present, y = _evidence_of_sizes(search, context)
     total = evidence.total
     left = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
     )
-    return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _inside(material)))
+    return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _square_within_bins(context)))
 
 
-def effective_blocks(search: Search, material: Material, left: Floats) -> dict[str, Any]:
+def effective_blocks(search: Search, context: Context, left: Floats) -> dict[str, Any]:
     """Return number and length of the blocks, and how many independent ones there really are.
 
     Neighbours that the residual's correlation ties together count once, and blocks that hold hardly any of
@@ -474,7 +474,7 @@ def effective_blocks(search: Search, material: Material, left: Floats) -> dict[s
     """
     raw, evidence, y = search.raw, search.forms["raw"], search.y()
     length = float(np.median(raw.end - raw.start)) / SECOND
-    memory = correlation_s(material.series, left)
+    memory = correlation_s(context.series, left)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
     square = np.clip(evidence.gram[:, y, y], 0.0, None)
@@ -487,11 +487,11 @@ def effective_blocks(search: Search, material: Material, left: Floats) -> dict[s
         "by_length": by_length,
         "telling": telling,
         "independent": min(by_length, telling),
-        "holding": holding(raw, square),
+        "holding": dominant_blocks(raw, square),
     }
 
 
-def holding(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
+def dominant_blocks(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)
@@ -527,6 +527,6 @@ def correlation_s(series: Series, residual: Floats) -> float:
     return total * series.step_s
 
 
-def left_of(search: Search, material: Material, accepted: bool = True) -> Floats:
+def remaining_residual(search: Search, context: Context, accepted: bool = True) -> Floats:
     """Return the residual of the series after calibration, model and what was taken; (sample, row)."""
-    return residual_left(search, material.series, material.terms, material.turn, accepted)
+    return residual_after(search, context.series, context.terms, context.turn, accepted)

@@ -148,7 +148,7 @@ class Diagnosis:
     candidates: tuple[dict[str, Any], ...]
     refined: tuple[dict[str, Any], ...]
     blocks: dict[str, Any]
-    stopped: str = ""
+    stop_reason: str = ""
     comparison: str = "main"
     model: dict[str, Any] = field(default_factory=dict)
     context: str = ""
@@ -169,22 +169,22 @@ class Diagnosis:
             "verdict": self.remaining["verdict"],
             "signature": left.as_json() if left is not None else None,
         }
-        whole: dict[str, Any] = plain(
+        whole: dict[str, Any] = plain_json(
             {"command": "diagnose", "run": self.run, "context": self.context, **told}
         )
         return whole
 
 
-def plain(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """Return a value as JSON has it; what is not finite becomes null."""
     if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
+        return {str(key): plain_json(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain_json(one) for one in value]
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return plain_json(value.tolist())
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return plain_json(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
@@ -208,26 +208,26 @@ def sentence(told: Mapping[str, Any]) -> str:
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
         f"noise floor {_size(residual['noise_floor_nT'])}"
     )
-    bursts = _of_outliers(told.get("outliers", {}))
-    parts = [_of_effect(effect) for effect in told["effects"]]
+    bursts = _burst_words(told.get("outliers", {}))
+    parts = [_effect_words(effect) for effect in told["effects"]]
     if parts:
         text = "; ".join(parts)
         text = f"{text[0].upper()}{text[1:]} ({sizes})."
         if told["remaining"] == "UNKNOWN_EFFECT":
-            text += f" Something is left: {_of_signature(told['signature'])}."
+            text += f" Something is left: {_signature_words(told['signature'])}."
             if _may_stand_in(told):
                 text += " The effects taken may stand in for the one cause that is missing."
-        return text + _of_gaps(residual.get("uncorrected", ())) + bursts
+        return text + _gap_words(residual.get("uncorrected", ())) + bursts
     return {
-        "NOTHING_LEFT": lambda: f"{_of_noise(residual)} ({sizes}).{_unseen(told)}",
-        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not(told)} ({sizes}).",
+        "NOTHING_LEFT": lambda: f"{_noise_words(residual)} ({sizes}).{_not_visible(told)}",
+        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(told)} ({sizes}).",
         "UNKNOWN_EFFECT": lambda: (
-            f"No effect of the library explains it: {_of_signature(told['signature'])} ({sizes})."
+            f"No effect of the library explains it: {_signature_words(told['signature'])} ({sizes})."
         ),
     }[told["remaining"]]() + bursts
 
 
-def _of_noise(residual: Mapping[str, float]) -> str:
+def _noise_words(residual: Mapping[str, float]) -> str:
     floor = residual["noise_floor_nT"]
     more = residual["held_out_after_nT"] ** 2 - floor**2
     if more > (_GOOD_PART * floor) ** 2:
@@ -238,7 +238,7 @@ def _of_noise(residual: Mapping[str, float]) -> str:
     return "Nothing is left to explain: the residual is noise"
 
 
-def why_not(told: Mapping[str, Any]) -> str:
+def why_not_identifiable(told: Mapping[str, Any]) -> str:
     """Return why nothing can be said of what is there: a short span, few blocks that tell, little of it."""
     blocks, fewest = told["blocks"], told.get("fewest", 0)
     if blocks.get("by_length", blocks["independent"]) < fewest:
@@ -246,12 +246,12 @@ def why_not(told: Mapping[str, Any]) -> str:
     if blocks["independent"] < fewest:
         holding = blocks.get("holding", [])
         few = f"{len(holding)} of {blocks['count']}" if holding else "a few"
-        when = f": {_spans(holding)}" if holding else ""
+        when = f": {_span_words(holding)}" if holding else ""
         return f"{few} blocks hold nearly all of the residual's square{when}"
     return "its structure is not beyond doubt"
 
 
-def _spans(blocks: Sequence[Mapping[str, Any]]) -> str:
+def _span_words(blocks: Sequence[Mapping[str, Any]]) -> str:
     """Return when blocks are, adjacent ones as one span, the first few of them."""
     spans: list[list[str]] = []
     for one in blocks:
@@ -267,7 +267,7 @@ def _minute(utc: str) -> str:
     return utc[:16].replace("T", " ")
 
 
-def _of_outliers(outliers: Mapping[str, Any]) -> str:
+def _burst_words(outliers: Mapping[str, Any]) -> str:
     """Return what is to be said of bursts; nothing when there were none."""
     count = outliers.get("burst_count", 0)
     if not count:
@@ -281,7 +281,7 @@ def _of_outliers(outliers: Mapping[str, Any]) -> str:
     return f" {what} of wild readings, {size}, {'was' if count == 1 else 'were'} left out."
 
 
-def _of_gaps(channels: Sequence[Mapping[str, Any]]) -> str:
+def _gap_words(channels: Sequence[Mapping[str, Any]]) -> str:
     """Return which part of the record lacks the channels of what was taken; nothing when it is little."""
     told = [
         f"{_percent(one['part'])} for want of {one['channel']}" for one in channels if one["part"] >= _WORTH
@@ -304,7 +304,7 @@ def _may_stand_in(told: Mapping[str, Any]) -> bool:
     return bool(told["residual"].get("structure_nT", 0.0) > _GOOD_PART * smallest)
 
 
-def _unseen(told: Mapping[str, Any]) -> str:
+def _not_visible(told: Mapping[str, Any]) -> str:
     """Return which whole mechanisms these data cannot show, whether they are there or not."""
     names = [str(one["name"]) for one in told.get("unscorable", ()) if str(one["name"]).isidentifier()]
     names = [name.replace("_", " ") for name in names if name in MECHANISMS]
@@ -319,7 +319,7 @@ def _article(word: str) -> str:
     return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 
 
-def _of_effect(effect: FoundEffect) -> str:
+def _effect_words(effect: FoundEffect) -> str:
     what = f"{_article(effect.family.replace('_', ' '))} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
     if effect.at:
@@ -334,20 +334,20 @@ def _of_effect(effect: FoundEffect) -> str:
     return text
 
 
-def _of_signature(signature: Signature | None) -> str:
+def _signature_words(signature: Signature | None) -> str:
     if signature is None:
         return "structure without a clear shape"
     if signature.switchings:
-        return _of_unit(signature)
+        return _unit_words(signature)
     if signature.period_s:
-        text = f"it repeats every {signature.period_s:.5g} s {_where(signature)}"
-        return text + _shape(signature)
+        text = f"it repeats every {signature.period_s:.5g} s {_axes_words(signature)}"
+        return text + _shape_words(signature)
     if signature.faster_than_s:
-        return _of_fast(signature)
-    return _of_hint(signature)
+        return _fast_words(signature)
+    return _hint_words(signature)
 
 
-def _of_unit(signature: Signature) -> str:
+def _unit_words(signature: Signature) -> str:
     often = "once" if signature.switchings == 1 else f"{signature.switchings} times"
     steps = [
         f"{size:+.3g} +- {sigma:.2g} nT on {name}" for name, (size, sigma) in signature.steps.items() if sigma
@@ -358,7 +358,7 @@ def _of_unit(signature: Signature) -> str:
     )
 
 
-def _where(signature: Signature) -> str:
+def _axes_words(signature: Signature) -> str:
     """Return the axes a period stands out on, the clearest first, with half of peak to peak on each."""
     main = signature.axis
     if main is None:
@@ -374,7 +374,7 @@ def _where(signature: Signature) -> str:
     return f"on ax{'i' if len(said) == 1 else 'e'}s {' and '.join(said)}, half of peak to peak"
 
 
-def _shape(signature: Signature) -> str:
+def _shape_words(signature: Signature) -> str:
     if signature.shape not in ("sine", "square", "pulse"):
         return ""
     text = f", like a {signature.shape} wave"
@@ -388,7 +388,7 @@ def _shape(signature: Signature) -> str:
     return f"{text}, on {signature.duty:.0%} of the time: {' and '.join(steps)}"
 
 
-def _of_fast(signature: Signature) -> str:
+def _fast_words(signature: Signature) -> str:
     """Return what is said of something too fast for the search, and what the slow part looks like."""
     if signature.periods_s is not None:
         short, long = signature.periods_s
@@ -396,10 +396,10 @@ def _of_fast(signature: Signature) -> str:
     else:
         text = f"something faster than {told_period(signature.faster_than_s or 0.0)}"
     text += f", about {signature.amplitude_nT:.3g} nT rms"
-    return f"{text}; of its slow part, {_of_hint(signature)}" if signature.channel else text
+    return f"{text}; of its slow part, {_hint_words(signature)}" if signature.channel else text
 
 
-def _of_hint(signature: Signature) -> str:
+def _hint_words(signature: Signature) -> str:
     if signature.channel:
         text = f"it looks most like something that follows {signature.channel}"
         return (
@@ -413,7 +413,7 @@ def _of_hint(signature: Signature) -> str:
     return f"slow structure of {signature.amplitude_nT:.3g} nT without a shape"
 
 
-def stopped(told: Mapping[str, Any], most: int, ran_out: bool) -> str:
+def stop_reason(told: Mapping[str, Any], most: int, ran_out: bool) -> str:
     """Return why the rounds ended."""
     if most == 0:
         return "no rounds were asked for"
@@ -422,5 +422,5 @@ def stopped(told: Mapping[str, Any], most: int, ran_out: bool) -> str:
     if told["remaining"] == "NOTHING_LEFT":
         return "what is left is noise"
     if told["remaining"] == "NOT_IDENTIFIABLE":
-        return f"what is left cannot be told: {why_not(told)}"
+        return f"what is left cannot be told: {why_not_identifiable(told)}"
     return "no candidate is beyond doubt: held-out gain, sign flips and placebos must all agree"

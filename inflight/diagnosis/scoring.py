@@ -33,7 +33,7 @@ FOLDS = 13
 
 
 @dataclass(frozen=True)
-class Present:
+class ModelColumns:
     """What the model holds already: columns, and what is known of them beforehand (scaled 1/sigma^2)."""
 
     columns: Index
@@ -176,7 +176,7 @@ class Scores:
         )
 
 
-def with_changes(
+def append_changes(
     scores: Mapping[str, Scores],
     ratios: Mapping[str, tuple[Floats, Floats]],
     timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
@@ -196,7 +196,7 @@ def with_changes(
     return out, out_ratios
 
 
-def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[Index]:
+def make_folds(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[Index]:
     """Return the blocks of each fold: contiguous runs, or every k-th for effects bound to a time."""
     count = max(2, min(most, blocks))
     if interleaved:
@@ -204,7 +204,7 @@ def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
 
 
-def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
+def active_blocks(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
     own = np.einsum("bii->bi", evidence.gram)
     peak = np.maximum(own.max(axis=0), 1e-300)
@@ -216,7 +216,7 @@ def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.
     )
 
 
-def grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
+def group_by_size(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
     """Return (positions, columns (candidate, k)) of candidates with the same number of columns."""
     sizes = np.array([len(one) for one in candidates])
     out = []
@@ -226,7 +226,7 @@ def grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
     return out
 
 
-def projected(gram: Floats, present: Present) -> Floats:
+def projected(gram: Floats, present: ModelColumns) -> Floats:
     """Return the Gram matrix of what the model's columns leave of all others."""
     if not present.columns.size:
         return gram
@@ -234,13 +234,13 @@ def projected(gram: Floats, present: Present) -> Floats:
 
 
 def fit(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: int
+    evidence: Evidence, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
     gram = projected(evidence.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
-    for positions, columns in grouped(candidates):
+    for positions, columns in group_by_size(candidates):
         half = half_inverse(gram[columns[:, :, None], columns[:, None, :]])
         score = np.einsum("cik,ci->ck", half, gram[columns, y])
         values = -np.einsum("cik,ck->ci", half, score)
@@ -251,7 +251,7 @@ def fit(
 
 
 def score(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    evidence: Evidence, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
@@ -272,13 +272,13 @@ def score(
     loss0 = np.zeros(len(evidence))
     loss, promised = np.zeros((2, len(evidence), len(candidates)))
     fits = Fits(evidence, p := present.columns, list(candidates))
-    groups = grouped(candidates)
+    groups = group_by_size(candidates)
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
         blocks = evidence.gram[fold]
         train = total - held
         own = present.solve(train)
         fits.begin(fold, own)
-        base = _quadratic(blocks, p, own[:, y], y)
+        base = _model_loss(blocks, p, own[:, y], y)
         loss0[fold] = base
         for positions, columns in groups:
             inner = train[columns[:, :, None], columns[:, None, :]]
@@ -290,18 +290,18 @@ def score(
             half = half_inverse(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
             fits.keep(positions, gamma)
-            change, square = _change(blocks, p, own, columns, gamma, y)
+            change, square = _loss_change(blocks, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change
             promised[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
-    active = activity(evidence, candidates)
+    active = active_blocks(evidence, candidates)
     t = promised_t(loss0[:, None] - loss, promised, active)
     return Scores(loss0, loss, gain, t, gamma_all, explained, promised, active, fits)
 
 
-def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
+def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
     """Return the sum of squares of the residual after the model's own columns; (block,)."""
     out = blocks[:, y, y].copy()
     if present.size:
@@ -310,7 +310,7 @@ def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
     return np.asarray(out)
 
 
-def _change(
+def _loss_change(
     blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
 ) -> tuple[Floats, Floats]:
     """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate)."""
@@ -329,7 +329,7 @@ def _change(
     return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(evidence: Evidence, present: Present, y: int) -> Floats:
+def block_scores(evidence: Evidence, present: ModelColumns, y: int) -> Floats:
     """Return each block's scores of every column at the model's own fit; (block, column).
 
     They sum to what the projected columns have in common with the residual.
@@ -349,16 +349,16 @@ def block_scores(evidence: Evidence, present: Present, y: int) -> Floats:
 MOST_UNITS = 120
 
 
-def flip_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
+def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
     """Return random signs (draw, unit) and the blocks of each unit."""
     units: list[Index] = np.array_split(np.arange(blocks, dtype=np.int64), min(blocks, MOST_UNITS))
     signs = np.random.default_rng(seed).integers(0, 2, (draws, len(units))) * 2.0 - 1.0
     return np.asarray(signs, dtype=np.float64), units
 
 
-def flip_ratios(
+def sign_flip_ratios(
     evidence: Evidence,
-    present: Present,
+    present: ModelColumns,
     candidates: Sequence[Index],
     y: int,
     signs: Floats,
@@ -380,7 +380,7 @@ def flip_ratios(
     return observed, flipped
 
 
-def family_wise(observed: Floats, flipped: Floats) -> Floats:
+def family_wise_p(observed: Floats, flipped: Floats) -> Floats:
     """Return p-values (candidate,): how often the largest flipped ratio reaches the observed one."""
     largest = np.sort(flipped.max(axis=1)) if flipped.size else np.zeros(1)
     above = largest.size - np.searchsorted(largest, observed, side="left")

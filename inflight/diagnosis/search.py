@@ -28,18 +28,18 @@ from inflight.arrays import Floats
 from inflight.design import Library
 from inflight.diagnosis.scoring import (
     Index,
-    Present,
+    ModelColumns,
     Scores,
-    family_wise,
+    append_changes,
+    draw_signs,
+    family_wise_p,
     fit,
-    flip_ratios,
-    flip_signs,
-    folds_of,
+    make_folds,
     projected,
     score,
-    with_changes,
+    sign_flip_ratios,
 )
-from inflight.diagnosis.time_changes import Carriers, Change, batches, drifts, episodes, steps
+from inflight.diagnosis.time_changes import Change, TimeVariableColumns, batches, drifts, episodes, steps
 from inflight.lsq import Evidence
 
 Groups = Sequence[Sequence[int]]
@@ -52,7 +52,7 @@ _AWAY = 0.25
 _CLEAR, _KEPT = 50.0, 0.5
 
 
-def cut_around(evidence: Evidence, cut: Groups, moments: Sequence[int]) -> list[list[int]]:
+def intervals_around(evidence: Evidence, cut: Groups, moments: Sequence[int]) -> list[list[int]]:
     """Return intervals no edge of which is near some moments.
 
     An edge that is near one goes half an interval away from it, to both sides: no interval becomes longer
@@ -87,8 +87,8 @@ def is_at_edge(evidence: Evidence, cut: Groups, moment: int, sharpness: int) -> 
     return any(abs(int(evidence.start[group[0]]) - moment) <= sharpness for group in cut[1:])
 
 
-def shows(
-    evidence: Evidence, present: Present, columns: Index, gamma: Floats, y: int, variance: float
+def is_visible_change(
+    evidence: Evidence, present: ModelColumns, columns: Index, gamma: Floats, y: int, variance: float
 ) -> bool:
     """Return True when a change of a known size takes off of the residual what it should.
 
@@ -182,7 +182,7 @@ class Option:
 
 
 @dataclass
-class Table:
+class ScoreTable:
     """Scores of all options in one round; arrays over options, by form."""
 
     options: list[Option]
@@ -190,7 +190,7 @@ class Table:
     p: dict[str, Floats]
     beats_placebo: dict[str, Floats]
 
-    def light(self) -> Table:
+    def light(self) -> ScoreTable:
         """Return the table without what was fitted to folds, which holds on to gigabytes of evidence."""
         return replace(self, scores={form: one.light() for form, one in self.scores.items()})
 
@@ -230,7 +230,7 @@ class Round:
         return dict(vars(self))
 
 
-def is_seen(
+def is_visible(
     raw: Evidence, form: Evidence, columns: Sequence[str], base: Index, usual: Floats, variance: float
 ) -> bool:
     """Return True when an effect of its usual size would stand out of what the calibration leaves.
@@ -258,8 +258,6 @@ def is_seen(
     clear |= left * usual[: len(left)] ** 2 > _CLEAR_EFFECT * variance
     return bool(np.any((kept >= LEAST_KEPT) & clear))
 
-
-__all__ = ["FORMS", "Option", "Round", "Rules", "Search", "Table"]
 
 FORMS = ("raw", "within", "white")
 
@@ -292,7 +290,7 @@ class Search:
     accepted: list[Option] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
     forms: dict[str, Evidence] = field(default_factory=dict)
-    carriers: Carriers = field(default_factory=Carriers)
+    carriers: TimeVariableColumns = field(default_factory=TimeVariableColumns)
     #: Mechanisms that were taken back: what they added was others'; and those that were dropped once.
     banned: set[str] = field(default_factory=set)
     dropped: set[str] = field(default_factory=set)
@@ -346,7 +344,7 @@ class Search:
         base, _ = self.base()
         usual = np.array([size for key in option.terms for size in self.library.terms[key].usual])
         own_base = self.raw.index(base if option.channels else [])
-        return is_seen(self.raw, self.forms["raw"], option.columns, own_base, usual, self.variance)
+        return is_visible(self.raw, self.forms["raw"], option.columns, own_base, usual, self.variance)
 
     # The calibration and the model's own parameters.
 
@@ -392,7 +390,7 @@ class Search:
         """Index of the residual that is searched."""
         return self.forms[form].residuals[self.residual]
 
-    def present(self, form: str = "raw", without: Option | None = None) -> Present:
+    def present(self, form: str = "raw", without: Option | None = None) -> ModelColumns:
         """Return the columns of the model beside the calibration, with their priors."""
         return self.present_in(self.forms[form], without)
 
@@ -401,12 +399,12 @@ class Search:
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+    def present_in(self, evidence: Evidence, without: Option | None = None) -> ModelColumns:
         """Return the columns of the model in some evidence that has them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
         sigma += [np.inf] * (len(names) - len(sigma))
-        return Present(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
+        return ModelColumns(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
 
     def holding(self, options: Sequence[Option]) -> Search:
         """Return the search as if it had taken some options and no others; it shares the evidence."""
@@ -416,7 +414,7 @@ class Search:
 
     # Scores.
 
-    def table(self, without: Option | None = None) -> Table:
+    def table(self, without: Option | None = None) -> ScoreTable:
         """Score everything that is not in the model (an effect of it left out, when one is named)."""
         taken = {name for option in self.accepted if option is not without for name in option.columns}
         itself = without.name if without is not None else ""
@@ -427,40 +425,40 @@ class Search:
             and not set(one.columns) & taken
             and (one.mechanism not in self.banned or one.name == itself)
         ]
-        signs, units = flip_signs(len(self.raw), self.rules.draws, self.rules.seed)
+        signs, units = draw_signs(len(self.raw), self.rules.draws, self.rules.seed)
         scores: dict[str, Scores] = {}
         ratios: dict[str, tuple[Floats, Floats]] = {}
         for form, evidence in self.forms.items():
             present, y = self.present(form, without), self.y(form)
             columns = [evidence.index(option.columns) for option in main]
-            scores[form] = score(evidence, present, columns, y, folds_of(len(evidence)))
-            ratios[form] = flip_ratios(evidence, present, columns, y, signs, units)
+            scores[form] = score(evidence, present, columns, y, make_folds(len(evidence)))
+            ratios[form] = sign_flip_ratios(evidence, present, columns, y, signs, units)
         options = list(main)
         whole = float(scores["raw"].loss0.sum())
         timed = []
         for more, own, own_present, hidden in self._changes(without):
             y, columns = own.residuals[self.residual], [own.index(option.columns) for option in more]
-            found = score(own, own_present, columns, y, folds_of(len(own), more[0].interleaved))
-            ratio, flipped = flip_ratios(own, own_present, columns, y, signs, units)
+            found = score(own, own_present, columns, y, make_folds(len(own), more[0].interleaved))
+            ratio, flipped = sign_flip_ratios(own, own_present, columns, y, signs, units)
             if hidden is not None:
                 kept = self._not_hidden(more, hidden, found.gamma)
                 found, ratio, flipped = found.of_whole(whole).only(kept), ratio * kept, flipped * kept
             timed.append((found, (ratio, flipped)))
             options += more
-        scores, ratios = with_changes(scores, ratios, timed)
+        scores, ratios = append_changes(scores, ratios, timed)
         largest = np.concatenate([flipped for _, flipped in ratios.values()], axis=1)
         real = np.tile(np.array([not option.placebo for option in options], dtype=bool), len(ratios))
-        p = {form: family_wise(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
+        p = {form: family_wise_p(observed, largest[:, real]) for form, (observed, _) in ratios.items()}
         placebos = [place for place, option in enumerate(options) if option.placebo]
         beats = {
             form: one.beats(placebos, self.rules.shown(one, p[form]), self.rules.rival_t)
             for form, one in scores.items()
         }
-        return Table(options, scores, p, beats)
+        return ScoreTable(options, scores, p, beats)
 
     def _changes(
         self, without: Option | None
-    ) -> Iterator[tuple[list[Option], Evidence, Present, Evidence | None]]:
+    ) -> Iterator[tuple[list[Option], Evidence, ModelColumns, Evidence | None]]:
         """Yield options bound to a time, some at a time with the evidence of their columns alone.
 
         Where that is of other intervals than those in use, it comes again with those asked for.
@@ -530,7 +528,7 @@ class Search:
 
     def _cut_of(self, more: Sequence[int] = ()) -> Groups:
         at = [one.change.at[0] for one in self.accepted if one.change is not None and len(one.change.at) == 1]
-        return cut_around(self.raw, self.cut, [*at, *more])
+        return intervals_around(self.raw, self.cut, [*at, *more])
 
     def _absorbed(self, evidence: Evidence, cut: Groups) -> Evidence:
         names, sigma = self.base()
@@ -546,7 +544,7 @@ class Search:
             assert option.change is not None
             at, sharp = option.change.at[0], option.change.sharpness
             columns = evidence.index(option.columns)
-            seen = shows(evidence, present, columns, gamma, y, self.variance)
+            seen = is_visible_change(evidence, present, columns, gamma, y, self.variance)
             out.append(seen or is_at_edge(self.raw, self.cut, at, sharp))
         return np.array(out)
 
@@ -578,14 +576,16 @@ class Search:
         """Return True for a change in the model that the intervals asked for take up whole."""
         if option.change is None or len(option.change.at) != 1 or self.intervals == self.cut:
             return False
-        if cut_around(self.raw, self.cut, option.change.at) == self.cut:
+        if intervals_around(self.raw, self.cut, option.change.at) == self.cut:
             return False
         form, present = self.forms["raw"], self.present("raw", option)
         (gamma,), _ = fit(form, present, [form.index(option.columns)], self.y())
         base, _ = self.base()
         evidence = self._absorbed(self.raw.select([*base, *self._model_columns()]), self.cut)
         y, columns = evidence.residuals[self.residual], evidence.index(option.columns)
-        return not shows(evidence, self.present_in(evidence, option), columns, gamma, y, self.variance)
+        return not is_visible_change(
+            evidence, self.present_in(evidence, option), columns, gamma, y, self.variance
+        )
 
     def hide(self, option: Option) -> None:
         """Take out of the model what the intervals asked for take up whole, and say so."""
@@ -628,7 +628,7 @@ class Search:
             if option.change is not None and form == "within":
                 continue
             small = evidence.select([*self._model_columns(option), *option.columns])
-            folds = folds_of(len(small), option.interleaved)
+            folds = make_folds(len(small), option.interleaved)
             y = small.residuals[self.residual]
             one = score(small, self.present_in(small, option), [small.index(option.columns)], y, folds)
             found.append((float(one.gain[0]), float(one.t[0])))

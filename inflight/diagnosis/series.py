@@ -77,7 +77,7 @@ def features_of(rows: Rows, channels: Sequence[str]) -> Features:
     return Features(tuple(names), tuple(widths), units, tuple(rows.directions), count)
 
 
-def thin(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
+def thin_rows(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
     """Return stamps (sample,) and features (sample, feature): weighted means of every `step` bins."""
     count = len(rows.weight) // step * step
     weight = rows.weight[:count].reshape(-1, step)

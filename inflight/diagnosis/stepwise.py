@@ -23,10 +23,10 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import Trials
-from inflight.diagnosis.residual import Material, correlation_s
-from inflight.diagnosis.scoring import Present, fit, projected
-from inflight.diagnosis.search import FORMS, Option, Round, Rules, Search, Table
+from inflight.diagnosis.refine import FormTrials
+from inflight.diagnosis.residual import Context, correlation_s
+from inflight.diagnosis.scoring import ModelColumns, fit, projected
+from inflight.diagnosis.search import FORMS, Option, Round, Rules, ScoreTable, Search
 from inflight.lsq import Evidence, gram_inverse, half_inverse, promised_p, taken_over
 from inflight.time import SECOND
 
@@ -59,7 +59,7 @@ class Estimate:
     rms: float
 
 
-def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floats]:
+def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
     Scatter of few blocks that tell nearly all of a column comes out too small, for the fit follows them. No
@@ -139,7 +139,7 @@ def centred(search: Search, option: Option) -> Floats:
     return search.raw.centred(own, search.raw.index(base))
 
 
-def detectable(search: Search, option: Option, form: str = "raw") -> Floats:
+def detectable_amplitude(search: Search, option: Option, form: str = "raw") -> Floats:
     """Return the amplitude of each column that would stand out by three sigma; physical units.
 
     From the scatter of the blocks' scores around the present model, the option not being in it.
@@ -147,7 +147,7 @@ def detectable(search: Search, option: Option, form: str = "raw") -> Floats:
     evidence, y = search.forms[form], search.y(form)
     present = search.present(form, option)
     columns = evidence.index(option.columns)
-    both = Present(
+    both = ModelColumns(
         np.concatenate([present.columns, columns]), np.append(present.precision, np.zeros(columns.size))
     )
     _, covariance = sandwich(evidence, both, y)
@@ -155,7 +155,7 @@ def detectable(search: Search, option: Option, form: str = "raw") -> Floats:
     return np.asarray(3.0 * sigma * evidence.scale[columns])
 
 
-def mimics(search: Search, option: Option, gamma: Floats) -> list[tuple[str, float]]:
+def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tuple[str, float]]:
     """Return by how much the calibration's parameters shift when the effect is there but ignored.
 
     Parameters
@@ -176,7 +176,7 @@ def mimics(search: Search, option: Option, gamma: Floats) -> list[tuple[str, flo
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))
 
 
-def within_and_raw(search: Search, option: Option) -> float | None:
+def form_disagreement(search: Search, option: Option) -> float | None:
     """Return how far the raw and the within-day values of an effect disagree, per column (W / k).
 
     Large values tell of a wrong effect or a wrong form; it is a hint, not a test.
@@ -201,7 +201,7 @@ _CONTAINED = 0.9999
 
 
 @dataclass(frozen=True)
-class Standing:
+class RivalCheck:
     """How an effect of the model stands against everything that could take its place.
 
     Attributes
@@ -226,9 +226,9 @@ class Standing:
     rivals: tuple[tuple[Option, float], ...]
 
 
-def _still(last: Table, rival: Option, form: str) -> float:
+def _explained_beside(last: ScoreTable, rival: Option, form: str) -> float:
     """Return the sum of squares a rival explains beside all that was taken; 0 when it is taken itself."""
-    place = place_of(last, rival)
+    place = place_in(last, rival)
     scores = last.scores[form]
     return float(scores.loss0.sum() * scores.gain[place]) if place is not None else 0.0
 
@@ -258,7 +258,7 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > _CONTAINED * whole
 
 
-def place_of(table: Table, option: Option) -> int | None:
+def place_in(table: ScoreTable, option: Option) -> int | None:
     """Return where an option stands in a table; None when it is not there."""
     for place, other in enumerate(table.options):
         if other.name == option.name:
@@ -266,14 +266,14 @@ def place_of(table: Table, option: Option) -> int | None:
     return None
 
 
-def form_of(table: Table, place: int) -> str:
+def clearest_form(table: ScoreTable, place: int) -> str:
     """Return the first form that shows an option clearly, else the one where its t is largest."""
     return max(
         FORMS, key=lambda form: float(table.scores[form].t[place]) if form in table.scores else -np.inf
     )
 
 
-def _best_of_each(table: Table, form: str) -> dict[str, int]:
+def _best_of_each(table: ScoreTable, form: str) -> dict[str, int]:
     """Return which option of each mechanism leaves least.
 
     A change at a wrong moment misses by much in few blocks: hardly any t tells it from the right one.
@@ -285,17 +285,19 @@ def _best_of_each(table: Table, form: str) -> dict[str, int]:
     return best
 
 
-def standing(search: Search, option: Option, table: Table, last: Table | None = None) -> Standing:
+def check_rivals(
+    search: Search, option: Option, table: ScoreTable, last: ScoreTable | None = None
+) -> RivalCheck:
     """Return how an effect of the model stands against everything that could take its place.
 
     Another form of the same cause, the same channels in the same family, is no rival; nor is what explains
     as much beside the effect (in the `last` table) as in its place: that is another effect.
     """
-    place = place_of(table, option)
+    place = place_in(table, option)
     if place is None:
         gain, t = search.worth(option)
-        return Standing(option, gain, t, 1.0, 0.0, "raw", ())
-    form = "raw" if table.scores["raw"].t[place] > search.rules.t else form_of(table, place)
+        return RivalCheck(option, gain, t, 1.0, 0.0, "raw", ())
+    form = "raw" if table.scores["raw"].t[place] > search.rules.t else clearest_form(table, place)
     scores = table.scores[form]
     best = _best_of_each(table, form)
     rivals: dict[str, tuple[Option, float]] = {}
@@ -306,7 +308,7 @@ def standing(search: Search, option: Option, table: Table, last: Table | None = 
             continue
         if rival.family == "unknown" and set(option.channels) < set(rival.channels):
             continue
-        if last is not None and _still(last, rival, form) > 0.5 * float(
+        if last is not None and _explained_beside(last, rival, form) > 0.5 * float(
             scores.loss0.sum() * scores.gain[other]
         ):
             continue
@@ -316,7 +318,7 @@ def standing(search: Search, option: Option, table: Table, last: Table | None = 
         near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
         if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
-    return Standing(
+    return RivalCheck(
         option,
         float(scores.gain[place]),
         float(scores.t[place]),
@@ -348,16 +350,16 @@ _FEW, _PART = 12, 0.3
 Refiner = Callable[[Option], Option]
 
 #: Returns a table with p-values of what flips of signs cannot be sure of.
-Closer = Callable[[Table], Table]
+Closer = Callable[[ScoreTable], ScoreTable]
 
 
-def run(
+def select_effects(
     search: Search,
     most: int | None = None,
     refiner: Refiner | None = None,
     shapes_first: bool = False,
     closer: Closer | None = None,
-) -> Table:
+) -> ScoreTable:
     """Add and drop until nothing more is justified; return the last table of scores.
 
     Parameters
@@ -374,10 +376,10 @@ def run(
     most = search.rules.rounds if most is None else most
     for _ in range(most):
         table = search.table()
-        found = winner(table, search, shapes_first)
+        found = best_passing(table, search, shapes_first)
         if found is None and closer is not None:
             table = closer(table)
-            found = winner(table, search, shapes_first)
+            found = best_passing(table, search, shapes_first)
         if found is None:
             search.ran_out = False
             return table.light()
@@ -386,26 +388,26 @@ def run(
         table = table.light()
         place = table.options.index(option)
         before = {one: estimate(search, one).retained for one in search.accepted}
-        _note(search, "add", option, table, place, form)
-        taken = _taken(search, option, refiner)
+        _noted(search, "add", option, table, place, form)
+        taken = _add_refined(search, option, refiner)
         search.rounds[-1] = replace(search.rounds[-1], name=taken.name)
         if search.is_hidden(taken):
             search.hide(taken)
-            _note(search, "undo", taken, table, place, form)
+            _noted(search, "undo", taken, table, place, form)
             continue
-        _drop_idle(search)
+        _drop_superfluous(search)
         if option.mechanism not in {one.mechanism for one in search.accepted}:
             search.banned.add(option.mechanism)
-        if table.scores[form].gain[place] < _GREAT and _swallowed(search, before):
+        if table.scores[form].gain[place] < _GREAT and _makes_weak(search, before):
             search.accepted = list(before)
             search.recut()
             search.banned.add(option.mechanism)
-            _note(search, "undo", option, table, place, form)
+            _noted(search, "undo", option, table, place, form)
     search.ran_out = True
     return search.table().light()
 
 
-def _taken(search: Search, option: Option, refiner: Refiner | None) -> Option:
+def _add_refined(search: Search, option: Option, refiner: Refiner | None) -> Option:
     """Put an option into the model, in its best form; return that."""
     search.add(option)
     if refiner is not None:
@@ -414,13 +416,13 @@ def _taken(search: Search, option: Option, refiner: Refiner | None) -> Option:
     return option
 
 
-def polish(search: Search, refiner: Refiner) -> None:
+def refine_all(search: Search, refiner: Refiner) -> None:
     """Refine everything once more: what was taken early was refined while the others were missing."""
     for option in list(search.accepted):
         search.swap(option, refiner(option))
 
 
-def _swallowed(search: Search, before: dict[Option, float]) -> bool:
+def _makes_weak(search: Search, before: dict[Option, float]) -> bool:
     """Return True when an effect that stood by itself no longer does beside what was added.
 
     A wide form can hold what is left of several causes and, for a small gain, take them over.
@@ -431,10 +433,10 @@ def _swallowed(search: Search, before: dict[Option, float]) -> bool:
     )
 
 
-def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Option, str] | None:
+def best_passing(table: ScoreTable, search: Search, shapes_first: bool = False) -> tuple[Option, str] | None:
     """Return what to add next and the form that shows it, or None when nothing is beyond doubt.
 
-    One that names a cause goes before one that describes a shape (see `_named`), and of the same
+    One that names a cause goes before one that describes a shape (see `_named_causes`), and of the same
     channels the one with fewer coefficients, when it does equally well.
     """
     passing = table.passing(search.rules)
@@ -444,7 +446,7 @@ def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Op
             continue
         scores = table.scores[form]
         loss = scores.loss
-        named = places.tolist() if shapes_first else _named(table, places.tolist(), scores.gain)
+        named = places.tolist() if shapes_first else _named_causes(table, places.tolist(), scores.gain)
         first = min(named, key=lambda place: float(loss[:, place].sum()))
         same = [
             place
@@ -459,11 +461,11 @@ def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Op
             key=lambda place: float(loss[:, place].sum()),
             default=first,
         )
-        return table.options[_timely(table, places.tolist(), chosen, form, search.rules.rival_t)], form
+        return table.options[_best_time(table, places.tolist(), chosen, form, search.rules.rival_t)], form
     return None
 
 
-def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: float) -> int:
+def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, rival_t: float) -> int:
     """Return what to take for a change in time: its steady cause if that does as well, else the best time."""
     option, scores = table.options[chosen], table.scores[form]
     if option.change is None:
@@ -487,7 +489,7 @@ def _are_forms(one: Option, other: Option) -> bool:
     return one.channels == other.channels and (one.mechanism == other.mechanism or not in_time)
 
 
-def _does_as_well(table: Table, simple: int, wide: int, form: str, rules: Rules) -> bool:
+def _does_as_well(table: ScoreTable, simple: int, wide: int, form: str, rules: Rules) -> bool:
     """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen."""
     scores = table.scores[form]
     left = scores.loss.sum(axis=0)
@@ -495,7 +497,7 @@ def _does_as_well(table: Table, simple: int, wide: int, form: str, rules: Rules)
     return little or scores.behind(simple, wide) < rules.rival_t
 
 
-def _named(table: Table, places: list[int], gain: Floats) -> list[int]:
+def _named_causes(table: ScoreTable, places: list[int], gain: Floats) -> list[int]:
     """Return those of the passing options that go first: named causes of few coefficients.
 
     A shape in a coordinate, or a form of dozens of coefficients, can mimic several causes at once. It waits
@@ -512,7 +514,7 @@ def _simplicity(option: Option) -> tuple[int, bool]:
     return len(option.columns), not option.mechanism.startswith("channel_field")
 
 
-def _drop_idle(search: Search) -> bool:
+def _drop_superfluous(search: Search) -> bool:
     """Drop effects that the others have made superfluous, the idlest first; return whether any was."""
     dropped = False
     while len(search.accepted) > 1:
@@ -531,7 +533,7 @@ def _drop_idle(search: Search) -> bool:
     return dropped
 
 
-def _note(search: Search, action: str, option: Option, table: Table, place: int, form: str) -> None:
+def _noted(search: Search, action: str, option: Option, table: ScoreTable, place: int, form: str) -> None:
     scores = table.scores[form]
     search.rounds.append(
         Round(
@@ -547,40 +549,40 @@ def _note(search: Search, action: str, option: Option, table: Table, place: int,
     )
 
 
-def settle(search: Search, refiner: Refiner | None = None) -> list[Standing]:
+def exchange_and_check(search: Search, refiner: Refiner | None = None) -> list[RivalCheck]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
     """
-    tables: dict[str, Table] = {}
+    tables: dict[str, ScoreTable] = {}
     for _ in range(_EXCHANGES):
         tables = {}
         for option in list(search.accepted):
             tables[option.name] = search.table(without=option)
-            better = _better(search, option, tables[option.name])
+            better = _better_option(search, option, tables[option.name])
             if better is not None:
                 search.drop(option)
-                better = _taken(search, better, refiner)
+                better = _add_refined(search, better, refiner)
                 told = len(search.rounds) + 1, "exchange", better.name, better.family
                 search.rounds.append(Round(*told, 0.0, 0.0, 0.0, "raw"))
                 break
         else:
             break
-    if _drop_idle(search):
+    if _drop_superfluous(search):
         tables = {}
     last = search.table() if search.accepted else None
     return [
-        standing(search, option, tables.get(option.name) or search.table(without=option), last)
+        check_rivals(search, option, tables.get(option.name) or search.table(without=option), last)
         for option in search.accepted
     ]
 
 
-def _better(search: Search, option: Option, table: Table) -> Option | None:
+def _better_option(search: Search, option: Option, table: ScoreTable) -> Option | None:
     """Return an option that leaves significantly less than an accepted one in its place."""
-    place = place_of(table, option)
+    place = place_in(table, option)
     if place is None:
         return None
-    form = form_of(table, place)
+    form = clearest_form(table, place)
     scores = table.scores[form]
     loss = scores.loss
     passing = table.passing(search.rules)[form]
@@ -598,7 +600,7 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
     return table.options[best] if table.options[best].mechanism != option.mechanism else None
 
 
-def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> bool:
+def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float) -> bool:
     """Return True unless the other, a product or a wider form of the same channels, explains hardly more."""
     mine, wide = table.options[place], table.options[other]
     same = mine.channels == wide.channels and _simplicity(mine) < _simplicity(wide)
@@ -615,7 +617,7 @@ _MEMORIES, _ROWS = 10.0, 20
 _MOST = 6
 
 
-def look_closer(search: Search, material: Material, table: Table) -> Table:
+def few_block_test(search: Search, context: Context, table: ScoreTable) -> ScoreTable:
     """Return the table with p-values of options that lie in too few blocks for flips, where all else speaks.
 
     Each is a bound of Student's distribution times the number of options: family-wise, as flips are.
@@ -630,18 +632,18 @@ def look_closer(search: Search, material: Material, table: Table) -> Table:
     tried = int(real.sum()) * len(table.scores)
     p = table.p["raw"].copy()
     for place in places[:_MOST]:
-        p[place] = min(p[place], tried * _p_of(search, material, table.options[place]))
+        p[place] = min(p[place], tried * _few_block_p(search, context, table.options[place]))
     return replace(table, p=table.p | {"raw": p})
 
 
-def _p_of(search: Search, material: Material, option: Option) -> float:
+def _few_block_p(search: Search, context: Context, option: Option) -> float:
     """Return the probability that an option gains by chance what it gains in parts of blocks."""
-    terms = _terms_of(material, option)
+    terms = _terms_of(context, option)
     if terms is None:
         return 1.0
-    trials = Trials(search, material, option)
+    trials = FormTrials(search, context, option)
     before, after = trials.contribution(option, terms)
-    series = material.series
+    series = context.series
     memory = correlation_s(
         series, (after / np.where(trials.root > 0, trials.root, 1.0)).reshape(len(series.tt2000), -1)
     )
@@ -658,11 +660,11 @@ def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:
     return np.bincount(part, weights=values).astype(np.float64)[:, None]
 
 
-def _terms_of(material: Material, option: Option) -> list[Term] | None:
+def _terms_of(context: Context, option: Option) -> list[Term] | None:
     """Return the terms whose columns an option is made of; None when the series cannot make them."""
     if option.change is None or option.terms:
         keys = list(option.terms)
-        return [material.terms[key] for key in keys] if set(keys) <= set(material.terms) else None
+        return [context.terms[key] for key in keys] if set(keys) <= set(context.terms) else None
     carried = {column for column, _ in option.change.functions.values()}
-    found = [term for term in material.terms.values() if carried & set(term.columns)]
+    found = [term for term in context.terms.values() if carried & set(term.columns)]
     return found or None

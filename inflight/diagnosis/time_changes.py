@@ -89,7 +89,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Carriers:
+class TimeVariableColumns:
     """Columns of the library that may change in time; empty where there are none."""
 
     offset: tuple[str, ...] = ()
@@ -115,20 +115,20 @@ class Carriers:
         }
         return {kind: told for kind, told in every.items() if told[1]}
 
-    def outside(self, base: Sequence[str]) -> Carriers:
+    def outside(self, base: Sequence[str]) -> TimeVariableColumns:
         """Return those of clock and bias that a calibration does not absorb: their episodes can be seen."""
         clock = tuple(name for name in self.clock if name not in base)
-        return Carriers(clock=clock, bias=tuple(name for name in self.bias if name not in base))
+        return TimeVariableColumns(clock=clock, bias=tuple(name for name in self.bias if name not in base))
 
 
-def moment_text(when: int) -> str:
+def time_text(when: int) -> str:
     """Return a moment, TT2000, as names have it: UTC, no finer than it is."""
     text = str(to_utc(when).astype("datetime64[ns]"))
     whole, _, part = text.partition(".")
     return f"{whole}.{part.rstrip('0')}".rstrip(".")
 
 
-def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
+def drifts(evidence: Evidence, carriers: TimeVariableColumns) -> list[Change]:
     """Return drifts of everything that may drift, straight in time; factors in days from the middle."""
     middle = evidence.start / 2 + evidence.end / 2
     days = (middle - middle.mean()) / _DAY_NS
@@ -142,7 +142,7 @@ def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
     return found
 
 
-def steps(evidence: Evidence, carriers: Carriers) -> list[Change]:
+def steps(evidence: Evidence, carriers: TimeVariableColumns) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
     edges = _edges(len(evidence))
@@ -186,7 +186,7 @@ def _edges(blocks: int) -> Sequence[int]:
     return [int(place) for place in np.unique(places)]
 
 
-def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int) -> list[Change]:
+def episodes(evidence: Evidence, absorbed: Evidence, carriers: TimeVariableColumns, y: int) -> list[Change]:
     """Return the best episodes of clock and bias, found by a scan over all pairs of edges.
 
     Parameters
@@ -237,7 +237,7 @@ def _best_spans(score: Floats, information: Floats) -> list[tuple[int, int]]:
     return chosen
 
 
-def carriers_of(library: Library) -> Carriers:
+def time_variable_columns(library: Library) -> TimeVariableColumns:
     """Return the library's columns that may change in time."""
 
     def columns(kind: type, parameter: str) -> tuple[str, ...]:
@@ -246,7 +246,7 @@ def carriers_of(library: Library) -> Carriers:
                 return tuple(name for name in term.columns if f".{parameter}" in name)
         return ()
 
-    return Carriers(
+    return TimeVariableColumns(
         offset=columns(VectorSensor, "offset") or columns(Affine, "shift"),
         scale=columns(VectorSensor, "scale_factor"),
         clock=columns(TimeShift, "seconds"),

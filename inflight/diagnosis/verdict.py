@@ -18,17 +18,17 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import LagProfile, look_again, profile, refine
+from inflight.diagnosis.refine import LagProfile, add_interactions, profile_lag, refine
 from inflight.diagnosis.residual import (
-    Material,
+    Context,
     Structure,
     effective_blocks,
-    floor_left,
-    held_out,
-    left_of,
+    held_out_rms,
     native_rms,
-    of_known_rows,
+    remaining_floor,
+    remaining_residual,
     structure_of,
+    with_correctable_rows,
 )
 from inflight.diagnosis.result import (
     Coefficient,
@@ -37,24 +37,24 @@ from inflight.diagnosis.result import (
     Signature,
     Verdict,
     sentence,
-    stopped,
+    stop_reason,
 )
-from inflight.diagnosis.scoring import fit, folds_of
-from inflight.diagnosis.search import Option, Search, Table
+from inflight.diagnosis.scoring import fit, make_folds
+from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.diagnosis.spectra import Fast, Periodogram, describe, fast_part, periodogram, strongest_line
 from inflight.diagnosis.stepwise import (
     WEAK,
     Estimate,
-    Standing,
-    detectable,
+    RivalCheck,
+    calibration_shifts,
+    detectable_amplitude,
     estimate,
-    look_closer,
-    mimics,
-    polish,
-    run,
+    exchange_and_check,
+    few_block_test,
+    form_disagreement,
+    refine_all,
     sandwich,
-    settle,
-    within_and_raw,
+    select_effects,
 )
 from inflight.effects import coefficient_unit
 from inflight.residual import NoiseFloor
@@ -67,12 +67,12 @@ _TABLE = 40
 _SEPARATING = 3
 
 
-def effect(search: Search, material: Material, standing: Standing) -> FoundEffect:
+def describe_effect(search: Search, context: Context, standing: RivalCheck) -> FoundEffect:
     """Return an effect of the model with its values, errors and standing."""
     option = standing.option
     found = estimate(search, option)
-    terms = [material.terms[key] for key in option.terms]
-    coefficients = _coefficients(search, material, option, terms, found)
+    terms = [context.terms[key] for key in option.terms]
+    coefficients = _coefficients(search, context, option, terms, found)
     rivals = tuple(rival.mechanism for rival, _ in standing.rivals)
     if found.retained < WEAK:
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
@@ -89,7 +89,7 @@ def effect(search: Search, material: Material, standing: Standing) -> FoundEffec
         option.lag_s,
         _lag_error(search, option),
         standing.placebo_t,
-        within_and_raw(search, option),
+        form_disagreement(search, option),
         found.rms,
         rivals,
         tuple(utc_text(when) for when in option.change.at) if option.change else (),
@@ -104,7 +104,7 @@ def axis(name: str) -> str:
 
 
 def _coefficients(
-    search: Search, material: Material, option: Option, terms: list[Term], found: Estimate
+    search: Search, context: Context, option: Option, terms: list[Term], found: Estimate
 ) -> tuple[Coefficient, ...]:
     out = []
     for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True):
@@ -113,7 +113,7 @@ def _coefficients(
         if term is not None:
             kind = term.entry.effect.parameters()[parameter]
             channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""
-            unit = coefficient_unit(kind, material.mission, channel) if channel else kind.unit
+            unit = coefficient_unit(kind, context.mission, channel) if channel else kind.unit
             at = "difference" if term.entry.is_additive else term.entry.sensor.name
         if option.change is not None:
             unit += option.change.unit
@@ -148,19 +148,19 @@ def lag_profile(search: Search, option: Option) -> LagProfile | None:
     }
     if len(bank) < 3 or option.change is not None:
         return None
-    return profile(form, search.present("raw", option), bank, search.y(), folds_of(len(form)))
+    return profile_lag(form, search.present("raw", option), bank, search.y(), make_folds(len(form)))
 
 
 def _worst_mimics(search: Search, option: Option, found: Estimate) -> list[tuple[str, float]]:
     """Return the calibration's parameters that shift most, in their usual size, if the effect is ignored."""
-    shifts = mimics(search, option, found.value)
+    shifts = calibration_shifts(search, option, found.value)
     scale = dict(zip(search.raw.names, search.raw.scale, strict=True))
     ordered = sorted(shifts, key=lambda pair: -abs(pair[1]) / scale[pair[0]])
     return ordered[:3]
 
 
 def confusion(
-    search: Search, standings: list[Standing]
+    search: Search, standings: list[RivalCheck]
 ) -> tuple[tuple[dict[str, Any], ...], tuple[dict[str, Any], ...]]:
     """Return the rivals of every confounded effect, and the blocks that would separate them."""
     confusion: list[dict[str, Any]] = []
@@ -222,7 +222,7 @@ def unscorable(search: Search) -> tuple[dict[str, Any], ...]:
     return tuple(out.values())
 
 
-def candidates(search: Search, first: Table, last: Table) -> tuple[dict[str, Any], ...]:
+def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple[dict[str, Any], ...]:
     """Return the best options of the first round, with their gain now: of taken ones nothing is left."""
     now = {option.name: place for place, option in enumerate(last.options)}
     best: dict[str, dict[str, Any]] = {}
@@ -248,7 +248,7 @@ def candidates(search: Search, first: Table, last: Table) -> tuple[dict[str, Any
     return tuple(real + [row for row in rows if row["placebo"]][:_TABLE])
 
 
-def refined(search: Search) -> tuple[dict[str, Any], ...]:
+def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     """Return the model's own parameters that data moved, within what was known of them."""
     evidence, present = search.forms["raw"], search.present()
     names = [name for term in search.library.refined for name in term.columns]
@@ -290,7 +290,7 @@ _AROUND = 1.1
 
 
 @dataclass(frozen=True)
-class Unknown:
+class Remaining:
     """What is left after everything that was taken.
 
     Attributes
@@ -332,35 +332,37 @@ class Unknown:
         return certain or (self.structure.is_sure and self.structure.is_large(self.noise))
 
 
-def look_at(search: Search, material: Material, last: Table, left: Floats, structure: Structure) -> Unknown:
+def describe_remaining(
+    search: Search, context: Context, last: ScoreTable, left: Floats, structure: Structure
+) -> Remaining:
     """Describe what is left: a line, else what the best rejected candidate hints at, else its size."""
-    known = 1.0 - material.gaps.part if material.gaps else 1.0
-    floor = floor_left(material.series, left, known * material.sums.get("count", 0.0), material.floor)
+    known = 1.0 - context.gaps.part if context.gaps else 1.0
+    floor = remaining_floor(context.series, left, known * context.sums.get("count", 0.0), context.floor)
     noise = floor.level_nT
     if not noise > 0:
-        good = material.series["weight"] > 0
+        good = context.series["weight"] > 0
         noise = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else float("nan")
-    unit = unit_unseen(material)
+    unit = unrecorded_unit(context)
     if unit is not None:
-        return Unknown(structure, False, unit, noise, floor, has_unit=True)
-    line = _line(material, left)
-    found = Unknown(structure, line is not None, line, noise, floor)
+        return Remaining(structure, False, unit, noise, floor, has_unit=True)
+    line = _line_signature(context, left)
+    found = Remaining(structure, line is not None, line, noise, floor)
     if line is not None:
         return found
-    size = native_rms(material, search)
-    fast = fast_part(material.series, left, size, floor.level_nT, structure)
-    found = replace(found, has_band=fast is not None and _is_news(material, fast))
+    size = native_rms(context, search)
+    fast = fast_part(context.series, left, size, floor.level_nT, structure)
+    found = replace(found, has_band=fast is not None and _is_news(context, fast))
     if not found.is_there:
         return found
-    told = _hinted(search, last, structure)
-    return replace(found, signature=told if fast is None else _fast(told, fast))
+    told = _hint_signature(search, last, structure)
+    return replace(found, signature=told if fast is None else _fast_signature(told, fast))
 
 
-def unit_unseen(material: Material) -> Signature | None:
+def unrecorded_unit(context: Context) -> Signature | None:
     """Return the signature of the unit without housekeeping that switches most often, of two sensors."""
-    if material.switched is None or not material.switched.unexplained:
+    if context.switched is None or not context.switched.unexplained:
         return None
-    step, sigma, count = material.switched.units[0]
+    step, sigma, count = context.switched.units[0]
     return Signature(
         shape="unit without housekeeping",
         axis="xyz"[int(np.argmax(np.abs(step)))],
@@ -370,15 +372,15 @@ def unit_unseen(material: Material) -> Signature | None:
     )
 
 
-def _is_news(material: Material, fast: Fast) -> bool:
+def _is_news(context: Context, fast: Fast) -> bool:
     """Return True when a band of periods was found and no known period lies in it."""
     if fast.periods_s is None:
         return False
     short, long = fast.periods_s
-    return not any(short / _AROUND <= period <= long * _AROUND for period in known_periods(material))
+    return not any(short / _AROUND <= period <= long * _AROUND for period in known_periods(context))
 
 
-def _fast(hint: Signature, fast: Fast) -> Signature:
+def _fast_signature(hint: Signature, fast: Fast) -> Signature:
     """Return the signature of what is fast; a channel that the slow part hints at stays beside it."""
     return replace(
         hint if hint.channel else Signature(),
@@ -389,30 +391,30 @@ def _fast(hint: Signature, fast: Fast) -> Signature:
     )
 
 
-def _line(material: Material, left: Floats) -> Signature | None:
+def _line_signature(context: Context, left: Floats) -> Signature | None:
     """Return the signature of the strongest line, or None when none stands out and matters."""
-    found = spectrum_left(material, left) if material.series.turn_rows == 1 else None
+    found = remaining_spectrum(context, left) if context.series.turn_rows == 1 else None
     line = strongest_line(found) if found is not None else None
     if found is None or line is None:
         return None
-    series = material.series
+    series = context.series
     told, part = describe(
         series.tt2000, left, series.direction(), series["weight"], line[0], float(found.frequency[1])
     )
-    if part < _LEAST_PART or _is_known(material, float(told.period_s or 0.0)):
+    if part < _LEAST_PART or _is_known(context, float(told.period_s or 0.0)):
         return None
     return told
 
 
-def _is_known(material: Material, period: float) -> bool:
+def _is_known(context: Context, period: float) -> bool:
     """Return True for a harmonic of a known period, or one that the turning Earth splits from it.
 
     Judged at the resolution of the whole span, which is finer than that of the periodogram's segments.
     """
-    series = material.series
+    series = context.series
     span = float(series.tt2000[-1] - series.tt2000[0]) / SECOND
     frequency = 1.0 / period if period > 0 else 0.0
-    for known in known_periods(material):
+    for known in known_periods(context):
         for split in range(-_SPLITS, _SPLITS + 1):
             offset = frequency - split / 86_400.0
             harmonic = round(offset * known)
@@ -423,9 +425,9 @@ def _is_known(material: Material, period: float) -> bool:
     return False
 
 
-def _own_period(material: Material) -> list[float]:
+def _field_period(context: Context) -> list[float]:
     """Return the period with which the field turns in the sensor, s: the orbit's, or the spin's."""
-    series = material.series
+    series = context.series
     direction = series.direction()[:, 0]
     good = (series["weight"] > 0) & np.isfinite(direction).all(axis=1)
     if good.sum() < 64 or float(np.ptp(direction[good], axis=0).max()) < _TURNING:
@@ -436,28 +438,28 @@ def _own_period(material: Material) -> list[float]:
     return [4 * len(even) * series.step_s / at]
 
 
-def known_periods(material: Material) -> list[float]:
+def known_periods(context: Context) -> list[float]:
     """Return the periods whose harmonics are no news: orbit, day, and those of the mission; seconds."""
-    periods = {name: period / SECOND for name, period in material.mission.periods.items()}
-    known = [86_400.0, *(period for period in periods.values() if period > 2 * material.series.step_s)]
-    return known + _own_period(material)
+    periods = {name: period / SECOND for name, period in context.mission.periods.items()}
+    known = [86_400.0, *(period for period in periods.values() if period > 2 * context.series.step_s)]
+    return known + _field_period(context)
 
 
-def spectrum_left(material: Material, left: Floats) -> Periodogram | None:
+def remaining_spectrum(context: Context, left: Floats) -> Periodogram | None:
     """Return the periodogram of what is left, demodulated along each axis."""
-    series = material.series
-    return periodogram(series.tt2000, left, series.direction(), series["weight"], known_periods(material))
+    series = context.series
+    return periodogram(series.tt2000, left, series.direction(), series["weight"], known_periods(context))
 
 
-def _hinted(search: Search, last: Table, structure: Structure) -> Signature:
+def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> Signature:
     """Return the signature that the best rejected candidate hints at."""
-    hint = _hint(search, last)
+    hint = _best_rejected(search, last)
     if hint is None:
         return Signature(shape="wander", amplitude_nT=structure.rms_nT)
     option, gain = hint
     along = None
     if option.change is None and len(option.columns) == 3:
-        along = axis(option.columns[int(np.argmax(_strength(search, option)))])
+        along = axis(option.columns[int(np.argmax(_standardised(search, option)))])
     shape = option.mechanism
     if option.change is not None:
         shape = "step" if option.change.at else "drift"
@@ -473,15 +475,15 @@ def _hinted(search: Search, last: Table, structure: Structure) -> Signature:
     )
 
 
-def _strength(search: Search, option: Option) -> Floats:
+def _standardised(search: Search, option: Option) -> Floats:
     """Return how far a rejected candidate's coefficients are from nothing, in units of what is detectable."""
     evidence = search.forms["raw"]
     gamma, _ = fit(evidence, search.present(), [evidence.index(option.columns)], search.y())
     physical = gamma[0] * evidence.scale[evidence.index(option.columns)]
-    return np.abs(physical) / np.maximum(detectable(search, option), 1e-300)
+    return np.abs(physical) / np.maximum(detectable_amplitude(search, option), 1e-300)
 
 
-def _hint(search: Search, last: Table) -> tuple[Option, float] | None:
+def _best_rejected(search: Search, last: ScoreTable) -> tuple[Option, float] | None:
     """Return the best option that was not beyond doubt, if it explains anything held out."""
     scores = last.scores["raw"]
     real = [
@@ -496,33 +498,33 @@ def _hint(search: Search, last: Table) -> tuple[Option, float] | None:
 #: A search that leaves no more than so many times as much explains as much.
 _AS_MUCH = 1.003
 
-__all__ = ["Material", "conclude", "held_out", "known_periods", "lag_profile"]
 
-
-def conclude(search: Search, material: Material) -> Diagnosis:
+def conclude(search: Search, context: Context) -> Diagnosis:
     """Run the rounds and say what they mean."""
     first = search.table().light()
-    last = _rounds(search, material, first) if search.rules.rounds else first
-    standings = sorted(settle(search, partial(refine, search, material)), key=lambda one: -one.gain)
+    last = _rounds(search, context, first) if search.rules.rounds else first
+    standings = sorted(
+        exchange_and_check(search, partial(refine, search, context)), key=lambda one: -one.gain
+    )
     if standings:
         last = search.table().light()
-    effects = tuple(effect(search, material, one) for one in standings)
-    seen = of_known_rows(search, material)
-    left = left_of(search, seen)
+    effects = tuple(describe_effect(search, context, one) for one in standings)
+    seen = with_correctable_rows(search, context)
+    left = remaining_residual(search, seen)
     blocks = effective_blocks(search, seen, left)
-    unknown = look_at(search, seen, last, left, structure_of(seen.series, left))
-    remaining = _remaining(unknown, blocks["independent"], search.rules.blocks)
+    unknown = describe_remaining(search, seen, last, left, structure_of(seen.series, left))
+    remaining = _remaining_verdict(unknown, blocks["independent"], search.rules.blocks)
     verdict = _verdict(effects, standings, remaining)
-    residual = _sizes(search, seen, unknown)
+    residual = _residual_sizes(search, seen, unknown)
     signature = unknown.signature if remaining == "UNKNOWN_EFFECT" else None
-    own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _of_shape(effects[0])
+    own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _shape_signature(effects[0])
     told: dict[str, Any] = {
         "effects": effects,
         "signature": signature,
         "residual": residual,
         "remaining": remaining,
         "blocks": blocks,
-        "outliers": material.outliers.as_json(),
+        "outliers": context.outliers.as_json(),
         "unscorable": unscorable(search),
         "fewest": search.rules.blocks,
     }
@@ -538,53 +540,55 @@ def conclude(search: Search, material: Material) -> Diagnosis:
         {"verdict": remaining, "signature": signature},
         residual,
         tuple(one.as_json() for one in search.rounds),
-        candidates(search, first, last),
-        refined(search),
+        candidate_rows(search, first, last),
+        refined_parameters(search),
         blocks,
-        stopped(told, search.rules.rounds, search.ran_out),
-        material.model.comparison,
-        {"name": material.model.name, "version": material.model.version},
-        material.context,
-        material.run,
+        stop_reason(told, search.rules.rounds, search.ran_out),
+        context.model.comparison,
+        {"name": context.model.name, "version": context.model.version},
+        context.context,
+        context.run,
         told["outliers"],
     )
 
 
-def _sizes(search: Search, material: Material, unknown: Unknown) -> dict[str, Any]:
+def _residual_sizes(search: Search, context: Context, unknown: Remaining) -> dict[str, Any]:
     """Return the sizes of the residual, nT at the cadence of the comparison, all of the same rows."""
     nothing = search.as_found()
     return {
-        "before_nT": native_rms(material, nothing),
-        "after_nT": native_rms(material, search),
-        "held_out_before_nT": held_out(nothing, material),
-        "held_out_after_nT": held_out(search, material),
+        "before_nT": native_rms(context, nothing),
+        "after_nT": native_rms(context, search),
+        "held_out_before_nT": held_out_rms(nothing, context),
+        "held_out_after_nT": held_out_rms(search, context),
         # A record without a fast part, filtered or rounded away, tells no floor.
         "noise_floor_nT": unknown.floor.level_nT or float("nan"),
         "noise_floor_low_nT": unknown.floor.low_nT,
         "noise_floor_high_nT": unknown.floor.high_nT,
         "structure_nT": unknown.structure.rms_nT,
         "structure_t": unknown.structure.t,
-        "uncorrected": material.gaps.as_json() if material.gaps else [],
+        "uncorrected": context.gaps.as_json() if context.gaps else [],
     }
 
 
-def _rounds(search: Search, material: Material, first: Table) -> Table:
+def _rounds(search: Search, context: Context, first: ScoreTable) -> ScoreTable:
     """Run the rounds, again with products when something is left, and from shapes if need be."""
-    refiner, closer = partial(refine, search, material), partial(look_closer, search, material)
-    last = run(search, refiner=refiner, closer=closer)
-    known = of_known_rows(search, material)
-    left = left_of(search, known)
-    seen = look_at(search, known, last, left, structure_of(known.series, left))
+    refiner, closer = partial(refine, search, context), partial(few_block_test, search, context)
+    last = select_effects(search, refiner=refiner, closer=closer)
+    known = with_correctable_rows(search, context)
+    left = remaining_residual(search, known)
+    seen = describe_remaining(search, known, last, left, structure_of(known.series, left))
     more = len(search.accepted) < search.rules.rounds and (seen.is_sure or search.accepted)
-    if more and look_again(search, material, [first, last], seen.is_sure):
-        last = run(search, refiner=refiner, closer=closer)
-    if _stands_in(search):
-        last = _from_shapes(search, material, last, partial(run, search, refiner=refiner, closer=closer))
-    polish(search, refiner)
+    if more and add_interactions(search, context, [first, last], seen.is_sure):
+        last = select_effects(search, refiner=refiner, closer=closer)
+    if _may_be_substitutes(search):
+        last = _from_shapes(
+            search, context, last, partial(select_effects, search, refiner=refiner, closer=closer)
+        )
+    refine_all(search, refiner)
     return last
 
 
-def _stands_in(search: Search) -> bool:
+def _may_be_substitutes(search: Search) -> bool:
     """Return True when named causes were taken and yet shapes that name none had to complete them.
 
     Either both are there, or the named ones together stand in for something that no effect here describes.
@@ -593,21 +597,23 @@ def _stands_in(search: Search) -> bool:
     return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
 
 
-def _from_shapes(search: Search, material: Material, last: Table, again: Callable[..., Table]) -> Table:
+def _from_shapes(
+    search: Search, context: Context, last: ScoreTable, again: Callable[..., ScoreTable]
+) -> ScoreTable:
     """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
-    before = held_out(search, material)
+    before = held_out_rms(search, context)
     kept = search.accepted, search.rounds, search.banned, search.dropped, search.ran_out
     search.accepted, search.rounds, search.banned, search.dropped = [], [], set(), set()
     search.recut()
     other = again(shapes_first=True)
-    if len(search.accepted) < len(kept[0]) and held_out(search, material) <= _AS_MUCH * before:
+    if len(search.accepted) < len(kept[0]) and held_out_rms(search, context) <= _AS_MUCH * before:
         return other
     search.accepted, search.rounds, search.banned, search.dropped, search.ran_out = kept
     search.recut()
     return last
 
 
-def _verdict(effects: tuple[FoundEffect, ...], standings: list[Standing], remaining: Verdict) -> Verdict:
+def _verdict(effects: tuple[FoundEffect, ...], standings: list[RivalCheck], remaining: Verdict) -> Verdict:
     """Return the verdict about the residual as found."""
     if not effects:
         return remaining
@@ -622,7 +628,7 @@ def _is_shape(option: Option) -> bool:
     return option.agnostic or option.family == "unknown"
 
 
-def _of_shape(effect: FoundEffect) -> Signature:
+def _shape_signature(effect: FoundEffect) -> Signature:
     """Return the signature of an effect that was taken for its shape and names no cause."""
     return Signature(
         channel="*".join(effect.channels) or None,
@@ -634,7 +640,7 @@ def _of_shape(effect: FoundEffect) -> Signature:
     )
 
 
-def _remaining(unknown: Unknown, independent: float, fewest: int) -> Verdict:
+def _remaining_verdict(unknown: Remaining, independent: float, fewest: int) -> Verdict:
     """Return what is to be said of what is left."""
     if not unknown.is_there:
         return "NOTHING_LEFT"

@@ -29,7 +29,17 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import PARTS, RESIDUAL, NormalEquations, vector_sensor_of
-from inflight.design import Rows, Term, bin_means, bridged, coarsen, design, grid, term_of, turns_of
+from inflight.design import (
+    Rows,
+    Term,
+    bin_means,
+    bridge_gaps,
+    coarsen,
+    design,
+    grid,
+    sensor_matrices,
+    term_of,
+)
 from inflight.errors import CalibrationError
 from inflight.frames import add_geometry
 from inflight.lsq import TO_SIGMA, gram_of
@@ -132,7 +142,7 @@ def _on_bins(samples: xr.Dataset, name: str, stamps: Int64, edges: Int64) -> Flo
         return np.full(edges.size - 1, np.nan)
     values = np.asarray(samples[name].values, dtype=np.float64)
     known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
-    return bridged(bin_means(values, stamps, edges, known)[0])
+    return bridge_gaps(bin_means(values, stamps, edges, known)[0])
 
 
 def _daylight(samples: xr.Dataset, stamps: Int64, edges: Int64, centre: Int64) -> tuple[Floats, Floats]:
@@ -425,7 +435,7 @@ def wide_and_beside(
     for name in sorted(used & set(map(str, samples.variables))):
         rows = replace(rows, good=rows.good & ~between_levels(stamps, samples[name]))
     binned, _ = coarsen(
-        samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
+        samples, rows, edges, _channels(samples, used, stamps, edges), sensor_matrices(fitted, sum(span) // 2)
     )
     columns = np.moveaxis(design(terms, binned), -1, 0)
     days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY

@@ -10,7 +10,15 @@ import numpy as np
 
 from inflight.catalog import Catalog
 from inflight.design import MOST, Term
-from inflight.diagnosis import Diagnosis, Material, Rules, Search, carriers_of, conclude, make_library
+from inflight.diagnosis import (
+    Context,
+    Diagnosis,
+    Rules,
+    Search,
+    conclude,
+    make_library,
+    time_variable_columns,
+)
 from inflight.dual import Switched
 from inflight.effects import channels_of
 from inflight.errors import CatalogError
@@ -25,12 +33,12 @@ from inflight.tasks.analysis.gram_pass import (
     Survey,
     block_parts,
     cadence_for,
+    find_switchings,
     load_evidence,
     make_blocks,
     placebo_shifts,
     stretches_between,
     survey,
-    switched_in,
 )
 from inflight.tasks.archive import (
     ArchiveIndex,
@@ -51,7 +59,7 @@ _SHORT_DAYS = 3
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PassResult:
     """A pass that has been made: what the search reads."""
 
     plan: PassPlan
@@ -91,14 +99,14 @@ def diagnose(
         When there is nothing to work on, or the model does not fit the mission.
     """
     settings = settings or DiagnoseSettings()
-    made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
-    search, material = search_of(made, settings), material_of(made, mission)
+    made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
+    search, context = begin_search(made, settings), context_of(made, mission)
     # Columns that join make new evidence, gigabytes of it: nothing here may hold on to the old one.
     del made
-    return conclude(search, material)
+    return conclude(search, context)
 
 
-def prepare(
+def make_pass(
     cat: Catalog,
     mission: Mission,
     start: DayLike | None,
@@ -109,10 +117,10 @@ def prepare(
     progress: Progress | None = None,
     used: UsedModel | None = None,
     narrow: Callable[[PassPlan], PassPlan] | None = None,
-) -> Prepared:
+) -> PassResult:
     """Make or find the evidence of a span and a model, the present one if none; a narrow one stays apart."""
     tell = progress or (lambda stage, done, total: None)
-    made = planned(cat, mission, settings, start, end, used, tell)
+    made = plan_pass(cat, mission, settings, start, end, used, tell)
     plan = narrow(made.plan) if narrow else made.plan
     context = cat.save_context(mission.text, made.used.model.name, made.used.version, {})
     dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
@@ -128,7 +136,7 @@ def prepare(
         )
         loaded = load_evidence(cat, plan, blocks)
         dataset = f"{dataset}-bursts"
-    seen = switched_in(mission, plan, loaded.series)
+    seen = find_switchings(mission, plan, loaded.series)
     if seen is not None:
         # Rows at switchings go, and the levels between those that nobody recorded are free.
         plan = replace(plan, stretches=stretches_between(seen, plan))
@@ -146,11 +154,11 @@ def prepare(
         )
         loaded = load_evidence(cat, plan, blocks)
     failed = len(plan.blocks) - len(blocks)
-    return Prepared(plan, made.used, made.survey, loaded, context, run, failed, seen)
+    return PassResult(plan, made.used, made.survey, loaded, context, run, failed, seen)
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedPass:
     """A pass that is still to be made: what a worker is given, and the archive it reads."""
 
     plan: PassPlan
@@ -160,7 +168,7 @@ class Planned:
     survey: Survey
 
 
-def planned(
+def plan_pass(
     cat: Catalog,
     mission: Mission,
     settings: DiagnoseSettings,
@@ -168,7 +176,7 @@ def planned(
     end: DayLike | None = None,
     used: UsedModel | None = None,
     tell: Progress = lambda stage, done, total: None,
-) -> Planned:
+) -> PlannedPass:
     """Look at the span, linearise the model, and decide what is tried.
 
     Raises
@@ -202,7 +210,7 @@ def planned(
     found = survey(cat, mission, used.model, needs, index, days, reader)
     tell("survey", 1, 1)
     plan = _plan(mission, found, needs, channels, days, span, cadence)
-    return Planned(plan, index, base, used, found)
+    return PlannedPass(plan, index, base, used, found)
 
 
 def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64], whole: bool) -> tuple[int, int]:
@@ -264,10 +272,10 @@ def _plan(
     )
 
 
-def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
+def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
     """Return a search over the evidence, nothing taken yet."""
     raw = made.loaded.raw
-    days = _groups(raw.start, DAY)
+    days = _groups_of_blocks(raw.start, DAY)
     rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)
     return Search(
         raw,
@@ -277,11 +285,11 @@ def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
         _within_groups(days, len(raw)),
         rules,
         made.loaded.within,
-        carriers=carriers_of(made.plan.library),
+        carriers=time_variable_columns(made.plan.library),
     )
 
 
-def _groups(start: Any, width: int) -> list[list[int]]:
+def _groups_of_blocks(start: Any, width: int) -> list[list[int]]:
     """Return blocks by consecutive spans of a length, from the first block's start."""
     place = (start - start[0]) // width
     return [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
@@ -294,7 +302,7 @@ def _within_groups(days: list[list[int]], blocks: int) -> list[list[int]]:
     return [part.tolist() for part in np.array_split(np.arange(blocks), 4)]
 
 
-def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
+def intervals_of(made: PassResult, settings: DiagnoseSettings) -> list[list[int]]:
     """Return the blocks of each calibration interval; all in one when nothing it fits is a block's own."""
     raw = made.loaded.raw
     own = [
@@ -307,7 +315,7 @@ def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
     ]
     if own and not any(timed.time == "block" for timed in own):
         return [list(range(len(raw)))]
-    groups = _groups(raw.start, settings.interval_days * DAY)
+    groups = _groups_of_blocks(raw.start, settings.interval_days * DAY)
     # A short rest joins the interval before it.
     if len(groups) > 1 and len(groups[-1]) < 0.5 * len(groups[0]):
         rest = groups.pop()
@@ -315,10 +323,10 @@ def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
     return groups
 
 
-def material_of(made: Prepared, mission: Mission) -> Material:
+def context_of(made: PassResult, mission: Mission) -> Context:
     """Return what a verdict needs beside the search."""
     effects: dict[str, Term] = {term.key: term for term in made.plan.library.all_terms}
-    return Material(
+    return Context(
         mission,
         made.used.model,
         made.plan.model,

@@ -19,8 +19,8 @@ import numpy as np
 from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.diagnosis import (
+    Context,
     Diagnosis,
-    Material,
     Periodogram,
     Search,
     Seen,
@@ -74,7 +74,7 @@ from inflight.figures import (
 from inflight.mission import Mission
 from inflight.residual import drawn_periods, told_period
 from inflight.residual import known_periods as named_periods
-from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
+from inflight.tasks.analysis.diagnosis import begin_search, context_of, make_pass
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 from inflight.tasks.pipelines.states import named_units
 from inflight.tasks.report import Progress
@@ -132,13 +132,13 @@ def _channels(seen: Seen, found: Diagnosis) -> list[str]:
     return [*dict.fromkeys(own), *more[:_CHANNELS]]
 
 
-def spectrum(seen: Seen, material: Material) -> Section:
+def spectrum(seen: Seen, context: Context) -> Section:
     """Return the periodograms along each axis before and after."""
-    after = _periodogram(seen, material, seen.after)
-    before = _periodogram(seen, material, seen.before) if seen.changed else None
+    after = _periodogram(seen, context, seen.after)
+    before = _periodogram(seen, context, seen.before) if seen.changed else None
     if after is None:
         return "Spectrum along each axis", [], []
-    stated = {name: period / SECOND for name, period in material.mission.periods.items()}
+    stated = {name: period / SECOND for name, period in context.mission.periods.items()}
     known = drawn_periods(named_periods(stated, None))
     note = (
         "The residual times the field's direction: a field along one axis shows at its own period there. "
@@ -151,20 +151,20 @@ def spectrum(seen: Seen, material: Material) -> Section:
     )
 
 
-def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodogram | None:
+def _periodogram(seen: Seen, context: Context, values: np.ndarray) -> Periodogram | None:
     series = seen.series
     weight = np.where(seen.good, series["weight"], 0.0)
     known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
     if not turned.any():
         # A platform's residual has no direction of its own: its spectrum stands in the first place.
         turned[:, :, 0] = 1.0
-    return periodogram(series.tt2000, known, turned, weight, known_periods(material))
+    return periodogram(series.tt2000, known, turned, weight, known_periods(context))
 
 
 # Which effect.
 
 
-def which_effect(search: Search, material: Material, found: Diagnosis) -> Section:
+def which_effect(search: Search, context: Context, found: Diagnosis) -> Section:
     """Return the table of candidates and how their gains fall."""
     names = [str(one["name"]) for one in found.candidates if not one["placebo"]]
     rivals = {one.name: one.rivals for one in found.effects}
@@ -176,7 +176,7 @@ def which_effect(search: Search, material: Material, found: Diagnosis) -> Sectio
     )
     text = [
         f'<p class="quiet">{escape(note)}</p>',
-        candidate_table(found.candidates, trials(search, material, names), rivals),
+        candidate_table(found.candidates, trials(search, context, names), rivals),
         unscorable_list(found.unscorable),
     ]
     return "Which effect", [one for one in text if one], [drop_figure(found.candidates)]
@@ -185,11 +185,11 @@ def which_effect(search: Search, material: Material, found: Diagnosis) -> Sectio
 # The error falls.
 
 
-def error_falls(seen: Seen, search: Search, material: Material, found: Diagnosis) -> Section:
+def error_falls(seen: Seen, search: Search, context: Context, found: Diagnosis) -> Section:
     """Return the held-out error step by step, daily sizes and distributions."""
     told = found.residual
     floor = tuple(float(told[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
-    steps = waterfall(search, material)
+    steps = waterfall(search, context)
     start, end = float(told["held_out_before_nT"]), float(told["held_out_after_nT"])
     sizes = sizes_of(seen)
     states = _STATES if seen.changed else ("now", "now")
@@ -323,7 +323,7 @@ class Examined(NamedTuple):
     """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
 
     search: Search
-    material: Material
+    context: Context
     found: Diagnosis
     settings: DiagnoseSettings
     facts: Mapping[str, Any]
@@ -342,20 +342,20 @@ def examine(
     """Diagnose a span and return with the result what it was made from; arguments are those of `report`."""
     settings = settings or DiagnoseSettings()
     tell = progress or (lambda stage, done, total: None)
-    made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
+    made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     tell("search", 0, 1)
-    search, material = search_of(made, settings), material_of(made, mission)
-    found = conclude(search, material)
+    search, context = begin_search(made, settings), context_of(made, mission)
+    found = conclude(search, context)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
     units = named_units(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
-    return Examined(search, material, found, settings, facts)
+    return Examined(search, context, found, settings, facts)
 
 
 def diagnosis_page(
     search: Search,
-    material: Material,
+    context: Context,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -363,14 +363,14 @@ def diagnosis_page(
     """Return the page of a finished search as HTML; parameters are those of `diagnosis_sections`."""
     raw = search.raw
     first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
-    name = f"{material.mission.mission}: what is missing from the model, {first} to {last}"
-    sections = diagnosis_sections(search, material, found, settings, facts)
-    return html_page(name, sections, material.mission.acknowledgement)
+    name = f"{context.mission.mission}: what is missing from the model, {first} to {last}"
+    sections = diagnosis_sections(search, context, found, settings, facts)
+    return html_page(name, sections, context.mission.acknowledgement)
 
 
 def diagnosis_sections(
     search: Search,
-    material: Material,
+    context: Context,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -384,19 +384,19 @@ def diagnosis_sections(
     facts : mapping, optional
         More lines of the ledger.
     """
-    seen = seen_of(search, material)
+    seen = seen_of(search, context)
     told = found.as_json()
     strip = verdict_strip(found.verdict, found.sentence, told["residual"], told["remaining"]["verdict"])
     sections: list[Section] = [
         ("Verdict", [strip, *found_effects(told), *rivals_apart(told)], []),
         fails_here(seen),
         follows(seen, found),
-        spectrum(seen, material),
-        which_effect(search, material, found),
-        error_falls(seen, search, material, found),
+        spectrum(seen, context),
+        which_effect(search, context, found),
+        error_falls(seen, search, context, found),
         shapes(seen, search, found),
         stands_for(search, found),
-        _ledger(search, material, found, settings, facts or {}),
+        _ledger(search, context, found, settings, facts or {}),
     ]
     return [section for section in sections if section[1] or section[2]]
 
@@ -406,7 +406,7 @@ def diagnosis_sections(
 
 def _ledger(
     search: Search,
-    material: Material,
+    context: Context,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any],
@@ -415,13 +415,13 @@ def _ledger(
     data = hashlib.sha256(np.ascontiguousarray(search.raw.gram[:, :, y]).tobytes()).hexdigest()
     rules = search.rules
     listed = {
-        "mission": material.mission.mission,
+        "mission": context.mission.mission,
         "comparison": found.comparison,
         "model": f"{found.model.get('name')} version {found.model.get('version')}",
         "blocks": f"{found.blocks['count']} of {found.blocks['length_s'] / 3600.0:.3g} h, "
         f"{found.blocks['independent']:.0f} of them independent",
         "samples left out": _left_out(found.outliers),
-        "cadence of the search": f"{material.cadence_s:g} s",
+        "cadence of the search": f"{context.cadence_s:g} s",
         "settings": ", ".join(f"{name}={value}" for name, value in settings.model_dump().items()),
         "rules": f"t > {rules.t:g}, gain > {rules.gain:g}, family-wise p < {rules.p:g}, "
         f"over the best placebo t > {rules.t:g}",

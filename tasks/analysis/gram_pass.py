@@ -29,8 +29,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from inflight.arrays import Floats
 from inflight.calibration import PARTS, Reference, fit_block, split_chain, usable
 from inflight.catalog import Catalog, Day, idempotency_key
-from inflight.design import Library, Outliers, Rows, Term, Told, coarsen, design, turns_of
-from inflight.diagnosis import Features, Series, Stretches, features_of, pack_blocks, thin
+from inflight.design import ChannelSummary, Library, Outliers, Rows, Term, coarsen, design, sensor_matrices
+from inflight.diagnosis import Features, Series, Stretches, features_of, pack_blocks, thin_rows
 from inflight.dual import Switched, switched
 from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
@@ -90,7 +90,7 @@ def floor_of_turns(samples: xr.Dataset, good: np.ndarray, sectors: int) -> dict[
     }
 
 
-def joined_floors(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
+def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
     """Return the white level of several blocks together."""
     known = [report for report in reports if report.get("floor_samples")]
     return joined_floor(
@@ -168,7 +168,7 @@ class PassPlan:
     cadence_ns: int
     span: tuple[int, int]
     memory_s: float
-    told: Mapping[str, Told]
+    told: Mapping[str, ChannelSummary]
     keep_bursts: bool = False
     stretches: Stretches | None = None
 
@@ -251,7 +251,7 @@ def block_evidence(
     raw, white, _, sums = found[0]
     total = dict(sums)
     for more_raw, more_white, _, more in found[1:]:
-        raw, white = _summed(raw, more_raw), _summed(white, more_white)
+        raw, white = _sum_blocks(raw, more_raw), _sum_blocks(white, more_white)
         total = {name: total[name] + more[name] for name in total}
     kept = [_as_recorded(one[2], derived.reader.day(day)) for one, day in zip(found, days, strict=True)]
     series, features = _series(made, raw, kept)
@@ -262,7 +262,7 @@ def block_evidence(
         inside = [one[0].absorbed(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
         within = inside[0]
         for more_raw in inside[1:]:
-            within = _summed(within, more_raw)
+            within = _sum_blocks(within, more_raw)
         packed = within.as_dataset()["gram"].rename(entry="entry_within")
         dataset = dataset.assign(gram_within=packed)
     return dataset.assign_attrs(cadence_ns=made.cadence_ns), total
@@ -283,7 +283,7 @@ def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.nda
     plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
     channels = list(dict.fromkeys([*made.told, *plain, *GEOMETRY]))
     features = features_of(rows[0], channels)
-    thinned = [thin(one, features, made.series_step) for one in rows]
+    thinned = [thin_rows(one, features, made.series_step) for one in rows]
     stamps = np.concatenate([one[0] for one in thinned])
     values = np.concatenate([one[1] for one in thinned])
     days = max(len(block) for block in made.blocks)
@@ -293,7 +293,7 @@ def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.nda
     return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples)), features
 
 
-def _summed(one: Evidence, other: Evidence) -> Evidence:
+def _sum_blocks(one: Evidence, other: Evidence) -> Evidence:
     return one.joined([other]).merged([range(len(one) + len(other))])
 
 
@@ -353,10 +353,10 @@ def day_rows(
     values = derived.on(day, made.library.channels, there)
     variables = as_variables(mission, values, geometry if there else None)
     edges = derived.reader.edges(day)
-    turn = turns_of(made.model, (start + end) // 2)
+    turn = sensor_matrices(made.model, (start + end) // 2)
     recorded = derived.reader.day(day)
     rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
-    rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
+    rows = replace(rows, weight=np.where(_without_geometry(there, rows.weight > 0), 0.0, rows.weight))
     if made.stretches is not None:
         rows = _in_stretches(rows, made.stretches)
     if made.folding is None:
@@ -374,7 +374,7 @@ def _in_stretches(rows: Rows, stretches: Stretches) -> Rows:
     return replace(rows, residual=residual, weight=weight, kept=stretches)
 
 
-def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
+def _without_geometry(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
     """Return which bins have no geometry, when most have: what is not there must not pass for a shadow."""
     out = np.zeros(used.size, dtype=bool)
     for values in geometry.values():
@@ -440,7 +440,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         within,
         replace(series, kept=made.kept),
         sums,
-        joined_floors([day.report for day in ordered]),
+        floor_of_reports([day.report for day in ordered]),
         Outliers.of([day.report for day in ordered], made.keep_bursts),
     )
 
@@ -477,7 +477,7 @@ def make_blocks(
         size = settings.batch_blocks
         batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
         jobs = [
-            Job(batch, _of(keys, batch), _of(parents, batch), index, plan.needs, run.id, dataset)
+            Job(batch, _choose(keys, batch), _choose(parents, batch), index, plan.needs, run.id, dataset)
             for batch in batches
         ]
         tell("pass", 0, len(todo))
@@ -500,7 +500,7 @@ def make_blocks(
         return run.id, [kept[day] for day in sorted(kept)]
 
 
-def _of(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
+def _choose(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
     return {day: told[day] for day in days}
 
 
@@ -511,7 +511,7 @@ _PLACEBOS = 16
 _DAYS, _SAMPLES = 12, 20_000
 
 #: Blocks that are wanted of a record, and blocks of a long one at most.
-WANTED_BLOCKS, MOST_BLOCKS = 96, 200
+TARGET_BLOCKS, MOST_BLOCKS = 96, 200
 
 #: Correlation time the prewhitened form assumes, s; a fiftieth of the span when that is less.
 MEMORY_S = 600.0
@@ -547,7 +547,7 @@ class Survey:
     model: Model
     base: tuple[Term, ...]
     fixed: tuple[Term, ...]
-    channels: Mapping[str, Told]
+    channels: Mapping[str, ChannelSummary]
     still: tuple[str, ...]
 
 
@@ -567,13 +567,13 @@ def survey(
     CalibrationError
         When no day has enough usable samples.
     """
-    some = _spread(days)
+    some = _spread_days(days)
     fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
     told, still = _channels(reader, some)
     return Survey(fitted, base, fixed, told, still)
 
 
-def _spread(days: Sequence[np.datetime64]) -> list[np.datetime64]:
+def _spread_days(days: Sequence[np.datetime64]) -> list[np.datetime64]:
     places = np.unique(np.linspace(0, len(days) - 1, min(_DAYS, len(days))).round().astype(int))
     return [days[place] for place in places]
 
@@ -589,7 +589,7 @@ def _linearised(
     """Return the model at its fitted nine parameters, and the terms of these."""
     kind = mission.comparisons[model.comparison].kind
     if kind == "spin":
-        return _turning(cat, mission, model, needs, index, days)
+        return _linearised_spin(cat, mission, model, needs, index, days)
     if kind == "platform":
         return model, (), ()
     if kind == "dual":
@@ -599,7 +599,7 @@ def _linearised(
         return model, (_extra_base(mission, model),), ()
     middle = sum(day_bounds(days[len(days) // 2])) // 2
     prior = prior_of(own[0], middle)
-    parts = [_thinned(cat, mission, model, day, needs, index) for day in days]
+    parts = [_thinned_samples(cat, mission, model, day, needs, index) for day in days]
     whole = [np.concatenate(one) for one in zip(*parts, strict=True)]
     if whole[3].sum() < 2 * prior.value.size:
         raise CalibrationError(
@@ -609,12 +609,12 @@ def _linearised(
     value = prior.value
     if np.any(prior.sigma > 0):
         value = fit_block(whole[0], whole[1], whole[2], whole[3], prior).value
-    entry = _at(own[0], value)
+    entry = _at_values(own[0], value)
     effects = tuple(entry if one is own[0] else one for one in model.effects)
     return replace(model, effects=effects), *_nine_terms(entry, prior)
 
 
-def _turning(
+def _linearised_spin(
     cat: Catalog,
     mission: Mission,
     model: Model,
@@ -658,7 +658,7 @@ def prior_of(entry: ModelEffect, tt2000: int) -> Reference:
     return Reference(np.concatenate([one.at(tt2000) for one in timed]), np.concatenate(sigma), entry.name)
 
 
-def _at(entry: ModelEffect, value: Floats) -> ModelEffect:
+def _at_values(entry: ModelEffect, value: Floats) -> ModelEffect:
     parameters = dict(entry.parameters)
     for place, part in enumerate(PARTS):
         numbers = value[3 * place : 3 * place + 3][:, None]
@@ -694,7 +694,7 @@ def _dual_base(mission: Mission, model: Model) -> Term:
     return Term("calibration", entry, ("matrix", "shift"), (np.inf,) * 12)
 
 
-def _thinned(
+def _thinned_samples(
     cat: Catalog,
     mission: Mission,
     model: Model,
@@ -712,7 +712,7 @@ def _thinned(
 
 def _channels(
     reader: ChannelReader, days: Sequence[np.datetime64]
-) -> tuple[dict[str, Told], tuple[str, ...]]:
+) -> tuple[dict[str, ChannelSummary], tuple[str, ...]]:
     told, still, kinds = {}, [], channels_of(reader.mission)
     read = {day: reader.day(day) for day in days}
     for name in reader.scalars:
@@ -726,7 +726,9 @@ def _channels(
         if spread <= _STILL * max(float(np.abs(finite).max()), 1e-300):
             still.append(name)
             continue
-        told[name] = Told(float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind)
+        told[name] = ChannelSummary(
+            float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind
+        )
     return told, tuple(still)
 
 
@@ -747,7 +749,7 @@ def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int
         return 1, -(-days // MOST_BLOCKS)
     day_ns = span_ns / days
     most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
-    return int(np.clip(-(-WANTED_BLOCKS // days), 1, most)), 1
+    return int(np.clip(-(-TARGET_BLOCKS // days), 1, most)), 1
 
 
 def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
@@ -775,7 +777,7 @@ def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, f
 _LONGEST_S = 3 * 3600
 
 
-def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | None:
+def find_switchings(mission: Mission, plan: PassPlan, series: Series) -> Switched | None:
     """Return the switchings in the residual of a pass without stretches.
 
     Parameters

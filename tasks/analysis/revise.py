@@ -27,27 +27,27 @@ from inflight.design import EQUATIONS, Library, Term
 from inflight.diagnosis import (
     DRIFTS,
     Addition,
+    AdditionMaker,
     Diagnosis,
-    Fitted,
-    Ground,
-    Maker,
+    FitSetup,
+    JointFit,
     Search,
     addition_of,
+    addition_of_entry,
     best_lag,
-    carriers_of,
     conclude,
-    find_wanted,
-    held_at_nothing,
-    known_addition,
+    find_request,
+    neutral_changes,
+    row_variance,
+    time_variable_columns,
     values_of,
-    variance_of,
 )
 from inflight.effects import did_you_mean
 from inflight.errors import ModelError, SettingsError
 from inflight.lsq import Evidence
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, folding_of
-from inflight.tasks.analysis.diagnosis import Prepared, intervals_of, material_of, prepare, search_of
+from inflight.tasks.analysis.diagnosis import PassResult, begin_search, context_of, intervals_of, make_pass
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings, PassPlan
 from inflight.tasks.models import UsedModel, before_last, current_model, evidence_root
 from inflight.tasks.pipelines.states import named_units
@@ -103,7 +103,7 @@ class Revision:
         }
 
 
-def moved(before: Fitted, after: Fitted, units: Mapping[str, str]) -> list[dict[str, Any]]:
+def moved_parameters(before: JointFit, after: JointFit, units: Mapping[str, str]) -> list[dict[str, Any]]:
     """Return the parameters of two fits that moved by more than a sigma, or whose sigma did.
 
     Parameters
@@ -124,7 +124,7 @@ def moved(before: Fitted, after: Fitted, units: Mapping[str, str]) -> list[dict[
     ):
         for name in (name for name in was if name in now):
             by = now[name] - was[name]
-            why = _why(by, was_sigma[name], sigma[name])
+            why = _why_moved(by, was_sigma[name], sigma[name])
             if why:
                 plain = name.removeprefix("model:")
                 told = {"parameter": plain, "by": by, "sigma": sigma[name], "sigma_before": was_sigma[name]}
@@ -132,7 +132,7 @@ def moved(before: Fitted, after: Fitted, units: Mapping[str, str]) -> list[dict[
     return sorted(found, key=lambda one: -abs(one["by"]) / max(one["sigma_before"], 1e-300))
 
 
-def _why(by: float, was: float, now: float) -> str:
+def _why_moved(by: float, was: float, now: float) -> str:
     if now > _CROSS_TALK * was:
         return "cross-talk made"
     if was > _CROSS_TALK * now:
@@ -140,7 +140,7 @@ def _why(by: float, was: float, now: float) -> str:
     return "moved" if abs(by) > min(was, now) else ""
 
 
-def numbers(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]]:
+def fitted_values(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]]:
     """Return the fitted numbers of some of a model's effects: name, value, sigma and unit."""
     return [
         {
@@ -193,12 +193,12 @@ class Workbench:
         self.made = self._prepared(used, None)
         if used.text == self.current.text:
             self.made = replace(self.made, used=self.current)
-        self._narrow: tuple[tuple[str, ...], Prepared] | None = None
+        self._narrow: tuple[tuple[str, ...], PassResult] | None = None
         #: The fit of the model as it stands is asked for again with the next change.
-        self._last: tuple[Evidence, tuple[Any, ...], Fitted] | None = None
+        self._last: tuple[Evidence, tuple[Any, ...], JointFit] | None = None
         self._restore()
 
-    def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> Prepared:
+    def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> PassResult:
         def narrow(plan: PassPlan) -> PassPlan:
             own = plan.library
             there = {name for term in (*own.base, *own.refined) for name in term.columns}
@@ -207,7 +207,7 @@ class Workbench:
 
         narrower = None if needs is None else narrow
         how: Any = {"client": self.client, "progress": self.progress, "used": used, "narrow": narrower}
-        return prepare(self.cat, self._measured, self.start, self.end, self.settings, **how)
+        return make_pass(self.cat, self._measured, self.start, self.end, self.settings, **how)
 
     def _restore(self) -> None:
         """Find out what the present version added to the root, and dropped of it."""
@@ -215,7 +215,7 @@ class Workbench:
         now = {entry.name for entry in self.current.model.effects}
         self.dropped = sorted(root - now)
         added = [entry for entry in self.current.model.effects if entry.name not in root]
-        self.additions: list[Addition] = [known_addition(self.maker, entry) for entry in added]
+        self.additions: list[Addition] = [addition_of_entry(self.maker, entry) for entry in added]
         for entry in self.root.model.effects:
             if isinstance(entry.effect, EQUATIONS) and entry.name in now:
                 self.additions += self._freed(entry.name)
@@ -237,22 +237,22 @@ class Workbench:
         return self.made.used
 
     @property
-    def maker(self) -> Maker:
+    def maker(self) -> AdditionMaker:
         """What makes additions, with names that are free now."""
         names = {one.name for model in (self.root.model, self.current.model) for one in model.effects}
         plan = self.made.plan
-        return Maker(
+        return AdditionMaker(
             self.mission,
             plan.model,
             plan.library,
-            carriers_of(plan.library),
+            time_variable_columns(plan.library),
             self.made.loaded.raw,
             frozenset(names),
         )
 
     @cached_property
     def _search(self) -> Search:
-        return search_of(self.made, self.settings)
+        return begin_search(self.made, self.settings)
 
     def candidates(self) -> list[str]:
         """Return the names of everything that `add` knows without a pass, in the library's order."""
@@ -278,7 +278,7 @@ class Workbench:
         ModelError
             When nothing is called so, or it cannot be fitted.
         """
-        wanted = find_wanted(self.maker, effect)
+        wanted = find_request(self.maker, effect)
         addition = wanted.addition
         if wanted.bank:
             ground, fixed = self._ground([*self.additions, addition], self.dropped)
@@ -348,7 +348,7 @@ class Workbench:
         self.current = self._saved(model, message, model.text)
         self.additions, self.dropped = additions, dropped
         told = self._told(command, message, parent, before, after)
-        told.values = numbers(model, addition.entries) if addition else []
+        told.values = fitted_values(model, addition.entries) if addition else []
         return told
 
     def _saved(self, model: Model, message: str, text: str) -> UsedModel:
@@ -359,11 +359,11 @@ class Workbench:
 
     def _fit(
         self,
-        ground: Ground,
+        ground: FitSetup,
         fixed: Mapping[str, float],
         additions: Sequence[Addition],
         interleaved: bool | None = None,
-    ) -> Fitted:
+    ) -> JointFit:
         columns = [column for one in additions for column in one.columns]
         apart = any(one.interleaved for one in additions) if interleaved is None else interleaved
         key = (tuple(one.name for one in additions), tuple(sorted(fixed)), apart)
@@ -372,8 +372,8 @@ class Workbench:
         return self._last[2]
 
     def _ground(
-        self, additions: Sequence[Addition], dropped: Sequence[str], beside: Ground | None = None
-    ) -> tuple[Ground, dict[str, float]]:
+        self, additions: Sequence[Addition], dropped: Sequence[str], beside: FitSetup | None = None
+    ) -> tuple[FitSetup, dict[str, float]]:
         """Return what a fit stands on, and the parameters held at nothing for what was dropped.
 
         Parameters
@@ -395,11 +395,11 @@ class Workbench:
                 model = model.drop(name)
             used = UsedModel(model, self.root.version, model.text)
             self._narrow = key, self._prepared(used, needs)
-        return _ground_of(self._narrow[1], self.settings), held
+        return _fit_setup_of(self._narrow[1], self.settings), held
 
     @cached_property
-    def _whole(self) -> Ground:
-        return _ground_of(self.made, self.settings)
+    def _whole(self) -> FitSetup:
+        return _fit_setup_of(self.made, self.settings)
 
     def _held(self, dropped: Sequence[str]) -> tuple[dict[str, float], tuple[str, ...]]:
         """Return changes that take dropped effects out, and those that ask for a pass without them."""
@@ -407,7 +407,7 @@ class Workbench:
         hard = []
         terms = {term.entry.name: term for term in self.made.plan.library.refined}
         for name in dropped:
-            found = held_at_nothing(self.root.model.effect(name), terms[name]) if name in terms else None
+            found = neutral_changes(self.root.model.effect(name), terms[name]) if name in terms else None
             if found is None:
                 hard.append(name)
             else:
@@ -415,7 +415,7 @@ class Workbench:
         return held, tuple(hard)
 
     def _model(
-        self, ground: Ground, additions: Sequence[Addition], dropped: Sequence[str], fitted: Fitted
+        self, ground: FitSetup, additions: Sequence[Addition], dropped: Sequence[str], fitted: JointFit
     ) -> Model:
         """Return the root's model with everything at its fitted values."""
         model = self.root.model
@@ -434,7 +434,7 @@ class Workbench:
 
     # What is told.
 
-    def _told(self, command: str, effect: str, parent: int, before: Fitted, after: Fitted) -> Revision:
+    def _told(self, command: str, effect: str, parent: int, before: JointFit, after: JointFit) -> Revision:
         inside = self.made.loaded.sums["inside"] / max(self.made.loaded.sums["count"], 1.0)
         sizes = [
             float(np.sqrt(one + inside))
@@ -447,7 +447,7 @@ class Workbench:
             parent,
             (sizes[0], sizes[1]),
             (sizes[2], sizes[3]),
-            moved(before, after, self._units()),
+            moved_parameters(before, after, self._units()),
             run=self.made.run,
             context=self.made.context,
         )
@@ -468,9 +468,9 @@ class Workbench:
     def diagnose(self) -> Diagnosis:
         """Search what is missing from the present version; its evidence is made anew when it has none."""
         self._refresh()
-        material = material_of(self.made, self.mission)
-        model = replace(material.model, version=self.root.version)
-        return conclude(self._search, replace(material, model=model))
+        context = context_of(self.made, self.mission)
+        model = replace(context.model, version=self.root.version)
+        return conclude(self._search, replace(context, model=model))
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""
@@ -495,14 +495,14 @@ class Workbench:
         self._restore()
 
 
-def _ground_of(made: Prepared, settings: DiagnoseSettings) -> Ground:
+def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
     library = made.plan.library
-    return Ground(
+    return FitSetup(
         made.loaded.raw,
         tuple(library.base),
         tuple(library.refined),
         intervals_of(made, settings),
-        variance_of(made.loaded.white, library.base),
+        row_variance(made.loaded.white, library.base),
     )
 
 
@@ -556,7 +556,7 @@ def diagnose_span(
     units = named_units(bench.cat, mission, settings.comparison, start, end)
     if units is not None:
         fields["units"] = units
-    keep(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
+    save_diagnosis(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
     return fields
 
 
@@ -593,7 +593,7 @@ def _has_rows(mission: Mission, comparison: str) -> bool:
     return folding_of(mission, comparison) is not None and bool({"sun_pulse", "spin_phase"} & kinds)
 
 
-def keep(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     """Write a diagnosis whole or not at all, with what was asked for; a read-only workspace keeps none."""
     path = workspace.reports / f"diagnosis-{fields['comparison']}.json"
     part = path.with_suffix(f".{os.getpid()}.part")

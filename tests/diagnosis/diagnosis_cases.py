@@ -15,19 +15,19 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from inflight.calibration import PARTS, Reference, fit_block
-from inflight.design import Library, Rows, Term, Told, coarsen, design, turns_of
+from inflight.design import ChannelSummary, Library, Rows, Term, coarsen, design, sensor_matrices
 from inflight.diagnosis import (
-    Carriers,
+    Context,
     Diagnosis,
-    Material,
     Rules,
     Search,
     Series,
+    TimeVariableColumns,
     conclude,
     features_of,
     make_library,
     pack_blocks,
-    thin,
+    thin_rows,
 )
 from inflight.frames import GEOMETRY, add_geometry
 from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
@@ -332,7 +332,7 @@ class Case:
     residuals: np.ndarray
     raw: Evidence
     white: Evidence
-    told: Mapping[str, Told]
+    told: Mapping[str, ChannelSummary]
 
     def search(
         self, residual: int = 0, without: Sequence[str] = (), interval_days: int = 15, **rules: float
@@ -354,11 +354,11 @@ class Case:
             carriers=carriers_of(library),
         )
 
-    def material(self, residual: int = 0) -> Material:
+    def material(self, residual: int = 0) -> Context:
         """Return what a verdict needs beside the search."""
         rows = replace(self.rows, residual=self.residuals[:, :, residual])
         features = features_of(rows, [*self.told, *GEOMETRY])
-        stamps, values = thin(rows, features, 1)
+        stamps, values = thin_rows(rows, features, 1)
         edges = [*self.raw.start.tolist(), int(self.raw.end[-1])]
         packed = pack_blocks(stamps, values, edges, int(DAY // (STEP_S * SECOND)) + 2)
         terms = {term.key: term for term in self.library.all_terms}
@@ -371,7 +371,7 @@ class Case:
         }
         floor = NoiseFloor(NOISE_NT, 0.98 * NOISE_NT, 1.02 * NOISE_NT, int(good.sum()))
         series = Series.of(packed, self.raw.start, features)
-        return Material(self.mission, self.model, self.model, terms, series, sums, STEP_S, floor)
+        return Context(self.mission, self.model, self.model, terms, series, sums, STEP_S, floor)
 
     def diagnose(self, residual: int = 0, without: Sequence[str] = (), **rules: float) -> Diagnosis:
         """Return the diagnosis of one residual."""
@@ -400,13 +400,13 @@ def groups_of(evidence: Evidence, width: int) -> list[list[int]]:
     return groups
 
 
-def carriers_of(library: Library) -> Carriers:
+def carriers_of(library: Library) -> TimeVariableColumns:
     """Return the columns that may change in time."""
 
     def named(part: str) -> tuple[str, ...]:
         return tuple(name for name in library.columns if part in name)
 
-    return Carriers(
+    return TimeVariableColumns(
         named("vector_sensor.offset"),
         named("vector_sensor.scale_factor"),
         named("time_shift.seconds"),
@@ -458,13 +458,13 @@ def samples_of(flight: Flight, readings: Readings) -> xr.Dataset:
     )
 
 
-def told_of(flight: Flight, names: Sequence[str]) -> dict[str, Told]:
+def told_of(flight: Flight, names: Sequence[str]) -> dict[str, ChannelSummary]:
     """Return means and ranges of channels."""
     out = {}
     for name in names:
         low, high = np.quantile(flight[name], [0.05, 0.95])
         kind = {"temperature": "temperature", "current": "current"}[name.split("_")[1]]
-        out[name] = Told(float(flight[name].mean()), float(high - low), 0.0, kind)
+        out[name] = ChannelSummary(float(flight[name].mean()), float(high - low), 0.0, kind)
     return out
 
 
@@ -539,7 +539,7 @@ def rows_on_bins(
             base = parse(name).parts[0].channel
             variables[name] = xr.Variable("time", values, {"units": flight.samples[base].attrs["units"]})
     return coarsen(
-        samples, rows_of(model, samples), edges, variables, turns_of(model, int(flight.tt2000[0]))
+        samples, rows_of(model, samples), edges, variables, sensor_matrices(model, int(flight.tt2000[0]))
     )[0]
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, flight_of, read
 
-from inflight.diagnosis import Carriers, batches, drifts, episodes, steps
-from inflight.diagnosis.refine import at_its_moment
+from inflight.diagnosis import TimeVariableColumns, batches, drifts, episodes, steps
+from inflight.diagnosis.refine import refine_change_time
 from inflight.residual import told_period
 from inflight.time import parse_utc, to_tt2000
 
@@ -109,7 +109,7 @@ def test_a_drift_has_no_moment():
 def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
     search = stepped().search()
     found = drifts(search.raw, search.carriers) + steps(search.raw, search.carriers)
-    lone = Carriers(clock=search.carriers.clock)
+    lone = TimeVariableColumns(clock=search.carriers.clock)
     found += episodes(search.raw, search.forms["raw"], lone, search.y())
     parts = list(batches(found))
     assert sorted(one.name for part in parts for one in part) == sorted(one.name for one in found)
@@ -166,7 +166,7 @@ def put_to_its_moment():
     search, material = case.search(2), case.material(2)
     at_edge = next(one for one in search.table().options if one.name == "clock_step@2024-03-09T00:00:00")
     search.add(at_edge)
-    exact = at_its_moment(search, material, at_edge)
+    exact = refine_change_time(search, material, at_edge)
     search.drop(at_edge)
     search.add(exact)
     return search, material, at_edge, exact
@@ -181,7 +181,7 @@ def test_whatever_may_change_is_held_against_a_step_at_the_same_moment():
 
 def test_a_moment_that_is_found_already_stays():
     search, material, _, exact = put_to_its_moment()
-    assert at_its_moment(search, material, exact) is exact
+    assert refine_change_time(search, material, exact) is exact
 
 
 def test_a_change_that_comes_back_knows_the_columns_that_joined_meanwhile():

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from inflight.design import design
 from inflight.diagnosis import Search
-from inflight.diagnosis.stepwise import detectable, estimate, mimics, within_and_raw
+from inflight.diagnosis.stepwise import calibration_shifts, detectable_amplitude, estimate, form_disagreement
 
 TRUTH = np.array([0.5, -0.4, -0.8])
 SEEDS, EVERY, DAYS = 200, 3, 40
@@ -86,7 +86,7 @@ def test_raw_and_within_day_values_of_the_right_effect_agree():
     told = []
     for residual in range(1, 60):
         search.residual, search.accepted = residual, [option]
-        told.append(within_and_raw(search, option))
+        told.append(form_disagreement(search, option))
     search.residual, search.accepted = 0, []
     assert np.median(told) < 2.0
 
@@ -95,7 +95,7 @@ def test_what_is_detectable_is_three_times_the_error():
     search = hidden()[1]
     option = option_of(search, "channel_field(heater_current)")
     search.residual, search.accepted = 1, []
-    np.testing.assert_allclose(detectable(search, option), 3 * found()[0].sigma, rtol=1e-9)
+    np.testing.assert_allclose(detectable_amplitude(search, option), 3 * found()[0].sigma, rtol=1e-9)
     search.residual = 0
 
 
@@ -133,7 +133,7 @@ def mimicked(name, size):
     form = search.forms["raw"]
     (own,), (left,) = search.raw.index(option.columns), form.index(option.columns)
     retained = form.total[left, left] / search.raw.total[own, own]
-    return dict(mimics(search, option, np.array([size]))), float(retained)
+    return dict(calibration_shifts(search, option, np.array([size]))), float(retained)
 
 
 def fitted_shift(case, change):

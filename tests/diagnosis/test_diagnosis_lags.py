@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from row_cases import DAY_NS
 
-from inflight.diagnosis import Present, folds_of
+from inflight.diagnosis import ModelColumns, make_folds
 from inflight.diagnosis.candidates import LAGS
-from inflight.diagnosis.refine import mixture, profile
+from inflight.diagnosis.refine import lag_weights, profile_lag
 from inflight.lsq import Evidence
 from inflight.samples import respond
 
@@ -25,7 +25,7 @@ def mixed_up(lag, bank):
     channel = switch(0, 30_000)
     wanted = respond(channel, STEP_S, lag)
     columns = np.stack([respond(channel, STEP_S, one) if one else channel for one in bank], axis=1)
-    return np.std((columns @ mixture(lag, bank) - wanted)[1000:]) / np.std(wanted[1000:])
+    return np.std((columns @ lag_weights(lag, bank) - wanted)[1000:]) / np.std(wanted[1000:])
 
 
 @pytest.mark.parametrize("lag", BETWEEN)
@@ -41,7 +41,9 @@ def test_neighbours_of_the_librarys_bank_respond_nearly_as_lags_between_them(lag
 
 @pytest.mark.parametrize("lag", LAGS)
 def test_a_lag_of_the_bank_is_its_own_column(lag):
-    np.testing.assert_allclose(mixture(lag, LAGS) @ np.array([one == lag for one in LAGS]), 1.0, atol=0.02)
+    np.testing.assert_allclose(
+        lag_weights(lag, LAGS) @ np.array([one == lag for one in LAGS]), 1.0, atol=0.02
+    )
 
 
 def lag_case(lag, size, seed, noise=0.09):
@@ -60,7 +62,7 @@ def lag_case(lag, size, seed, noise=0.09):
     gram = np.einsum("bri,brj->bij", values, values, optimize=True)
     evidence = Evidence(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
     places = {one: 2 + 2 * at + np.arange(2) for at, one in enumerate(LAGS)}
-    return evidence, Present(np.array([0, 1]), np.zeros(2)), places
+    return evidence, ModelColumns(np.array([0, 1]), np.zeros(2)), places
 
 
 BIASED = pytest.mark.xfail(
@@ -82,7 +84,7 @@ def test_a_lag_between_those_of_the_bank_is_found_within_its_error(lag, size):
     misses = []
     for seed in range(5):
         evidence, present, places = lag_case(lag, np.array([size, -0.7 * size]), seed)
-        found = profile(evidence, present, places, evidence.residuals[0], folds_of(BLOCKS))
+        found = profile_lag(evidence, present, places, evidence.residuals[0], make_folds(BLOCKS))
         assert found.sigma < 0.15 * lag
         misses.append((found.best - lag) / found.sigma)
         assert found.left.min() > 0.9 * BLOCKS * 1440 * 0.09**2
@@ -91,7 +93,7 @@ def test_a_lag_between_those_of_the_bank_is_found_within_its_error(lag, size):
 
 def test_no_lag_is_found_where_there_is_none():
     evidence, present, places = lag_case(0.0, np.array([0.5, -0.3]), 1)
-    found = profile(evidence, present, places, evidence.residuals[0], folds_of(BLOCKS))
+    found = profile_lag(evidence, present, places, evidence.residuals[0], make_folds(BLOCKS))
     assert found.best < 20.0
     assert found.as_json()["best_s"] == found.best
     assert found.lags[np.argmin(found.left)] < 20.0
