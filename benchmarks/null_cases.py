@@ -59,7 +59,17 @@ def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[in
 
 def replace_residual(search: Search, residual: int) -> Search:
     """Return a search of another residual of the same evidence, nothing taken."""
-    return replace(search, residual=residual, accepted=[], rounds=[], forms={}, banned=set(), dropped=set())
+    return Search.begin(
+        search.raw,
+        search.white,
+        search.library,
+        search.requested_intervals,
+        search.days,
+        search.rules,
+        search.within,
+        time_variable=search.time_variable,
+        residual=residual,
+    )
 
 
 def suspects(search: Search, residuals: Sequence[int]) -> list[int]:
@@ -137,7 +147,7 @@ def _small(search: Search, residuals: Sequence[int]) -> tuple[Evidence, list[str
     """Return calibration, model and carriers with some residuals, and the names of the first two."""
     base = [name for term in search.library.base for name in term.columns]
     refined = [name for term in search.library.refined for name in term.columns]
-    names = list(dict.fromkeys([*base, *refined, *search.carriers.names]))
+    names = list(dict.fromkeys([*base, *refined, *search.time_variable.names]))
     small = search.raw.select(names)
     kept = [*range(len(names)), *(len(names) + np.asarray(residuals))]
     return (
@@ -164,7 +174,7 @@ def _absorbed(
 def _timed(search: Search, residuals: Sequence[int]) -> Floats:
     """Return which residuals a drift or a step may be added to; (residual,) of bool."""
     small, base, refined = _small(search, residuals)
-    found = drifts(small, search.carriers) + steps(small, search.carriers)
+    found = drifts(small, search.time_variable) + steps(small, search.time_variable)
     reached = np.zeros(len(residuals), dtype=bool)
     for batch in batches(found):
         functions = {name: told for change in batch for name, told in change.functions.items()}
@@ -178,8 +188,8 @@ def _episode(search: Search, residual: int) -> bool:
     """Return True when an episode of clock or bias may be added to a residual."""
     small, base, refined = _small(search, [residual])
     carriers = TimeVariableColumns(
-        clock=tuple(name for name in search.carriers.clock if name not in base),
-        bias=tuple(name for name in search.carriers.bias if name not in base),
+        clock=tuple(name for name in search.time_variable.clock if name not in base),
+        bias=tuple(name for name in search.time_variable.bias if name not in base),
     )
     evidence = search.forms["raw"]
     found = episodes(small, evidence, carriers, evidence.residuals[residual])

@@ -158,6 +158,11 @@ class Library:
         return [*self.base, *self.refined, *self.terms.values()]
 
     @property
+    def by_key(self) -> dict[str, Term]:
+        """Every term by its key; of several with one key the last."""
+        return {term.key: term for term in self.all_terms}
+
+    @property
     def columns(self) -> list[str]:
         """Names of all columns, the residual not among them."""
         return [name for term in self.all_terms for name in term.columns]

@@ -5,7 +5,6 @@ from .additions import (
     JointFit,
     addition_of,
     neutral_changes,
-    row_variance,
     values_of,
 )
 from .candidates import make_library
@@ -25,7 +24,7 @@ from .scoring import (
     score,
     sign_flip_ratios,
 )
-from .search import Rules, Search
+from .search import Rules, Search, row_variance
 from .series import Features, Series, features_of, pack_blocks, thin_rows
 from .spectra import Periodogram, fold, periodogram
 from .time_changes import (

@@ -227,15 +227,6 @@ class FitSetup:
         )
 
 
-def row_variance(white: Evidence, base: Sequence[Term]) -> float:
-    """Return the variance of a row the calibration alone leaves, as the search weighs priors by; nT^2."""
-    names = [name for term in base for name in term.columns]
-    free = white.select(names).absorbed(names, [range(len(white))], np.zeros(len(names)))
-    y = free.residuals[0]
-    each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
-    return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
-
-
 def combine_columns(
     evidence: Evidence, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
 ) -> Evidence:
@@ -350,7 +341,7 @@ class AdditionMaker:
     mission: Mission
     model: Model
     library: Library
-    carriers: TimeVariableColumns
+    time_variable: TimeVariableColumns
     raw: Evidence
     names: frozenset[str] = frozenset()
 
@@ -512,7 +503,7 @@ def drift_of(maker: AdditionMaker, kind: str, name: str = "") -> Addition:
         When the comparison has no such parameters.
     """
     what = kind.removesuffix("_drift")
-    columns = getattr(maker.carriers, what)
+    columns = getattr(maker.time_variable, what)
     if not columns:
         raise ModelError(f"this comparison has nothing that '{kind}' could be of", remedy="try another")
     middle = maker.raw.start / 2 + maker.raw.end / 2
@@ -582,7 +573,7 @@ def step_of(maker: AdditionMaker, kind: str, at: Sequence[int], name: str = "") 
     ModelError
         When the comparison has no such parameter.
     """
-    found = tuple(getattr(maker.carriers, kind))
+    found = tuple(getattr(maker.time_variable, kind))
     if not found:
         raise ModelError(f"this comparison has no {kind} that could change", remedy="try another")
     inside = maker.raw.start >= at[0]

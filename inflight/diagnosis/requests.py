@@ -282,7 +282,7 @@ def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
             for key in ("at", "from", "to")
             if key in entry.effect.given
         ]
-        if getattr(maker.carriers, kind):
+        if getattr(maker.time_variable, kind):
             return step_of(maker, kind, at, entry.name)
     candidate, lag = _matching_candidate(maker, entry)
     if candidate is not None:

@@ -1,19 +1,18 @@
-"""Residual after the model, context of a verdict.
+"""The residual after the model: its values, its sizes, its structure, and the rows it cannot be corrected in.
 
-What is left: the residual with everything the model explains taken off, its sizes, its structure.
+Takes a state of the search and the `Context` of its verdict (the coarse series, the model, the noise floor);
+makes the residual after calibration, model and everything that was taken (`remaining_residual`), its sizes in
+sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its correlation time
+(`correlation_s`) and how many independent blocks there are (`effective_blocks`).
 
-Rows of the record that an effect could not be taken off of, because its channel was not recorded there.
-
-In the evidence a missing channel has its usual value, so that its gaps do not cost all other candidates their
-rows. Once an effect that follows it was taken, such rows hold the effect still: they are neither error
-nor structure of a model that has it, and sizes are told of the other rows.
-
-What a verdict is made from beside the search, and the sizes of the residual.
+In the Gram blocks a missing channel has its usual value, so that its gaps do not cost all other candidates
+their rows. Once an effect that follows it was taken, such rows hold the effect still: they are neither error
+nor structure of a model that has it. Sizes are those of the other rows (`with_correctable_rows`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -22,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import Outliers, Rows, Term, design, sensor_matrices
+from inflight.design import Outliers, Rows, design, sensor_matrices
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
@@ -34,14 +33,57 @@ from inflight.residual import NoiseFloor, joined_floor, level_of_rows
 from inflight.samples import Part, parse, product, respond
 from inflight.time import DAY, SECOND, utc_text
 
-#: Lags of the residual's covariance that tell structure from noise, in rows of the series.
-LAGS = 6
 
-#: Structure counts when it is this many sigma from nothing and this part of the noise floor.
-_CLEAR_T, _CLEAR_PART = 3.0, 0.2
+@dataclass(frozen=True, kw_only=True)
+class StructureSettings:
+    """When a residual has structure.
 
-#: The series holds every native sample when there are not more than so many times as many.
-_EVERY = 1.2
+    Attributes
+    ----------
+    lags : int
+        Lags of the residual's covariance that separate structure from noise, in rows of the series; assumed.
+    t, part : float
+        Structure counts when it is this many sigma from nothing and this part of the noise floor: three
+        sigma; a fifth of the floor adds two hundredths to it.
+    every : float
+        The series holds every native sample when there are not more than so many times as many; assumed.
+    """
+
+    lags: int = 6
+    t: float = 3.0
+    part: float = 0.2
+    every: float = 1.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockSettings:
+    """How the residual is described block by block, and over time.
+
+    Attributes
+    ----------
+    forgotten : float
+        A slow response is known where no more than this part of its past weight is missing; assumed.
+    nearly_all, few : float, int
+        Blocks that hold this part of the residual's square between them are named when they are no more than
+        so many; assumed.
+    least_correlation, longest, finest : float, int, int
+        The correlation time is summed until the correlation falls to this, over no more than so many rows, in
+        steps of no more than a so-many-th of the lag; assumed.
+    """
+
+    forgotten: float = 0.2
+    nearly_all: float = 0.9
+    few: int = 12
+    least_correlation: float = 0.02
+    longest: int = 5000
+    finest: int = 8
+
+
+STRUCTURE = StructureSettings()
+BLOCKS = BlockSettings()
+
+#: Lags of the residual's covariance, for those who look at the same ones.
+LAGS = STRUCTURE.lags
 
 
 @dataclass(frozen=True)
@@ -60,13 +102,13 @@ class Structure:
     t: float
 
     def is_large(self, noise: float) -> bool:
-        """Return True when it is large enough to matter beside noise of this size, nT."""
-        return self.rms_nT > _CLEAR_PART * noise
+        """Return True when it is large enough to matter next to noise of this size, nT."""
+        return self.rms_nT > STRUCTURE.part * noise
 
     @property
     def is_sure(self) -> bool:
-        """True when it is there beyond doubt."""
-        return self.t > _CLEAR_T
+        """True when it is significant."""
+        return self.t > STRUCTURE.t
 
 
 def structure_of(series: Series, residual: Floats) -> Structure:
@@ -75,13 +117,13 @@ def structure_of(series: Series, residual: Floats) -> Structure:
     good = weight > 0
     blocks = int(series.block.max()) + 1 if series.block.size else 0
     total, count = np.zeros(blocks), np.zeros(blocks)
-    # Within a synthetic turn neighbours tell of its shape: structure goes on from turn to turn.
-    for lag in range(series.turn_rows, series.turn_rows * (LAGS + 1), series.turn_rows):
+    # Within a synthetic turn neighbours have its shape in common: structure goes on from turn to turn.
+    for lag in range(series.turn_rows, series.turn_rows * (STRUCTURE.lags + 1), series.turn_rows):
         both = good[lag:] & good[:-lag] & (series.block[lag:] == series.block[:-lag])
         value = np.einsum("tr,tr->t", residual[lag:], residual[:-lag]) / residual.shape[1]
-        say = np.sqrt(weight[lag:] * weight[:-lag])[both]
-        total += np.bincount(series.block[lag:][both], weights=say * value[both], minlength=blocks)
-        count += np.bincount(series.block[lag:][both], weights=say, minlength=blocks)
+        shared = np.sqrt(weight[lag:] * weight[:-lag])[both]
+        total += np.bincount(series.block[lag:][both], weights=shared * value[both], minlength=blocks)
+        count += np.bincount(series.block[lag:][both], weights=shared, minlength=blocks)
     used = count > 0
     if used.sum() < 3:
         return Structure(0.0, 0.0)
@@ -107,7 +149,7 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
         Of the native samples, nothing taken off.
     """
     good = series["weight"] > 0
-    if samples > _EVERY * good.sum() or series.turn_rows > 1:
+    if samples > STRUCTURE.every * good.sum() or series.turn_rows > 1:
         return floor
     days = (series.tt2000 - series.tt2000[0]) // DAY
     edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))
@@ -116,12 +158,16 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
     return found if found.high_nT < floor.low_nT else floor
 
 
-def residual_after(
-    search: Search, series: Series, terms: Mapping[str, Term], turn: dict[str, Floats], accepted: bool = True
-) -> Floats:
-    """Return the residual after calibration, model and (when asked) what the search took; (sample, row)."""
-    options = search.accepted if accepted else []
-    rows, names, columns = model_columns(search, series, terms, turn, options)
+def remaining_residual(search: Search, context: Context, accepted: bool = True) -> Floats:
+    """Return the residual of the series after calibration, model and what was taken; (sample, row).
+
+    Parameters
+    ----------
+    accepted : bool
+        False leaves what was taken in the residual.
+    """
+    options, series = search.accepted if accepted else (), context.series
+    rows, names, columns = model_columns(search, series, context.sensor_matrices, options)
     present = [name for option in options for name in option.columns]
     values = joint_values(search, present)
     out = rows.residual.copy()
@@ -134,25 +180,22 @@ def residual_after(
 
 
 def model_columns(
-    search: Search,
-    series: Series,
-    terms: Mapping[str, Term],
-    turn: dict[str, Floats],
-    options: Sequence[Option],
+    search: Search, series: Series, sensor_matrices: dict[str, Floats], options: Sequence[Option]
 ) -> tuple[Rows, list[str], Floats]:
     """Return the series as rows, and names and columns of calibration, model and some options on it.
 
     Columns are (sample, row, column) in scaled units; those of changes in time are among them.
     """
-    wanted = [*search.library.base, *search.library.refined]
+    terms = search.library.by_key
+    chosen = [*search.library.base, *search.library.refined]
     used = {key for option in options for key in option.terms}
-    carried = {name for one in options if one.change for name, _ in one.change.functions.values()}
-    used |= {key for key, term in terms.items() if carried & set(term.columns)}
-    wanted += [terms[key] for key in sorted(used - {term.key for term in wanted})]
-    channels = {name for term in wanted for name in term.entry.effect.channels if name}
-    rows = series.rows(turn, derived_channels(series, channels))
-    names = [name for term in wanted for name in term.columns]
-    columns = design(wanted, rows)
+    changing = {name for one in options if one.change for name, _ in one.change.functions.values()}
+    used |= {key for key, term in terms.items() if changing & set(term.columns)}
+    chosen += [terms[key] for key in sorted(used - {term.key for term in chosen})]
+    channels = {name for term in chosen for name in term.entry.effect.channels if name}
+    rows = series.rows(sensor_matrices, derived_channels(series, channels))
+    names = [name for term in chosen for name in term.columns]
+    columns = design(chosen, rows)
     for option in options:
         if option.change is not None:
             for name, (column, factor) in option.change.functions.items():
@@ -233,10 +276,6 @@ def _part(series: Series, part: Part, values: Floats, shifts: Mapping[str, float
     return part.of(values, np.diff(series.tt2000) / SECOND)
 
 
-#: A slow response is known where no more than this part of what it remembers is missing.
-_FORGOTTEN = 0.2
-
-
 @dataclass(frozen=True)
 class UncorrectableRows:
     """Rows that what was taken cannot be taken off of.
@@ -264,11 +303,11 @@ class UncorrectableRows:
         return [{"channel": name, "part": part} for name, part in self.channels.items()]
 
 
-def uncorrectable_rows(search: Search, series: Series, terms: Mapping[str, Term]) -> UncorrectableRows | None:
+def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | None:
     """Return the rows that what a search took cannot be taken off of; None when there are none."""
     rows, weight = np.zeros(len(series.tt2000), dtype=bool), series["weight"]
     channels: dict[str, float] = {}
-    for part in _channels_taken(search, terms):
+    for part in _channels_taken(search):
         lost = unknown_rows(series, part)
         if lost is not None and (share := _weight_part(lost, weight)) > 0:
             rows |= lost
@@ -283,7 +322,8 @@ def _weight_part(rows: np.ndarray, weight: Floats) -> float:
     return float(weight[rows].sum() / max(weight.sum(), 1e-300))
 
 
-def _channels_taken(search: Search, terms: Mapping[str, Term]) -> list[Part]:
+def _channels_taken(search: Search) -> list[Part]:
+    terms = search.library.by_key
     names = {
         name
         for option in search.accepted
@@ -305,7 +345,7 @@ def unknown_rows(series: Series, part: Part) -> np.ndarray | None:
         return None
     if part.lag_s:
         forgotten = respond(lost.astype(np.float64), np.diff(series.tt2000) / SECOND, part.lag_s)
-        lost = forgotten > _FORGOTTEN
+        lost = forgotten > BLOCKS.forgotten
     if part.width:
         slow = replace(part, width=0.0, text="").of(series[part.channel], np.diff(series.tt2000) / SECOND)
         lost = _unsettled(lost, slow, part.width)
@@ -325,19 +365,20 @@ def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
 
 
 def correctable_evidence(
-    search: Search, gaps: UncorrectableRows, terms: Mapping[str, Term], turn: dict[str, Floats]
+    search: Search, gaps: UncorrectableRows, sensor_matrices: dict[str, Floats]
 ) -> Evidence:
     """Return the raw form of the model's columns and the residual, of the rows that could be corrected.
 
-    What the lost rows add to the Gram matrices is taken off by the coarse series. Of long records a row
-    of the series is a mean of several of the evidence: what is within the means counts in proportion.
+    What the lost rows add to the Gram matrices is subtracted with the help of the coarse series. Of long
+    records a row of the series is a mean of several of the evidence: what is within the means counts in
+    proportion.
     """
     raw, series = search.raw, gaps.series
     base, sigma = search.base()
     model = [name for term in search.library.refined for name in term.columns]
     model += [name for option in search.accepted for name in option.columns]
     order = [*raw.index([*base, *model]), raw.residuals[search.residual]]
-    rows, names, columns = model_columns(search, series, terms, turn, search.accepted)
+    rows, names, columns = model_columns(search, series, sensor_matrices, search.accepted)
     places = [names.index(name) for name in [*base, *model]]
     values = np.concatenate([columns[:, :, places], rows.residual[:, :, None]], axis=2)
     values *= np.sqrt(series["weight"])[:, None, None]
@@ -368,11 +409,7 @@ def _square(values: Floats) -> Floats:
     return np.asarray(flat.T @ flat)
 
 
-#: Part of the residual's square that a few blocks may hold between them, and how many are few.
-_NEARLY_ALL, _FEW = 0.9, 12
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Context:
     """What a verdict needs beside the search.
 
@@ -381,18 +418,22 @@ class Context:
     model : Model
         The model diagnosed.
     linearised : Model
-        The same at the values the evidence was linearised at.
-    terms : mapping of str to Term
+        The same at the values the Gram blocks were linearised at.
     series : Series
+        The coarse series.
     sums : mapping of str to float
         Over native samples: count, square, inside, spikes, and of the noise floor.
     cadence_s : float
         Of the search.
-    memory_s : float
+    floor : NoiseFloor
+        Of the native samples.
+    context_id, run : str
+        Of the catalog.
+    correlation_time_s : float
         Correlation time the prewhitened form assumes, s.
     outliers : Outliers
         What the pass left out.
-    gaps : Uncorrected, optional
+    gaps : UncorrectableRows, optional
         Rows that count in no size, and weigh nothing in the series (see `with_correctable_rows`).
     switched : Switched, optional
         Switchings that two sensors show; residuals are relative to the stretches between those that no
@@ -402,21 +443,20 @@ class Context:
     mission: Mission
     model: Model
     linearised: Model
-    terms: MutableMapping[str, Term]
     series: Series
     sums: Mapping[str, float]
     cadence_s: float
     floor: NoiseFloor
-    context: str = ""
+    context_id: str = ""
     run: str = ""
-    memory_s: float = 600.0
+    correlation_time_s: float = 600.0
     outliers: Outliers = field(default_factory=Outliers)
     gaps: UncorrectableRows | None = None
     switched: Switched | None = None
 
     @property
-    def turn(self) -> dict[str, Floats]:
-        """K of every vector sensor, row by row; (9,) each."""
+    def sensor_matrices(self) -> dict[str, Floats]:
+        """The matrix K of every vector sensor, row by row; (9,) each."""
         return sensor_matrices(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
@@ -428,17 +468,17 @@ def with_correctable_rows(search: Search, context: Context) -> Context:
     if context.mission.comparisons[context.model.comparison].kind == "platform":
         return context
     whole = context.series if context.gaps is None else context.gaps.series
-    gaps = uncorrectable_rows(search, whole, context.terms)
+    gaps = uncorrectable_rows(search, whole)
     if gaps is None:
         return replace(context, series=whole, gaps=None)
     return replace(context, series=whole.without(gaps.rows), gaps=gaps)
 
 
 def _evidence_of_sizes(search: Search, context: Context) -> tuple[Evidence, ModelColumns, int]:
-    """Return the raw form that sizes are told of, the model's columns in it, and the residual's index."""
+    """Return the raw form that sizes are taken from, the model's columns in it, and the residual's index."""
     if context.gaps is None:
         return search.forms["raw"], search.present(), search.y()
-    evidence = correctable_evidence(search, context.gaps, context.terms, context.turn)
+    evidence = correctable_evidence(search, context.gaps, context.sensor_matrices)
     return evidence, search.present_in(evidence), evidence.residuals[0]
 
 
@@ -495,8 +535,8 @@ def dominant_blocks(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)
-    most = int(np.searchsorted(np.cumsum(square[order]), _NEARLY_ALL * whole)) + 1
-    if most > _FEW:
+    most = int(np.searchsorted(np.cumsum(square[order]), BLOCKS.nearly_all * whole)) + 1
+    if most > BLOCKS.few:
         return []
     return [
         {
@@ -516,17 +556,12 @@ def correlation_s(series: Series, residual: Floats) -> float:
     if size <= 0:
         return series.step_s
     total, lag = 0.5, 1
-    while lag < min(len(y) // 4, 5000):
+    while lag < min(len(y) // 4, BLOCKS.longest):
         both = good[lag:] & good[:-lag]
         value = float(np.sum(y[lag:] * y[:-lag])) / max(both.sum(), 1) / size
-        if value <= 0.02:
+        if value <= BLOCKS.least_correlation:
             break
-        step = max(1, lag // 8)
+        step = max(1, lag // BLOCKS.finest)
         total += value * step
         lag += step
     return total * series.step_s
-
-
-def remaining_residual(search: Search, context: Context, accepted: bool = True) -> Floats:
-    """Return the residual of the series after calibration, model and what was taken; (sample, row)."""
-    return residual_after(search, context.series, context.terms, context.turn, accepted)

@@ -148,7 +148,7 @@ class Diagnosis:
     candidates: tuple[dict[str, Any], ...]
     refined: tuple[dict[str, Any], ...]
     blocks: dict[str, Any]
-    stop_reason: str = ""
+    stopped: str = ""
     comparison: str = "main"
     model: dict[str, Any] = field(default_factory=dict)
     context: str = ""

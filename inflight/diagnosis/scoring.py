@@ -77,11 +77,11 @@ class Scores:
     t: Floats
     gamma: list[Floats]
     explained: Floats
-    promised: Floats
+    expected: Floats
     active: npt.NDArray[np.bool_]
     fits: Fits | None
 
-    def behind(self, one: int, other: int) -> float:
+    def t_behind(self, one: int, other: int) -> float:
         """Return the t by which one candidate leaves more than another, where either tells anything."""
         if one == other:
             return 0.0
@@ -92,7 +92,7 @@ class Scores:
             return float(hac_t(difference, active)[0])
         return float(promised_t(difference, apart[:, None], active)[0])
 
-    def beats(self, placebos: Sequence[int], asked: npt.NDArray[np.bool_], rival_t: float) -> Floats:
+    def t_over_placebo(self, placebos: Sequence[int], asked: npt.NDArray[np.bool_], rival_t: float) -> Floats:
         """Return by which t each candidate leaves less than the best placebo; inf when there is none.
 
         Parameters
@@ -109,7 +109,7 @@ class Scores:
         if self.gain[best] <= 0:
             return self.t
         # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
-        apart = self.promised + self.promised[:, [best]]
+        apart = self.expected + self.expected[:, [best]]
         out = promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
         for place in np.flatnonzero(asked & (self.gain > self.gain[best])).tolist():
             out[place] = max(out[place], self._beyond(place, best, rival_t))
@@ -130,19 +130,19 @@ class Scores:
         t = float(promised_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
         return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
 
-    def light(self) -> Scores:
+    def without_fits(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
         return replace(self, fits=None)
 
-    def of_whole(self, whole: float) -> Scores:
+    def rescaled(self, whole: float) -> Scores:
         """Return the scores in units in which the held-out loss without a candidate is `whole`, nT^2."""
         own = float(self.loss0.sum())
         unit = whole / own if own > 0 else 1.0
         return replace(
-            self, loss0=self.loss0 * unit, loss=self.loss * unit, promised=self.promised * unit, fits=None
+            self, loss0=self.loss0 * unit, loss=self.loss * unit, expected=self.expected * unit, fits=None
         )
 
-    def only(self, kept: npt.NDArray[np.bool_]) -> Scores:
+    def keep_only(self, kept: npt.NDArray[np.bool_]) -> Scores:
         """Return the scores with nothing gained by the candidates that are not kept."""
         return replace(
             self,
@@ -150,7 +150,7 @@ class Scores:
             gain=self.gain * kept,
             t=self.t * kept,
             explained=self.explained * kept,
-            promised=self.promised * kept,
+            expected=self.expected * kept,
         )
 
     def joined(self, found: Scores, seen: bool) -> Scores:
@@ -170,7 +170,7 @@ class Scores:
             np.concatenate([self.t, more(found.t)]),
             [*self.gamma, *found.gamma],
             np.concatenate([self.explained, more(found.explained)]),
-            np.concatenate([self.promised, more(found.promised)], axis=1),
+            np.concatenate([self.expected, more(found.expected)], axis=1),
             np.concatenate([self.active, found.active], axis=1),
             self.fits,
         )

@@ -1,40 +1,92 @@
-"""Forward/backward selection, rivals, few-block test.
+"""Forward and backward selection, rivals, and the few-block test.
 
-Values of what the search took: joint fit, errors that know how the residual is correlated.
+Takes a state of the search (`inflight.diagnosis.search`); makes the next one, step by step, until nothing
+more is justified (`select_effects`), and holds what was taken against everything that could take its place
+(`exchange_and_check`). Values with errors (`estimate`) come from the joint fit of the whole model, with a
+covariance clustered by block (Bartlett's kernel; `sandwich`).
 
-How what was taken stands against everything that could take its place.
-
-Forward and backward rounds, and the rivals of what they took.
-
-A closer look at what lies in few blocks: its gain in spans no longer than the residual's memory asks for.
-
-Signs of six blocks can be flipped in 64 ways: whatever lies in them can never be sure, however clearly each
-of them tells of it. Where blocks are much longer than the residual remembers, they are cut, and each part's
-gain is held against what the other parts promise (see `inflight.lsq.covariance`).
+The few-block test: signs of six blocks can be flipped in 64 ways, so that whatever lies in them can never be
+significant, however clearly each of them shows it. Where blocks are much longer than the residual's
+correlation time, they are divided, and each part's gain is held against what the other parts predict (see
+`inflight.lsq.covariance`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import FormTrials
+from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import Context, correlation_s
 from inflight.diagnosis.scoring import ModelColumns, fit, projected
-from inflight.diagnosis.search import FORMS, Option, Round, Rules, ScoreTable, Search
+from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
 from inflight.lsq import Evidence, gram_inverse, half_inverse, promised_p, taken_over
 from inflight.time import SECOND
 
-#: Reach of the scores' correlation, in blocks.
-_BARTLETT = 3
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionSettings:
+    """Numbers of the selection beside `Rules`.
+
+    Attributes
+    ----------
+    bartlett : int
+        Reach of the scores' correlation in the covariance, in blocks; assumed. (MISSING_EFFECT 2.3 sums 15
+        days; a block is no shorter than the residual's correlation time.)
+    rival_own_t, rival_gain : float
+        A rival must itself reach this t and this part of the winner's gain (MISSING_EFFECT 2.4).
+    contained : float
+        A rival that reproduces this part of an effect's square holds it as a special case; assumed.
+    weak : float
+        An effect of which the calibration and the rest of the model leave less than this part is weakly
+        known; assumed (MISSING_EFFECT 2.4 warns below 0.01).
+    large_gain : float
+        Held-out gain from which an addition may make others weakly known; assumed.
+    exchanges : int
+        Exchanges of an effect for a better one at most, so that a search ends; assumed.
+    few_columns, part_of_best : int, float
+        Coefficients of a cause at most that goes before wider forms, and the part of their gain it must
+        reach; assumed.
+    """
+
+    bartlett: int = 3
+    rival_own_t: float = 2.0
+    rival_gain: float = 0.02
+    contained: float = 0.9999
+    weak: float = 0.02
+    large_gain: float = 0.1
+    exchanges: int = 3
+    few_columns: int = 12
+    part_of_best: float = 0.3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class FewBlockSettings:
+    """Numbers of the few-block test.
+
+    Attributes
+    ----------
+    correlation_times, rows : float, int
+        Parts are at least so many correlation times of the residual, and so many rows, long; assumed.
+    options : int
+        Options tested at most: the best of those that only their p-value keeps out; a bound on time, assumed.
+    """
+
+    correlation_times: float = 10.0
+    rows: int = 20
+    options: int = 6
+
+
+SELECTION = SelectionSettings()
+FEW_BLOCKS = FewBlockSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
     """Values of some columns, all in the model together.
 
@@ -74,8 +126,8 @@ def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats,
     count = len(scores)
     meat = scores.T @ scores
     own = meat.copy()
-    for lag in range(1, min(_BARTLETT, count - 1) + 1):
-        weight = 1.0 - lag / (_BARTLETT + 1.0)
+    for lag in range(1, min(SELECTION.bartlett, count - 1) + 1):
+        weight = 1.0 - lag / (SELECTION.bartlett + 1.0)
         cross = scores[lag:].T @ scores[:-lag]
         meat += weight * (cross + cross.T)
     # By chance few blocks look anticorrelated; that is no knowledge.
@@ -107,12 +159,12 @@ def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     own, block = value[places], covariance[np.ix_(places, places)]
     kept, rms = _retained(search, option, own, form)
     return Estimate(
-        option.columns,
-        own * scale,
-        np.sqrt(np.clip(np.diag(block), 0.0, None)) * scale,
-        block * np.outer(scale, scale),
-        kept,
-        rms,
+        columns=option.columns,
+        value=own * scale,
+        sigma=np.sqrt(np.clip(np.diag(block), 0.0, None)) * scale,
+        covariance=block * np.outer(scale, scale),
+        retained=kept,
+        rms=rms,
     )
 
 
@@ -193,13 +245,6 @@ def form_disagreement(search: Search, option: Option) -> float | None:
     return float(difference[seen] @ inverse @ difference[seen] / seen.sum())
 
 
-#: A rival must itself be worth this t, and this part of the winner's gain.
-_RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02
-
-#: A rival that reproduces this part of an effect's square holds it as a special case.
-_CONTAINED = 0.9999
-
-
 @dataclass(frozen=True)
 class RivalCheck:
     """How an effect of the model stands against everything that could take its place.
@@ -255,7 +300,7 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     shared = left[np.ix_(wide, own)] @ gamma[0]
     half = half_inverse(left[np.ix_(wide, wide)][None])[0]
     whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
-    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > _CONTAINED * whole
+    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION.contained * whole
 
 
 def place_in(table: ScoreTable, option: Option) -> int | None:
@@ -295,7 +340,7 @@ def check_rivals(
     """
     place = place_in(table, option)
     if place is None:
-        gain, t = search.worth(option)
+        gain, t = search.held_out_worth(option)
         return RivalCheck(option, gain, t, 1.0, 0.0, "raw", ())
     form = "raw" if table.scores["raw"].t[place] > search.rules.t else clearest_form(table, place)
     scores = table.scores[form]
@@ -312,9 +357,12 @@ def check_rivals(
             scores.loss0.sum() * scores.gain[other]
         ):
             continue
-        if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
+        if (
+            scores.t[other] < SELECTION.rival_own_t
+            or scores.gain[other] < SELECTION.rival_gain * scores.gain[place]
+        ):
             continue
-        behind = scores.behind(other, place)
+        behind = scores.t_behind(other, place)
         near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
         if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
@@ -328,98 +376,69 @@ def check_rivals(
                 + [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
             )
         ),
-        float(table.beats_placebo[form][place]),
+        float(table.t_over_placebo[form][place]),
         form,
         tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
     )
 
 
-#: An effect of which the calibration and the rest of the model take over all but this part is weakly known.
-WEAK = 0.02
+def select_effects(search: Search, context: Context, shapes_first: bool = False) -> tuple[Search, ScoreTable]:
+    """Add and drop until nothing more is justified; return that state and the last table of scores.
 
-#: Held-out gain from which an addition may make others weakly known.
-_GREAT = 0.1
-
-#: Exchanges of an effect for a better one at most: a search must end.
-_EXCHANGES = 3
-
-#: Coefficients of a cause at most that goes before wider forms, and the part of their gain it must reach.
-_FEW, _PART = 12, 0.3
-
-#: Puts what was taken into its best form.
-Refiner = Callable[[Option], Option]
-
-#: Returns a table with p-values of what flips of signs cannot be sure of.
-Closer = Callable[[ScoreTable], ScoreTable]
-
-
-def select_effects(
-    search: Search,
-    most: int | None = None,
-    refiner: Refiner | None = None,
-    shapes_first: bool = False,
-    closer: Closer | None = None,
-) -> ScoreTable:
-    """Add and drop until nothing more is justified; return the last table of scores.
+    Each round scores everything, adds the best option that passes `Rules` (asking the few-block test when
+    none does), refines its form before the next one is sought, and drops what it made superfluous.
 
     Parameters
     ----------
-    refiner : callable, optional
-        Returns an accepted option in its best form (a lag, a width), before the next one is sought.
-    most : int, optional
-        Additions at most; the rules' own number when absent.
     shapes_first : bool
         What explains most goes first, though it names no cause.
-    closer : callable, optional
-        Asked when nothing passes: returns the table with surer p-values.
     """
-    most = search.rules.rounds if most is None else most
-    for _ in range(most):
+    for _ in range(search.rules.rounds):
         table = search.table()
         found = best_passing(table, search, shapes_first)
-        if found is None and closer is not None:
-            table = closer(table)
+        if found is None:
+            table = few_block_test(search, context, table)
             found = best_passing(table, search, shapes_first)
         if found is None:
-            search.ran_out = False
-            return table.light()
-        option, form = found
+            return replace(search, ran_out=False), table.without_fits()
         # What was fitted to folds holds on to the evidence, which grows when the option is refined.
-        table = table.light()
-        place = table.options.index(option)
-        before = {one: estimate(search, one).retained for one in search.accepted}
-        _noted(search, "add", option, table, place, form)
-        taken = _add_refined(search, option, refiner)
-        search.rounds[-1] = replace(search.rounds[-1], name=taken.name)
-        if search.is_hidden(taken):
-            search.hide(taken)
-            _noted(search, "undo", taken, table, place, form)
-            continue
-        _drop_superfluous(search)
-        if option.mechanism not in {one.mechanism for one in search.accepted}:
-            search.banned.add(option.mechanism)
-        if table.scores[form].gain[place] < _GREAT and _makes_weak(search, before):
-            search.accepted = list(before)
-            search.recut()
-            search.banned.add(option.mechanism)
-            _noted(search, "undo", option, table, place, form)
-    search.ran_out = True
-    return search.table().light()
+        search = _one_round(search, context, table.without_fits(), *found)
+    search = replace(search, ran_out=True)
+    return search, search.table().without_fits()
 
 
-def _add_refined(search: Search, option: Option, refiner: Refiner | None) -> Option:
-    """Put an option into the model, in its best form; return that."""
-    search.add(option)
-    if refiner is not None:
-        search.swap(option, better := refiner(option))
-        return better
-    return option
+def _one_round(search: Search, context: Context, table: ScoreTable, option: Option, form: str) -> Search:
+    """Return the state after an option was taken, refined, and kept or taken back."""
+    place = table.options.index(option)
+    scores = table.scores[form]
+    gain = float(scores.gain[place])
+    numbers: Any = {"gain": gain, "t": float(scores.t[place]), "p": float(table.p[form][place]), "form": form}
+    before = {one: estimate(search, one).retained for one in search.accepted}
+    search, taken = _add_refined(search, context, option)
+    search = search.noted("add", option, name=taken.name, **numbers)
+    if search.is_hidden(taken):
+        return search.hide(taken).noted("undo", taken, **numbers)
+    search = _drop_superfluous(search)
+    if option.mechanism not in {one.mechanism for one in search.accepted}:
+        search = search.with_banned(option.mechanism)
+    if gain < SELECTION.large_gain and _makes_weak(search, before):
+        search = search.holding(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
+        return search.noted("undo", option, **numbers)
+    return search
 
 
-def refine_all(search: Search, refiner: Refiner) -> None:
+def _add_refined(search: Search, context: Context, option: Option) -> tuple[Search, Option]:
+    """Return the state with an option in the model, in its best form, and that form."""
+    search, better = refine(search.add(option), context, option)
+    return search.exchange(option, better), better
+
+
+def refine_all(search: Search, context: Context) -> Search:
     """Refine everything once more: what was taken early was refined while the others were missing."""
-    for option in list(search.accepted):
-        search.swap(option, refiner(option))
+    for option in search.accepted:
+        search, better = refine(search, context, option)
+        search = search.exchange(option, better)
+    return search
 
 
 def _makes_weak(search: Search, before: dict[Option, float]) -> bool:
@@ -428,7 +447,7 @@ def _makes_weak(search: Search, before: dict[Option, float]) -> bool:
     A wide form can hold what is left of several causes and, for a small gain, take them over.
     """
     return any(
-        before.get(option, 0.0) >= WEAK and estimate(search, option).retained < WEAK
+        before.get(option, 0.0) >= SELECTION.weak and estimate(search, option).retained < SELECTION.weak
         for option in search.accepted
     )
 
@@ -475,7 +494,7 @@ def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, riv
         for place in places
         if table.options[place].change is None
         and same_cause(table.options[place], option)
-        and scores.behind(place, chosen) < rival_t
+        and scores.t_behind(place, chosen) < rival_t
     ]
     if steady:
         return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
@@ -494,7 +513,7 @@ def _does_as_well(table: ScoreTable, simple: int, wide: int, form: str, rules: R
     scores = table.scores[form]
     left = scores.loss.sum(axis=0)
     little = float(left[simple] - left[wide]) < rules.gain * float(left[simple])
-    return little or scores.behind(simple, wide) < rules.rival_t
+    return little or scores.t_behind(simple, wide) < rules.rival_t
 
 
 def _named_causes(table: ScoreTable, places: list[int], gain: Floats) -> list[int]:
@@ -504,8 +523,12 @@ def _named_causes(table: ScoreTable, places: list[int], gain: Floats) -> list[in
     for those, unless they explain but a small part of what it does; what it mimicked is then left to it.
     """
     best = max(float(gain[place]) for place in places)
-    named = [place for place in places if not table.options[place].agnostic and gain[place] > _PART * best]
-    few = [place for place in named if len(table.options[place].columns) <= _FEW]
+    named = [
+        place
+        for place in places
+        if not table.options[place].agnostic and gain[place] > SELECTION.part_of_best * best
+    ]
+    few = [place for place in named if len(table.options[place].columns) <= SELECTION.few_columns]
     return few or named or places
 
 
@@ -514,64 +537,47 @@ def _simplicity(option: Option) -> tuple[int, bool]:
     return len(option.columns), not option.mechanism.startswith("channel_field")
 
 
-def _drop_superfluous(search: Search) -> bool:
-    """Drop effects that the others have made superfluous, the idlest first; return whether any was."""
-    dropped = False
+def _drop_superfluous(search: Search) -> Search:
+    """Return the state without effects that the others have made superfluous, the least useful first."""
     while len(search.accepted) > 1:
-        worths = [search.worth(option) for option in search.accepted]
-        place = int(np.argmin([search.rules.standing(worth) for worth in worths]))
+        worths = [search.held_out_worth(option) for option in search.accepted]
+        place = int(np.argmin([search.rules.margin(worth) for worth in worths]))
         gain, t = worths[place]
-        if search.rules.standing(worths[place]) >= 1.0:
-            return dropped
-        option, dropped = search.accepted[place], True
-        search.drop(option)
+        if search.rules.margin(worths[place]) >= 1.0:
+            break
+        option = search.accepted[place]
         # One chance to come back, when others are there: more would go round in circles.
-        (search.banned if option.mechanism in search.dropped else search.dropped).add(option.mechanism)
-        search.rounds.append(
-            Round(len(search.rounds) + 1, "drop", option.name, option.family, gain, t, 1.0, "raw")
-        )
-    return dropped
+        again = option.mechanism in search.dropped
+        search = search.drop(option).noted("drop", option, gain=gain, t=t, p=1.0)
+        if again:
+            search = search.with_banned(option.mechanism)
+        else:
+            search = replace(search, dropped=search.dropped | {option.mechanism})
+    return search
 
 
-def _noted(search: Search, action: str, option: Option, table: ScoreTable, place: int, form: str) -> None:
-    scores = table.scores[form]
-    search.rounds.append(
-        Round(
-            len(search.rounds) + 1,
-            action,
-            option.name,
-            option.family,
-            float(scores.gain[place]),
-            float(scores.t[place]),
-            float(table.p[form][place]),
-            form,
-        )
-    )
-
-
-def exchange_and_check(search: Search, refiner: Refiner | None = None) -> list[RivalCheck]:
+def exchange_and_check(search: Search, context: Context) -> tuple[Search, list[RivalCheck]]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
     """
     tables: dict[str, ScoreTable] = {}
-    for _ in range(_EXCHANGES):
+    for _ in range(SELECTION.exchanges):
         tables = {}
-        for option in list(search.accepted):
+        for option in search.accepted:
             tables[option.name] = search.table(without=option)
             better = _better_option(search, option, tables[option.name])
             if better is not None:
-                search.drop(option)
-                better = _add_refined(search, better, refiner)
-                told = len(search.rounds) + 1, "exchange", better.name, better.family
-                search.rounds.append(Round(*told, 0.0, 0.0, 0.0, "raw"))
+                search, better = _add_refined(search.drop(option), context, better)
+                search = search.noted("exchange", better)
                 break
         else:
             break
-    if _drop_superfluous(search):
-        tables = {}
+    slimmer = _drop_superfluous(search)
+    if slimmer is not search:
+        search, tables = slimmer, {}
     last = search.table() if search.accepted else None
-    return [
+    return search, [
         check_rivals(search, option, tables.get(option.name) or search.table(without=option), last)
         for option in search.accepted
     ]
@@ -591,7 +597,7 @@ def _better_option(search: Search, option: Option, table: ScoreTable) -> Option 
         for other in np.flatnonzero(passing)
         if not (table.options[other].agnostic and not option.agnostic)
         and not same_cause(table.options[other], option)
-        and scores.behind(place, int(other)) > search.rules.rival_t
+        and scores.t_behind(place, int(other)) > search.rules.rival_t
         and _is_worth(table, int(other), place, form, search.rules.gain)
     ]
     if not others:
@@ -610,13 +616,6 @@ def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float)
     return float(left[place] - left[other]) > gain * float(left[place])
 
 
-#: Parts are at least so many correlation times of what is left, and so many rows, long.
-_MEMORIES, _ROWS = 10.0, 20
-
-#: Options looked at closely at most: the best of those that only their p-value keeps out.
-_MOST = 6
-
-
 def few_block_test(search: Search, context: Context, table: ScoreTable) -> ScoreTable:
     """Return the table with p-values of options that lie in too few blocks for flips, where all else speaks.
 
@@ -624,21 +623,21 @@ def few_block_test(search: Search, context: Context, table: ScoreTable) -> Score
     """
     rules, raw = search.rules, table.scores["raw"]
     real = np.array([not option.placebo for option in table.options], dtype=bool)
-    almost = real & (raw.t > rules.t) & (raw.gain > rules.gain) & (table.beats_placebo["raw"] > rules.t)
+    almost = real & (raw.t > rules.t) & (raw.gain > rules.gain) & (table.t_over_placebo["raw"] > rules.t)
     almost &= table.p["raw"] >= rules.p
     places = sorted(np.flatnonzero(almost).tolist(), key=lambda place: float(raw.loss[:, place].sum()))
     if not places:
         return table
     tried = int(real.sum()) * len(table.scores)
     p = table.p["raw"].copy()
-    for place in places[:_MOST]:
+    for place in places[: FEW_BLOCKS.options]:
         p[place] = min(p[place], tried * _few_block_p(search, context, table.options[place]))
     return replace(table, p=table.p | {"raw": p})
 
 
 def _few_block_p(search: Search, context: Context, option: Option) -> float:
     """Return the probability that an option gains by chance what it gains in parts of blocks."""
-    terms = _terms_of(context, option)
+    terms = _terms_of(search, option)
     if terms is None:
         return 1.0
     trials = FormTrials(search, context, option)
@@ -647,7 +646,7 @@ def _few_block_p(search: Search, context: Context, option: Option) -> float:
     memory = correlation_s(
         series, (after / np.where(trials.root > 0, trials.root, 1.0)).reshape(len(series.tt2000), -1)
     )
-    length = max(_MEMORIES * memory, _ROWS * series.step_s)
+    length = max(FEW_BLOCKS.correlation_times * memory, FEW_BLOCKS.rows * series.step_s)
     part = ((series.tt2000 - series.tt2000[0]) / (length * SECOND)).astype(np.int64)
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)
@@ -660,11 +659,12 @@ def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:
     return np.bincount(part, weights=values).astype(np.float64)[:, None]
 
 
-def _terms_of(context: Context, option: Option) -> list[Term] | None:
+def _terms_of(search: Search, option: Option) -> list[Term] | None:
     """Return the terms whose columns an option is made of; None when the series cannot make them."""
+    terms = search.library.by_key
     if option.change is None or option.terms:
         keys = list(option.terms)
-        return [context.terms[key] for key in keys] if set(keys) <= set(context.terms) else None
+        return [terms[key] for key in keys] if set(keys) <= set(terms) else None
     carried = {column for column, _ in option.change.functions.values()}
-    found = [term for term in context.terms.values() if carried & set(term.columns)]
+    found = [term for term in terms.values() if carried & set(term.columns)]
     return found or None

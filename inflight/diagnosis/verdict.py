@@ -1,24 +1,22 @@
-"""Verdict, findings, unexplained residual.
+"""From scores to a verdict: the rounds, rivals, values with errors, and what remains.
 
-What was found, in numbers: values with errors, lags, rivals, tables.
-
-What is left and has no name: lines, hints, the signature.
-
-From scores to a verdict: rounds, rivals, values, what is left, and the words for it.
+Takes the first state of a search and its `Context`; makes the `Diagnosis` and the last state (`conclude`).
+The order of the work: score table, rounds (`inflight.diagnosis.stepwise`), interactions when something is
+left, rounds with shapes first when named causes may be substitutes, rivals, values, and the description of
+what remains: a line, a fast band, a unit that switches without housekeeping, or what the best rejected
+candidate hints at.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import LagProfile, add_interactions, profile_lag, refine
+from inflight.diagnosis.refine import LagProfile, add_interactions, profile_lag
 from inflight.diagnosis.residual import (
     Context,
     Structure,
@@ -43,14 +41,13 @@ from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.search import Option, ScoreTable, Search
 from inflight.diagnosis.spectra import Fast, Periodogram, describe, fast_part, periodogram, strongest_line
 from inflight.diagnosis.stepwise import (
-    WEAK,
+    SELECTION,
     Estimate,
     RivalCheck,
     calibration_shifts,
     detectable_amplitude,
     estimate,
     exchange_and_check,
-    few_block_test,
     form_disagreement,
     refine_all,
     sandwich,
@@ -60,41 +57,196 @@ from inflight.effects import coefficient_unit
 from inflight.residual import NoiseFloor
 from inflight.time import SECOND, utc_text
 
-#: Rows of the candidate table.
-_TABLE = 40
 
-#: Blocks named that separate rivals.
-_SEPARATING = 3
+@dataclass(frozen=True, kw_only=True)
+class ReportSettings:
+    """How much a diagnosis lists.
+
+    Attributes
+    ----------
+    candidates : int
+        Rows of the candidate table; assumed.
+    separating : int
+        Blocks named that separate two rivals; assumed.
+    mimics : int
+        Parameters of the calibration named that stand for an effect; assumed.
+    """
+
+    candidates: int = 40
+    separating: int = 3
+    mimics: int = 3
 
 
-def describe_effect(search: Search, context: Context, standing: RivalCheck) -> FoundEffect:
-    """Return an effect of the model with its values, errors and standing."""
-    option = standing.option
+@dataclass(frozen=True, kw_only=True)
+class RemainingSettings:
+    """When what remains is more than noise, and when it is news.
+
+    Attributes
+    ----------
+    least_part : float
+        A line that explains less than this part of the residual's square is no effect worth a name; assumed.
+    splits : int
+        Lines next to a harmonic at so many turns of the Earth are that harmonic's.
+    resolutions, sharpness : float, float
+        Lines are the same within so many resolutions of the span, or this part of the frequency: what a
+        nominal period may be off by; assumed.
+    turning : float
+        The field must turn by this much, as a part of its size, to have a period of its own; assumed.
+    harmonics : int
+        Harmonics of a known period that are no news: beyond, any period is near one of a day's; assumed.
+    white : float
+        Structure below this part of the noise does not make a residual coloured, however sure it is; assumed.
+    around : float
+        A known period explains a band when it is within it or so many times beside it; assumed.
+    hint_t : float
+        A rejected candidate hints at what remains from this held-out t on: two sigma.
+    as_much : float
+        A search that leaves no more than so many times as much explains as much; assumed.
+    """
+
+    least_part: float = 0.01
+    splits: int = 2
+    resolutions: float = 1.5
+    sharpness: float = 2e-4
+    turning: float = 0.3
+    harmonics: int = 30
+    white: float = 0.1
+    around: float = 1.1
+    hint_t: float = 2.0
+    as_much: float = 1.003
+
+
+REPORT = ReportSettings()
+REMAINING = RemainingSettings()
+
+
+def conclude(search: Search, context: Context) -> tuple[Diagnosis, Search]:
+    """Run the search and return what it found, and its last state.
+
+    Parameters
+    ----------
+    search : Search
+        The first state: nothing taken yet.
+    """
+    first = search.table().without_fits()
+    search, last = run_rounds(search, context, first) if search.rules.rounds else (search, first)
+    search, checks = exchange_and_check(search, context)
+    checks.sort(key=lambda one: -one.gain)
+    if checks:
+        last = search.table().without_fits()
+    effects = tuple(describe_effect(search, context, one) for one in checks)
+    known = with_correctable_rows(search, context)
+    residual = remaining_residual(search, known)
+    blocks = effective_blocks(search, known, residual)
+    remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
+    left = _remaining_verdict(remaining, blocks["independent"], search.rules.blocks)
+    verdict = _verdict(effects, checks, left)
+    signature = remaining.signature if left == "UNKNOWN_EFFECT" else None
+    own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _shape_signature(effects[0])
+    facts: dict[str, Any] = {
+        "effects": effects,
+        "signature": signature,
+        "residual": _residual_sizes(search, known, remaining),
+        "remaining": left,
+        "blocks": blocks,
+        "outliers": context.outliers.as_json(),
+        "unscorable": unscorable(search),
+        "fewest": search.rules.blocks,
+    }
+    rivals, separating = confusion(search, checks)
+    found = Diagnosis(
+        verdict=verdict,
+        sentence=sentence(facts),
+        effects=effects,
+        confusion_set=rivals,
+        separating=separating,
+        unscorable=facts["unscorable"],
+        signature=own if verdict == "UNKNOWN_EFFECT" else None,
+        remaining={"verdict": left, "signature": signature},
+        residual=facts["residual"],
+        rounds=tuple(one.as_json() for one in search.rounds),
+        candidates=candidate_rows(search, first, last),
+        refined=refined_parameters(search),
+        blocks=blocks,
+        stopped=stop_reason(facts, search.rules.rounds, search.ran_out),
+        comparison=context.model.comparison,
+        model={"name": context.model.name, "version": context.model.version},
+        context=context.context_id,
+        run=context.run,
+        outliers=facts["outliers"],
+    )
+    return found, search
+
+
+def run_rounds(search: Search, context: Context, first: ScoreTable) -> tuple[Search, ScoreTable]:
+    """Return the state after all rounds, and the last table.
+
+    Interactions are tried when something is left, shapes first when named causes may be substitutes.
+
+    Parameters
+    ----------
+    first : ScoreTable
+        Of the first state: it says which channels are strong.
+    """
+    search, last = select_effects(search, context)
+    known = with_correctable_rows(search, context)
+    residual = remaining_residual(search, known)
+    remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
+    if len(search.accepted) < search.rules.rounds and (remaining.is_sure or search.accepted):
+        options = search.options
+        search = add_interactions(search, context, [first, last], remaining.is_sure)
+        if search.options is not options:
+            search, last = select_effects(search, context)
+    if _may_be_substitutes(search):
+        search, last = _from_shapes(search, context, last)
+    return refine_all(search, context), last
+
+
+def _from_shapes(search: Search, context: Context, last: ScoreTable) -> tuple[Search, ScoreTable]:
+    """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
+    before = held_out_rms(search, context)
+    blank = replace(search, accepted=(), rounds=(), banned=frozenset(), dropped=frozenset())
+    other, table = select_effects(blank.with_safe_intervals(), context, shapes_first=True)
+    fewer = len(other.accepted) < len(search.accepted)
+    if fewer and held_out_rms(other, context) <= REMAINING.as_much * before:
+        return other, table
+    return other.restored(search), last
+
+
+def describe_effect(search: Search, context: Context, check: RivalCheck) -> FoundEffect:
+    """Return an effect of the model with its values and errors, and how it stands against rivals."""
+    option = check.option
     found = estimate(search, option)
-    terms = [context.terms[key] for key in option.terms]
+    terms = [search.library.by_key[key] for key in option.terms]
     coefficients = _coefficients(search, context, option, terms, found)
-    rivals = tuple(rival.mechanism for rival, _ in standing.rivals)
-    if found.retained < WEAK:
+    rivals = tuple(rival.mechanism for rival, _ in check.rivals)
+    if found.retained < SELECTION.weak:
         rivals += tuple(name for name, _ in _worst_mimics(search, option, found))
+    lag_sigma = option.lag_sigma_s
+    if lag_sigma is None and option.lag_s:
+        profile = lag_profile(search, option)
+        lag_sigma = None if profile is None else profile.sigma
     return FoundEffect(
-        option.name,
-        option.family,
-        option.channels,
-        tuple(dict.fromkeys(axis(one.name) for one in coefficients if one.stands_out and axis(one.name))),
-        coefficients,
-        standing.gain,
-        standing.t,
-        standing.p,
-        found.retained,
-        option.lag_s,
-        _lag_error(search, option),
-        standing.placebo_t,
-        form_disagreement(search, option),
-        found.rms,
-        rivals,
-        tuple(utc_text(when) for when in option.change.at) if option.change else (),
-        option.change.sharpness / SECOND if option.change and option.change.at else None,
-        tuple(term.entry.as_yaml() for term in terms if not term.span),
+        name=option.name,
+        family=option.family,
+        channels=option.channels,
+        axes=tuple(
+            dict.fromkeys(axis(one.name) for one in coefficients if one.stands_out and axis(one.name))
+        ),
+        coefficients=coefficients,
+        gain=check.gain,
+        t=check.t,
+        flip_p=check.p,
+        retained=found.retained,
+        lag_s=option.lag_s,
+        lag_sigma_s=lag_sigma,
+        placebo_t=check.placebo_t,
+        consistency=form_disagreement(search, option),
+        rms_nT=found.rms,
+        rivals=rivals,
+        at=tuple(utc_text(when) for when in option.change.at) if option.change else (),
+        at_sigma_s=option.change.sharpness / SECOND if option.change and option.change.at else None,
+        entries=tuple(term.entry.as_yaml() for term in terms if not term.span),
     )
 
 
@@ -130,14 +282,6 @@ def _term_of(option: Option, terms: list[Term], column: str) -> tuple[Term | Non
     return None, ""
 
 
-def _lag_error(search: Search, option: Option) -> float | None:
-    """Return the error of a response's lag; None when its mechanism has no bank of lags."""
-    if option.lag_sigma_s is not None or not option.lag_s:
-        return option.lag_sigma_s
-    found = lag_profile(search, option)
-    return None if found is None else found.sigma
-
-
 def lag_profile(search: Search, option: Option) -> LagProfile | None:
     """Return how well each lag would do in an option's place; None when its mechanism has no lags."""
     form = search.forms["raw"]
@@ -156,18 +300,18 @@ def _worst_mimics(search: Search, option: Option, found: Estimate) -> list[tuple
     shifts = calibration_shifts(search, option, found.value)
     scale = dict(zip(search.raw.names, search.raw.scale, strict=True))
     ordered = sorted(shifts, key=lambda pair: -abs(pair[1]) / scale[pair[0]])
-    return ordered[:3]
+    return ordered[: REPORT.mimics]
 
 
 def confusion(
-    search: Search, standings: list[RivalCheck]
+    search: Search, checks: list[RivalCheck]
 ) -> tuple[tuple[dict[str, Any], ...], tuple[dict[str, Any], ...]]:
     """Return the rivals of every confounded effect, and the blocks that would separate them."""
     confusion: list[dict[str, Any]] = []
     separating: list[dict[str, Any]] = []
-    for one in standings:
+    for one in checks:
         found = estimate(search, one.option)
-        weak = found.retained < WEAK
+        weak = found.retained < SELECTION.weak
         if not one.rivals and not weak:
             continue
         confusion.append(
@@ -201,7 +345,7 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
     weights = np.concatenate([first, -second])
     sums = np.einsum("i,bij,j->b", weights, evidence.gram[:, both[:, None], both[None, :]], weights)
     rms = np.sqrt(np.clip(sums, 0.0, None) / np.maximum(evidence.count, 1.0))
-    best = np.argsort(-rms)[:_SEPARATING]
+    best = np.argsort(-rms)[: REPORT.separating]
     return [
         {
             "rivals": [option.name, rival.name],
@@ -216,9 +360,8 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
 def unscorable(search: Search) -> tuple[dict[str, Any], ...]:
     """Return what these data cannot show, and why; each name once."""
     out: dict[str, dict[str, Any]] = {}
-    told: list[dict[str, Any]] = [*search.unscorable, *search.library.unscorable]
-    for one in told:
-        out.setdefault(str(one["name"]), one)
+    for one in [*search.unscorable, *search.library.unscorable]:
+        out.setdefault(str(one["name"]), dict(one))
     return tuple(out.values())
 
 
@@ -240,12 +383,12 @@ def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple
             "gain": float(scores.gain[place]),
             "t": float(scores.t[place]),
             "p": float(min(first.p[form][place] for form in first.p)),
-            "placebo_t": float(first.beats_placebo["raw"][place]),
+            "placebo_t": float(first.t_over_placebo["raw"][place]),
             "gain_now": after,
         }
     rows = list(best.values())
-    real = [row for row in rows if not row["placebo"]][:_TABLE]
-    return tuple(real + [row for row in rows if row["placebo"]][:_TABLE])
+    real = [row for row in rows if not row["placebo"]][: REPORT.candidates]
+    return tuple(real + [row for row in rows if row["placebo"]][: REPORT.candidates])
 
 
 def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
@@ -270,23 +413,6 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
             }
         )
     return tuple(out)
-
-
-#: A line that explains less than this part of the residual's square is no effect worth a name.
-_LEAST_PART = 0.01
-
-#: Lines beside a harmonic at so many turns of the Earth; resolutions within which they are the same; what a
-#: nominal period may be off by; and by how much the field must turn to have a period of its own.
-_SPLITS, _APART, _SHARP, _TURNING = 2, 1.5, 2e-4, 0.3
-
-#: Harmonics of a known period that are no news: beyond, any period is near one of a day's.
-_HARMONICS = 30
-
-#: Structure below this part of the noise does not make a residual coloured, however sure it is.
-_WHITE = 0.1
-
-#: A known period explains a band when it is within it or so many times beside it.
-_AROUND = 1.1
 
 
 @dataclass(frozen=True)
@@ -321,7 +447,7 @@ class Remaining:
     @property
     def is_there(self) -> bool:
         """True when what is left may be more than noise: large, or not white beyond doubt."""
-        coloured = self.structure.is_sure and self.structure.rms_nT > _WHITE * self.noise
+        coloured = self.structure.is_sure and self.structure.rms_nT > REMAINING.white * self.noise
         certain = self.has_line or self.has_band or self.has_unit
         return certain or self.structure.is_large(self.noise) or coloured
 
@@ -354,8 +480,8 @@ def describe_remaining(
     found = replace(found, has_band=fast is not None and _is_news(context, fast))
     if not found.is_there:
         return found
-    told = _hint_signature(search, last, structure)
-    return replace(found, signature=told if fast is None else _fast_signature(told, fast))
+    hint = _hint_signature(search, last, structure)
+    return replace(found, signature=hint if fast is None else _fast_signature(hint, fast))
 
 
 def unrecorded_unit(context: Context) -> Signature | None:
@@ -377,7 +503,9 @@ def _is_news(context: Context, fast: Fast) -> bool:
     if fast.periods_s is None:
         return False
     short, long = fast.periods_s
-    return not any(short / _AROUND <= period <= long * _AROUND for period in known_periods(context))
+    return not any(
+        short / REMAINING.around <= period <= long * REMAINING.around for period in known_periods(context)
+    )
 
 
 def _fast_signature(hint: Signature, fast: Fast) -> Signature:
@@ -398,12 +526,12 @@ def _line_signature(context: Context, left: Floats) -> Signature | None:
     if found is None or line is None:
         return None
     series = context.series
-    told, part = describe(
+    signature, part = describe(
         series.tt2000, left, series.direction(), series["weight"], line[0], float(found.frequency[1])
     )
-    if part < _LEAST_PART or _is_known(context, float(told.period_s or 0.0)):
+    if part < REMAINING.least_part or _is_known(context, float(signature.period_s or 0.0)):
         return None
-    return told
+    return signature
 
 
 def _is_known(context: Context, period: float) -> bool:
@@ -415,12 +543,12 @@ def _is_known(context: Context, period: float) -> bool:
     span = float(series.tt2000[-1] - series.tt2000[0]) / SECOND
     frequency = 1.0 / period if period > 0 else 0.0
     for known in known_periods(context):
-        for split in range(-_SPLITS, _SPLITS + 1):
+        for split in range(-REMAINING.splits, REMAINING.splits + 1):
             offset = frequency - split / 86_400.0
             harmonic = round(offset * known)
-            if 1 <= harmonic <= _HARMONICS and abs(offset - harmonic / known) < _APART * max(
-                1.0 / span, _SHARP * frequency
-            ):
+            if 1 <= harmonic <= REMAINING.harmonics and abs(
+                offset - harmonic / known
+            ) < REMAINING.resolutions * max(1.0 / span, REMAINING.sharpness * frequency):
                 return True
     return False
 
@@ -430,7 +558,7 @@ def _field_period(context: Context) -> list[float]:
     series = context.series
     direction = series.direction()[:, 0]
     good = (series["weight"] > 0) & np.isfinite(direction).all(axis=1)
-    if good.sum() < 64 or float(np.ptp(direction[good], axis=0).max()) < _TURNING:
+    if good.sum() < 64 or float(np.ptp(direction[good], axis=0).max()) < REMAINING.turning:
         return []
     even = np.where(good[:, None], direction - direction[good].mean(axis=0), 0.0)
     power = (np.abs(np.fft.rfft(even, 4 * len(even), axis=0)) ** 2).sum(axis=1)
@@ -487,7 +615,9 @@ def _best_rejected(search: Search, last: ScoreTable) -> tuple[Option, float] | N
     """Return the best option that was not beyond doubt, if it explains anything held out."""
     scores = last.scores["raw"]
     real = [
-        place for place, option in enumerate(last.options) if not option.placebo and scores.t[place] > 2.0
+        place
+        for place, option in enumerate(last.options)
+        if not option.placebo and scores.t[place] > REMAINING.hint_t
     ]
     if not real:
         return None
@@ -495,64 +625,7 @@ def _best_rejected(search: Search, last: ScoreTable) -> tuple[Option, float] | N
     return last.options[best], float(scores.gain[best])
 
 
-#: A search that leaves no more than so many times as much explains as much.
-_AS_MUCH = 1.003
-
-
-def conclude(search: Search, context: Context) -> Diagnosis:
-    """Run the rounds and say what they mean."""
-    first = search.table().light()
-    last = _rounds(search, context, first) if search.rules.rounds else first
-    standings = sorted(
-        exchange_and_check(search, partial(refine, search, context)), key=lambda one: -one.gain
-    )
-    if standings:
-        last = search.table().light()
-    effects = tuple(describe_effect(search, context, one) for one in standings)
-    seen = with_correctable_rows(search, context)
-    left = remaining_residual(search, seen)
-    blocks = effective_blocks(search, seen, left)
-    unknown = describe_remaining(search, seen, last, left, structure_of(seen.series, left))
-    remaining = _remaining_verdict(unknown, blocks["independent"], search.rules.blocks)
-    verdict = _verdict(effects, standings, remaining)
-    residual = _residual_sizes(search, seen, unknown)
-    signature = unknown.signature if remaining == "UNKNOWN_EFFECT" else None
-    own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _shape_signature(effects[0])
-    told: dict[str, Any] = {
-        "effects": effects,
-        "signature": signature,
-        "residual": residual,
-        "remaining": remaining,
-        "blocks": blocks,
-        "outliers": context.outliers.as_json(),
-        "unscorable": unscorable(search),
-        "fewest": search.rules.blocks,
-    }
-    rivals, separating = confusion(search, standings)
-    return Diagnosis(
-        verdict,
-        sentence(told),
-        effects,
-        rivals,
-        separating,
-        told["unscorable"],
-        own if verdict == "UNKNOWN_EFFECT" else None,
-        {"verdict": remaining, "signature": signature},
-        residual,
-        tuple(one.as_json() for one in search.rounds),
-        candidate_rows(search, first, last),
-        refined_parameters(search),
-        blocks,
-        stop_reason(told, search.rules.rounds, search.ran_out),
-        context.model.comparison,
-        {"name": context.model.name, "version": context.model.version},
-        context.context,
-        context.run,
-        told["outliers"],
-    )
-
-
-def _residual_sizes(search: Search, context: Context, unknown: Remaining) -> dict[str, Any]:
+def _residual_sizes(search: Search, context: Context, remaining: Remaining) -> dict[str, Any]:
     """Return the sizes of the residual, nT at the cadence of the comparison, all of the same rows."""
     nothing = search.as_found()
     return {
@@ -561,31 +634,13 @@ def _residual_sizes(search: Search, context: Context, unknown: Remaining) -> dic
         "held_out_before_nT": held_out_rms(nothing, context),
         "held_out_after_nT": held_out_rms(search, context),
         # A record without a fast part, filtered or rounded away, tells no floor.
-        "noise_floor_nT": unknown.floor.level_nT or float("nan"),
-        "noise_floor_low_nT": unknown.floor.low_nT,
-        "noise_floor_high_nT": unknown.floor.high_nT,
-        "structure_nT": unknown.structure.rms_nT,
-        "structure_t": unknown.structure.t,
+        "noise_floor_nT": remaining.floor.level_nT or float("nan"),
+        "noise_floor_low_nT": remaining.floor.low_nT,
+        "noise_floor_high_nT": remaining.floor.high_nT,
+        "structure_nT": remaining.structure.rms_nT,
+        "structure_t": remaining.structure.t,
         "uncorrected": context.gaps.as_json() if context.gaps else [],
     }
-
-
-def _rounds(search: Search, context: Context, first: ScoreTable) -> ScoreTable:
-    """Run the rounds, again with products when something is left, and from shapes if need be."""
-    refiner, closer = partial(refine, search, context), partial(few_block_test, search, context)
-    last = select_effects(search, refiner=refiner, closer=closer)
-    known = with_correctable_rows(search, context)
-    left = remaining_residual(search, known)
-    seen = describe_remaining(search, known, last, left, structure_of(known.series, left))
-    more = len(search.accepted) < search.rules.rounds and (seen.is_sure or search.accepted)
-    if more and add_interactions(search, context, [first, last], seen.is_sure):
-        last = select_effects(search, refiner=refiner, closer=closer)
-    if _may_be_substitutes(search):
-        last = _from_shapes(
-            search, context, last, partial(select_effects, search, refiner=refiner, closer=closer)
-        )
-    refine_all(search, refiner)
-    return last
 
 
 def _may_be_substitutes(search: Search) -> bool:
@@ -597,30 +652,14 @@ def _may_be_substitutes(search: Search) -> bool:
     return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
 
 
-def _from_shapes(
-    search: Search, context: Context, last: ScoreTable, again: Callable[..., ScoreTable]
-) -> ScoreTable:
-    """Search anew with shapes first; keep it when fewer effects explain as much, else what was found."""
-    before = held_out_rms(search, context)
-    kept = search.accepted, search.rounds, search.banned, search.dropped, search.ran_out
-    search.accepted, search.rounds, search.banned, search.dropped = [], [], set(), set()
-    search.recut()
-    other = again(shapes_first=True)
-    if len(search.accepted) < len(kept[0]) and held_out_rms(search, context) <= _AS_MUCH * before:
-        return other
-    search.accepted, search.rounds, search.banned, search.dropped, search.ran_out = kept
-    search.recut()
-    return last
-
-
-def _verdict(effects: tuple[FoundEffect, ...], standings: list[RivalCheck], remaining: Verdict) -> Verdict:
+def _verdict(effects: tuple[FoundEffect, ...], checks: list[RivalCheck], remaining: Verdict) -> Verdict:
     """Return the verdict about the residual as found."""
     if not effects:
         return remaining
-    if any(one.rivals or one.retained < WEAK for one in effects):
+    if any(one.rivals or one.retained < SELECTION.weak for one in effects):
         return "CONFOUNDED"
     # The largest of them first: where it names no cause, nor do the smaller ones name the cause of most.
-    return "UNKNOWN_EFFECT" if _is_shape(standings[0].option) else "FOUND"
+    return "UNKNOWN_EFFECT" if _is_shape(checks[0].option) else "FOUND"
 
 
 def _is_shape(option: Option) -> bool:
@@ -640,8 +679,8 @@ def _shape_signature(effect: FoundEffect) -> Signature:
     )
 
 
-def _remaining_verdict(unknown: Remaining, independent: float, fewest: int) -> Verdict:
+def _remaining_verdict(remaining: Remaining, independent: float, fewest: int) -> Verdict:
     """Return what is to be said of what is left."""
-    if not unknown.is_there:
+    if not remaining.is_there:
         return "NOTHING_LEFT"
-    return "UNKNOWN_EFFECT" if unknown.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"
+    return "UNKNOWN_EFFECT" if remaining.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"

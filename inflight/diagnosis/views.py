@@ -509,16 +509,16 @@ def trials(search: Search, material: Context, names: Sequence[str]) -> dict[str,
         alone = search.holding([option])
         found = estimate(alone, option)
         values = tuple(
-            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(material, option, column))
+            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(search, material, option, column))
             for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True)
         )
         out[name] = Trial(found.retained, form_disagreement(alone, option), values)
     return out
 
 
-def _unit(material: Context, option: Option, column: str) -> str:
+def _unit(search: Search, material: Context, option: Option, column: str) -> str:
     for key in option.terms:
-        term = material.terms[key]
+        term = search.library.by_key[key]
         if column in term.columns:
             kind = type(term.entry.effect).parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
             channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""

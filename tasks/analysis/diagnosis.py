@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from inflight.catalog import Catalog
-from inflight.design import MOST, Term
+from inflight.design import MOST
 from inflight.diagnosis import (
     Context,
     Diagnosis,
@@ -103,7 +103,7 @@ def diagnose(
     search, context = begin_search(made, settings), context_of(made, mission)
     # Columns that join make new evidence, gigabytes of it: nothing here may hold on to the old one.
     del made
-    return conclude(search, context)
+    return conclude(search, context)[0]
 
 
 def make_pass(
@@ -277,7 +277,7 @@ def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
     raw = made.loaded.raw
     days = _groups_of_blocks(raw.start, DAY)
     rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)
-    return Search(
+    return Search.begin(
         raw,
         made.loaded.white,
         made.plan.library,
@@ -285,7 +285,7 @@ def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
         _within_groups(days, len(raw)),
         rules,
         made.loaded.within,
-        carriers=time_variable_columns(made.plan.library),
+        time_variable=time_variable_columns(made.plan.library),
     )
 
 
@@ -325,19 +325,17 @@ def intervals_of(made: PassResult, settings: DiagnoseSettings) -> list[list[int]
 
 def context_of(made: PassResult, mission: Mission) -> Context:
     """Return what a verdict needs beside the search."""
-    effects: dict[str, Term] = {term.key: term for term in made.plan.library.all_terms}
     return Context(
-        mission,
-        made.used.model,
-        made.plan.model,
-        effects,
-        made.loaded.series,
-        dict(made.loaded.sums),
-        made.plan.cadence_ns / SECOND,
-        made.loaded.floor,
-        made.context,
-        made.run,
-        made.plan.memory_s,
-        made.loaded.outliers,
+        mission=mission,
+        model=made.used.model,
+        linearised=made.plan.model,
+        series=made.loaded.series,
+        sums=dict(made.loaded.sums),
+        cadence_s=made.plan.cadence_ns / SECOND,
+        floor=made.loaded.floor,
+        context_id=made.context,
+        run=made.run,
+        correlation_time_s=made.plan.correlation_time_s,
+        outliers=made.loaded.outliers,
         switched=made.switched,
     )

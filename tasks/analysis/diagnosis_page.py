@@ -345,7 +345,7 @@ def examine(
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     tell("search", 0, 1)
     search, context = begin_search(made, settings), context_of(made, mission)
-    found = conclude(search, context)
+    found, search = conclude(search, context)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
     units = named_units(cat, mission, settings.comparison, start, end)

@@ -167,7 +167,7 @@ class PassPlan:
     parts: int
     cadence_ns: int
     span: tuple[int, int]
-    memory_s: float
+    correlation_time_s: float
     told: Mapping[str, ChannelSummary]
     keep_bursts: bool = False
     stretches: Stretches | None = None
@@ -215,7 +215,7 @@ class PassPlan:
             "shifts": dict(self.library.placebos),
             "parts": self.parts,
             "cadence": self.cadence_ns,
-            "memory": self.memory_s,
+            "memory": self.correlation_time_s,
             "span": self.span,
             "means": {name: one.mean for name, one in self.told.items()},
             "keep_bursts": self.keep_bursts,
@@ -312,7 +312,9 @@ def _day_evidence(
     cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
     parts = parts_of(stamps, cuts)
     residual = rows.residual[:, :, None]
-    white = [prewhiten(values, rows.weight, stamps, made.memory_s) for values in (columns, residual)]
+    white = [
+        prewhiten(values, rows.weight, stamps, made.correlation_time_s) for values in (columns, residual)
+    ]
     count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
     names = (*made.library.columns, "residual")
     common = (

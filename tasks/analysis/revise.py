@@ -250,17 +250,13 @@ class Workbench:
             frozenset(names),
         )
 
-    @cached_property
-    def _search(self) -> Search:
-        return begin_search(self.made, self.settings)
-
     def candidates(self) -> list[str]:
         """Return the names of everything that `add` knows without a pass, in the library's order."""
         kinds = [kind for kind in DRIFTS if self._has_carrier(kind)]
         return [one.name for one in self.made.plan.library.candidates if not one.placebo] + kinds
 
     def _has_carrier(self, drift: str) -> bool:
-        return bool(getattr(self.maker.carriers, drift.removesuffix("_drift")))
+        return bool(getattr(self.maker.time_variable, drift.removesuffix("_drift")))
 
     # Changes of the model.
 
@@ -467,19 +463,23 @@ class Workbench:
 
     def diagnose(self) -> Diagnosis:
         """Search what is missing from the present version; its evidence is made anew when it has none."""
+        return self._searched()[0]
+
+    def _searched(self) -> tuple[Diagnosis, Search]:
         self._refresh()
         context = context_of(self.made, self.mission)
         model = replace(context.model, version=self.root.version)
-        return conclude(self._search, replace(context, model=model))
+        return conclude(begin_search(self.made, self.settings), replace(context, model=model))
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""
-        found = self.diagnose()
-        # Lags, widths and products that the search made have their columns in its evidence.
-        self.made = replace(self.made, loaded=replace(self.made.loaded, raw=self._search.raw))
+        found, search = self._searched()
+        # Lags, widths and products that the search made have their columns in its Gram blocks.
+        loaded = replace(self.made.loaded, raw=search.raw)
+        self.made = replace(self.made, plan=replace(self.made.plan, library=search.library), loaded=loaded)
         self.__dict__.pop("_whole", None)
         steps = []
-        for option in self._search.accepted:
+        for option in search.accepted:
             addition = addition_of(self.maker, option)
             message = f"auto: add {addition.name}"
             steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
@@ -490,19 +490,19 @@ class Workbench:
             self._measured = self.mission
             self.made = self._prepared(self.current, None)
             self._narrow = None
-        for name in ("_search", "_whole"):
-            self.__dict__.pop(name, None)
+        self.__dict__.pop("_whole", None)
         self._restore()
 
 
 def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
     library = made.plan.library
+    base = [name for term in library.base for name in term.columns]
     return FitSetup(
         made.loaded.raw,
         tuple(library.base),
         tuple(library.refined),
         intervals_of(made, settings),
-        row_variance(made.loaded.white, library.base),
+        row_variance(made.loaded.white.select(base), library.base),
     )
 
 

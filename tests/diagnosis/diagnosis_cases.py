@@ -344,14 +344,14 @@ class Case:
             candidates=[one for one in self.library.candidates if one.mechanism not in without],
             unscorable=list(self.library.unscorable),
         )
-        return Search(
+        return Search.begin(
             alone(self.raw, residual),
             alone(self.white, residual),
             library,
             groups_of(self.raw, interval_days * DAY),
             groups_of(self.raw, DAY),
             Rules(**rules),
-            carriers=carriers_of(library),
+            time_variable=carriers_of(library),
         )
 
     def material(self, residual: int = 0) -> Context:
@@ -361,7 +361,6 @@ class Case:
         stamps, values = thin_rows(rows, features, 1)
         edges = [*self.raw.start.tolist(), int(self.raw.end[-1])]
         packed = pack_blocks(stamps, values, edges, int(DAY // (STEP_S * SECOND)) + 2)
-        terms = {term.key: term for term in self.library.all_terms}
         good = rows.weight > 0
         sums = {
             "count": float(good.sum()),
@@ -371,11 +370,19 @@ class Case:
         }
         floor = NoiseFloor(NOISE_NT, 0.98 * NOISE_NT, 1.02 * NOISE_NT, int(good.sum()))
         series = Series.of(packed, self.raw.start, features)
-        return Context(self.mission, self.model, self.model, terms, series, sums, STEP_S, floor)
+        return Context(
+            mission=self.mission,
+            model=self.model,
+            linearised=self.model,
+            series=series,
+            sums=sums,
+            cadence_s=STEP_S,
+            floor=floor,
+        )
 
     def diagnose(self, residual: int = 0, without: Sequence[str] = (), **rules: float) -> Diagnosis:
         """Return the diagnosis of one residual."""
-        return conclude(self.search(residual, without, **rules), self.material(residual))
+        return conclude(self.search(residual, without, **rules), self.material(residual))[0]
 
 
 def alone(evidence: Evidence, residual: int) -> Evidence:

@@ -84,11 +84,10 @@ def test_intervals_are_those_asked_for_once_a_step_is_dropped():
         and one.family == "sensor"
         and abs(one.change.at[0] - int(search.raw.start[asked[1][0]])) <= BLOCK_DAYS * DAY
     )
-    search.add(step)
+    search = search.add(step)
     assert search.intervals != asked
     assert search.as_found().intervals == asked
-    search.drop(step)
-    assert search.intervals == asked
+    assert search.drop(step).intervals == asked
 
 
 # The cuts themselves.

@@ -74,7 +74,7 @@ def test_held_out_losses_are_those_of_refits_of_the_rows(present, interleaved):
         np.testing.assert_allclose(found.loss[:, place], expected, rtol=1e-9)
         assert found.gain[place] == pytest.approx(1.0 - expected.sum() / without.sum(), abs=1e-9)
         change = contributed(case, names, precision, candidate, folds)
-        np.testing.assert_allclose(found.promised[:, place], change, rtol=1e-8)
+        np.testing.assert_allclose(found.expected[:, place], change, rtol=1e-8)
         used = np.ones((20, 1), dtype=bool)
         t = promised_t((without - expected)[:, None], change[:, None], used)[0]
         assert found.t[place] == pytest.approx(t, rel=1e-6)
@@ -88,7 +88,7 @@ def test_what_sets_two_candidates_apart_is_what_sets_their_predictions_of_rows_a
     expected = contributed(case, names, precision, CANDIDATES[0], folds, beside=CANDIDATES[3])
     np.testing.assert_allclose(found.fits.apart(0, 3), expected, rtol=1e-8)
     np.testing.assert_allclose(found.fits.apart(3, 0), expected, rtol=1e-8)
-    assert found.behind(3, 0) == pytest.approx(-found.behind(0, 3), rel=1e-9)
+    assert found.t_behind(3, 0) == pytest.approx(-found.t_behind(0, 3), rel=1e-9)
 
 
 @pytest.mark.parametrize("present", PRESENTS)

@@ -23,7 +23,20 @@ SWITCH = Signature(
 
 def effect(rms):
     return FoundEffect(
-        "solar", "solar", ("solar_current",), ("x",), (), 0.5, 9.0, 0.01, 0.9, 0.0, None, 9.0, None, rms
+        name="solar",
+        family="solar",
+        channels=("solar_current",),
+        axes=("x",),
+        coefficients=(),
+        gain=0.5,
+        t=9.0,
+        flip_p=0.01,
+        retained=0.9,
+        lag_s=0.0,
+        lag_sigma_s=None,
+        placebo_t=9.0,
+        consistency=None,
+        rms_nT=rms,
     )
 
 

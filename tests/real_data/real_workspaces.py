@@ -89,7 +89,7 @@ def diagnosed(
     settings = DiagnoseSettings(comparison=comparison, draws=500)
     made = make_pass(cat, mission, *days, settings)
     search = begin_search(made, settings)
-    found = conclude(search, context_of(made, mission))
+    found, search = conclude(search, context_of(made, mission))
     return Diagnosed(search, found)
 
 

@@ -91,7 +91,8 @@ def searched(place):
     """A search that has taken what it found, with what a verdict needs."""
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS)
     search, material = begin_search(prepared, SETTINGS), context_of(prepared, place.mission())
-    return search, material, module.conclude(search, material)
+    found, search = module.conclude(search, material)
+    return search, material, found
 
 
 class _Told(HTMLParser):
@@ -210,7 +211,7 @@ def test_a_search_without_rounds_has_a_page(place):
     settings = SETTINGS.model_copy(update={"rounds": 0})
     prepared = make_pass(Catalog(place.root), place.mission(), None, None, settings)
     search, material = begin_search(prepared, settings), context_of(prepared, place.mission())
-    found = module.conclude(search, material)
+    found, search = module.conclude(search, material)
     text, _ = told(diagnosis_page(search, material, found, settings))
     assert "No effect was added" in text
     assert "No round took anything" in text
@@ -256,7 +257,7 @@ def test_looking_changes_nothing(searched):
     search.holding([])
     waterfall(search, material)
     trials(search, material, [option.name for option in search.options])
-    assert search.accepted == before
+    assert list(search.accepted) == before
 
 
 def test_correlations_are_correlations(searched):
