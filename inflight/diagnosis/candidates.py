@@ -1,9 +1,14 @@
-"""Candidates of the library: every effect with every channel and coordinate it may depend on."""
+"""Candidates of the library: every effect with every channel and coordinate it may depend on.
+
+Takes the mission, the present model and what is known of each channel; makes the `Library` of terms and
+candidates that a pass makes columns of (`make_library`): a bank of lags and widths of every channel,
+geometry, the fixed parameters of the sensor, and placebos, the plain fields of shifted channels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,14 +21,28 @@ from inflight.model import Model, ModelEffect, make_effect
 from inflight.samples import base_channels
 from inflight.time import SECOND, parse_duration
 
-#: First-order responses tried of every channel, s; combinations of neighbours reach what lies between.
-LAGS = (0.0, 60.0, 240.0, 1000.0, 4000.0)
 
-#: Widths of the play operator tried, as parts of the channel's range.
-WIDTHS = (0.15, 0.4)
+@dataclass(frozen=True, kw_only=True)
+class BankSettings:
+    """Lags and widths that every channel is tried with.
 
-#: Lags of placebos.
-FEW_LAGS = (0.0, 240.0)
+    Attributes
+    ----------
+    lags : tuple of float
+        First-order responses, s. They grow four times a step: combinations of neighbours reach what lies
+        between to seven hundredths (tests/diagnosis/test_diagnosis_lags.py).
+    widths : tuple of float
+        Of the play operator, as parts of the channel's range; assumed, the best width is refined.
+    placebo_lags : tuple of float
+        Of placebos, s; assumed: fewer, for they only bound chance.
+    """
+
+    lags: tuple[float, ...] = (0.0, 60.0, 240.0, 1000.0, 4000.0)
+    widths: tuple[float, ...] = (0.15, 0.4)
+    placebo_lags: tuple[float, ...] = (0.0, 240.0)
+
+
+BANK = BankSettings()
 
 #: Kinds of channels that may act on a sensor's scale or by hysteresis; currents do neither.
 THERMAL = frozenset({"temperature", "other", "voltage"})
@@ -177,7 +196,7 @@ def _add_forms(
         return
     given = {"effect": label, "sensor": entry.sensor.name, **options}
     if label in SLOW and (lone in channels or not lone):
-        for lag in LAGS if lone not in library.unlagged else (0.0,):
+        for lag in BANK.lags if lone not in library.unlagged else (0.0,):
             made = _make(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
@@ -208,7 +227,7 @@ def _add_plays(
     if plain is None:
         return
     direct = term_of(plain, f"channel_field({given['channel']})")
-    for part in WIDTHS:
+    for part in BANK.widths:
         width = float(f"{part * spread:.3g}")
         made = _make(given | {"width": width}, mission, model)
         if made is not None:
@@ -223,7 +242,7 @@ def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapp
     sensors = _sensors(kind, mission, model)
     for name in shifts:
         channel, number = name.split("~")
-        for lag in FEW_LAGS if channel not in library.unlagged else (0.0,):
+        for lag in BANK.placebo_lags if channel not in library.unlagged else (0.0,):
             derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
             entry = _make(
                 {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model
@@ -242,11 +261,11 @@ def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapp
 def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]:
     """The sensor an effect's candidates act on: one is enough, the data give the difference only."""
     sensors = list(sensors_of(mission, model.comparison).values())
-    wanted = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))
+    roles = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))
     if mission.comparisons[model.comparison].kind == "platform":
         # The vector sensor gives the direction only: whatever is seen is at the scalar sensor.
-        wanted = ("scalar",)
-    for role in wanted:
+        roles = ("scalar",)
+    for role in roles:
         found = [sensor for sensor in sensors if sensor.role == role]
         if found:
             return found[:1]
@@ -274,8 +293,8 @@ FORM = frozenset({"lag", "width", "degree", "order"})
 
 
 def _mechanism(label: str, options: Mapping[str, Any]) -> str:
-    told = [str(value) for key, value in options.items() if key not in FORM]
-    return f"{label}({', '.join(told)})" if told else label
+    given = [str(value) for key, value in options.items() if key not in FORM]
+    return f"{label}({', '.join(given)})" if given else label
 
 
 def _base_channels(names: Sequence[str]) -> tuple[str, ...]:

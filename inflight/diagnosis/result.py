@@ -1,8 +1,7 @@
-"""Diagnosis record and its sentence.
+"""The result of a diagnosis: what was found, how sure it is, what remains, and the sentence that says it.
 
-The result of a diagnosis: what was found, how sure it is, what is left.
-
-One sentence a physicist would say.
+Takes numbers and names from `inflight.diagnosis.verdict`; makes records that print themselves as JSON
+(`Diagnosis.as_json`) and one or two sentences (`sentence`).
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class Coefficient:
         return abs(self.value) > 3.0 * self.sigma > 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FoundEffect:
     """An effect the search took, and how it stands."""
 
@@ -60,13 +59,13 @@ class FoundEffect:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
-        told = dict(vars(self))
-        told["coefficients"] = [dict(vars(one)) for one in self.coefficients]
-        told["beats_placebo"] = bool(self.placebo_t > 3.0)
-        return told
+        facts = dict(vars(self))
+        facts["coefficients"] = [dict(vars(one)) for one in self.coefficients]
+        facts["beats_placebo"] = bool(self.placebo_t > 3.0)
+        return facts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Signature:
     """What an effect nobody knows looks like.
 
@@ -96,7 +95,7 @@ class Signature:
         return dict(vars(self))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Verdict of a span and everything it rests on.
 
@@ -157,20 +156,20 @@ class Diagnosis:
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as the command line prints it: plain numbers, null where there is none."""
-        told = {
+        facts = {
             name: value
             for name, value in vars(self).items()
             if name not in ("effects", "signature", "remaining", "context", "run")
         }
-        told["effects"] = [one.as_json() for one in self.effects]
-        told["signature"] = self.signature.as_json() if self.signature else None
+        facts["effects"] = [one.as_json() for one in self.effects]
+        facts["signature"] = self.signature.as_json() if self.signature else None
         left = self.remaining.get("signature")
-        told["remaining"] = {
+        facts["remaining"] = {
             "verdict": self.remaining["verdict"],
             "signature": left.as_json() if left is not None else None,
         }
         whole: dict[str, Any] = plain_json(
-            {"command": "diagnose", "run": self.run, "context": self.context, **told}
+            {"command": "diagnose", "run": self.run, "context": self.context, **facts}
         )
         return whole
 
@@ -190,47 +189,65 @@ def plain_json(value: Any) -> Any:
     return value
 
 
-#: Sigmas from which an axis is named; spans that are said; and the part of the smallest effect, or of the
-#: floor, that is a good part of it.
-_CLEAR, _SAID, _GOOD_PART = 3.0, 4, 0.5
+@dataclass(frozen=True, kw_only=True)
+class SentenceSettings:
+    """What a sentence mentions.
 
-#: Part of a record that lacks a channel from which on it is worth a word.
-_WORTH = 0.01
+    Attributes
+    ----------
+    sigmas : float
+        Sigmas from which an axis is named: three.
+    spans, rivals : int
+        Spans of blocks, and rivals, that are listed; assumed.
+    large_part : float
+        Part of the smallest effect, or of the noise floor, that is a large part of it; assumed.
+    missing : float
+        Part of a record that lacks a channel from which on it is mentioned; assumed.
+    """
 
-#: Mechanisms worth a word when the data could not have shown them.
+    sigmas: float = 3.0
+    spans: int = 4
+    rivals: int = 4
+    large_part: float = 0.5
+    missing: float = 0.01
+
+
+SENTENCE = SentenceSettings()
+
+#: Mechanisms that are mentioned when the data could not have shown them.
 MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
 
 
-def sentence(told: Mapping[str, Any]) -> str:
+def sentence(facts: Mapping[str, Any]) -> str:
     """Return what a diagnosis means, in one or two sentences."""
-    residual = told["residual"]
+    residual = facts["residual"]
     sizes = (
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
         f"noise floor {_size(residual['noise_floor_nT'])}"
     )
-    bursts = _burst_words(told.get("outliers", {}))
-    parts = [_effect_words(effect) for effect in told["effects"]]
+    bursts = _burst_words(facts.get("outliers", {}))
+    parts = [_effect_words(effect) for effect in facts["effects"]]
     if parts:
         text = "; ".join(parts)
         text = f"{text[0].upper()}{text[1:]} ({sizes})."
-        if told["remaining"] == "UNKNOWN_EFFECT":
-            text += f" Something is left: {_signature_words(told['signature'])}."
-            if _may_stand_in(told):
+        if facts["remaining"] == "UNKNOWN_EFFECT":
+            text += f" Something is left: {_signature_words(facts['signature'])}."
+            if _may_stand_in(facts):
                 text += " The effects taken may stand in for the one cause that is missing."
         return text + _gap_words(residual.get("uncorrected", ())) + bursts
     return {
-        "NOTHING_LEFT": lambda: f"{_noise_words(residual)} ({sizes}).{_not_visible(told)}",
-        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(told)} ({sizes}).",
+        "NOTHING_LEFT": lambda: f"{_noise_words(residual)} ({sizes}).{_not_visible(facts)}",
+        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(facts)} ({sizes}).",
         "UNKNOWN_EFFECT": lambda: (
-            f"No effect of the library explains it: {_signature_words(told['signature'])} ({sizes})."
+            f"No effect of the library explains it: {_signature_words(facts['signature'])} ({sizes})."
         ),
-    }[told["remaining"]]() + bursts
+    }[facts["remaining"]]() + bursts
 
 
 def _noise_words(residual: Mapping[str, float]) -> str:
     floor = residual["noise_floor_nT"]
     more = residual["held_out_after_nT"] ** 2 - floor**2
-    if more > (_GOOD_PART * floor) ** 2:
+    if more > (SENTENCE.large_part * floor) ** 2:
         return (
             f"Nothing is left that has structure, and yet {more**0.5:.3g} nT rms beyond the white level: "
             "wild readings, or something faster than the search"
@@ -238,9 +255,9 @@ def _noise_words(residual: Mapping[str, float]) -> str:
     return "Nothing is left to explain: the residual is noise"
 
 
-def why_not_identifiable(told: Mapping[str, Any]) -> str:
+def why_not_identifiable(facts: Mapping[str, Any]) -> str:
     """Return why nothing can be said of what is there: a short span, few blocks that tell, little of it."""
-    blocks, fewest = told["blocks"], told.get("fewest", 0)
+    blocks, fewest = facts["blocks"], facts.get("fewest", 0)
     if blocks.get("by_length", blocks["independent"]) < fewest:
         return f"these data are too short to say what: {blocks['independent']:.0f} independent blocks"
     if blocks["independent"] < fewest:
@@ -259,8 +276,8 @@ def _span_words(blocks: Sequence[Mapping[str, Any]]) -> str:
             spans[-1][1] = one["end"]
         else:
             spans.append([one["start"], one["end"]])
-    said = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[:_SAID]]
-    return "; ".join(said) + ("; ..." if len(spans) > _SAID else "")
+    said = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[: SENTENCE.spans]]
+    return "; ".join(said) + ("; ..." if len(spans) > SENTENCE.spans else "")
 
 
 def _minute(utc: str) -> str:
@@ -283,30 +300,32 @@ def _burst_words(outliers: Mapping[str, Any]) -> str:
 
 def _gap_words(channels: Sequence[Mapping[str, Any]]) -> str:
     """Return which part of the record lacks the channels of what was taken; nothing when it is little."""
-    told = [
-        f"{_percent(one['part'])} for want of {one['channel']}" for one in channels if one["part"] >= _WORTH
+    parts = [
+        f"{_percent(one['part'])} for want of {one['channel']}"
+        for one in channels
+        if one["part"] >= SENTENCE.missing
     ]
-    if not told:
+    if not parts:
         return ""
-    return f" Part of the record could not be corrected, {', '.join(told)}; the sizes are those of the rest."
+    return f" Part of the record could not be corrected, {', '.join(parts)}; the sizes are those of the rest."
 
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.2g}%"
 
 
-def _may_stand_in(told: Mapping[str, Any]) -> bool:
+def _may_stand_in(facts: Mapping[str, Any]) -> bool:
     """Return True when as much structure is left as a good part of the smallest effect taken."""
-    signature = told["signature"]
+    signature = facts["signature"]
     if signature is not None and signature.switchings:
         return False
-    smallest = min(effect.rms_nT for effect in told["effects"])
-    return bool(told["residual"].get("structure_nT", 0.0) > _GOOD_PART * smallest)
+    smallest = min(effect.rms_nT for effect in facts["effects"])
+    return bool(facts["residual"].get("structure_nT", 0.0) > SENTENCE.large_part * smallest)
 
 
-def _not_visible(told: Mapping[str, Any]) -> str:
+def _not_visible(facts: Mapping[str, Any]) -> str:
     """Return which whole mechanisms these data cannot show, whether they are there or not."""
-    names = [str(one["name"]) for one in told.get("unscorable", ()) if str(one["name"]).isidentifier()]
+    names = [str(one["name"]) for one in facts.get("unscorable", ()) if str(one["name"]).isidentifier()]
     names = [name.replace("_", " ") for name in names if name in MECHANISMS]
     return f" These data could not have shown: {', '.join(names)}." if names else ""
 
@@ -330,7 +349,7 @@ def _effect_words(effect: FoundEffect) -> str:
     axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
     text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
     if effect.rivals:
-        text += f", which these data cannot tell from {', '.join(effect.rivals[:4])}"
+        text += f", which these data cannot tell from {', '.join(effect.rivals[: SENTENCE.rivals])}"
     return text
 
 
@@ -366,7 +385,7 @@ def _axes_words(signature: Signature) -> str:
     others = [
         name
         for name, (size, sigma) in signature.amplitudes.items()
-        if name != main and size > _CLEAR * sigma > 0
+        if name != main and size > SENTENCE.sigmas * sigma > 0
     ]
     sizes = {name: signature.amplitudes[name][0] for name in others}
     sizes = {main: float(signature.amplitude_nT or 0.0)} | sizes
@@ -383,7 +402,7 @@ def _shape_words(signature: Signature) -> str:
     steps = [
         f"{size:+.3g} nT on {name}"
         for name, (size, sigma) in sorted(signature.steps.items(), key=lambda one: one[0] != signature.axis)
-        if name == signature.axis or abs(size) > _CLEAR * sigma > 0
+        if name == signature.axis or abs(size) > SENTENCE.sigmas * sigma > 0
     ]
     return f"{text}, on {signature.duty:.0%} of the time: {' and '.join(steps)}"
 
@@ -413,14 +432,14 @@ def _hint_words(signature: Signature) -> str:
     return f"slow structure of {signature.amplitude_nT:.3g} nT without a shape"
 
 
-def stop_reason(told: Mapping[str, Any], most: int, ran_out: bool) -> str:
+def stop_reason(facts: Mapping[str, Any], most: int, ran_out: bool) -> str:
     """Return why the rounds ended."""
     if most == 0:
         return "no rounds were asked for"
     if ran_out:
         return f"the limit of {most} additions was reached; raise it to go on"
-    if told["remaining"] == "NOTHING_LEFT":
+    if facts["remaining"] == "NOTHING_LEFT":
         return "what is left is noise"
-    if told["remaining"] == "NOT_IDENTIFIABLE":
-        return f"what is left cannot be told: {why_not_identifiable(told)}"
+    if facts["remaining"] == "NOT_IDENTIFIABLE":
+        return f"what is left cannot be told: {why_not_identifiable(facts)}"
     return "no candidate is beyond doubt: held-out gain, sign flips and placebos must all agree"

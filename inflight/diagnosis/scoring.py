@@ -1,15 +1,13 @@
-"""Held-out score, sign-flip p-values.
+"""Scores of candidates on one form of the Gram blocks: held-out loss, in-sample fit, sign-flip p-values.
 
-Scores of candidates on one form of the evidence: held-out loss, in-sample fit, scores of blocks.
+Takes Gram blocks with the calibration marginalised, the columns the model holds already and those of the
+candidates; makes `Scores` (`score`) and p-values (`sign_flip_ratios`, `family_wise_p`). Candidates are scored
+after the model's columns are projected out (Frisch, Waugh, Lovell), all at once, grouped by their number of
+columns.
 
-Everything is computed after the columns already in the model (P) are projected out (Frisch, Waugh,
-Lovell); all candidates at once, grouped by their number of columns.
-
-Honest significance: signs of whole blocks are flipped, and the largest of all candidates counts.
-
-Under the null hypothesis a block's scores could as well have the other sign. The family-wise p-value
-of a candidate is the part of flips in which *any* candidate reaches its ratio of statistic to mean
-flipped statistic (Westfall and Young's maximum).
+Significance: under the null hypothesis the score statistics of a block could as well have the other sign. The
+family-wise p-value of a candidate is the part of sign flips in which *any* candidate reaches its ratio of the
+statistic to its mean over the flips (Westfall and Young's maximum).
 """
 
 from __future__ import annotations
@@ -25,16 +23,33 @@ from inflight.lsq import Evidence, Fits, hac_t, half_inverse, promised_t, solve_
 
 Index = npt.NDArray[np.int64]
 
-#: A block in which less than this part of a column's largest block is left says nothing of it.
-_QUIET = 1e-2
 
-#: Folds of the cross-validation at most.
-FOLDS = 13
+@dataclass(frozen=True, kw_only=True)
+class ScoringSettings:
+    """Numbers of the scores.
+
+    Attributes
+    ----------
+    quiet : float
+        A block in which less than this part of a column's largest block is left has no information on it;
+        assumed.
+    folds : int
+        Folds of the cross-validation at most (MISSING_EFFECT 2.3: 13).
+    units : int
+        Independent spans whose signs are flipped, at most: a bound on time, assumed.
+    """
+
+    quiet: float = 1e-2
+    folds: int = 13
+    units: int = 120
+
+
+SCORING = ScoringSettings()
 
 
 @dataclass(frozen=True)
 class ModelColumns:
-    """What the model holds already: columns, and what is known of them beforehand (scaled 1/sigma^2)."""
+    """Columns the model holds already, and their prior precision (1/sigma^2, scaled)."""
 
     columns: Index
     precision: Floats
@@ -47,7 +62,7 @@ class ModelColumns:
         return solve_scaled(inner, gram[self.columns])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scores:
     """Scores of candidates on one form.
 
@@ -64,7 +79,7 @@ class Scores:
     explained : ndarray, shape (candidate,)
         In-sample sum of squares explained, nT^2.
     promised : ndarray, shape (block, candidate)
-        What each block's gain would be if the effect fitted to the other folds were true, nT^2.
+        Expected gain of each block if the effect fitted to the other folds were true, nT^2.
     active : ndarray of bool, shape (block, candidate)
         Blocks in which anything of it is left beside the calibration.
     fits : Fits, optional
@@ -82,7 +97,7 @@ class Scores:
     fits: Fits | None
 
     def t_behind(self, one: int, other: int) -> float:
-        """Return the t by which one candidate leaves more than another, where either tells anything."""
+        """Return the t by which one candidate leaves more than another, in blocks active for either."""
         if one == other:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
@@ -120,8 +135,8 @@ class Scores:
 
         A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
         would leave less by the square of the difference of the two contributions, block by block. Where it
-        gains clearly less than that (`rival_t`), the placebo tells something that the candidate does not, and
-        neither is the truth.
+        gains clearly less than that (`rival_t`), the placebo explains something that the candidate does not,
+        and neither is the truth.
         """
         apart = self.fits.apart(placebo, place) if self.fits is not None else None
         if apart is None:
@@ -153,7 +168,7 @@ class Scores:
             expected=self.expected * kept,
         )
 
-    def joined(self, found: Scores, seen: bool) -> Scores:
+    def extended(self, found: Scores, seen: bool) -> Scores:
         """Return these scores with further candidates behind; all zero when this form does not see them.
 
         Their folds may be others: what they gain is set against the same loss as everybody's.
@@ -164,15 +179,15 @@ class Scores:
 
         gained = more(found.loss0[:, None] - found.loss)
         return Scores(
-            self.loss0,
-            np.concatenate([self.loss, self.loss0[:, None] - gained], axis=1),
-            np.concatenate([self.gain, more(found.gain)]),
-            np.concatenate([self.t, more(found.t)]),
-            [*self.gamma, *found.gamma],
-            np.concatenate([self.explained, more(found.explained)]),
-            np.concatenate([self.expected, more(found.expected)], axis=1),
-            np.concatenate([self.active, found.active], axis=1),
-            self.fits,
+            loss0=self.loss0,
+            loss=np.concatenate([self.loss, self.loss0[:, None] - gained], axis=1),
+            gain=np.concatenate([self.gain, more(found.gain)]),
+            t=np.concatenate([self.t, more(found.t)]),
+            gamma=[*self.gamma, *found.gamma],
+            explained=np.concatenate([self.explained, more(found.explained)]),
+            expected=np.concatenate([self.expected, more(found.expected)], axis=1),
+            active=np.concatenate([self.active, found.active], axis=1),
+            fits=self.fits,
         )
 
 
@@ -186,7 +201,7 @@ def append_changes(
     for form, one in scores.items():
         seen = form == "raw"
         for found, _ in timed:
-            one = one.joined(found, seen)  # noqa: PLW2901 (one form's scores grow)
+            one = one.extended(found, seen)  # noqa: PLW2901 (one form's scores grow)
         own = [(observed * seen, flipped * seen) for _, (observed, flipped) in timed]
         out[form] = one
         out_ratios[form] = (
@@ -196,7 +211,7 @@ def append_changes(
     return out, out_ratios
 
 
-def make_folds(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[Index]:
+def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds) -> list[Index]:
     """Return the blocks of each fold: contiguous runs, or every k-th for effects bound to a time."""
     count = max(2, min(most, blocks))
     if interleaved:
@@ -208,7 +223,7 @@ def active_blocks(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArra
     """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
     own = np.einsum("bii->bi", evidence.gram)
     peak = np.maximum(own.max(axis=0), 1e-300)
-    lively = own > _QUIET * peak
+    lively = own > SCORING.quiet * peak
     return (
         np.stack([lively[:, columns].any(axis=1) for columns in candidates], axis=1)
         if candidates
@@ -270,7 +285,7 @@ def score(
     """
     total = evidence.total
     loss0 = np.zeros(len(evidence))
-    loss, promised = np.zeros((2, len(evidence), len(candidates)))
+    loss, expected = np.zeros((2, len(evidence), len(candidates)))
     fits = Fits(evidence, p := present.columns, list(candidates))
     groups = group_by_size(candidates)
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
@@ -292,13 +307,23 @@ def score(
             fits.keep(positions, gamma)
             change, square = _loss_change(blocks, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change
-            promised[np.ix_(fold, positions)] = square
+            expected[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
     active = active_blocks(evidence, candidates)
-    t = promised_t(loss0[:, None] - loss, promised, active)
-    return Scores(loss0, loss, gain, t, gamma_all, explained, promised, active, fits)
+    t = promised_t(loss0[:, None] - loss, expected, active)
+    return Scores(
+        loss0=loss0,
+        loss=loss,
+        gain=gain,
+        t=t,
+        gamma=gamma_all,
+        explained=explained,
+        expected=expected,
+        active=active,
+        fits=fits,
+    )
 
 
 def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
@@ -330,7 +355,7 @@ def _loss_change(
 
 
 def block_scores(evidence: Evidence, present: ModelColumns, y: int) -> Floats:
-    """Return each block's scores of every column at the model's own fit; (block, column).
+    """Return the score statistics of every column at the model's own fit, block by block; (block, column).
 
     They sum to what the projected columns have in common with the residual.
     """
@@ -345,13 +370,9 @@ def block_scores(evidence: Evidence, present: ModelColumns, y: int) -> Floats:
     return np.asarray(right - inner @ own)
 
 
-#: Independent spans whose signs are flipped, at most.
-MOST_UNITS = 120
-
-
 def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
     """Return random signs (draw, unit) and the blocks of each unit."""
-    units: list[Index] = np.array_split(np.arange(blocks, dtype=np.int64), min(blocks, MOST_UNITS))
+    units: list[Index] = np.array_split(np.arange(blocks, dtype=np.int64), min(blocks, SCORING.units))
     signs = np.random.default_rng(seed).integers(0, 2, (draws, len(units))) * 2.0 - 1.0
     return np.asarray(signs, dtype=np.float64), units
 

@@ -8,6 +8,7 @@ from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, fligh
 
 from inflight.diagnosis import TimeVariableColumns, batches, drifts, episodes, steps
 from inflight.diagnosis.refine import refine_change_time
+from inflight.diagnosis.time_changes import ChangeSettings
 from inflight.residual import told_period
 from inflight.time import parse_utc, to_tt2000
 
@@ -119,7 +120,7 @@ def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
 
 def test_a_batch_scores_what_all_changes_together_score(monkeypatch):
     apart = stepped().search(draws=50).table()
-    monkeypatch.setattr("inflight.diagnosis.time_changes._BATCH", 10_000)
+    monkeypatch.setattr("inflight.diagnosis.time_changes.CHANGES", ChangeSettings(batch_columns=10_000))
     whole = stepped().search(draws=50).table()
     assert {one.name for one in apart.options} == {one.name for one in whole.options}
     place = {one.name: at for at, one in enumerate(whole.options)}
