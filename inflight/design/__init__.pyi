@@ -1,6 +1,6 @@
 from .columns import (
+    BURSTS,
     EQUATIONS,
-    MOST,
     Outliers,
     Rows,
     bin_channel,
@@ -14,8 +14,8 @@ from .columns import (
 from .terms import Candidate, ChannelSummary, Library, Term, term_of, within_span
 
 __all__ = [
+    "BURSTS",
     "EQUATIONS",
-    "MOST",
     "Candidate",
     "ChannelSummary",
     "Library",

@@ -1,4 +1,9 @@
-"""Which physical effect is missing: survey, pass, search, verdict."""
+"""Which physical effect is missing: plan, pass, search, verdict.
+
+Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`). The pieces are `plan_pass` (survey
+the span, linearise the model, decide what is tried), `make_pass` (make or find the Gram blocks),
+`begin_search` and `context_of` (what `inflight.diagnosis.conclude` takes).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from inflight.catalog import Catalog
-from inflight.design import MOST
+from inflight.design import BURSTS
 from inflight.diagnosis import (
     Context,
     Diagnosis,
@@ -26,7 +31,7 @@ from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.tasks.analysis.gram_pass import (
-    MEMORY_S,
+    PASS,
     DiagnoseSettings,
     Loaded,
     PassPlan,
@@ -54,13 +59,13 @@ from inflight.tasks.models import UsedModel, current_model
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
-#: A record of so few days is cut to what was measured.
+#: The span of a record of no more days is what was measured, not whole days; assumed.
 _SHORT_DAYS = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PassResult:
-    """A pass that has been made: what the search reads."""
+    """A pass that has been made: what the search reads. `switched` are switchings that two sensors show."""
 
     plan: PassPlan
     used: UsedModel
@@ -101,7 +106,7 @@ def diagnose(
     settings = settings or DiagnoseSettings()
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     search, context = begin_search(made, settings), context_of(made, mission)
-    # Columns that join make new evidence, gigabytes of it: nothing here may hold on to the old one.
+    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the old ones.
     del made
     return conclude(search, context)[0]
 
@@ -118,7 +123,7 @@ def make_pass(
     used: UsedModel | None = None,
     narrow: Callable[[PassPlan], PassPlan] | None = None,
 ) -> PassResult:
-    """Make or find the evidence of a span and a model, the present one if none; a narrow one stays apart."""
+    """Make or find the Gram blocks of a span and a model, the present one if none; narrow ones stay apart."""
     tell = progress or (lambda stage, done, total: None)
     made = plan_pass(cat, mission, settings, start, end, used, tell)
     plan = narrow(made.plan) if narrow else made.plan
@@ -128,8 +133,8 @@ def make_pass(
         cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell
     )
     loaded = load_evidence(cat, plan, blocks)
-    if loaded.outliers.share > MOST:
-        # So much of a span is no outlier: the evidence with it stands beside the one without.
+    if loaded.outliers.share > BURSTS.largest_share:
+        # So much of a span is no outlier: the Gram blocks with it are stored apart from those without.
         plan = replace(plan, keep_bursts=True)
         run, blocks = make_blocks(
             cat, mission, plan, made.index, made.base, settings, context, f"{dataset}-bursts", client, tell
@@ -138,7 +143,7 @@ def make_pass(
         dataset = f"{dataset}-bursts"
     seen = find_switchings(mission, plan, loaded.series)
     if seen is not None:
-        # Rows at switchings go, and the levels between those that nobody recorded are free.
+        # Rows at switchings are left out, and the levels between those that nobody recorded are free.
         plan = replace(plan, stretches=stretches_between(seen, plan))
         run, blocks = make_blocks(
             cat,
@@ -154,7 +159,16 @@ def make_pass(
         )
         loaded = load_evidence(cat, plan, blocks)
     failed = len(plan.blocks) - len(blocks)
-    return PassResult(plan, made.used, made.survey, loaded, context, run, failed, seen)
+    return PassResult(
+        plan=plan,
+        used=made.used,
+        survey=made.survey,
+        loaded=loaded,
+        context=context,
+        run=run,
+        days_failed=failed,
+        switched=seen,
+    )
 
 
 @dataclass(frozen=True)
@@ -177,7 +191,7 @@ def plan_pass(
     used: UsedModel | None = None,
     tell: Progress = lambda stage, done, total: None,
 ) -> PlannedPass:
-    """Look at the span, linearise the model, and decide what is tried.
+    """Survey the span, linearise the model, and decide what is tried.
 
     Raises
     ------
@@ -256,24 +270,24 @@ def _plan(
             {"name": name, "family": "unknown", "reason": "the channel does not change"}
         )
     blocks = tuple(tuple(days[at : at + width]) for at in range(0, len(days), width))
-    memory = min(MEMORY_S, length / SECOND / 50.0)
+    correlation_s = min(PASS.correlation_time_s, length / SECOND / PASS.correlation_spans)
     return PassPlan(
-        found.model,
-        library,
-        tuple(needs),
-        tuple(channels),
-        tuple(days),
-        blocks,
-        parts,
-        cadence,
-        span,
-        memory,
-        found.channels,
+        model=found.model,
+        library=library,
+        needs=tuple(needs),
+        channel_needs=tuple(channels),
+        days=tuple(days),
+        blocks=blocks,
+        parts=parts,
+        cadence_ns=cadence,
+        span=span,
+        correlation_time_s=correlation_s,
+        channel_summaries=found.channels,
     )
 
 
 def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
-    """Return a search over the evidence, nothing taken yet."""
+    """Return the first state of a search over a pass: nothing taken yet."""
     raw = made.loaded.raw
     days = _groups_of_blocks(raw.start, DAY)
     rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)

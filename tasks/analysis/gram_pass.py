@@ -1,17 +1,15 @@
-"""The pass.
+"""The pass: each day of the archive is read once and becomes Gram blocks, which answer all later questions.
 
-The noise floor of a day, kept as sums in its report, and that of several days together.
+Takes a `PassPlan` (the model at the values it is linearised at, the library, the blocks) and the archive;
+makes, for every block, the Gram matrices of [calibration | model | candidates | residual], raw and
+prewhitened, a coarse series for pictures and signatures, and sums over the native samples
+(`block_evidence`). `make_blocks` makes the blocks that are missing or whose inputs changed; `load_evidence`
+reads them.
 
-The pass: one look at every day of the archive makes the evidence that all later questions are put to.
-
-A worker turns some days into Gram matrices of [calibration | model | candidates | residual] and a
-coarse series for pictures and signatures. Days whose inputs did not change are not looked at again.
-
-Blocks of evidence of a span: those that are missing or out of date are made, the rest is kept.
-
-Before the pass: where the residual is linearised, what each channel does, how the span is cut.
-
-What switches in a dual comparison, with housekeeping and without, and the stretches between.
+Before the pass, `survey` reads a few days: where the residual is linearised and what each channel does;
+`cadence_for`, `block_parts` and `placebo_shifts` say how the span is divided. After it, `find_switchings`
+says what switches in a comparison of two sensors without housekeeping, and `stretches_between` the
+stretches between.
 """
 
 from __future__ import annotations
@@ -106,14 +104,58 @@ def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
     )
 
 
-#: Bumped by hand when the numbers of the evidence change.
+#: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
 EVIDENCE_VERSION = 14
 
-#: Days lose the bins without geometry when these are at most this part of them.
-_GEOMETRY_GAPS = 0.3
 
-#: Rows of the series are at least so far apart in long records, seconds.
-_SERIES_S, _LONG_DAYS = 60.0, 100
+@dataclass(frozen=True, kw_only=True)
+class PassSettings:
+    """How a span is divided, and what a survey reads.
+
+    Attributes
+    ----------
+    geometry_gaps : float
+        Days lose the bins without geometry when these are at most this part of them; assumed.
+    series_s, long_days : float, int
+        Rows of the series are at least so far apart, s, in records of more than so many days: a bound on
+        memory.
+    placebos : int
+        Channels that get a placebo (MISSING_EFFECT 2.1: about 20).
+    surveyed_days, surveyed_samples : int
+        Days a survey reads, evenly spread, and samples of each that enter its fit: a bound on time, assumed.
+    target_blocks, most_blocks : int
+        Blocks that a record should have, and blocks of a long one at most (MISSING_EFFECT 2.2: 200).
+    correlation_time_s, correlation_spans : float
+        Correlation time the prewhitened form assumes, s (MISSING_EFFECT 2.2: 600 s), and so many of them at
+        least in a span; assumed.
+    cadences : tuple of (float, float)
+        The library's cadence for spans of up to so many days, s: what keeps a pass in minutes, measured by
+        benchmarks/search.py.
+    steady : float
+        A channel whose values spread by less than this part of their size does not change: rounding.
+    rows : int
+        A short record is not thinned below so many rows; assumed.
+    longest_stretch_s : int
+        A stretch between unexplained switchings is divided into these, s: offsets wander by hours; assumed.
+    """
+
+    geometry_gaps: float = 0.3
+    series_s: float = 60.0
+    long_days: int = 100
+    placebos: int = 16
+    surveyed_days: int = 12
+    surveyed_samples: int = 20_000
+    target_blocks: int = 96
+    most_blocks: int = 200
+    correlation_time_s: float = 600.0
+    correlation_spans: float = 50.0
+    cadences: tuple[tuple[float, float], ...] = ((2.0, 10.0), (20.0, 10.0), (70.0, 20.0), (np.inf, 30.0))
+    steady: float = 1e-9
+    rows: int = 5000
+    longest_stretch_s: int = 3 * 3600
+
+
+PASS = PassSettings()
 
 #: Sums over the native samples that the reports of blocks hold.
 SUMS = (
@@ -129,9 +171,9 @@ SUMS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PassPlan:
-    """All a worker needs to make evidence; no database behind it.
+    """All a worker needs to make Gram blocks; no database behind it.
 
     Attributes
     ----------
@@ -151,7 +193,7 @@ class PassPlan:
         TT2000 of the record.
     memory_s : float
         Correlation time of the prewhitened form.
-    told : mapping of str to Told
+    channel_summaries : mapping of str to ChannelSummary
     keep_bursts : bool
         Bursts are counted and stay in.
     stretches : Stretches, optional
@@ -168,7 +210,7 @@ class PassPlan:
     cadence_ns: int
     span: tuple[int, int]
     correlation_time_s: float
-    told: Mapping[str, ChannelSummary]
+    channel_summaries: Mapping[str, ChannelSummary]
     keep_bursts: bool = False
     stretches: Stretches | None = None
 
@@ -182,8 +224,8 @@ class PassPlan:
         """Bins that become one row of the series."""
         if self.folding is not None:
             return 1
-        wanted = _SERIES_S if len(self.days) > _LONG_DAYS else 0.0
-        return max(1, round(wanted * SECOND / self.cadence_ns))
+        spacing_s = PASS.series_s if len(self.days) > PASS.long_days else 0.0
+        return max(1, round(spacing_s * SECOND / self.cadence_ns))
 
     @property
     def folding(self) -> Folding | None:
@@ -191,7 +233,7 @@ class PassPlan:
         return self.model.layout.folding if self.model.layout is not None else None
 
     @property
-    def kept(self) -> RowFilter | None:
+    def row_filter(self) -> RowFilter | None:
         """The filter residuals and columns go through."""
         return (
             self.folding
@@ -207,7 +249,7 @@ class PassPlan:
     @property
     def key(self) -> str:
         """sha256 of everything but the archive that the evidence is made from."""
-        told = {
+        parts = {
             "version": EVIDENCE_VERSION,
             "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
             "model": self.model.text,
@@ -217,11 +259,11 @@ class PassPlan:
             "cadence": self.cadence_ns,
             "memory": self.correlation_time_s,
             "span": self.span,
-            "means": {name: one.mean for name, one in self.told.items()},
+            "means": {name: one.mean for name, one in self.channel_summaries.items()},
             "keep_bursts": self.keep_bursts,
             "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,
         }
-        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
@@ -229,7 +271,7 @@ def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: Archiv
     reader = ChannelReader(
         cat, mission, made.channel_needs, index, made.cadence_ns, made.span, made.model.comparison
     )
-    derived = DerivedChannels(reader, made.days, made.told, made.library.placebos)
+    derived = DerivedChannels(reader, made.days, made.channel_summaries, made.library.placebos)
     days_of = {block[0]: block for block in made.blocks}
     return make_days(
         cat,
@@ -269,7 +311,7 @@ def block_evidence(
 
 
 def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
-    """Return rows whose channels are missing where they were not recorded; a series tells where that was."""
+    """Return rows whose channels are missing where they were not recorded, so that a series has it."""
     samples = {
         name: rows.samples[name].copy(data=values)
         for name, values in recorded.items()
@@ -281,7 +323,7 @@ def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
 def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
     """Return the coarse series of a block (or of the blocks of a day), and what it holds."""
     plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
-    channels = list(dict.fromkeys([*made.told, *plain, *GEOMETRY]))
+    channels = list(dict.fromkeys([*made.channel_summaries, *plain, *GEOMETRY]))
     features = features_of(rows[0], channels)
     thinned = [thin_rows(one, features, made.series_step) for one in rows]
     stamps = np.concatenate([one[0] for one in thinned])
@@ -355,9 +397,9 @@ def day_rows(
     values = derived.on(day, made.library.channels, there)
     variables = as_variables(mission, values, geometry if there else None)
     edges = derived.reader.edges(day)
-    turn = sensor_matrices(made.model, (start + end) // 2)
+    matrices = sensor_matrices(made.model, (start + end) // 2)
     recorded = derived.reader.day(day)
-    rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
+    rows, sums = coarsen(samples, native, edges, variables, matrices, recorded, made.keep_bursts)
     rows = replace(rows, weight=np.where(_without_geometry(there, rows.weight > 0), 0.0, rows.weight))
     if made.stretches is not None:
         rows = _in_stretches(rows, made.stretches)
@@ -369,25 +411,25 @@ def day_rows(
 
 
 def _in_stretches(rows: Rows, stretches: Stretches) -> Rows:
-    """Return rows whose residual is relative to its stretch; those in none weigh nothing."""
+    """Return rows whose residual is relative to its stretch; those in none have no weight."""
     stamps = rows.samples["tt2000"].values
     weight = np.where(stretches.is_lost(stamps), 0.0, rows.weight)
     residual = np.nan_to_num(stretches.keep(rows.residual, stamps, weight > 0))
-    return replace(rows, residual=residual, weight=weight, kept=stretches)
+    return replace(rows, residual=residual, weight=weight, row_filter=stretches)
 
 
 def _without_geometry(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
-    """Return which bins have no geometry, when most have: what is not there must not pass for a shadow."""
+    """Return which bins have no geometry, when most have: a missing one must not pass for a shadow."""
     out = np.zeros(used.size, dtype=bool)
     for values in geometry.values():
         missing = ~np.isfinite(values.reshape(used.size, -1)).all(axis=1)
-        if (missing & used).sum() <= _GEOMETRY_GAPS * max(used.sum(), 1):
+        if (missing & used).sum() <= PASS.geometry_gaps * max(used.sum(), 1):
             out |= missing
     return out
 
 
 def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
-    """Return what position and attitude say of a day's bins."""
+    """Return the geometry of a day's bins, from position and attitude."""
     data = orbit_of(mission, reader, day)
     bins = data["tt2000"].size
     for role in ("vector", "outboard"):
@@ -399,7 +441,7 @@ def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, sampl
     return found.drop_vars([name for name in ("position", "attitude", "vector", "outboard") if name in found])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Loaded:
     """The evidence of a span: raw, prewhitened, within-day when it was made apart, the series, outliers."""
 
@@ -430,20 +472,20 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
-    filled = {need.name: stands_in(made.told, need.name) for need in made.channel_needs}
+    filled = {need.name: stands_in(made.channel_summaries, need.name) for need in made.channel_needs}
     series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
         for name in ("count", "square", "inside", "spikes")
     }
     return Loaded(
-        raw[0].joined(raw[1:]),
-        white[0].joined(white[1:]),
-        within,
-        replace(series, kept=made.kept),
-        sums,
-        floor_of_reports([day.report for day in ordered]),
-        Outliers.of([day.report for day in ordered], made.keep_bursts),
+        raw=raw[0].joined(raw[1:]),
+        white=white[0].joined(white[1:]),
+        within=within,
+        series=replace(series, row_filter=made.row_filter),
+        sums=sums,
+        floor=floor_of_reports([day.report for day in ordered]),
+        outliers=Outliers.of([day.report for day in ordered], made.keep_bursts),
     )
 
 
@@ -502,30 +544,8 @@ def make_blocks(
         return run.id, [kept[day] for day in sorted(kept)]
 
 
-def _choose(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
-    return {day: told[day] for day in days}
-
-
-#: Channels that get a placebo.
-_PLACEBOS = 16
-
-#: Days looked at, evenly spread, and samples of each that enter the fit.
-_DAYS, _SAMPLES = 12, 20_000
-
-#: Blocks that are wanted of a record, and blocks of a long one at most.
-TARGET_BLOCKS, MOST_BLOCKS = 96, 200
-
-#: Correlation time the prewhitened form assumes, s; a fiftieth of the span when that is less.
-MEMORY_S = 600.0
-
-#: The library's cadence for spans of up to so many days, s.
-_CADENCES = ((2.0, 10.0), (20.0, 10.0), (70.0, 20.0), (np.inf, 30.0))
-
-#: A channel whose values spread by less than this part of their size does not change.
-_STILL = 1e-9
-
-#: Rows of a short record: it is not thinned below so many.
-_ROWS = 5000
+def _choose(by_day: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
+    return {day: by_day[day] for day in days}
 
 
 @dataclass(frozen=True)
@@ -562,7 +582,7 @@ def survey(
     days: Sequence[np.datetime64],
     reader: ChannelReader,
 ) -> Survey:
-    """Look at some days of the span.
+    """Read some days of the span: linearise the residual, summarise the channels.
 
     Raises
     ------
@@ -571,12 +591,12 @@ def survey(
     """
     some = _spread_days(days)
     fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
-    told, still = _channels(reader, some)
-    return Survey(fitted, base, fixed, told, still)
+    changing, still = _channels(reader, some)
+    return Survey(fitted, base, fixed, changing, still)
 
 
 def _spread_days(days: Sequence[np.datetime64]) -> list[np.datetime64]:
-    places = np.unique(np.linspace(0, len(days) - 1, min(_DAYS, len(days))).round().astype(int))
+    places = np.unique(np.linspace(0, len(days) - 1, min(PASS.surveyed_days, len(days))).round().astype(int))
     return [days[place] for place in places]
 
 
@@ -637,13 +657,13 @@ def _linearised_spin(
     assert entry is not None
     base, fixed = [], []
     for name in SpinningSensor.SPIN_RELATED:
-        told = entry.parameters[name]
-        if told.free:
+        own = entry.parameters[name]
+        if own.free:
             kinds = SpinningSensor.parameters()[name]
-            known = np.where(np.isfinite(told.sigma[:, 0]), told.sigma[:, 0], kinds.sigma)
+            known = np.where(np.isfinite(own.sigma[:, 0]), own.sigma[:, 0], kinds.sigma)
             base.append(Term(entry.name, entry, (name,), tuple(known.tolist())))
         else:
-            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * told.parameter.size))
+            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * own.parameter.size))
     return model, tuple(base), tuple(fixed)
 
 
@@ -707,7 +727,7 @@ def _thinned_samples(
     samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
     reading, additive, scalar = split_chain(model, samples)
     good = usable(samples, reading, additive, scalar)
-    step = max(1, len(reading) // _SAMPLES)
+    step = max(1, len(reading) // PASS.surveyed_samples)
     additive = np.broadcast_to(additive, reading.shape)
     return reading[::step], additive[::step], scalar[::step], good[::step]
 
@@ -715,7 +735,7 @@ def _thinned_samples(
 def _channels(
     reader: ChannelReader, days: Sequence[np.datetime64]
 ) -> tuple[dict[str, ChannelSummary], tuple[str, ...]]:
-    told, still, kinds = {}, [], channels_of(reader.mission)
+    changing, still, kinds = {}, [], channels_of(reader.mission)
     read = {day: reader.day(day) for day in days}
     for name in reader.scalars:
         values = np.concatenate([read[day][name] for day in days])
@@ -725,20 +745,19 @@ def _channels(
             continue
         low, high = np.quantile(finite, [0.05, 0.95])
         spread = float(high - low) or float(np.ptp(finite))
-        if spread <= _STILL * max(float(np.abs(finite).max()), 1e-300):
+        if spread <= PASS.steady * max(float(np.abs(finite).max()), 1e-300):
             still.append(name)
             continue
-        told[name] = ChannelSummary(
+        changing[name] = ChannelSummary(
             float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind
         )
-    return told, tuple(still)
+    return changing, tuple(still)
 
 
 def cadence_for(span_ns: int, native_ns: int) -> int:
     """Return the library's cadence for a span: native when it is slow or the record short, nanoseconds."""
-    wanted = next(seconds for days, seconds in _CADENCES if span_ns <= days * DAY) * SECOND
-    wanted = min(wanted, span_ns / _ROWS)
-    return native_ns * max(1, int(wanted // native_ns))
+    usual = next(seconds for days, seconds in PASS.cadences if span_ns <= days * DAY) * SECOND
+    return native_ns * max(1, int(min(usual, span_ns / PASS.rows) // native_ns))
 
 
 def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int]:
@@ -747,11 +766,11 @@ def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int
     A block of a short span is a part of a day, of an orbit or more where one is known; of a long one,
     some days.
     """
-    if days > MOST_BLOCKS:
-        return 1, -(-days // MOST_BLOCKS)
+    if days > PASS.most_blocks:
+        return 1, -(-days // PASS.most_blocks)
     day_ns = span_ns / days
     most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
-    return int(np.clip(-(-TARGET_BLOCKS // days), 1, most)), 1
+    return int(np.clip(-(-PASS.target_blocks // days), 1, most)), 1
 
 
 def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
@@ -759,7 +778,10 @@ def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, f
     generator = np.random.default_rng(20_000)
     names = sorted(found.channels)
     chosen = (
-        [names[place] for place in np.unique(np.linspace(0, len(names) - 1, _PLACEBOS).round().astype(int))]
+        [
+            names[place]
+            for place in np.unique(np.linspace(0, len(names) - 1, PASS.placebos).round().astype(int))
+        ]
         if names
         else []
     )
@@ -775,10 +797,6 @@ def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, f
     return out
 
 
-#: A stretch between unexplained switchings is cut to this, s.
-_LONGEST_S = 3 * 3600
-
-
 def find_switchings(mission: Mission, plan: PassPlan, series: Series) -> Switched | None:
     """Return the switchings in the residual of a pass without stretches.
 
@@ -790,7 +808,7 @@ def find_switchings(mission: Mission, plan: PassPlan, series: Series) -> Switche
     Returns
     -------
     Switched or None
-        None of another comparison than one of two sensors that tell of states, or when there are none.
+        None of another comparison than one of two sensors on one boom, or when there are none.
     """
     if not is_told_by_states(mission, plan.model.comparison):
         return None
@@ -813,12 +831,13 @@ def stretches_between(found: Switched, plan: PassPlan) -> Stretches:
     """Return the stretches between switchings that no channel follows, and what belongs to none.
 
     A channel is late or early by some of its own cadence: around every switching the residual holds what
-    the channel does not tell of, in proportion to the field that the calibration rests on. These rows go.
-    Offsets wander by hours, which no scatter between blocks tells of: no stretch is longer than some of them.
+    the channel does not show, in proportion to the field that the calibration rests on. These rows are left
+    out. Offsets wander by hours, which no scatter between blocks shows: no stretch is longer than some of
+    them.
     """
     half = plan.cadence_ns * plan.series_step // 2
     lost = tuple(zip((found.last + half).tolist(), (found.first - half).tolist(), strict=True))
-    step = _LONGEST_S * SECOND
+    step = PASS.longest_stretch_s * SECOND
     regular = [at for day in plan.days for at in range(day_bounds(day)[0], day_bounds(day)[1], step)]
     middle = found.last + (found.first - found.last) // 2
     return Stretches(tuple(sorted({*regular, *middle[~found.follows].tolist()})), lost)

@@ -13,6 +13,7 @@ import pytest
 from tiny_mission import TINY_START, TINY_YAML, tiny_readings
 
 from inflight.catalog import Catalog, Workspace
+from inflight.design.columns import BurstSettings
 from inflight.diagnosis import (
     Features,
     Seen,
@@ -224,7 +225,7 @@ def test_a_span_of_two_days_has_a_page(place, tmp_path):
 
 def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypatch):
     """Both are made once: asking again makes neither anew."""
-    monkeypatch.setattr("inflight.tasks.analysis.diagnosis.MOST", -1.0)
+    monkeypatch.setattr("inflight.tasks.analysis.diagnosis.BURSTS", BurstSettings(largest_share=-1.0))
     kept, again = (make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS) for _ in range(2))
     assert kept.loaded.outliers.kept
     assert kept.run
