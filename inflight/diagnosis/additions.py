@@ -1,17 +1,13 @@
-"""Additions to a model, joint refit.
+"""Additions to a model, and the joint fit of everything the model then holds.
 
-A model fitted anew from the evidence: what it holds free, was given, and has lost, all at once.
+Takes the Gram blocks of a pass (`FitSetup`) and candidates, options of a search, steps or drifts; makes an
+`Addition` (`AdditionMaker`, `addition_of`, `step_of`, `drift_of`): its columns of the Gram blocks, and its
+entries in the model's file. Columns are called as the model calls its values, so that a fit's result goes
+into the model by name (`Addition.put_into`).
 
-Only the columns that the model has are looked at, so that it takes milliseconds whatever the
-library's size. A column of the model may be a combination of the library's: a lag between two of the
-bank, or a parameter times a function of the block.
-
-What is put into a model: its columns of the evidence, and its entries in the model's file.
-
-An addition's columns are called as the model will call its values, so that a fit's result goes into
-the model by name.
-
-Additions bound to a time: drifts, steps and episodes of a sensor's parameters, a bias or a clock.
+`FitSetup.fit` fits what the model holds free, what was added and what was dropped, all at once: a few
+columns, so that it takes milliseconds whatever the library's size. A column of the model may be a
+combination of the library's: a lag between two of the bank, or a parameter times a function of the block.
 """
 
 from __future__ import annotations
@@ -40,13 +36,13 @@ from inflight.time import DAY, to_utc
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the model made from those of the evidence.
+    """A column of the model, made from those of the Gram blocks.
 
     Attributes
     ----------
     name : str
     parts : tuple of (str, float)
-        Columns of the evidence, of one scale, and their weights.
+        Columns of the Gram blocks, of one scale, and their weights.
     factor : ndarray, shape (block,), optional
         Function of the block it is multiplied by.
     """
@@ -56,15 +52,15 @@ class Column:
     factor: Floats | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class JointFit:
     """Values of everything a model lets data move, in one fit.
 
     Attributes
     ----------
     value, sigma : dict of str to float
-        Change of each column from where the evidence is linearised, physical units. The sigma knows
-        how the residual is correlated between blocks, and is the prior's where data tell nothing.
+        Change of each column from where the Gram blocks are linearised, physical units. The sigma allows
+        for the residual's correlation between blocks; it is the prior's where data have no information.
     base_value, base_sigma : dict of str to float
         The same of the calibration's own columns, mean over its intervals.
     in_sample, held_out : float
@@ -81,7 +77,7 @@ class JointFit:
 
 @dataclass(frozen=True)
 class FitSetup:
-    """What a fit stands on: the evidence as the library has it, and what the calibration absorbs.
+    """What a joint fit needs: the Gram blocks as the library has them, and what the calibration marginalises.
 
     Attributes
     ----------
@@ -120,34 +116,35 @@ class FitSetup:
             Hold out every k-th block instead of runs: for effects that lie in few blocks.
         """
         whole, names, sigma = self._model_of(columns, fixed or {})
-        evidence, present = self._beside(whole, names, sigma)
+        evidence, present = self._marginalised(whole, names, sigma)
         value, covariance = self._solved(evidence, present)
-        base = self._base(whole, names, value, covariance)
+        base_value, base_sigma = self._base(whole, names, value, covariance)
         y = evidence.residuals[0]
         scale = evidence.scale[present.columns]
         found = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
-        # A column of which nothing is left beside the calibration is known as well as beforehand.
+        # A column of which the calibration leaves nothing is known as well as beforehand.
         found = np.where(np.diagonal(evidence.total)[present.columns] > 0, found, np.asarray(sigma))
         left = evidence.total[y, y] + 2.0 * evidence.total[y, present.columns] @ value
         left += value @ evidence.total[np.ix_(present.columns, present.columns)] @ value
         rows = max(float(evidence.count.sum()), 1.0)
         held = score(evidence, present, [], y, make_folds(len(evidence), interleaved)).loss0.sum()
         return JointFit(
-            dict(zip(names, (value * scale).tolist(), strict=True)),
-            dict(zip(names, found.tolist(), strict=True)),
-            *base,
-            max(float(left), 0.0) / rows,
-            max(float(held), 0.0) / rows,
+            value=dict(zip(names, (value * scale).tolist(), strict=True)),
+            sigma=dict(zip(names, found.tolist(), strict=True)),
+            base_value=base_value,
+            base_sigma=base_sigma,
+            in_sample=max(float(left), 0.0) / rows,
+            held_out=max(float(held), 0.0) / rows,
         )
 
-    def absorbed(
+    def marginalised(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
     ) -> tuple[Evidence, ModelColumns]:
         """Return what the calibration leaves of the model's columns, and which they are with their priors.
 
         Those of `columns` come last.
         """
-        return self._beside(*self._model_of(columns, fixed))
+        return self._marginalised(*self._model_of(columns, fixed))
 
     def _model_of(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
@@ -167,7 +164,7 @@ class FitSetup:
             sigma,
         )
 
-    def _beside(
+    def _marginalised(
         self, whole: Evidence, names: Sequence[str], sigma: Sequence[float]
     ) -> tuple[Evidence, ModelColumns]:
         gone = self._base_names
@@ -209,7 +206,7 @@ class FitSetup:
             return {}, {}
         at, others, y = whole.index(gone), whole.index(names), whole.residuals[0]
         prior = np.diag(self._precision(whole, gone, self._base_sigma))
-        shift, turn = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
+        shift, mean_cross = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
         error = np.zeros((len(gone), len(gone)))
         count = len(self.intervals)
         for group in self.intervals:
@@ -217,9 +214,10 @@ class FitSetup:
             inverse = solve_scaled(total[np.ix_(at, at)] + prior, np.eye(len(gone)))
             cross = inverse @ total[np.ix_(at, others)]
             shift -= (inverse @ total[at, y] + cross @ value) / count
-            turn += cross / count
+            mean_cross += cross / count
             error += self.variance * inverse / count**2
-        sigma = np.sqrt(np.clip(np.diag(error + turn @ covariance @ turn.T), 0.0, None))
+        both = error + mean_cross @ covariance @ mean_cross.T
+        sigma = np.sqrt(np.clip(np.diag(both), 0.0, None))
         scale = whole.scale[at]
         return (
             dict(zip(gone, (shift * scale).tolist(), strict=True)),
@@ -241,8 +239,8 @@ def combine_columns(
     fixed : mapping of str to float
         Changes that join the residual, physical units.
     """
-    wanted = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
-    small = evidence.select(list(dict.fromkeys(wanted)))
+    needed = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
+    small = evidence.select(list(dict.fromkeys(needed)))
     names = [*plain, *(one.name for one in columns), "residual"]
     turn = np.zeros((len(small), len(small.names), len(names)))
     scale = np.ones(len(names))
@@ -262,7 +260,7 @@ def combine_columns(
     return replace(small, names=tuple(names), gram=gram, scale=scale)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Addition:
     """Something put into the model.
 
@@ -274,7 +272,7 @@ class Addition:
     entries : tuple of ModelEffect
         What the model's file gets; at values that do nothing, where the columns are linearised.
     needs : tuple of Term
-        Terms whose columns the evidence must hold.
+        Terms whose columns the Gram blocks must hold.
     interleaved : bool
         It lies in few blocks.
     gains : dict of str to ((str, float), ...)
@@ -324,14 +322,14 @@ class Addition:
         return entry.with_parameters(parameters)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AdditionMaker:
     """Makes additions of one mission, one model and one library.
 
     Attributes
     ----------
     model : Model
-        At the values the evidence is linearised at.
+        At the values the Gram blocks are linearised at.
     raw : Evidence
         Its blocks say when things change.
     names : frozenset of str
@@ -371,9 +369,9 @@ class AdditionMaker:
                 columns.append(Column(column, tuple((own[one][index], w) for one, w in weights.items())))
         others = list(bank.values()) or [candidate]
         needs = [self.library.terms[key] for one in others for key in one.terms]
-        told = candidate.mechanism if bank else candidate.name
-        told += f"@lag={lag:.4g}s" if bank and lag else ""
-        return Addition(told, tuple(columns), tuple(entries), tuple(needs))
+        label = candidate.mechanism if bank else candidate.name
+        label += f"@lag={lag:.4g}s" if bank and lag else ""
+        return Addition(name=label, columns=tuple(columns), entries=tuple(entries), needs=tuple(needs))
 
     def bank(self, candidate: Candidate) -> dict[float, Candidate]:
         """Return lag -> candidate of a mechanism that is tried with several lags; empty when it is not."""
@@ -393,13 +391,15 @@ class AdditionMaker:
         term = self.library.terms[candidate.terms[0]]
         names = value_names(term.entry, term.parameters)
         columns = [Column(name, ((own, 1.0),)) for name, own in zip(names, term.columns, strict=True)]
-        return Addition(candidate.name, tuple(columns), (term.entry,), (term,))
+        return Addition(name=candidate.name, columns=tuple(columns), entries=(term.entry,), needs=(term,))
 
     def of_term(self, term: Term, name: str = "") -> Addition:
-        """Return the addition of an effect of no library; the evidence may not have its columns yet."""
+        """Return the addition of an effect of no library; the Gram blocks may not have its columns yet."""
         names = value_names(term.entry, term.parameters)
         columns = [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
-        return Addition(name or term.entry.name, tuple(columns), (term.entry,), (term,))
+        return Addition(
+            name=name or term.entry.name, columns=tuple(columns), entries=(term.entry,), needs=(term,)
+        )
 
     def of_terms(self, name: str, terms: Sequence[Term]) -> Addition:
         """Return the addition of what a search made of a candidate: a lag, a width, a product of its own."""
@@ -410,7 +410,7 @@ class AdditionMaker:
             entries.append(self.entry(term.entry, title))
             names = value_names(entries[-1], term.parameters)
             columns += [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
-        return Addition(name, tuple(columns), tuple(entries), tuple(terms))
+        return Addition(name=name, columns=tuple(columns), entries=tuple(entries), needs=tuple(terms))
 
     def entry(self, origin: ModelEffect, name: str, lag_s: float | None = None) -> ModelEffect:
         """Return an effect like another, with its own name and whole units, at values that do nothing."""
@@ -419,9 +419,9 @@ class AdditionMaker:
             given["lag"] = origin.effect.given["lag"]
         elif lag_s:
             given["lag"] = f"{lag_s:.6g} s"
-        told: dict[str, Any] = {"effect": origin.effect.label(), "name": name, "sensor": origin.sensor.name}
+        entry: dict[str, Any] = {"effect": origin.effect.label(), "name": name, "sensor": origin.sensor.name}
         sensors = sensors_of(self.mission, self.model.comparison)
-        return make_effect(told | given, sensors, self.model.own, self.mission)
+        return make_effect(entry | given, sensors, self.model.own, self.mission)
 
     def title(self, origin: ModelEffect) -> str:
         """Return a free name for an effect: its label, and its channels where these decide."""
@@ -438,7 +438,7 @@ class AdditionMaker:
             found, number = f"{title}_{number}", number + 1
         return found
 
-    def carrier(self, column: str) -> Term:
+    def term_of(self, column: str) -> Term:
         """Return the term a column is of."""
         return next(term for term in self.library.all_terms if column in term.columns)
 
@@ -492,7 +492,7 @@ def addition_of(maker: AdditionMaker, option: Option) -> Addition:
 
 
 def drift_of(maker: AdditionMaker, kind: str, name: str = "") -> Addition:
-    """Return a drift straight in time: of scale factors, angles or offsets, of the scalar's clock or bias.
+    """Return a drift linear in time: of scale factors, angles or offsets, of the scalar's clock or bias.
 
     It grows from nothing at the middle of the span; calibration intervals still have their own nine. Of
     the vector sensor's parameters it is an affine change of the reading before them.
@@ -509,19 +509,19 @@ def drift_of(maker: AdditionMaker, kind: str, name: str = "") -> Addition:
     middle = maker.raw.start / 2 + maker.raw.end / 2
     origin = float(middle.mean())
     days = (middle - origin) / DAY
-    term = maker.carrier(columns[0])
+    term = maker.term_of(columns[0])
     entry = _drift_entry(maker, what, name or maker.free_name(kind), term, int(origin))
     _, part, _, unit = _DRIFT_FORMS[what]
     if len(columns) == 1:
-        titles, turn, values = [f"{entry.name}.{what}"], np.eye(1), [f"{entry.name}.{part}*b"]
+        titles, matrix, values = [f"{entry.name}.{what}"], np.eye(1), [f"{entry.name}.{part}*b"]
     else:
         axes = ANGLES if what == "angle" else tuple("xyz")
         titles = [f"{entry.name}.{what}[{axis}]" for axis in axes]
-        turn = _before_sensor_matrix(maker, what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
+        matrix = _before_sensor_matrix(maker, what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
         values = [f"{entry.name}.{part}[{2 * axis if what == 'scale' else axis}]*b" for axis in axes]
     made = tuple(Column(title, ((column, 1.0),), days) for title, column in zip(titles, columns, strict=True))
-    gains = {value: _weights(titles, row) for value, row in zip(values, turn, strict=True)}
-    return Addition(kind, made, (entry,), (term,), gains=gains, unit=unit)
+    gains = {value: _weights(titles, row) for value, row in zip(values, matrix, strict=True)}
+    return Addition(name=kind, columns=made, entries=(entry,), needs=(term,), gains=gains, unit=unit)
 
 
 def _drift_entry(maker: AdditionMaker, what: str, name: str, term: Term, origin: int) -> ModelEffect:
@@ -533,8 +533,8 @@ def _drift_entry(maker: AdditionMaker, what: str, name: str, term: Term, origin:
         "value": [[one, 0.0] for one in neutral],
         "free": False,
     }
-    told = {"effect": effect, "name": name, "sensor": term.entry.sensor.name, part: timed}
-    return make_effect(told, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
+    entry = {"effect": effect, "name": name, "sensor": term.entry.sensor.name, part: timed}
+    return make_effect(entry, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
 
 
 def _before_sensor_matrix(maker: AdditionMaker, what: str, term: Term) -> Floats:
@@ -556,7 +556,7 @@ def _before_sensor_matrix(maker: AdditionMaker, what: str, term: Term) -> Floats
 
 
 def step_of(maker: AdditionMaker, kind: str, at: Sequence[int], name: str = "") -> Addition:
-    """Return a step of a sensor's parameter, or an episode between two moments.
+    """Return a step of a sensor's parameter, or an episode between two times.
 
     At edges of blocks its columns are the sensor's own times a function of the block, else columns of
     their own.
@@ -581,31 +581,34 @@ def step_of(maker: AdditionMaker, kind: str, at: Sequence[int], name: str = "") 
         inside = inside & (maker.raw.start < at[1])
     label = f"{kind}_{'episode' if len(at) == 2 else 'step'}"
     title = name or maker.free_name(f"{label}_{_time_label(at[0])}")
-    entries = _step_entries(maker, kind, title, at, maker.carrier(found[0]))
+    entries = _step_entries(maker, kind, title, at, maker.term_of(found[0]))
     values = [value_names(entry, (_single_parameter(entry),)) for entry in entries]
-    source, factor = maker.carrier(found[0]), inside.astype(np.float64)
+    source, factor = maker.term_of(found[0]), inside.astype(np.float64)
     gains = _value_weights(maker, kind, values, source)
-    told = f"{label}@{'/'.join(time_text(when) for when in at)}"
+    dated = f"{label}@{'/'.join(time_text(when) for when in at)}"
     if set(at) <= {*maker.raw.start.tolist(), int(maker.raw.end[-1])}:
         parts = zip(values[0], found, strict=True)
         made = tuple(Column(one, ((column, 1.0),), factor) for one, column in parts)
-        return Addition(told, made, entries, (source,), True, gains)
-    parts = zip(values[0], dated_columns(source, found, told), strict=True)
+        return Addition(
+            name=dated, columns=made, entries=entries, needs=(source,), interleaved=True, gains=gains
+        )
+    parts = zip(values[0], dated_columns(source, found, dated), strict=True)
     made = tuple(Column(one, ((column, 1.0),)) for one, column in parts)
-    return Addition(told, made, entries, (dated_term(source, found, told, tuple(at)),), True, gains)
+    term = dated_term(source, found, dated, tuple(at))
+    return Addition(name=dated, columns=made, entries=entries, needs=(term,), interleaved=True, gains=gains)
 
 
 def _step_entries(
     maker: AdditionMaker, kind: str, title: str, at: Sequence[int], term: Term
 ) -> tuple[ModelEffect, ...]:
-    """Return the effects that say it; a bias that comes and goes is two steps."""
+    """Return the entries of a step or an episode; a bias that comes and goes is two steps."""
     sensors = sensors_of(maker.mission, maker.model.comparison)
     when = [f"{to_utc(one)}Z" for one in at]
     if kind != "bias" and len(at) == 2:
-        told = [{"effect": f"{kind}_episode", "name": title, "from": when[0], "to": when[1]}]
+        entries = [{"effect": f"{kind}_episode", "name": title, "from": when[0], "to": when[1]}]
     else:
         names = [title, f"{title}_end"]
-        told = [
+        entries = [
             {"effect": f"{kind}_step", "name": name, "at": one}
             for name, one in zip(names, when, strict=False)
         ]
@@ -614,26 +617,27 @@ def _step_entries(
         # The sensor's equation takes the offset off before it scales and turns.
         offset = term.entry.parameters["offset"].value[:, 0].tolist()
         given["about"] = {"value": offset, "free": False}
-    return tuple(make_effect(one | given, sensors, mission=maker.mission) for one in told)
+    return tuple(make_effect(one | given, sensors, mission=maker.mission) for one in entries)
 
 
 def _value_weights(
     maker: AdditionMaker, kind: str, values: Sequence[Sequence[str]], term: Term
 ) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Return how the model's values follow from those of the carrier's columns."""
+    """Return how the model's values follow from those of the columns that change."""
     first = values[0]
-    turn = np.eye(len(first))
+    matrix = np.eye(len(first))
     if kind == "offset":
-        turns = sensor_matrices(maker.model, int(maker.raw.start[0]))
+        matrices = sensor_matrices(maker.model, int(maker.raw.start[0]))
         # Behind the sensor's equation a step of its offset is that step through K.
         affine = term.entry.effect.label() == "affine"
-        turn = -np.eye(3) if affine else np.reshape(turns.get(term.entry.sensor.name, np.eye(3)), (3, 3))
+        own = matrices.get(term.entry.sensor.name, np.eye(3))
+        matrix = -np.eye(3) if affine else np.reshape(own, (3, 3))
     elif kind in ("scale", "angle"):
-        turn = _before_sensor_matrix(maker, kind, term)
+        matrix = _before_sensor_matrix(maker, kind, term)
     gains = {}
     for sign, names in zip((1.0, -1.0), values, strict=False):
         for row, name in enumerate(names):
-            gains[name] = _weights(first, sign * turn[row])
+            gains[name] = _weights(first, sign * matrix[row])
     return gains
 
 
@@ -646,5 +650,5 @@ def _single_parameter(entry: ModelEffect) -> str:
 
 
 def _time_label(when: int) -> str:
-    """Return a moment as a part of a name."""
+    """Return a time as a part of a name."""
     return "".join(c for c in str(to_utc(when))[:16] if c.isalnum())

@@ -1,4 +1,9 @@
-"""What a person asks to be added: a name, a channel, or an entry of the model's file, made an addition."""
+"""What a person asks to be added: a name, a channel, or an entry of the model's file, made an addition.
+
+Takes text or a mapping as `inflight add` gets it; makes a `Request` (`find_request`): the addition, and the
+same with every lag of its bank when the lag that fits best is asked for (`best_lag`). `addition_of_entry`
+does the same for an effect of a later version of the model, so that it can be fitted again.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +40,7 @@ _TIMED = re.compile(
 #: An effect of a channel as a search names it: of a product, with a lag or a width of its own.
 _MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|width)=(?P<size>[^@]+))?$")
 
-#: What changes at a moment.
+#: What may change at a time.
 _KINDS = ("offset", "scale", "angle", "bias", "clock")
 
 #: Names listed in a remedy at most.
@@ -44,13 +49,13 @@ _LISTED = 12
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be added.
+    """What a person asks to be added.
 
     Attributes
     ----------
     addition : Addition
     bank : dict of float to Addition
-        The same with every lag of its bank, when the lag that fits best is wanted.
+        The same with every lag of its bank, when the lag that fits best is asked for; else empty.
     """
 
     addition: Addition
@@ -120,8 +125,8 @@ def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float
         bank = [one for one in real if one.mechanism == lagged["mechanism"] and maker.bank(one)]
         if bank:
             return bank[0], _seconds(name, lagged["lag"])
-    told = list(dict.fromkeys(one.mechanism for one in real))
-    alike = [one for one in told if one.startswith(f"{name}(") or one == f"channel_field({name})"]
+    mechanisms = list(dict.fromkeys(one.mechanism for one in real))
+    alike = [one for one in mechanisms if one.startswith(f"{name}(") or one == f"channel_field({name})"]
     if len(alike) == 1:
         return next(one for one in real if one.mechanism == alike[0]), None
     if len(alike) > 1:
@@ -130,7 +135,7 @@ def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float
     made = _MADE.match(name)
     if (made["effect"] if made else name) in known_effects(maker.model.own):
         return None, None
-    raise _unknown_name(maker, name, told)
+    raise _unknown_name(maker, name, mechanisms)
 
 
 def _parse_made(name: str) -> dict[str, Any]:
@@ -173,7 +178,7 @@ def _parse_time(name: str, text: str) -> int:
 
 
 def _snap_to_edge(maker: AdditionMaker, when: int) -> int:
-    """Return a moment; the edge of blocks beside it when that is within a second."""
+    """Return a time; the nearest edge of blocks when that is within a second."""
     edges = np.append(maker.raw.start, maker.raw.end[-1])
     near = int(edges[np.argmin(np.abs(edges - when))])
     return near if abs(near - when) < SECOND else when
@@ -219,7 +224,7 @@ def _outside_library(maker: AdditionMaker, entry: ModelEffect) -> Addition:
         for key, timed in entry.parameters.items()
     }
     entry = entry.with_parameters(still)
-    # The evidence is known by the names of its columns: they say what the effect is made of.
+    # Gram blocks are known by the names of their columns: they say what the effect is made of.
     made_of = json.dumps(entry.as_yaml(), sort_keys=True, default=str)
     key = f"{entry.name}#{hashlib.sha256(made_of.encode()).hexdigest()[:12]}"
     term = term_of(entry, key)
@@ -236,13 +241,13 @@ def _matching_candidate(maker: AdditionMaker, entry: ModelEffect) -> tuple[Candi
     """Return the candidate an entry is, whatever its lag, and the lag."""
     if entry.effect.source is not None:
         return None, 0.0
-    told, lag = _identity(entry)
+    identity, lag = _identity(entry)
     for candidate in maker.library.candidates:
         term = maker.library.terms[candidate.terms[0]]
         if candidate.placebo or len(candidate.terms) > 1:
             continue
         own, own_lag = _identity(term.entry)
-        if own == told and (own_lag == lag or maker.bank(candidate)):
+        if own == identity and (own_lag == lag or maker.bank(candidate)):
             return candidate, lag
     return None, lag
 
@@ -302,15 +307,15 @@ def _drift_kind(part: str, entry: ModelEffect) -> str:
 
 
 def best_lag(
-    ground: FitSetup, fixed: Mapping[str, float], columns: Sequence[Column], bank: Mapping[float, Addition]
+    setup: FitSetup, fixed: Mapping[str, float], columns: Sequence[Column], bank: Mapping[float, Addition]
 ) -> float:
-    """Return the lag that explains most beside the rest of the model, seconds; 0 when it may be none."""
+    """Return the lag that explains most next to the rest of the model, seconds; 0 when it may be none."""
     tried = [
         Column(f"{lag:g}|{column.name}", column.parts)
         for lag, addition in bank.items()
         for column in addition.columns
     ]
-    evidence, present = ground.absorbed([*columns, *tried], fixed)
+    evidence, present = setup.marginalised([*columns, *tried], fixed)
     count = len(present.columns) - len(tried)
     present = replace(present, columns=present.columns[:count], precision=present.precision[:count])
     places = {

@@ -1,8 +1,9 @@
-"""Page of diagnose.
+"""The page of a diagnosis: one HTML file that needs nothing but itself.
 
-Sections of a diagnosis's report: each a heading, text that needs no script, and figures.
-
-The report of a diagnosis: one HTML file that needs nothing but itself.
+Takes a finished search and its context (`examine` makes them of a span); makes sections, each a heading,
+text that needs no script, and figures (`diagnosis_sections`), and the page of them (`report`): where the
+residual fails, what it follows, which effect explains it, how the error falls, what stands for what, the
+ledger.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ from inflight.tasks.pipelines.states import named_units
 from inflight.tasks.report import Progress
 from inflight.time import SECOND, DayLike, to_utc
 
-#: Channels whose response is drawn, beside those of found effects; and found effects drawn one by one.
+#: Channels whose response is drawn, other than those of found effects; and found effects drawn one by one.
 _CHANNELS, _EFFECTS = 6, 6
 
 _STATES = ("before", "after")
@@ -187,10 +188,10 @@ def which_effect(search: Search, context: Context, found: Diagnosis) -> Section:
 
 def error_falls(seen: Seen, search: Search, context: Context, found: Diagnosis) -> Section:
     """Return the held-out error step by step, daily sizes and distributions."""
-    told = found.residual
-    floor = tuple(float(told[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
+    sizes_nt = found.residual
+    floor = tuple(float(sizes_nt[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
     steps = waterfall(search, context)
-    start, end = float(told["held_out_before_nT"]), float(told["held_out_after_nT"])
+    start, end = float(sizes_nt["held_out_before_nT"]), float(sizes_nt["held_out_after_nT"])
     sizes = sizes_of(seen)
     states = _STATES if seen.changed else ("now", "now")
     plots = [
@@ -243,9 +244,11 @@ def stands_for(search: Search, found: Diagnosis) -> Section:
         return "What stands for what", [], []
     shifts = [
         shift
-        for option, one, told in zip(search.accepted, found.effects, found.as_json()["effects"], strict=True)
+        for option, one, fields in zip(
+            search.accepted, found.effects, found.as_json()["effects"], strict=True
+        )
         for shift in shifts_of(search, option, one.coefficients)
-        if shift.coefficient in {value["name"] for value in telling(told["coefficients"])}
+        if shift.coefficient in {value["name"] for value in telling(fields["coefficients"])}
     ]
     text = [
         '<p class="quiet">Correlations of errors, the whole span as one calibration interval: pairs near '
@@ -272,12 +275,12 @@ class DiagnosisReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""
-        told = self.diagnosis.as_json()
+        fields = self.diagnosis.as_json()
         names = ("run", "context", "comparison", "model", "verdict", "sentence", "residual", "remaining")
-        effects = [{"name": one["name"], "family": one["family"]} for one in told["effects"]]
+        effects = [{"name": one["name"], "family": one["family"]} for one in fields["effects"]]
         return (
             {"command": "report", "path": str(self.path)}
-            | {name: told[name] for name in names}
+            | {name: fields[name] for name in names}
             | {"effects": effects}
         )
 
@@ -293,7 +296,7 @@ def report(
     client: Any = None,
     progress: Progress | None = None,
 ) -> DiagnosisReport:
-    """Diagnose a span and write the page of it; evidence that is there already is not made again.
+    """Diagnose a span and write the page of it; Gram blocks that are there already are not made again.
 
     Parameters
     ----------
@@ -385,10 +388,10 @@ def diagnosis_sections(
         More lines of the ledger.
     """
     seen = seen_of(search, context)
-    told = found.as_json()
-    strip = verdict_strip(found.verdict, found.sentence, told["residual"], told["remaining"]["verdict"])
+    fields = found.as_json()
+    strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
-        ("Verdict", [strip, *found_effects(told), *rivals_apart(told)], []),
+        ("Verdict", [strip, *found_effects(fields), *rivals_apart(fields)], []),
         fails_here(seen),
         follows(seen, found),
         spectrum(seen, context),
@@ -441,16 +444,16 @@ def _ledger(
 
 
 def _left_out(outliers: Mapping[str, Any]) -> str:
-    """Return how many samples are not in the evidence, and when the first bursts of them were."""
+    """Return how many samples are not in the Gram blocks, and when the first bursts of them were."""
     if not outliers:
         return "none"
     text = f"{outliers['samples']}, {outliers['spikes']} of them single"
     if not outliers["burst_count"]:
         return text
     kept = ", kept because they hold too much of the span" if outliers["kept"] else ""
-    told = [
+    first = [
         f"{one['start']} to {one['end']} ({one['times_usual']:.0f} times the usual scatter)"
         for one in outliers["bursts"]
     ]
-    more = "; ..." if len(told) < outliers["burst_count"] else ""
-    return f"{text}; {outliers['burst_count']} bursts{kept}: {'; '.join(told)}{more}"
+    more = "; ..." if len(first) < outliers["burst_count"] else ""
+    return f"{text}; {outliers['burst_count']} bursts{kept}: {'; '.join(first)}{more}"

@@ -1,14 +1,12 @@
-"""Workbench, diagnose_span.
+"""The model revised: an effect added, dropped or taken back, everything fitted anew, a new version saved.
 
-What a change of the model did: residual before and after, and which other parameters moved.
+Takes a catalog, a mission and a span, as `inflight.tasks.analysis.compare` and `diagnose` do; `Workbench`
+holds the Gram blocks of one pass in memory. Its *root* is the version of the model they were made at; what
+later versions added or dropped is algebra on them. Only an effect whose columns are not among them costs a
+pass, over the model's columns and its own. Each change makes a `Revision`: the residual before and after,
+the effect's numbers, and which other parameters moved.
 
-The model revised: an effect added, dropped or taken back, everything fitted anew, a new version saved.
-
-`Workbench` holds the evidence of one pass in memory. Its *root* is the version of the model the
-evidence was made at; what later versions added or dropped is algebra on that evidence. Only an effect
-whose columns are not in it costs a pass, over the model's columns and its own.
-
-A diagnosis as the command line and the flow run it, and where its last result is kept.
+`diagnose_span` is a diagnosis as the command line and the flow run it; `last_diagnosis` reads its result.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -54,11 +52,11 @@ from inflight.tasks.pipelines.states import named_units
 from inflight.tasks.report import Progress, to_json
 from inflight.time import DayLike
 
-#: A parameter's uncertainty that changes by this factor tells of cross-talk made or removed.
+#: A parameter's uncertainty that changes by this factor shows cross-talk made or removed; assumed.
 _CROSS_TALK = 1.5
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True)
 class Revision:
     """What a change of the model did.
 
@@ -127,8 +125,16 @@ def moved_parameters(before: JointFit, after: JointFit, units: Mapping[str, str]
             why = _why_moved(by, was_sigma[name], sigma[name])
             if why:
                 plain = name.removeprefix("model:")
-                told = {"parameter": plain, "by": by, "sigma": sigma[name], "sigma_before": was_sigma[name]}
-                found.append(told | {"unit": units.get(plain, ""), "why": why})
+                found.append(
+                    {
+                        "parameter": plain,
+                        "by": by,
+                        "sigma": sigma[name],
+                        "sigma_before": was_sigma[name],
+                        "unit": units.get(plain, ""),
+                        "why": why,
+                    }
+                )
     return sorted(found, key=lambda one: -abs(one["by"]) / max(one["sigma_before"], 1e-300))
 
 
@@ -159,26 +165,27 @@ def fitted_values(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str
 
 @dataclass
 class Workbench:
-    """The evidence of a span in memory, and the model that is being revised on it.
+    """The Gram blocks of a span in memory, and the model that is being revised with them.
 
     Parameters
     ----------
     cat : Catalog
     mission : Mission
+    start, end : UTC date, optional
+        Half-open span of days; the whole archive when absent.
     settings : DiagnoseSettings
-    start, end : UTC date or None
-        The span of the evidence.
     fresh : bool
-        Make the evidence at the present version, even if an earlier one has some.
+        Make the Gram blocks at the present version, even if an earlier one has some.
     client, progress
         As of `inflight.tasks.analysis.diagnosis.diagnose`.
     """
 
     cat: Catalog
     mission: Mission
-    settings: DiagnoseSettings = field(default_factory=DiagnoseSettings)
     start: DayLike | None = None
     end: DayLike | None = None
+    settings: DiagnoseSettings = field(default_factory=DiagnoseSettings)
+    _: KW_ONLY
     fresh: bool = False
     client: Any = None
     progress: Progress | None = None
@@ -188,7 +195,7 @@ class Workbench:
         root = evidence_root(self.cat, self.mission, self.current)
         if self.fresh and root and root[0].text != self.current.text:
             root = None
-        #: The mission as it was when the evidence was made; it keys the evidence.
+        #: The mission as it was when the Gram blocks were made; it is part of their key.
         used, self._measured = root or (self.current, self.mission)
         self.made = self._prepared(used, None)
         if used.text == self.current.text:
@@ -233,7 +240,7 @@ class Workbench:
 
     @property
     def root(self) -> UsedModel:
-        """The version the evidence was made at."""
+        """The version the Gram blocks were made at."""
         return self.made.used
 
     @property
@@ -242,21 +249,19 @@ class Workbench:
         names = {one.name for model in (self.root.model, self.current.model) for one in model.effects}
         plan = self.made.plan
         return AdditionMaker(
-            self.mission,
-            plan.model,
-            plan.library,
-            time_variable_columns(plan.library),
-            self.made.loaded.raw,
-            frozenset(names),
+            mission=self.mission,
+            model=plan.model,
+            library=plan.library,
+            time_variable=time_variable_columns(plan.library),
+            raw=self.made.loaded.raw,
+            names=frozenset(names),
         )
 
     def candidates(self) -> list[str]:
         """Return the names of everything that `add` knows without a pass, in the library's order."""
-        kinds = [kind for kind in DRIFTS if self._has_carrier(kind)]
+        columns = self.maker.time_variable
+        kinds = [kind for kind in DRIFTS if getattr(columns, kind.removesuffix("_drift"))]
         return [one.name for one in self.made.plan.library.candidates if not one.placebo] + kinds
-
-    def _has_carrier(self, drift: str) -> bool:
-        return bool(getattr(self.maker.time_variable, drift.removesuffix("_drift")))
 
     # Changes of the model.
 
@@ -274,12 +279,12 @@ class Workbench:
         ModelError
             When nothing is called so, or it cannot be fitted.
         """
-        wanted = find_request(self.maker, effect)
-        addition = wanted.addition
-        if wanted.bank:
-            ground, fixed = self._ground([*self.additions, addition], self.dropped)
-            lag = best_lag(ground, fixed, [c for one in self.additions for c in one.columns], wanted.bank)
-            addition = wanted.at_lag(lag)
+        request = find_request(self.maker, effect)
+        addition = request.addition
+        if request.bank:
+            setup, fixed = self._fit_setup([*self.additions, addition], self.dropped)
+            lag = best_lag(setup, fixed, [c for one in self.additions for c in one.columns], request.bank)
+            addition = request.at_lag(lag)
         more = [*self.additions, addition]
         return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
 
@@ -317,14 +322,14 @@ class Workbench:
             When there is nothing to go back to.
         """
         found = before_last(self.cat, self.mission, self.current)
-        ground, fixed = self._ground(self.additions, self.dropped)
-        before, first = self._fit(ground, fixed, self.additions), self.current
+        setup, fixed = self._fit_setup(self.additions, self.dropped)
+        before, first = self._fit(setup, fixed, self.additions), self.current
         message = f"undo version {first.version}: back to version {found.version}"
         self.current = self._saved(found.model, message, found.text)
         self._restore()
-        ground, fixed = self._ground(self.additions, self.dropped)
-        after = self._fit(ground, fixed, self.additions)
-        return self._told("undo", message, first.version, before, after)
+        setup, fixed = self._fit_setup(self.additions, self.dropped)
+        after = self._fit(setup, fixed, self.additions)
+        return self._revision("undo", message, first.version, before, after)
 
     def _revise(
         self,
@@ -334,18 +339,17 @@ class Workbench:
         dropped: list[str],
         addition: Addition | None = None,
     ) -> Revision:
-        ground, fixed = self._ground(additions, dropped)
+        setup, fixed = self._fit_setup(additions, dropped)
         interleaved = any(one.interleaved for one in (*additions, *self.additions))
         same = self._held(dropped)[1] == self._held(self.dropped)[1]
-        old = self._ground(self.additions, self.dropped, ground if same else None)
+        old = self._fit_setup(self.additions, self.dropped, setup if same else None)
         before = self._fit(*old, self.additions, interleaved)
-        after = self._fit(ground, fixed, additions, interleaved)
-        model, parent = self._model(ground, additions, dropped, after), self.current.version
+        after = self._fit(setup, fixed, additions, interleaved)
+        model, parent = self._model(setup, additions, dropped, after), self.current.version
         self.current = self._saved(model, message, model.text)
         self.additions, self.dropped = additions, dropped
-        told = self._told(command, message, parent, before, after)
-        told.values = fitted_values(model, addition.entries) if addition else []
-        return told
+        values = fitted_values(model, addition.entries) if addition else []
+        return replace(self._revision(command, message, parent, before, after), values=values)
 
     def _saved(self, model: Model, message: str, text: str) -> UsedModel:
         version = self.cat.save_model(model.name, text, self.current.version, message, again=True)
@@ -355,7 +359,7 @@ class Workbench:
 
     def _fit(
         self,
-        ground: FitSetup,
+        setup: FitSetup,
         fixed: Mapping[str, float],
         additions: Sequence[Addition],
         interleaved: bool | None = None,
@@ -363,24 +367,24 @@ class Workbench:
         columns = [column for one in additions for column in one.columns]
         apart = any(one.interleaved for one in additions) if interleaved is None else interleaved
         key = (tuple(one.name for one in additions), tuple(sorted(fixed)), apart)
-        if self._last is None or self._last[0] is not ground.raw or self._last[1] != key:
-            self._last = ground.raw, key, ground.fit(columns, fixed, interleaved=apart)
+        if self._last is None or self._last[0] is not setup.raw or self._last[1] != key:
+            self._last = setup.raw, key, setup.fit(columns, fixed, interleaved=apart)
         return self._last[2]
 
-    def _ground(
-        self, additions: Sequence[Addition], dropped: Sequence[str], beside: FitSetup | None = None
+    def _fit_setup(
+        self, additions: Sequence[Addition], dropped: Sequence[str], same: FitSetup | None = None
     ) -> tuple[FitSetup, dict[str, float]]:
-        """Return what a fit stands on, and the parameters held at nothing for what was dropped.
+        """Return what a fit needs, and the changes of parameters that take out what was dropped.
 
         Parameters
         ----------
-        beside : Ground, optional
-            Taken when it serves: what is compared should stand on the same.
+        same : FitSetup, optional
+            Taken when it has all columns: what is compared should come from the same Gram blocks.
         """
         held, hard = self._held(dropped)
         names = {part for one in additions for column in one.columns for part, _ in column.parts}
-        if beside is not None and names <= set(beside.raw.names):
-            return beside, held
+        if same is not None and names <= set(same.raw.names):
+            return same, held
         if names <= set(self.made.loaded.raw.names) and not hard:
             return self._whole, held
         needs = [term for one in additions for term in one.needs]
@@ -411,12 +415,12 @@ class Workbench:
         return held, tuple(hard)
 
     def _model(
-        self, ground: FitSetup, additions: Sequence[Addition], dropped: Sequence[str], fitted: JointFit
+        self, setup: FitSetup, additions: Sequence[Addition], dropped: Sequence[str], fitted: JointFit
     ) -> Model:
         """Return the root's model with everything at its fitted values."""
         model = self.root.model
         value, sigma = {}, {}
-        for term in ground.refined:
+        for term in setup.refined:
             starts = values_of(term.entry)
             for name in (name for name in starts if f"model:{name}" in fitted.value):
                 value[name] = starts[name] + fitted.value[f"model:{name}"]
@@ -428,22 +432,24 @@ class Workbench:
             model = one.put_into(model, fitted.value, fitted.sigma)
         return model
 
-    # What is told.
+    # What a change did.
 
-    def _told(self, command: str, effect: str, parent: int, before: JointFit, after: JointFit) -> Revision:
+    def _revision(
+        self, command: str, effect: str, parent: int, before: JointFit, after: JointFit
+    ) -> Revision:
         inside = self.made.loaded.sums["inside"] / max(self.made.loaded.sums["count"], 1.0)
         sizes = [
             float(np.sqrt(one + inside))
             for one in (before.in_sample, after.in_sample, before.held_out, after.held_out)
         ]
         return Revision(
-            command,
-            effect,
-            self.current,
-            parent,
-            (sizes[0], sizes[1]),
-            (sizes[2], sizes[3]),
-            moved_parameters(before, after, self._units()),
+            command=command,
+            effect=effect,
+            model=self.current,
+            parent=parent,
+            in_sample=(sizes[0], sizes[1]),
+            held_out=(sizes[2], sizes[3]),
+            moved=moved_parameters(before, after, self._units()),
             run=self.made.run,
             context=self.made.context,
         )
@@ -462,7 +468,7 @@ class Workbench:
     # The search.
 
     def diagnose(self) -> Diagnosis:
-        """Search what is missing from the present version; its evidence is made anew when it has none."""
+        """Search what is missing from the present version; its Gram blocks are made when there are none."""
         return self._searched()[0]
 
     def _searched(self) -> tuple[Diagnosis, Search]:
@@ -546,7 +552,7 @@ def diagnose_span(
     mission = workspace.mission()
     require_sampled(mission, settings.comparison)
     bench = Workbench(
-        Catalog(workspace.root), mission, settings, start, end, fresh=True, client=client, progress=progress
+        Catalog(workspace.root), mission, start, end, settings, fresh=True, client=client, progress=progress
     )
     if save:
         found, steps = bench.auto()
@@ -622,7 +628,7 @@ def open_workbench(
     client: Any = None,
     progress: Progress | None = None,
 ) -> Workbench:
-    """Return a workbench on the evidence of the last diagnosis; without one, evidence is made of all days.
+    """Return a workbench with the Gram blocks of the last diagnosis; without one, they are made of all days.
 
     Raises
     ------
@@ -634,4 +640,4 @@ def open_workbench(
     asked = (last_diagnosis(workspace, comparison) or {}).get("asked") or {}
     settings = DiagnoseSettings.model_validate(asked.get("settings") or {"comparison": comparison})
     span = asked.get("start"), asked.get("end")
-    return Workbench(Catalog(workspace.root), mission, settings, *span, client=client, progress=progress)
+    return Workbench(Catalog(workspace.root), mission, *span, settings, client=client, progress=progress)
