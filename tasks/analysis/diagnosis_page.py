@@ -58,6 +58,7 @@ from inflight.figures import (
     html_page,
     lag_figure,
     ledger_table,
+    most_significant,
     order_figure,
     periodogram_figures,
     response_figures,
@@ -66,7 +67,6 @@ from inflight.figures import (
     shift_table,
     short_name,
     strongest_pairs,
-    telling,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
@@ -248,7 +248,7 @@ def stands_for(search: Search, found: Diagnosis) -> Section:
             search.accepted, found.effects, found.as_json()["effects"], strict=True
         )
         for shift in shifts_of(search, option, one.coefficients)
-        if shift.coefficient in {value["name"] for value in telling(fields["coefficients"])}
+        if shift.coefficient in {value["name"] for value in most_significant(fields["coefficients"])}
     ]
     text = [
         '<p class="quiet">Correlations of errors, the whole span as one calibration interval: pairs near '
