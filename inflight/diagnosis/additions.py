@@ -580,9 +580,11 @@ def step_of(maker: AdditionMaker, kind: str, at: Sequence[int], name: str = "") 
     if len(at) == 2:
         inside = inside & (maker.raw.start < at[1])
     label = f"{kind}_{'episode' if len(at) == 2 else 'step'}"
-    title = name or maker.free_name(f"{label}_{_time_label(at[0])}")
+    begin = "".join(c for c in str(to_utc(at[0]))[:16] if c.isalnum())
+    title = name or maker.free_name(f"{label}_{begin}")
     entries = _step_entries(maker, kind, title, at, maker.term_of(found[0]))
-    values = [value_names(entry, (_single_parameter(entry),)) for entry in entries]
+    # Each of them has one parameter: by how much it steps.
+    values = [value_names(entry, list(type(entry.effect).parameters())[:1]) for entry in entries]
     source, factor = maker.term_of(found[0]), inside.astype(np.float64)
     gains = _value_weights(maker, kind, values, source)
     dated = f"{label}@{'/'.join(time_text(when) for when in at)}"
@@ -643,12 +645,3 @@ def _value_weights(
 
 def _weights(names: Sequence[str], weights: Floats) -> tuple[tuple[str, float], ...]:
     return tuple((name, float(weight)) for name, weight in zip(names, weights, strict=True))
-
-
-def _single_parameter(entry: ModelEffect) -> str:
-    return next(iter(type(entry.effect).parameters()))
-
-
-def _time_label(when: int) -> str:
-    """Return a time as a part of a name."""
-    return "".join(c for c in str(to_utc(when))[:16] if c.isalnum())

@@ -167,8 +167,11 @@ def _add_effect(
             continue
         if _in_model(model, entry):
             continue
-        if "period" in options and not periods[0] <= _seconds(options["period"]) <= periods[1]:
-            continue
+        if "period" in options:
+            period = options["period"]
+            seconds = parse_duration(period) / SECOND if isinstance(period, str) else float(period)
+            if not periods[0] <= seconds <= periods[1]:
+                continue
         _add_forms(library, mission, model, label, dict(options), entry, mechanism, family, channels)
 
 
@@ -184,7 +187,7 @@ def _add_forms(
     channels: Mapping[str, ChannelSummary],
 ) -> None:
     """Add an effect with every lag or width of its bank."""
-    base = _base_channels(entry.effect.channels)
+    base = tuple(dict.fromkeys(one for name in entry.effect.channels if name for one in base_channels(name)))
     common: dict[str, Any] = {
         "mechanism": mechanism,
         "family": family,
@@ -295,11 +298,3 @@ FORM = frozenset({"lag", "width", "degree", "order"})
 def _mechanism(label: str, options: Mapping[str, Any]) -> str:
     given = [str(value) for key, value in options.items() if key not in FORM]
     return f"{label}({', '.join(given)})" if given else label
-
-
-def _base_channels(names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(base for name in names if name for base in base_channels(name)))
-
-
-def _seconds(period: Any) -> float:
-    return parse_duration(period) / SECOND if isinstance(period, str) else float(period)

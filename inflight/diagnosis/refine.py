@@ -541,6 +541,7 @@ def _change_times(
     rows = 2.0 * correlation_s(series, residual) / series.step_s
     noise = float(np.mean(residual[used] ** 2)) * max(rows, 1.0)
     windows = [_window(search, option, place) for place in range(len(at))]
+    unit = "datetime64[s]" if series.step_s >= CHANGE_TIME.coarse_s else "datetime64[ms]"
     sigma = 0.0
     for _ in range(CHANGE_TIME.iterations):
         inside = within_span(series.tt2000, at) & (series["weight"] > 0)
@@ -553,7 +554,7 @@ def _change_times(
             _change_time(series.tt2000, gained * (-1.0) ** place, window, noise)
             for place, window in enumerate(windows)
         ]
-        before, at = at, tuple(_round_time(one[0], series.step_s) for one in found)
+        before, at = at, tuple(int(to_tt2000(to_utc(one[0]).astype(unit))) for one in found)
         sigma = max(one[1] for one in found)
         if at == before or (len(at) == 2 and at[0] >= at[1]):
             break
@@ -622,11 +623,6 @@ def _change_time(stamps: Int64, gained: Floats, window: tuple[int, int], noise: 
     best = offset[middle] + (part - 0.5) * width[middle]
     spread = np.sum(chance * ((offset - best) ** 2 + width**2 / 12.0))
     return int(stamps[0]) + round(float(best)), float(np.sqrt(spread))
-
-
-def _round_time(when: int, step_s: float) -> int:
-    unit = "datetime64[s]" if step_s >= CHANGE_TIME.coarse_s else "datetime64[ms]"
-    return int(to_tt2000(to_utc(when).astype(unit)))
 
 
 # Interactions, and columns that join.

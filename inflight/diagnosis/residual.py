@@ -249,6 +249,7 @@ def derived_channels(
     """Return derived channels on the series' own rows; placebos shifted by `shifts`, seconds."""
     out: dict[str, xr.Variable] = {}
     known = set(series.channels)
+    units = dict(zip(series.features.names, series.features.units, strict=True))
     for name in names:
         if name in known:
             continue
@@ -257,14 +258,9 @@ def derived_channels(
             values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
             factors.append(_part(series, part, values, shifts or {}))
         made = product(factors)
-        unit = "*".join(f"({_unit(series, part.channel)})" for part in parse(name).parts)
+        unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
     return out
-
-
-def _unit(series: Series, channel: str) -> str:
-    names = series.features.names
-    return series.features.units[names.index(channel)] if channel in names else "1"
 
 
 def _part(series: Series, part: Part, values: Floats, shifts: Mapping[str, float]) -> Floats:

@@ -221,9 +221,10 @@ MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
 def sentence(facts: Mapping[str, Any]) -> str:
     """Return what a diagnosis means, in one or two sentences."""
     residual = facts["residual"]
+    floor = residual["noise_floor_nT"]
     sizes = (
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
-        f"noise floor {_size(residual['noise_floor_nT'])}"
+        f"noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
     )
     bursts = _burst_words(facts.get("outliers", {}))
     parts = [_effect_words(effect) for effect in facts["effects"]]
@@ -330,16 +331,9 @@ def _not_visible(facts: Mapping[str, Any]) -> str:
     return f" These data could not have shown: {', '.join(names)}." if names else ""
 
 
-def _size(nanotesla: float) -> str:
-    return f"{nanotesla:.3g} nT" if isfinite(nanotesla) else "unknown"
-
-
-def _article(word: str) -> str:
-    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
-
-
 def _effect_words(effect: FoundEffect) -> str:
-    what = f"{_article(effect.family.replace('_', ' '))} effect"
+    family = effect.family.replace("_", " ")
+    what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
     if effect.at:
         times = [one.rstrip("Z").removesuffix(":00").replace("T", " ") for one in effect.at]

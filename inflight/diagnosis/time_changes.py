@@ -158,7 +158,9 @@ def drifts(evidence: Evidence, changing: TimeVariableColumns) -> list[Change]:
 def steps(evidence: Evidence, changing: TimeVariableColumns) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
-    edges = _edges(len(evidence))
+    blocks = len(evidence)
+    places = np.linspace(1, blocks - 1, min(CHANGES.edges, blocks - 1)) if blocks > 3 else np.zeros(0)
+    edges = [int(place) for place in np.unique(places.round())]
     for place, edge in enumerate(edges):
         after = (np.arange(len(evidence)) >= edge).astype(np.float64)
         when, sharp = int(evidence.start[edge]), _sharpness(evidence, edges, place)
@@ -190,13 +192,6 @@ def _sharpness(evidence: Evidence, edges: Sequence[int], place: int) -> int:
     tried = [0, *edges, len(evidence)]
     around = (starts[tried[place]], starts[edge], starts[tried[place + 2]])
     return int(max(blocks, max(np.diff(around)) // 2))
-
-
-def _edges(blocks: int) -> Sequence[int]:
-    if blocks < 4:
-        return []
-    places = np.linspace(1, blocks - 1, min(CHANGES.edges, blocks - 1)).round()
-    return [int(place) for place in np.unique(places)]
 
 
 def episodes(

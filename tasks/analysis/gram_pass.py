@@ -589,15 +589,11 @@ def survey(
     CalibrationError
         When no day has enough usable samples.
     """
-    some = _spread_days(days)
+    places = np.linspace(0, len(days) - 1, min(PASS.surveyed_days, len(days))).round().astype(int)
+    some = [days[place] for place in np.unique(places)]
     fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
     changing, still = _channels(reader, some)
     return Survey(fitted, base, fixed, changing, still)
-
-
-def _spread_days(days: Sequence[np.datetime64]) -> list[np.datetime64]:
-    places = np.unique(np.linspace(0, len(days) - 1, min(PASS.surveyed_days, len(days))).round().astype(int))
-    return [days[place] for place in places]
 
 
 def _linearised(
