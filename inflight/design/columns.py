@@ -37,7 +37,7 @@ from inflight.model import ResidualRows as NativeRows
 from inflight.samples import PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
-#: Effects that are the equation of a whole sensor: what stands before them is turned by their matrix.
+#: Effects that are the equation of a whole sensor: their matrix acts on what comes before them.
 EQUATIONS = (VectorSensor, SpinningSensor)
 
 #: Roles whose reading is a vector.
@@ -188,7 +188,7 @@ class BurstSettings:
     deviation : float
         How far a sample must deviate from its neighbours to be in a burst, in usual scatters; assumed.
     fewest : int
-        Samples a record needs: fewer tell no usual scatter; assumed.
+        Samples a record needs: fewer have no usual scatter; assumed.
     listed, named : int
         Bursts listed of a block, and of a span.
     lively : float
@@ -252,7 +252,7 @@ class Outliers:
     share : float
         Part of the usable samples that bursts hold.
     kept : bool
-        True when the bursts hold too much of the span to be left out; they are in the evidence then.
+        True when the bursts hold too much of the span to be left out; they are in the Gram blocks then.
     bursts : tuple of dict
         ``start``, ``end`` (UTC), ``samples``, ``times_usual`` of the first ones.
     """
@@ -406,7 +406,7 @@ def _instrument_readings(rows: ResidualRows) -> list[Floats]:
 def _fourth_differences(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
     """Return fourth differences, in units of noise; (time,), NaN where neighbours are missing.
 
-    Second differences of the field along an orbit are as large as noise; hardly anything of it is left here.
+    Second differences of the field along an orbit are as large as noise; hardly anything of it remains here.
     """
     known = np.where(good[:, None], values, np.nan)
     out = np.full(len(values), np.nan)
@@ -578,7 +578,7 @@ def coarsen(
     edges : ndarray of int64
         Of the bins.
     channels : mapping of str to Variable
-        Channels and geometry that stand on the bins already.
+        Channels and geometry that are on the bins already.
     matrices : mapping
         Sensor matrices, see `Rows`.
     recorded : mapping of str to ndarray, optional
@@ -630,7 +630,7 @@ def _binned(
     channels: Mapping[str, xr.Variable],
     good: npt.NDArray[np.bool_],
 ) -> xr.Dataset:
-    """Return readings and field on the bins, beside the channels that stand there already."""
+    """Return readings and field on the bins, with the channels that are there already."""
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     data: dict[str, xr.Variable] = dict(channels)
     data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
@@ -655,7 +655,7 @@ def _find_outliers(
     """Return which samples are spikes and which in bursts; (time,), no sample in both; and their report."""
     none = np.zeros(len(stamps), dtype=bool)
     if rows.kept is not None:
-        # What went through a filter has no wild samples left.
+        # What went through a filter has no wild samples any more.
         return none, none, burst_report([], stamps, none)
     single = find_spikes(np.where(usable[:, None], rows.residual, np.nan))
     every = find_bursts(rows.residual, stamps, usable & ~single)

@@ -82,7 +82,7 @@ class BlockSettings:
 STRUCTURE = StructureSettings()
 BLOCKS = BlockSettings()
 
-#: Lags of the residual's covariance, for those who look at the same ones.
+#: Lags of the residual's covariance.
 LAGS = STRUCTURE.lags
 
 
@@ -134,7 +134,7 @@ def structure_of(series: Series, residual: Floats) -> Structure:
 
 
 def remaining_floor(series: Series, residual: Floats, samples: float, floor: NoiseFloor) -> NoiseFloor:
-    """Return the noise floor of what is left: that of the native samples, or a clearly lower one.
+    """Return the noise floor of what remains: that of the native samples, or a clearly lower one.
 
     A cause that is as fast as the samples, a switch without a rise time, looks like noise until it is taken
     off. It shows where the series holds every sample.
@@ -142,7 +142,7 @@ def remaining_floor(series: Series, residual: Floats, samples: float, floor: Noi
     Parameters
     ----------
     residual : ndarray, shape (sample, row)
-        What is left of the series, nT.
+        What remains of the series, nT.
     samples : float
         Native samples of the span.
     floor : NoiseFloor
@@ -308,7 +308,7 @@ def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | No
         if lost is not None and (share := _weight_part(lost, weight)) > 0:
             rows |= lost
             channels[part.channel] = max(share, channels.get(part.channel, 0.0))
-    # Where hardly anything is left, a model is judged by the whole record or not at all.
+    # Where hardly any row can be corrected, a model is judged by the whole record or not at all.
     if not channels or not (weight[~rows] > 0).any():
         return None
     return UncorrectableRows(rows, series, dict(sorted(channels.items(), key=lambda one: -one[1])))
@@ -349,7 +349,7 @@ def unknown_rows(series: Series, part: Part) -> np.ndarray | None:
 
 
 def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
-    """Return rows in or after a gap in which a play may still stand where the gap left it; (sample,)."""
+    """Return rows in or after a gap in which a play may still be where it was before the gap; (sample,)."""
     out = lost.copy()
     edges = np.flatnonzero(np.diff(lost.astype(np.int8))) + 1
     for start, end in pairwise([*edges.tolist(), len(lost)]):
@@ -407,7 +407,7 @@ def _square(values: Floats) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What a verdict needs beside the search.
+    """What a verdict needs in addition to the search.
 
     Attributes
     ----------
@@ -430,7 +430,7 @@ class Context:
     outliers : Outliers
         What the pass left out.
     gaps : UncorrectableRows, optional
-        Rows that count in no size, and weigh nothing in the series (see `with_correctable_rows`).
+        Rows that count in no size, and have no weight in the series (see `with_correctable_rows`).
     switched : Switched, optional
         Switchings that two sensors show; residuals are relative to the stretches between those that no
         channel follows.
@@ -502,27 +502,27 @@ def native_rms(context: Context, search: Search) -> float:
     return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _square_within_bins(context)))
 
 
-def effective_blocks(search: Search, context: Context, left: Floats) -> dict[str, Any]:
+def effective_blocks(search: Search, context: Context, residual: Floats) -> dict[str, Any]:
     """Return number and length of the blocks, and how many independent ones there really are.
 
     Neighbours that the residual's correlation ties together count once, and blocks that hold hardly any of
-    the residual's square hardly count: of four days, a storm of some hours may be all that tells.
+    the residual's square hardly count: of four days, a storm of some hours may hold all the information.
     """
     raw, evidence, y = search.raw, search.forms["raw"], search.y()
     length = float(np.median(raw.end - raw.start)) / SECOND
-    memory = correlation_s(context.series, left)
+    correlation = correlation_s(context.series, residual)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
     square = np.clip(evidence.gram[:, y, y], 0.0, None)
-    telling = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
-    by_length = min(float(used), span / max(2.0 * memory, 1e-9))
+    informative = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
+    by_length = min(float(used), span / max(2.0 * correlation, 1e-9))
     return {
         "count": used,
         "length_s": length,
-        "correlation_s": memory,
+        "correlation_s": correlation,
         "by_length": by_length,
-        "telling": telling,
-        "independent": min(by_length, telling),
+        "telling": informative,
+        "independent": min(by_length, informative),
         "holding": dominant_blocks(raw, square),
     }
 

@@ -36,7 +36,7 @@ class Coefficient:
 
 @dataclass(frozen=True, kw_only=True)
 class FoundEffect:
-    """An effect the search took, and how it stands."""
+    """An effect the search took: values with errors, significance, and rivals."""
 
     name: str
     family: str
@@ -67,12 +67,12 @@ class FoundEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class Signature:
-    """What an effect nobody knows looks like.
+    """Signature of an effect that is in no library.
 
     `amplitude_nT` and `amplitudes` (by axis, with sigma) of a period are half of peak to peak of the folded
     curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
     fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
-    bound it. Of a unit without housekeeping `switchings` tells how often two sensors saw it switch.
+    bound it. Of a unit without housekeeping `switchings` counts how often two sensors saw it switch.
     """
 
     period_s: float | None = None
@@ -104,7 +104,7 @@ class Diagnosis:
     verdict : str
         About the residual as found.
     sentence : str
-        What a physicist would say.
+        One or two sentences for a physicist.
     effects : tuple of FoundEffect
         What the rounds took.
     confusion_set : tuple of dict
@@ -116,7 +116,7 @@ class Diagnosis:
     signature : Signature or None
         Of an effect that is in no library.
     remaining : dict
-        ``verdict`` and ``signature`` of what is left after the effects.
+        ``verdict`` and ``signature`` of what remains after the effects.
     residual : dict
         Sizes before and after, held out, and the noise floor with its interval; nT at the cadence of
         the comparison. ``uncorrected`` lists channels of the effects and the part of the record each is
@@ -163,10 +163,10 @@ class Diagnosis:
         }
         facts["effects"] = [one.as_json() for one in self.effects]
         facts["signature"] = self.signature.as_json() if self.signature else None
-        left = self.remaining.get("signature")
+        remaining = self.remaining.get("signature")
         facts["remaining"] = {
             "verdict": self.remaining["verdict"],
-            "signature": left.as_json() if left is not None else None,
+            "signature": remaining.as_json() if remaining is not None else None,
         }
         whole: dict[str, Any] = plain_json(
             {"command": "diagnose", "run": self.run, "context": self.context, **facts}
@@ -257,7 +257,7 @@ def _noise_words(residual: Mapping[str, float]) -> str:
 
 
 def why_not_identifiable(facts: Mapping[str, Any]) -> str:
-    """Return why nothing can be said of what is there: a short span, few blocks that tell, little of it."""
+    """Return why no cause can be named: a short span, few blocks with information, little of it."""
     blocks, fewest = facts["blocks"], facts.get("fewest", 0)
     if blocks.get("by_length", blocks["independent"]) < fewest:
         return f"these data are too short to say what: {blocks['independent']:.0f} independent blocks"
@@ -316,7 +316,7 @@ def _percent(share: float) -> str:
 
 
 def _may_stand_in(facts: Mapping[str, Any]) -> bool:
-    """Return True when as much structure is left as a good part of the smallest effect taken."""
+    """Return True when as much structure remains as a large part of the smallest effect taken."""
     signature = facts["signature"]
     if signature is not None and signature.switchings:
         return False

@@ -78,10 +78,10 @@ class Scores:
         In-sample values, scaled.
     explained : ndarray, shape (candidate,)
         In-sample sum of squares explained, nT^2.
-    promised : ndarray, shape (block, candidate)
+    expected : ndarray, shape (block, candidate)
         Expected gain of each block if the effect fitted to the other folds were true, nT^2.
     active : ndarray of bool, shape (block, candidate)
-        Blocks in which anything of it is left beside the calibration.
+        Blocks in which the calibration leaves anything of it.
     fits : Fits, optional
         What was fitted to the other folds, to set two candidates against each other.
     """
@@ -107,13 +107,15 @@ class Scores:
             return float(hac_t(difference, active)[0])
         return float(promised_t(difference, apart[:, None], active)[0])
 
-    def t_over_placebo(self, placebos: Sequence[int], asked: npt.NDArray[np.bool_], rival_t: float) -> Floats:
+    def t_over_placebo(
+        self, placebos: Sequence[int], pairwise: npt.NDArray[np.bool_], rival_t: float
+    ) -> Floats:
         """Return by which t each candidate leaves less than the best placebo; inf when there is none.
 
         Parameters
         ----------
         placebos : sequence of int
-        asked : ndarray of bool, shape (candidate,)
+        pairwise : ndarray of bool, shape (candidate,)
             Candidates that are set against the placebo one by one, whatever the two have in common.
         rival_t : float
             See `_beyond`.
@@ -126,7 +128,7 @@ class Scores:
         # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
         apart = self.expected + self.expected[:, [best]]
         out = promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
-        for place in np.flatnonzero(asked & (self.gain > self.gain[best])).tolist():
+        for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
             out[place] = max(out[place], self._beyond(place, best, rival_t))
         return out
 
@@ -273,7 +275,7 @@ def score(
     Parameters
     ----------
     evidence : Evidence
-        One form, the calibration absorbed.
+        One form, the calibration marginalised.
     present : Present
         The model's columns.
     candidates : sequence of ndarray

@@ -39,7 +39,7 @@ from inflight.lsq import Evidence
 
 Groups = Sequence[Sequence[int]]
 
-#: Forms of the Gram blocks, in the order they are asked.
+#: Forms of the Gram blocks, in the order of preference.
 FORMS = ("raw", "within", "white")
 
 
@@ -57,7 +57,7 @@ class Rules:
     rival_t : float
         Rivals lose to the winner by less than this t: two sigma, a model confidence set (MISSING_EFFECT 2.4).
     draws, seed : int
-        Sign flips; 2000 tell a p of 0.05 to 0.005.
+        Sign flips; 2000 give a p of 0.05 to 0.005.
     rounds : int
         Additions at most: a bound on time, assumed.
     blocks : int
@@ -92,7 +92,7 @@ class Rules:
 
 @dataclass(frozen=True, kw_only=True)
 class VisibilitySettings:
-    """When an effect, or a change in time, can be seen beside the calibration.
+    """When an effect, or a change in time, can be seen next to the calibration.
 
     Attributes
     ----------
@@ -326,7 +326,7 @@ class Search:
         return search._without_invisible()
 
     def _without_invisible(self) -> Search:
-        """Leave out what the calibration takes over, and say so."""
+        """Return the state without options that the calibration takes over; they are unscorable."""
         base, _ = self.base()
         visible = {
             option.name: is_visible(
@@ -395,11 +395,11 @@ class Search:
         return self.forms[form].residuals[self.residual]
 
     def present(self, form: str = "raw", without: Option | None = None) -> ModelColumns:
-        """Return the columns of the model beside the calibration, with their priors."""
+        """Return the columns of the model without those of the calibration, with their priors."""
         return self.present_in(self.forms[form], without)
 
     def _model_columns(self, without: Option | None = None) -> list[str]:
-        """Names of the model's columns beside the calibration: refined ones, then those taken."""
+        """Names of the model's columns without the calibration's: refined ones, then those taken."""
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
@@ -506,7 +506,7 @@ class Search:
         taken = [option.change for option in self.accepted if option.change and option is not without]
         known = [*found, *(option.change for option in self.options if option.change is not None)]
         names = {change.name for change in known if any(change.is_like(one) for one in taken)}
-        # What is hidden may have been another parameter's change: no data say which.
+        # What is hidden may have been another parameter's change: the data cannot separate them.
         names |= {change.name for change in known if any(change.is_when(one) for one in self.hidden)}
         names |= {change.name for change in known if change.mechanism in self.banned}
         names |= {option.name for option in self.accepted}

@@ -31,7 +31,7 @@ from inflight.time import SECOND
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionSettings:
-    """Numbers of the selection beside `Rules`.
+    """Numbers of the selection that are not in `Rules`.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Estimate:
     retained : float
         Part of the effect's own variance the rest of the model leaves.
     rms : float
-        Size of the contribution that is left beside the rest of the model, nT.
+        Size of the contribution that the rest of the model leaves, nT.
     """
 
     columns: tuple[str, ...]
@@ -114,8 +114,8 @@ class Estimate:
 def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
-    Scatter of few blocks that tell nearly all of a column comes out too small, for the fit follows them. No
-    value is surer than rows of white noise of the size of what is left would make it.
+    The scatter of few blocks that hold nearly all information on a column comes out too small, for the fit
+    follows them. No sigma is smaller than that from rows of white noise of the residual's size.
     """
     total = evidence.total
     p = present.columns
@@ -130,7 +130,7 @@ def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats,
         weight = 1.0 - lag / (SELECTION.bartlett + 1.0)
         cross = scores[lag:].T @ scores[:-lag]
         meat += weight * (cross + cross.T)
-    # By chance few blocks look anticorrelated; that is no knowledge.
+    # By chance few blocks look anticorrelated; that is no information.
     meat = _at_least(meat, own)
     free = max(count - p.size / 3.0, 2.0)
     left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
@@ -231,7 +231,7 @@ def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tu
 def form_disagreement(search: Search, option: Option) -> float | None:
     """Return how far the raw and the within-day values of an effect disagree, per column (W / k).
 
-    Large values tell of a wrong effect or a wrong form; it is a hint, not a test.
+    Large values hint at a wrong effect or a wrong form; it is no test.
     """
     if option.change is not None:
         return None
@@ -245,7 +245,7 @@ def form_disagreement(search: Search, option: Option) -> float | None:
     return float(difference[seen] @ inverse @ difference[seen] / seen.sum())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RivalCheck:
     """How an effect of the model stands against everything that could take its place.
 
@@ -272,7 +272,7 @@ class RivalCheck:
 
 
 def _explained_beside(last: ScoreTable, rival: Option, form: str) -> float:
-    """Return the sum of squares a rival explains beside all that was taken; 0 when it is taken itself."""
+    """Return the sum of squares a rival explains after all that was taken; 0 when it is taken itself."""
     place = place_in(last, rival)
     scores = last.scores[form]
     return float(scores.loss0.sum() * scores.gain[place]) if place is not None else 0.0
@@ -321,7 +321,7 @@ def clearest_form(table: ScoreTable, place: int) -> str:
 def _best_of_each(table: ScoreTable, form: str) -> dict[str, int]:
     """Return which option of each mechanism leaves least.
 
-    A change at a wrong moment misses by much in few blocks: hardly any t tells it from the right one.
+    A change at a wrong time misses by much in few blocks: hardly any t separates it from the right one.
     """
     left = table.scores[form].loss.sum(axis=0)
     best: dict[str, int] = {}
@@ -336,12 +336,12 @@ def check_rivals(
     """Return how an effect of the model stands against everything that could take its place.
 
     Another form of the same cause, the same channels in the same family, is no rival; nor is what explains
-    as much beside the effect (in the `last` table) as in its place: that is another effect.
+    as much after the effect (in the `last` table) as in its place: that is another effect.
     """
     place = place_in(table, option)
     if place is None:
         gain, t = search.held_out_worth(option)
-        return RivalCheck(option, gain, t, 1.0, 0.0, "raw", ())
+        return RivalCheck(option=option, gain=gain, t=t, p=1.0, placebo_t=0.0, form="raw", rivals=())
     form = "raw" if table.scores["raw"].t[place] > search.rules.t else clearest_form(table, place)
     scores = table.scores[form]
     best = _best_of_each(table, form)
@@ -366,19 +366,16 @@ def check_rivals(
         near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
         if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
+    p = [table.p[one][place] for one in table.p]
+    p += [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
     return RivalCheck(
-        option,
-        float(scores.gain[place]),
-        float(scores.t[place]),
-        float(
-            min(
-                [table.p[one][place] for one in table.p]
-                + [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
-            )
-        ),
-        float(table.t_over_placebo[form][place]),
-        form,
-        tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
+        option=option,
+        gain=float(scores.gain[place]),
+        t=float(scores.t[place]),
+        p=float(min(p)),
+        placebo_t=float(table.t_over_placebo[form][place]),
+        form=form,
+        rivals=tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
     )
 
 
@@ -442,7 +439,7 @@ def refine_all(search: Search, context: Context) -> Search:
 
 
 def _makes_weak(search: Search, before: dict[Option, float]) -> bool:
-    """Return True when an effect that stood by itself no longer does beside what was added.
+    """Return True when an effect that was well known no longer is after what was added.
 
     A wide form can hold what is left of several causes and, for a small gain, take them over.
     """
@@ -643,15 +640,15 @@ def _few_block_p(search: Search, context: Context, option: Option) -> float:
     trials = FormTrials(search, context, option)
     before, after = trials.contribution(option, terms)
     series = context.series
-    memory = correlation_s(
+    correlation = correlation_s(
         series, (after / np.where(trials.root > 0, trials.root, 1.0)).reshape(len(series.tt2000), -1)
     )
-    length = max(FEW_BLOCKS.correlation_times * memory, FEW_BLOCKS.rows * series.step_s)
+    length = max(FEW_BLOCKS.correlation_times * correlation, FEW_BLOCKS.rows * series.step_s)
     part = ((series.tt2000 - series.tt2000[0]) / (length * SECOND)).astype(np.int64)
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)
-    gained, promised = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
-    return float(promised_p(gained, promised, promised > 0)[0])
+    gained, expected = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
+    return float(promised_p(gained, expected, expected > 0)[0])
 
 
 def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:

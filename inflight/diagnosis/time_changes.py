@@ -89,11 +89,11 @@ class Change:
         return len(self.at) == 2
 
     def is_like(self, other: Change) -> bool:
-        """Return True for the same change at times that blocks do not tell apart."""
+        """Return True for the same change at times that blocks cannot separate."""
         return self.mechanism == other.mechanism and self.is_when(other)
 
     def is_when(self, other: Change) -> bool:
-        """Return True for changes of anything at times that blocks do not tell apart."""
+        """Return True for changes of anything at times that blocks cannot separate."""
         if len(self.at) != len(other.at) or not self.at:
             return False
         return all(

@@ -69,7 +69,7 @@ class ReportSettings:
     separating : int
         Blocks named that separate two rivals; assumed.
     mimics : int
-        Parameters of the calibration named that stand for an effect; assumed.
+        Parameters of the calibration named that mimic an effect; assumed.
     """
 
     candidates: int = 40
@@ -97,7 +97,7 @@ class RemainingSettings:
     white : float
         Structure below this part of the noise does not make a residual coloured, however sure it is; assumed.
     around : float
-        A known period explains a band when it is within it or so many times beside it; assumed.
+        A known period explains a band when it is within it or off by no more than this factor; assumed.
     hint_t : float
         A rejected candidate hints at what remains from this held-out t on: two sigma.
     as_much : float
@@ -139,15 +139,15 @@ def conclude(search: Search, context: Context) -> tuple[Diagnosis, Search]:
     residual = remaining_residual(search, known)
     blocks = effective_blocks(search, known, residual)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
-    left = _remaining_verdict(remaining, blocks["independent"], search.rules.blocks)
-    verdict = _verdict(effects, checks, left)
-    signature = remaining.signature if left == "UNKNOWN_EFFECT" else None
+    after = _remaining_verdict(remaining, blocks["independent"], search.rules.blocks)
+    verdict = _verdict(effects, checks, after)
+    signature = remaining.signature if after == "UNKNOWN_EFFECT" else None
     own = signature if verdict != "UNKNOWN_EFFECT" or not effects else _shape_signature(effects[0])
     facts: dict[str, Any] = {
         "effects": effects,
         "signature": signature,
         "residual": _residual_sizes(search, known, remaining),
-        "remaining": left,
+        "remaining": after,
         "blocks": blocks,
         "outliers": context.outliers.as_json(),
         "unscorable": unscorable(search),
@@ -162,7 +162,7 @@ def conclude(search: Search, context: Context) -> tuple[Diagnosis, Search]:
         separating=separating,
         unscorable=facts["unscorable"],
         signature=own if verdict == "UNKNOWN_EFFECT" else None,
-        remaining={"verdict": left, "signature": signature},
+        remaining={"verdict": after, "signature": signature},
         residual=facts["residual"],
         rounds=tuple(one.as_json() for one in search.rounds),
         candidates=candidate_rows(search, first, last),
@@ -366,7 +366,7 @@ def unscorable(search: Search) -> tuple[dict[str, Any], ...]:
 
 
 def candidate_rows(search: Search, first: ScoreTable, last: ScoreTable) -> tuple[dict[str, Any], ...]:
-    """Return the best options of the first round, with their gain now: of taken ones nothing is left."""
+    """Return the best options of the first round, with their gain now: of taken ones it is nothing."""
     now = {option.name: place for place, option in enumerate(last.options)}
     best: dict[str, dict[str, Any]] = {}
     scores = first.scores["raw"]
@@ -417,7 +417,7 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
 
 @dataclass(frozen=True)
 class Remaining:
-    """What is left after everything that was taken.
+    """What remains after everything that was taken.
 
     Attributes
     ----------
@@ -429,9 +429,9 @@ class Remaining:
     noise : float
         Noise floor, nT; of a record without one, the residual's own size.
     floor : NoiseFloor
-        Of what is left, with its interval.
+        Of what remains, with its interval.
     has_band : bool
-        Most of what is missing is too fast for the search and stands in one band no known period explains.
+        Most of what is missing is too fast for the search and lies in one band no known period explains.
     has_unit : bool
         Two sensors show that something switches without housekeeping.
     """
@@ -446,37 +446,37 @@ class Remaining:
 
     @property
     def is_there(self) -> bool:
-        """True when what is left may be more than noise: large, or not white beyond doubt."""
+        """True when what remains may be more than noise: large, or significantly not white."""
         coloured = self.structure.is_sure and self.structure.rms_nT > REMAINING.white * self.noise
         certain = self.has_line or self.has_band or self.has_unit
         return certain or self.structure.is_large(self.noise) or coloured
 
     @property
     def is_sure(self) -> bool:
-        """True when what is left is more than noise beyond doubt."""
+        """True when what remains is significantly more than noise."""
         certain = self.has_line or self.has_band or self.has_unit
         return certain or (self.structure.is_sure and self.structure.is_large(self.noise))
 
 
 def describe_remaining(
-    search: Search, context: Context, last: ScoreTable, left: Floats, structure: Structure
+    search: Search, context: Context, last: ScoreTable, residual: Floats, structure: Structure
 ) -> Remaining:
-    """Describe what is left: a line, else what the best rejected candidate hints at, else its size."""
+    """Describe what remains: a line, else what the best rejected candidate hints at, else its size."""
     known = 1.0 - context.gaps.part if context.gaps else 1.0
-    floor = remaining_floor(context.series, left, known * context.sums.get("count", 0.0), context.floor)
+    floor = remaining_floor(context.series, residual, known * context.sums.get("count", 0.0), context.floor)
     noise = floor.level_nT
     if not noise > 0:
         good = context.series["weight"] > 0
-        noise = float(np.sqrt(np.mean(left[good] ** 2))) if good.any() else float("nan")
+        noise = float(np.sqrt(np.mean(residual[good] ** 2))) if good.any() else float("nan")
     unit = unrecorded_unit(context)
     if unit is not None:
         return Remaining(structure, False, unit, noise, floor, has_unit=True)
-    line = _line_signature(context, left)
+    line = _line_signature(context, residual)
     found = Remaining(structure, line is not None, line, noise, floor)
     if line is not None:
         return found
     size = native_rms(context, search)
-    fast = fast_part(context.series, left, size, floor.level_nT, structure)
+    fast = fast_part(context.series, residual, size, floor.level_nT, structure)
     found = replace(found, has_band=fast is not None and _is_news(context, fast))
     if not found.is_there:
         return found
@@ -509,7 +509,7 @@ def _is_news(context: Context, fast: Fast) -> bool:
 
 
 def _fast_signature(hint: Signature, fast: Fast) -> Signature:
-    """Return the signature of what is fast; a channel that the slow part hints at stays beside it."""
+    """Return the signature of what is fast; a channel that the slow part hints at stays in it."""
     return replace(
         hint if hint.channel else Signature(),
         shape="fast",
@@ -519,15 +519,15 @@ def _fast_signature(hint: Signature, fast: Fast) -> Signature:
     )
 
 
-def _line_signature(context: Context, left: Floats) -> Signature | None:
+def _line_signature(context: Context, residual: Floats) -> Signature | None:
     """Return the signature of the strongest line, or None when none stands out and matters."""
-    found = remaining_spectrum(context, left) if context.series.turn_rows == 1 else None
+    found = remaining_spectrum(context, residual) if context.series.turn_rows == 1 else None
     line = strongest_line(found) if found is not None else None
     if found is None or line is None:
         return None
     series = context.series
     signature, part = describe(
-        series.tt2000, left, series.direction(), series["weight"], line[0], float(found.frequency[1])
+        series.tt2000, residual, series.direction(), series["weight"], line[0], float(found.frequency[1])
     )
     if part < REMAINING.least_part or _is_known(context, float(signature.period_s or 0.0)):
         return None
@@ -573,10 +573,10 @@ def known_periods(context: Context) -> list[float]:
     return known + _field_period(context)
 
 
-def remaining_spectrum(context: Context, left: Floats) -> Periodogram | None:
-    """Return the periodogram of what is left, demodulated along each axis."""
+def remaining_spectrum(context: Context, residual: Floats) -> Periodogram | None:
+    """Return the periodogram of what remains, demodulated along each axis."""
     series = context.series
-    return periodogram(series.tt2000, left, series.direction(), series["weight"], known_periods(context))
+    return periodogram(series.tt2000, residual, series.direction(), series["weight"], known_periods(context))
 
 
 def _hint_signature(search: Search, last: ScoreTable, structure: Structure) -> Signature:
@@ -633,7 +633,7 @@ def _residual_sizes(search: Search, context: Context, remaining: Remaining) -> d
         "after_nT": native_rms(context, search),
         "held_out_before_nT": held_out_rms(nothing, context),
         "held_out_after_nT": held_out_rms(search, context),
-        # A record without a fast part, filtered or rounded away, tells no floor.
+        # A record without a fast part, filtered or rounded away, has no floor.
         "noise_floor_nT": remaining.floor.level_nT or float("nan"),
         "noise_floor_low_nT": remaining.floor.low_nT,
         "noise_floor_high_nT": remaining.floor.high_nT,
@@ -646,7 +646,7 @@ def _residual_sizes(search: Search, context: Context, remaining: Remaining) -> d
 def _may_be_substitutes(search: Search) -> bool:
     """Return True when named causes were taken and yet shapes that name none had to complete them.
 
-    Either both are there, or the named ones together stand in for something that no effect here describes.
+    Either both are there, or the named ones together substitute something that no effect here describes.
     """
     shapes = [one for one in search.accepted if _is_shape(one)]
     return bool(shapes) and len(search.accepted) > len(shapes) and len(search.accepted) > 2
@@ -680,7 +680,7 @@ def _shape_signature(effect: FoundEffect) -> Signature:
 
 
 def _remaining_verdict(remaining: Remaining, independent: float, fewest: int) -> Verdict:
-    """Return what is to be said of what is left."""
+    """Return the verdict on what remains."""
     if not remaining.is_there:
         return "NOTHING_LEFT"
     return "UNKNOWN_EFFECT" if remaining.is_sure and independent >= fewest else "NOT_IDENTIFIABLE"

@@ -338,7 +338,7 @@ def intervals_of(made: PassResult, settings: DiagnoseSettings) -> list[list[int]
 
 
 def context_of(made: PassResult, mission: Mission) -> Context:
-    """Return what a verdict needs beside the search."""
+    """Return what a verdict needs in addition to the search."""
     return Context(
         mission=mission,
         model=made.used.model,

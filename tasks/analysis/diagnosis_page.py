@@ -157,7 +157,7 @@ def _periodogram(seen: Seen, context: Context, values: np.ndarray) -> Periodogra
     weight = np.where(seen.good, series["weight"], 0.0)
     known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
     if not turned.any():
-        # A platform's residual has no direction of its own: its spectrum stands in the first place.
+        # A platform's residual has no direction of its own: its spectrum is in the first place.
         turned[:, :, 0] = 1.0
     return periodogram(series.tt2000, known, turned, weight, known_periods(context))
 
@@ -210,7 +210,7 @@ def error_falls(seen: Seen, search: Search, context: Context, found: Diagnosis) 
 
 
 def shapes(seen: Seen, search: Search, found: Diagnosis) -> Section:
-    """Lag profiles of responses, epochs of events, and the fold of a period that is left."""
+    """Lag profiles of responses, epochs of events, and the fold of a period that remains."""
     plots: list[Any] = []
     rows = float(search.forms["raw"].count.sum())
     for option in search.accepted[:_EFFECTS]:
@@ -219,9 +219,9 @@ def shapes(seen: Seen, search: Search, found: Diagnosis) -> Section:
             plots.append(lag_figure(option.name, profile, rows))
         if option.change is not None:
             plots += [epoch_figure(short_name(option.name), epoch(seen, when)) for when in option.change.at]
-    left: Signature | None = found.remaining.get("signature")
-    if left is not None and left.period_s:
-        plots.append(_folded(seen, left.period_s))
+    signature: Signature | None = found.remaining.get("signature")
+    if signature is not None and signature.period_s:
+        plots.append(_folded(seen, signature.period_s))
     note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
     return "Form of what was found", [f'<p class="quiet">{escape(note)}</p>'] if plots else [], plots
 

@@ -191,7 +191,7 @@ class PassPlan:
     cadence_ns : int
     span : tuple of int
         TT2000 of the record.
-    memory_s : float
+    correlation_time_s : float
         Correlation time of the prewhitened form.
     channel_summaries : mapping of str to ChannelSummary
     keep_bursts : bool
@@ -351,8 +351,8 @@ def _day_evidence(
     columns = design(made.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
     edges = derived.reader.edges(day)
-    cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
-    parts = parts_of(stamps, cuts)
+    bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
+    parts = parts_of(stamps, bounds)
     residual = rows.residual[:, :, None]
     white = [
         prewhiten(values, rows.weight, stamps, made.correlation_time_s) for values in (columns, residual)
@@ -360,8 +360,8 @@ def _day_evidence(
     count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
     names = (*made.library.columns, "residual")
     common = (
-        np.array(cuts[:-1], dtype=np.int64),
-        np.array(cuts[1:], dtype=np.int64),
+        np.array(bounds[:-1], dtype=np.int64),
+        np.array(bounds[1:], dtype=np.int64),
         count,
         np.array([*made.scale, 1.0]),
     )
@@ -653,13 +653,13 @@ def _linearised_spin(
     assert entry is not None
     base, fixed = [], []
     for name in SpinningSensor.SPIN_RELATED:
-        own = entry.parameters[name]
-        if own.free:
+        timed = entry.parameters[name]
+        if timed.free:
             kinds = SpinningSensor.parameters()[name]
-            known = np.where(np.isfinite(own.sigma[:, 0]), own.sigma[:, 0], kinds.sigma)
+            known = np.where(np.isfinite(timed.sigma[:, 0]), timed.sigma[:, 0], kinds.sigma)
             base.append(Term(entry.name, entry, (name,), tuple(known.tolist())))
         else:
-            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * own.parameter.size))
+            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * timed.parameter.size))
     return model, tuple(base), tuple(fixed)
 
 

@@ -201,7 +201,7 @@ class Workbench:
         if used.text == self.current.text:
             self.made = replace(self.made, used=self.current)
         self._narrow: tuple[tuple[str, ...], PassResult] | None = None
-        #: The fit of the model as it stands is asked for again with the next change.
+        #: The fit of the present model is needed again with the next change.
         self._last: tuple[Evidence, tuple[Any, ...], JointFit] | None = None
         self._restore()
 
@@ -539,7 +539,7 @@ def diagnose_span(
     -------
     dict
         `Diagnosis.as_json`; when versions are saved, ``command`` is ``auto`` and ``versions`` has what
-        `Revision.as_json` tells of each.
+        `Revision.as_json` gives of each.
 
     Raises
     ------
