@@ -129,7 +129,10 @@ def conclude(search: Search, context: Context) -> tuple[Diagnosis, Search]:
         The first state: nothing taken yet.
     """
     first = search.table().without_fits()
-    search, last = run_rounds(search, context, first) if search.rules.rounds else (search, first)
+    # Handed over, not kept: every state holds gigabytes of Gram blocks.
+    handed = [search]
+    del search
+    search, last = run_rounds(handed.pop(), context, first)
     search, checks = exchange_and_check(search, context)
     checks.sort(key=lambda one: -one.gain)
     if checks:
@@ -188,7 +191,11 @@ def run_rounds(search: Search, context: Context, first: ScoreTable) -> tuple[Sea
     first : ScoreTable
         Of the first state: it says which channels are strong.
     """
-    search, last = select_effects(search, context)
+    if not search.rules.rounds:
+        return search, first
+    handed = [search]
+    del search
+    search, last = select_effects(handed.pop(), context)
     known = with_correctable_rows(search, context)
     residual = remaining_residual(search, known)
     remaining = describe_remaining(search, known, last, residual, structure_of(known.series, residual))
@@ -196,7 +203,9 @@ def run_rounds(search: Search, context: Context, first: ScoreTable) -> tuple[Sea
         options = search.options
         search = add_interactions(search, context, [first, last], remaining.is_sure)
         if search.options is not options:
-            search, last = select_effects(search, context)
+            handed = [search]
+            del search
+            search, last = select_effects(handed.pop(), context)
     if _may_be_substitutes(search):
         search, last = _from_shapes(search, context, last)
     return refine_all(search, context), last

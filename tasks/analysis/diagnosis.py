@@ -105,10 +105,10 @@ def diagnose(
     """
     settings = settings or DiagnoseSettings()
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
-    search, context = begin_search(made, settings), context_of(made, mission)
+    context, searches = context_of(made, mission), [begin_search(made, settings)]
     # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the old ones.
     del made
-    return conclude(search, context)[0]
+    return conclude(searches.pop(), context)[0]
 
 
 def make_pass(

@@ -347,8 +347,8 @@ def examine(
     tell = progress or (lambda stage, done, total: None)
     made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     tell("search", 0, 1)
-    search, context = begin_search(made, settings), context_of(made, mission)
-    found, search = conclude(search, context)
+    context = context_of(made, mission)
+    found, search = conclude(begin_search(made, settings), context)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
     units = named_units(cat, mission, settings.comparison, start, end)
