@@ -28,7 +28,7 @@ from inflight.diagnosis import (
     score,
     steps,
 )
-from inflight.lsq import Evidence, half_inverse, promised_t
+from inflight.lsq import GramBlocks, expected_gain_t, inverse_square_root
 
 
 def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[int, list[str]]:
@@ -78,7 +78,7 @@ def suspects(search: Search, residuals: Sequence[int]) -> list[int]:
 
 
 def _reached(
-    search: Search, evidence: Evidence, present: Present, columns: Sequence[Index], y: Index
+    search: Search, evidence: GramBlocks, present: Present, columns: Sequence[Index], y: Index
 ) -> Floats:
     """Return which residuals have a candidate beyond the rules' t and gain; (residual,) of bool."""
     gain, t = score_many(evidence, present, columns, y, folds_of(len(evidence)))
@@ -86,7 +86,7 @@ def _reached(
 
 
 def score_many(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
+    evidence: GramBlocks, present: Present, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
 ) -> tuple[Floats, Floats]:
     """Return held-out gain and t of all candidates on several residuals; (candidate, residual) each.
 
@@ -106,7 +106,7 @@ def score_many(
         train = projected(train, present)
         loss0[fold] = blocks[:, y, y]
         for positions, columns in grouped(candidates):
-            half = half_inverse(train[columns[:, :, None], columns[:, None, :]])
+            half = inverse_square_root(train[columns[:, :, None], columns[:, None, :]])
             right = train[columns[:, :, None], y]
             gamma = -np.matmul(half, np.matmul(half.transpose(0, 2, 1), right))
             own = blocks[:, columns[:, :, None], columns[:, None, :]]
@@ -118,7 +118,7 @@ def score_many(
     gain = gained.sum(axis=0) / np.where(whole > 0, whole, 1.0)
     active = np.broadcast_to(activity(evidence, candidates)[:, :, None], gained.shape)
     flat = (len(evidence), -1)
-    t = promised_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
+    t = expected_gain_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
     return gain, t.reshape(gain.shape)
 
 
@@ -133,7 +133,7 @@ def _turned(blocks: Floats, present: Present, train: Floats) -> Floats:
     return np.asarray(blocks - across - across.transpose(0, 2, 1) + inner)
 
 
-def _small(search: Search, residuals: Sequence[int]) -> tuple[Evidence, list[str], list[str]]:
+def _small(search: Search, residuals: Sequence[int]) -> tuple[GramBlocks, list[str], list[str]]:
     """Return calibration, model and carriers with some residuals, and the names of the first two."""
     base = [name for term in search.library.base for name in term.columns]
     refined = [name for term in search.library.refined for name in term.columns]
@@ -153,10 +153,10 @@ def _small(search: Search, residuals: Sequence[int]) -> tuple[Evidence, list[str
 
 
 def _absorbed(
-    search: Search, small: Evidence, base: Sequence[str], refined: Sequence[str]
-) -> tuple[Evidence, Present]:
+    search: Search, small: GramBlocks, base: Sequence[str], refined: Sequence[str]
+) -> tuple[GramBlocks, Present]:
     sigma = np.asarray([s for term in search.library.base for s in term.sigma])
-    wide = small.absorbed(base, search.intervals, search.precision(small, base, sigma))
+    wide = small.marginalise(base, search.intervals, search.precision(small, base, sigma))
     own = np.asarray([s for term in search.library.refined for s in term.sigma])
     return wide, Present(wide.index(refined), search.precision(wide, refined, own))
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.nine import timed
 from inflight.catalog import Catalog, Workspace
 from inflight.diagnosis import Present, family_wise, flip_ratios, flip_signs, folds_of, score
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays, GramBlocks
 from inflight.time import DAY, SECOND
 
 #: Blocks of a mission of 3000 days, candidates, columns of each, rows that stand for a block's.
@@ -26,7 +26,7 @@ BLOCKS, CANDIDATES, WIDTH, ROWS = 200, 300, 3, 1500
 class Made:
     """Evidence with its candidates' columns."""
 
-    evidence: Evidence
+    evidence: GramBlocks
     present: Present
     candidates: list[np.ndarray] = field(default_factory=list)
 
@@ -43,7 +43,7 @@ def synthetic(blocks: int = BLOCKS, candidates: int = CANDIDATES) -> Made:
     gram = gram.astype(np.float32)  # as the forms of a search hold them
     names = (*(f"c{place}" for place in range(width - 1)), "residual")
     start = np.arange(blocks, dtype=np.int64) * 15 * DAY
-    evidence = Evidence(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
+    evidence = GramArrays(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
     columns = [np.arange(2 + WIDTH * place, 2 + WIDTH * (place + 1)) for place in range(candidates)]
     return Made(evidence, Present(np.array([0, 1]), np.zeros(2)), columns)
 

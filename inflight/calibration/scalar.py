@@ -37,6 +37,7 @@ from inflight.lsq import (
     Solution,
     posterior,
     robust_sigma,
+    shift_reference,
     solve,
 )
 from inflight.model import Model, ModelEffect, component_names, corrected
@@ -658,18 +659,3 @@ def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
     root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
     theta, scale = kernel_parameters(reference), kernel_scale(reference)
     return np.asarray(gram_elsewhere(theta, data.e, data.s, data.f, root, scale))
-
-
-def shift_reference(gram: Floats, change: Floats) -> Floats:
-    """Express the residual column after a scaled change of the parameters: y becomes ``y + X change``.
-
-    Parameters
-    ----------
-    gram : ndarray, shape (parameter + 1, parameter + 1)
-        Gram matrix of [X | y], scaled columns, nT^2.
-    change : ndarray, shape (parameter,)
-        Scaled.
-    """
-    turn = np.eye(gram.shape[0])
-    turn[-1, :-1] = change
-    return np.asarray(turn @ gram @ turn.T)

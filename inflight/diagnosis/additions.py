@@ -27,11 +27,11 @@ from inflight.design import EQUATIONS, Candidate, Library, Term, turns_of
 from inflight.diagnosis.refine import dated_columns, dated_term, mixture
 from inflight.diagnosis.scoring import Present, folds_of, score
 from inflight.diagnosis.search import Option
-from inflight.diagnosis.stepwise import sandwich
+from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import Carriers, moment_text
 from inflight.effects import ANGLES
 from inflight.errors import ModelError
-from inflight.lsq import Evidence, solve_scaled
+from inflight.lsq import GramBlocks, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.samples import parse
@@ -85,7 +85,7 @@ class Ground:
 
     Attributes
     ----------
-    raw : Evidence
+    raw : GramBlocks
     base, refined : tuple of Term
         What each interval fits anew; what the model lets data refine.
     intervals : sequence of sequence of int
@@ -94,7 +94,7 @@ class Ground:
         Of a row, nT^2; it weighs data against what is known beforehand.
     """
 
-    raw: Evidence
+    raw: GramBlocks
     base: tuple[Term, ...]
     refined: tuple[Term, ...]
     intervals: Sequence[Sequence[int]]
@@ -140,7 +140,7 @@ class Ground:
             max(float(held), 0.0) / rows,
         )
 
-    def absorbed(self, columns: Sequence[Column], fixed: Mapping[str, float]) -> tuple[Evidence, Present]:
+    def absorbed(self, columns: Sequence[Column], fixed: Mapping[str, float]) -> tuple[GramBlocks, Present]:
         """Return what the calibration leaves of the model's columns, and which they are with their priors.
 
         Those of `columns` come last.
@@ -149,7 +149,7 @@ class Ground:
 
     def _model_of(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[Evidence, list[str], list[float]]:
+    ) -> tuple[GramBlocks, list[str], list[float]]:
         """Return the evidence of calibration and model, names of the model's columns, and their priors."""
         free = [
             (name, sigma)
@@ -162,10 +162,10 @@ class Ground:
         return combined(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed), names, sigma
 
     def _beside(
-        self, whole: Evidence, names: Sequence[str], sigma: Sequence[float]
-    ) -> tuple[Evidence, Present]:
+        self, whole: GramBlocks, names: Sequence[str], sigma: Sequence[float]
+    ) -> tuple[GramBlocks, Present]:
         gone = self._base_names
-        evidence = whole.absorbed(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
+        evidence = whole.marginalise(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
         return evidence, Present(evidence.index(names), self._precision(evidence, names, np.array(sigma)))
 
     @property
@@ -176,24 +176,24 @@ class Ground:
     def _base_sigma(self) -> Floats:
         return np.array([sigma for term in self.base for sigma in term.sigma])
 
-    def _precision(self, evidence: Evidence, names: Sequence[str], sigma: Floats) -> Floats:
+    def _precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
         scale = evidence.scale[evidence.index(names)]
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
 
-    def _solved(self, evidence: Evidence, present: Present) -> tuple[Floats, Floats]:
+    def _solved(self, evidence: GramBlocks, present: Present) -> tuple[Floats, Floats]:
         """Return values and covariance of the model's columns, scaled."""
         p = present.columns
         if not p.size:
             return np.zeros(0), np.zeros((0, 0))
-        value, covariance = sandwich(evidence, present, evidence.residuals[0])
+        value, covariance = joint_fit(evidence, present, evidence.residuals[0])
         # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
         inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
         inverse = solve_scaled(inner, np.eye(p.size))
         return value, covariance + self.variance * (inverse * present.precision) @ inverse
 
     def _base(
-        self, whole: Evidence, names: Sequence[str], value: Floats, covariance: Floats
+        self, whole: GramBlocks, names: Sequence[str], value: Floats, covariance: Floats
     ) -> tuple[dict[str, float], dict[str, float]]:
         """Return the calibration's mean shift over its intervals and its error, physical units."""
         gone = self._base_names
@@ -205,10 +205,10 @@ class Ground:
         error = np.zeros((len(gone), len(gone)))
         count = len(self.intervals)
         for group in self.intervals:
-            total = whole.gram[np.asarray(group)].sum(axis=0)
-            inverse = solve_scaled(total[np.ix_(at, at)] + prior, np.eye(len(gone)))
-            cross = inverse @ total[np.ix_(at, others)]
-            shift -= (inverse @ total[at, y] + cross @ value) / count
+            total = whole.rows(at, blocks=np.asarray(group)).sum(axis=0)
+            inverse = solve_scaled(total[:, at] + prior, np.eye(len(gone)))
+            cross = inverse @ total[:, others]
+            shift -= (inverse @ total[:, y] + cross @ value) / count
             turn += cross / count
             error += self.variance * inverse / count**2
         sigma = np.sqrt(np.clip(np.diag(error + turn @ covariance @ turn.T), 0.0, None))
@@ -219,18 +219,18 @@ class Ground:
         )
 
 
-def variance_of(white: Evidence, base: Sequence[Term]) -> float:
+def variance_of(white: GramBlocks, base: Sequence[Term]) -> float:
     """Return the variance of a row the calibration alone leaves, as the search weighs priors by; nT^2."""
     names = [name for term in base for name in term.columns]
-    free = white.select(names).absorbed(names, [range(len(white))], np.zeros(len(names)))
+    free = white.select(names).marginalise(names, [range(len(white))], np.zeros(len(names)))
     y = free.residuals[0]
-    each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
+    each = free.squares[:, y] / np.maximum(free.count, 1.0)
     return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
 
 
 def combined(
-    evidence: Evidence, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
-) -> Evidence:
+    evidence: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
+) -> GramBlocks:
     """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
 
     Parameters
@@ -245,22 +245,21 @@ def combined(
     wanted = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
     small = evidence.select(list(dict.fromkeys(wanted)))
     names = [*plain, *(one.name for one in columns), "residual"]
-    turn = np.zeros((len(small), len(small.names), len(names)))
+    weights = np.zeros((len(small), len(names), len(small.names)))
     scale = np.ones(len(names))
     origin = small.index(plain)
-    turn[:, origin, np.arange(len(plain))] = 1.0
+    weights[:, np.arange(len(plain)), origin] = 1.0
     scale[: len(plain)] = small.scale[origin]
     for place, one in enumerate(columns, start=len(plain)):
         for name, weight in one.parts:
             index = int(small.index([name])[0])
-            turn[:, index, place] += weight * (1.0 if one.factor is None else one.factor)
+            weights[:, place, index] += weight * (1.0 if one.factor is None else one.factor)
             scale[place] = small.scale[index]
-    turn[:, small.residuals[0], -1] = 1.0
+    weights[:, -1, small.residuals[0]] = 1.0
     for name, change in fixed.items():
         index = int(small.index([name])[0])
-        turn[:, index, -1] += change / small.scale[index]
-    gram = turn.transpose(0, 2, 1) @ small.gram @ turn
-    return replace(small, names=tuple(names), gram=gram, scale=scale)
+        weights[:, -1, index] += change / small.scale[index]
+    return small.combine(names, weights, scale)
 
 
 @dataclass(frozen=True)
@@ -333,7 +332,7 @@ class Maker:
     ----------
     model : Model
         At the values the evidence is linearised at.
-    raw : Evidence
+    raw : GramBlocks
         Its blocks say when things change.
     names : frozenset of str
         Names in the model that are not free any more.
@@ -343,7 +342,7 @@ class Maker:
     model: Model
     library: Library
     carriers: Carriers
-    raw: Evidence
+    raw: GramBlocks
     names: frozenset[str] = frozenset()
 
     def of_candidate(self, candidate: Candidate, name: str = "", lag_s: float | None = None) -> Addition:

@@ -46,7 +46,7 @@ from inflight.diagnosis.search import Option, Search, Table
 from inflight.diagnosis.time_changes import Change, moment_text
 from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
-from inflight.lsq import Evidence, hac_t, half_inverse, prewhiten, solve_scaled
+from inflight.lsq import GramBlocks, hac_t, inverse_square_root, jackknife, prewhiten, solve_scaled
 from inflight.mission import sensors_of
 from inflight.model import make_effect
 from inflight.samples import Derived, parse
@@ -117,7 +117,7 @@ class LagProfile:
 
 
 def profile(
-    evidence: Evidence,
+    evidence: GramBlocks,
     present: Present,
     bank: Mapping[float, Index],
     y: int,
@@ -145,22 +145,16 @@ def profile(
         own = left[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
         cross = left[columns, y].reshape(lags.size, size)
         matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
-        half = half_inverse(matrices)
+        half = inverse_square_root(matrices)
         return np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
 
     total = evidence.total
     whole = explained(total)
-    others = [_peak(grid, explained(total - evidence.gram[fold].sum(axis=0))) for fold in folds]
+    others = [_peak(grid, explained(total - held)) for held in evidence.sums(folds)]
     best = _peak(grid, whole)
-    sigma = jackknife(others)
+    sigma = float(jackknife(np.array(others)))
     base = float(projected(total, present)[y, y])
     return LagProfile(grid, base - whole, best, sigma)
-
-
-def jackknife(others: Sequence[float]) -> float:
-    """Return the standard error of a value from those found with one part left out each time."""
-    count = len(others)
-    return float(np.sqrt((count - 1) / count * np.sum((np.array(others) - np.mean(others)) ** 2)))
 
 
 def _peak(grid: Floats, explained: Floats) -> float:
@@ -222,7 +216,7 @@ def join_terms(search: Search, material: Material, terms: Sequence[Term]) -> Non
     base, sigma = search.base()
     precision = search.precision(search.raw, base, sigma)
     for form, (source, groups) in search.sources().items():
-        left = source.absorbed_border(base, groups, precision, *(white if form == "white" else raw))
+        left = source.marginalised_border(base, groups, precision, *(white if form == "white" else raw))
         search.forms[form] = search.forms[form].bordered(names, scale, *left)
     search.raw = search.raw.bordered(names, scale, *raw)
     search.white = search.white.bordered(names, scale, *white)
@@ -347,7 +341,7 @@ def _add(gram: Floats, values: Floats, weight: Floats, block: np.ndarray, places
 
 
 def _border(
-    evidence: Evidence,
+    evidence: GramBlocks,
     gram: Floats,
     names: Sequence[str],
     terms: Sequence[Term],
@@ -719,7 +713,7 @@ def _best_lag(
     others = [_vertex(np.log(beside), total - each[:, fold].sum(axis=1)) for fold in folds]
     if not np.all(np.isfinite(others)):
         return best, None
-    return best, best * jackknife(others)
+    return best, best * float(jackknife(np.array(others)))
 
 
 def _with_response(search: Search, material: Material, option: Option) -> Option:

@@ -27,7 +27,7 @@ from inflight.diagnosis.scoring import Present, folds_of, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.dual import Switched
-from inflight.lsq import Evidence, solve_scaled
+from inflight.lsq import GramArrays, GramBlocks, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.residual import NoiseFloor, joined_floor, level_of_rows
@@ -188,16 +188,16 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
 
 
 def _base_values(
-    search: Search, group: object, base: list[str], sigma: Floats, names: list[str], common: Floats
+    search: Search, group: Sequence[int], base: list[str], sigma: Floats, names: list[str], common: Floats
 ) -> Floats:
     if not base:
         return np.zeros(0)
-    raw: Evidence = search.raw
-    total = raw.gram[np.asarray(group)].sum(axis=0)
+    raw: GramBlocks = search.raw
+    total = raw.rows(base, blocks=np.asarray(group)).sum(axis=0)
     inner, others, y = raw.index(base), raw.index(names), raw.residuals[search.residual]
-    right = total[inner, y] + (total[np.ix_(inner, others)] @ common if names else 0.0)
+    right = total[:, y] + (total[:, others] @ common if names else 0.0)
     precision = search.precision(raw, base, sigma)
-    return -solve_scaled(total[np.ix_(inner, inner)] + np.diag(precision), right)
+    return -solve_scaled(total[:, inner] + np.diag(precision), right)
 
 
 def made_channels(
@@ -326,7 +326,7 @@ def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
 
 def known_evidence(
     search: Search, gaps: Uncorrected, terms: Mapping[str, Term], turn: dict[str, Floats]
-) -> Evidence:
+) -> GramBlocks:
     """Return the raw form of the model's columns and the residual, of the rows that could be corrected.
 
     What the lost rows add to the Gram matrices is taken off by the coarse series. Of long records a row
@@ -336,12 +336,12 @@ def known_evidence(
     base, sigma = search.base()
     model = [name for term in search.library.refined for name in term.columns]
     model += [name for option in search.accepted for name in option.columns]
-    order = [*raw.index([*base, *model]), raw.residuals[search.residual]]
+    order = np.array([*raw.index([*base, *model]), raw.residuals[search.residual]])
     rows, names, columns = model_columns(search, series, terms, turn, search.accepted)
     places = [names.index(name) for name in [*base, *model]]
     values = np.concatenate([columns[:, :, places], rows.residual[:, :, None]], axis=2)
     values *= np.sqrt(series["weight"])[:, None, None]
-    gram = np.array(raw.gram[:, np.array(order)[:, None], np.array(order)], dtype=np.float64)
+    gram = np.array(raw.rows(order, order), dtype=np.float64)
     count = raw.count.copy()
     for block in np.unique(series.block[gaps.rows]):
         own = series.block == block
@@ -353,14 +353,9 @@ def known_evidence(
         every, lost = (_square(values[one]) * bins for one in (own, own & gaps.rows))
         gram[block] -= lost + share * (gram[block] - every)
         count[block] *= 1.0 - share
-    small = replace(
-        raw,
-        names=(*base, *model, raw.names[order[-1]]),
-        gram=gram,
-        count=count,
-        scale=raw.scale[np.array(order)],
-    )
-    return small.absorbed(base, search.intervals, search.precision(raw, base, sigma))
+    names_known = (*base, *model, raw.names[order[-1]])
+    small = GramArrays(names_known, gram, raw.start, raw.end, count, raw.scale[order])
+    return small.marginalise(base, search.intervals, search.precision(raw, base, sigma))
 
 
 def _square(values: Floats) -> Floats:
@@ -434,7 +429,7 @@ def of_known_rows(search: Search, material: Material) -> Material:
     return replace(material, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence(search: Search, material: Material) -> tuple[Evidence, Present, int]:
+def _evidence(search: Search, material: Material) -> tuple[GramBlocks, Present, int]:
     """Return the raw form that sizes are told of, the model's columns in it, and the residual's index."""
     if material.gaps is None:
         return search.forms["raw"], search.present(), search.y()
@@ -477,7 +472,7 @@ def effective_blocks(search: Search, material: Material, left: Floats) -> dict[s
     memory = correlation_s(material.series, left)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
-    square = np.clip(evidence.gram[:, y, y], 0.0, None)
+    square = np.clip(evidence.squares[:, y], 0.0, None)
     telling = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
     by_length = min(float(used), span / max(2.0 * memory, 1e-9))
     return {
@@ -491,7 +486,7 @@ def effective_blocks(search: Search, material: Material, left: Floats) -> dict[s
     }
 
 
-def holding(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
+def holding(evidence: GramBlocks, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)

@@ -15,13 +15,13 @@ flipped statistic (Westfall and Young's maximum).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.lsq import Evidence, Fits, hac_t, half_inverse, promised_t, solve_scaled
+from inflight.lsq import GramBlocks, expected_gain_t, hac_t, inverse_square_root, solve_scaled
 
 Index = npt.NDArray[np.int64]
 
@@ -45,6 +45,53 @@ class Present:
             return np.zeros((0, gram.shape[0]))
         inner = gram[np.ix_(self.columns, self.columns)] + np.diag(self.precision)
         return solve_scaled(inner, gram[self.columns])
+
+
+@dataclass
+class Fits:
+    """What was fitted to all folds but one, fold after fold, to set candidates against each other.
+
+    Parameters
+    ----------
+    evidence : GramBlocks
+    present : ndarray of int
+        Columns of the model.
+    candidates : list of ndarray of int
+        Columns of each candidate.
+    """
+
+    evidence: GramBlocks
+    present: Index
+    candidates: list[Index]
+    folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
+
+    def begin(self, fold: Index, own: Floats) -> None:
+        """Begin a fold: its blocks, and the projection (present, column) of the others."""
+        self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
+
+    def keep(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
+        """Keep the values (candidate, k) of some candidates in the fold begun last."""
+        fitted = self.folds[-1][2]
+        for place, values in zip(positions, gamma, strict=True):
+            fitted[int(place)] = values
+
+    def apart(self, one: int, other: int) -> Floats | None:
+        """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
+
+        When one of the two is the truth, it is what each block is expected to prefer it by.
+        """
+        if max(one, other) >= len(self.candidates):
+            return None
+        first, second = self.candidates[one], self.candidates[other]
+        columns = np.concatenate([self.present, first, second])
+        out = np.zeros(len(self.evidence))
+        for fold, own, fitted in self.folds:
+            own_one = own[:, first] @ fitted[one]
+            own_other = own[:, second] @ fitted[other]
+            values = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
+            blocks = self.evidence.rows(columns, columns, fold)
+            out[fold] = np.einsum("i,bij,j->b", values, blocks, values)
+        return np.maximum(out, 0.0)
 
 
 @dataclass(frozen=True)
@@ -90,7 +137,7 @@ class Scores:
         apart = self.fits.apart(one, other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
-        return float(promised_t(difference, apart[:, None], active)[0])
+        return float(expected_gain_t(difference, apart[:, None], active)[0])
 
     def beats(self, placebos: Sequence[int], asked: npt.NDArray[np.bool_], rival_t: float) -> Floats:
         """Return by which t each candidate leaves less than the best placebo; inf when there is none.
@@ -110,7 +157,7 @@ class Scores:
             return self.t
         # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
         apart = self.promised + self.promised[:, [best]]
-        out = promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
+        out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
         for place in np.flatnonzero(asked & (self.gain > self.gain[best])).tolist():
             out[place] = max(out[place], self._beyond(place, best, rival_t))
         return out
@@ -127,7 +174,7 @@ class Scores:
         if apart is None:
             return 0.0
         gained = self.loss[:, placebo] - self.loss[:, place]
-        t = float(promised_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
+        t = float(expected_gain_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
         return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
 
     def light(self) -> Scores:
@@ -204,9 +251,9 @@ def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
 
 
-def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
+def activity(evidence: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
-    own = np.einsum("bii->bi", evidence.gram)
+    own = evidence.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
     lively = own > _QUIET * peak
     return (
@@ -234,14 +281,14 @@ def projected(gram: Floats, present: Present) -> Floats:
 
 
 def fit(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: int
+    evidence: GramBlocks, present: Present, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
     gram = projected(evidence.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
     for positions, columns in grouped(candidates):
-        half = half_inverse(gram[columns[:, :, None], columns[:, None, :]])
+        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
         score = np.einsum("cik,ci->ck", half, gram[columns, y])
         values = -np.einsum("cik,ck->ci", half, score)
         explained[positions] = np.sum(score**2, axis=1)
@@ -251,13 +298,13 @@ def fit(
 
 
 def score(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    evidence: GramBlocks, present: Present, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : GramBlocks
         One form, the calibration absorbed.
     present : Present
         The model's columns.
@@ -272,9 +319,10 @@ def score(
     loss0 = np.zeros(len(evidence))
     loss, promised = np.zeros((2, len(evidence), len(candidates)))
     fits = Fits(evidence, p := present.columns, list(candidates))
+    given = evidence.rows(np.append(p, y))
     groups = grouped(candidates)
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
-        blocks = evidence.gram[fold]
+        blocks = given[fold]
         train = total - held
         own = present.solve(train)
         fits.begin(fold, own)
@@ -287,60 +335,67 @@ def score(
                 across = train[columns[:, :, None], p]
                 inner = inner - across @ own[:, columns].transpose(1, 0, 2)
                 right = right - across @ own[:, y]
-            half = half_inverse(inner)
+            half = inverse_square_root(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
             fits.keep(positions, gamma)
-            change, square = _change(blocks, p, own, columns, gamma, y)
+            inner = evidence.products_within(columns, fold)
+            change, square = _change(blocks, inner, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change
             promised[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
     active = activity(evidence, candidates)
-    t = promised_t(loss0[:, None] - loss, promised, active)
+    t = expected_gain_t(loss0[:, None] - loss, promised, active)
     return Scores(loss0, loss, gain, t, gamma_all, explained, promised, active, fits)
 
 
 def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
-    """Return the sum of squares of the residual after the model's own columns; (block,)."""
-    out = blocks[:, y, y].copy()
+    """Return the sum of squares of the residual after the model's own columns; (block,).
+
+    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual.
+    """
+    out = blocks[:, -1, y].copy()
     if present.size:
-        out -= 2.0 * blocks[:, present, y] @ own_y
-        out += np.einsum("i,bij,j->b", own_y, blocks[:, present[:, None], present[None, :]], own_y)
+        out -= 2.0 * blocks[:, :-1, y] @ own_y
+        out += np.einsum("i,bij,j->b", own_y, blocks[:, :-1, present], own_y)
     return np.asarray(out)
 
 
 def _change(
-    blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
+    blocks: Floats, inner: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
 ) -> tuple[Floats, Floats]:
-    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate)."""
-    linear = np.sum(blocks[:, columns, y] * gamma, axis=2)
-    inner = blocks[:, columns[:, :, None], columns[:, None, :]]
+    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
+
+    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual;
+    `inner` (block, candidate, k, k) the products of each candidate's own columns.
+    """
+    linear = np.sum(blocks[:, -1, columns] * gamma, axis=2)
     square = np.sum(np.matmul(inner, gamma[:, :, None])[:, :, :, 0] * gamma, axis=2)
     if not present.size:
         return np.asarray(2.0 * linear + square), square
     # The model's own columns give way: their change is minus the candidate's projection on them.
     beta = -np.einsum("pck,ck->cp", own[:, columns], gamma)
     own_y = own[:, y]
-    model = blocks[:, present[:, None], present[None, :]]
-    across = np.matmul(gamma[:, None, :], blocks[:, columns[:, :, None], present])[:, :, 0, :]
-    linear = linear - across @ own_y + (blocks[:, present, y] - model @ own_y) @ beta.T
+    model = blocks[:, :-1, present]
+    across = np.einsum("bpck,ck->bcp", blocks[:, :-1, columns], gamma)
+    linear = linear - across @ own_y + (blocks[:, :-1, y] - model @ own_y) @ beta.T
     square = square + 2.0 * np.sum(across * beta, axis=2) + np.sum(np.matmul(beta, model) * beta, axis=2)
     return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(evidence: Evidence, present: Present, y: int) -> Floats:
+def block_scores(evidence: GramBlocks, present: Present, y: int) -> Floats:
     """Return each block's scores of every column at the model's own fit; (block, column).
 
     They sum to what the projected columns have in common with the residual.
     """
     total = evidence.total
     own = present.solve(total)
-    gram = evidence.gram
-    if not present.columns.size:
-        return np.asarray(gram[:, :, y])
     p = present.columns
-    right = gram[:, :, y] - gram[:, :, p] @ own[:, y]
+    given = evidence.rows(np.append(p, y))
+    if not p.size:
+        return np.asarray(given[:, -1])
+    right = given[:, -1] - np.einsum("bpc,p->bc", given[:, :-1], own[:, y])
     inner = right[:, p]
     return np.asarray(right - inner @ own)
 
@@ -357,7 +412,7 @@ def flip_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]
 
 
 def flip_ratios(
-    evidence: Evidence,
+    evidence: GramBlocks,
     present: Present,
     candidates: Sequence[Index],
     y: int,
@@ -371,7 +426,7 @@ def flip_ratios(
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for place, columns in enumerate(candidates):
-        half = half_inverse(gram[np.ix_(columns, columns)][None])[0]
+        half = inverse_square_root(gram[np.ix_(columns, columns)][None])[0]
         own = summed[:, columns] @ half
         drawn = np.sum((signs @ own) ** 2, axis=1)
         usual = max(float(drawn.mean()), 1e-300)

@@ -40,7 +40,7 @@ from inflight.diagnosis.scoring import (
     with_changes,
 )
 from inflight.diagnosis.time_changes import Carriers, Change, batches, drifts, episodes, steps
-from inflight.lsq import Evidence
+from inflight.lsq import GramBlocks
 
 Groups = Sequence[Sequence[int]]
 
@@ -52,7 +52,7 @@ _AWAY = 0.25
 _CLEAR, _KEPT = 50.0, 0.5
 
 
-def cut_around(evidence: Evidence, cut: Groups, moments: Sequence[int]) -> list[list[int]]:
+def cut_around(evidence: GramBlocks, cut: Groups, moments: Sequence[int]) -> list[list[int]]:
     """Return intervals no edge of which is near some moments.
 
     An edge that is near one goes half an interval away from it, to both sides: no interval becomes longer
@@ -78,23 +78,23 @@ def cut_around(evidence: Evidence, cut: Groups, moments: Sequence[int]) -> list[
     return [part.tolist() for part in np.split(np.arange(len(evidence)), kept)]
 
 
-def _is_free(evidence: Evidence, edge: int, moments: Sequence[int], reach: float) -> bool:
+def _is_free(evidence: GramBlocks, edge: int, moments: Sequence[int], reach: float) -> bool:
     return all(abs(int(evidence.start[edge]) - moment) >= reach for moment in moments)
 
 
-def is_at_edge(evidence: Evidence, cut: Groups, moment: int, sharpness: int) -> bool:
+def is_at_edge(evidence: GramBlocks, cut: Groups, moment: int, sharpness: int) -> bool:
     """Return True when a moment known no better may lie on an edge between intervals."""
     return any(abs(int(evidence.start[group[0]]) - moment) <= sharpness for group in cut[1:])
 
 
 def shows(
-    evidence: Evidence, present: Present, columns: Index, gamma: Floats, y: int, variance: float
+    evidence: GramBlocks, present: Present, columns: Index, gamma: Floats, y: int, variance: float
 ) -> bool:
     """Return True when a change of a known size takes off of the residual what it should.
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : GramBlocks
         With the intervals as they were.
     gamma : ndarray, shape (column,)
         The change's values (scaled), from intervals that do not hide it.
@@ -231,13 +231,13 @@ class Round:
 
 
 def is_seen(
-    raw: Evidence, form: Evidence, columns: Sequence[str], base: Index, usual: Floats, variance: float
+    raw: GramBlocks, form: GramBlocks, columns: Sequence[str], base: Index, usual: Floats, variance: float
 ) -> bool:
     """Return True when an effect of its usual size would stand out of what the calibration leaves.
 
     Parameters
     ----------
-    raw, form : Evidence
+    raw, form : GramBlocks
         Before and after the calibration was absorbed.
     columns : sequence of str
         Of the effect.
@@ -270,28 +270,28 @@ class Search:
 
     Parameters
     ----------
-    raw, white : Evidence
+    raw, white : GramBlocks
         Columns as the library has them, the calibration's own among them.
     library : Library
         What the columns are.
     intervals, days : sequence of sequence of int
         Blocks of each calibration interval, and of each day.
     rules : Rules
-    within : Evidence, optional
+    within : GramBlocks, optional
         The within-day form of blocks longer than a day, absorbed when they were made.
     """
 
-    raw: Evidence
-    white: Evidence
+    raw: GramBlocks
+    white: GramBlocks
     library: Library
     intervals: Sequence[Sequence[int]]
     days: Sequence[Sequence[int]]
     rules: Rules = field(default_factory=Rules)
-    within: Evidence | None = None
+    within: GramBlocks | None = None
     residual: int = 0
     accepted: list[Option] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
-    forms: dict[str, Evidence] = field(default_factory=dict)
+    forms: dict[str, GramBlocks] = field(default_factory=dict)
     carriers: Carriers = field(default_factory=Carriers)
     #: Mechanisms that were taken back: what they added was others'; and those that were dropped once.
     banned: set[str] = field(default_factory=set)
@@ -356,7 +356,7 @@ class Search:
         sigma = [s for term in self.library.base for s in term.sigma]
         return names, np.asarray(sigma)
 
-    def precision(self, evidence: Evidence, names: Sequence[str], sigma: Floats) -> Floats:
+    def precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
         """Return variance over squared prior sigma in scaled units; 0 without a prior."""
         scale = evidence.scale[evidence.index(names)]
         with np.errstate(divide="ignore"):
@@ -365,9 +365,9 @@ class Search:
     def _variance(self) -> float:
         """Return the variance of a row that the calibration alone leaves, the quietest half of the blocks."""
         names, _ = self.base()
-        free = self.white.absorbed(names, [range(len(self.white))], np.zeros(len(names)))
+        free = self.white.marginalise(names, [range(len(self.white))], np.zeros(len(names)))
         y = free.residuals[self.residual]
-        each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
+        each = free.squares[:, y] / np.maximum(free.count, 1.0)
         return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
 
     def absorb(self) -> None:
@@ -376,11 +376,11 @@ class Search:
         precision = self.precision(self.raw, names, sigma)
         self.forms = {
             form: (self.within if form == "within" else None)
-            or source.absorbed(names, groups, precision, np.float32)
+            or source.marginalise(names, groups, precision, np.float32)
             for form, (source, groups) in self.sources().items()
         }
 
-    def sources(self) -> dict[str, tuple[Evidence, Sequence[Sequence[int]]]]:
+    def sources(self) -> dict[str, tuple[GramBlocks, Sequence[Sequence[int]]]]:
         """Return what each form is absorbed from, and the blocks of each of its intervals."""
         return {
             "raw": (self.raw, self.intervals),
@@ -401,7 +401,7 @@ class Search:
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def present_in(self, evidence: Evidence, without: Option | None = None) -> Present:
+    def present_in(self, evidence: GramBlocks, without: Option | None = None) -> Present:
         """Return the columns of the model in some evidence that has them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
@@ -460,7 +460,7 @@ class Search:
 
     def _changes(
         self, without: Option | None
-    ) -> Iterator[tuple[list[Option], Evidence, Present, Evidence | None]]:
+    ) -> Iterator[tuple[list[Option], GramBlocks, Present, GramBlocks | None]]:
         """Yield options bound to a time, some at a time with the evidence of their columns alone.
 
         Where that is of other intervals than those in use, it comes again with those asked for.
@@ -532,12 +532,12 @@ class Search:
         at = [one.change.at[0] for one in self.accepted if one.change is not None and len(one.change.at) == 1]
         return cut_around(self.raw, self.cut, [*at, *more])
 
-    def _absorbed(self, evidence: Evidence, cut: Groups) -> Evidence:
+    def _absorbed(self, evidence: GramBlocks, cut: Groups) -> GramBlocks:
         names, sigma = self.base()
-        return evidence.absorbed(names, cut, self.precision(evidence, names, sigma))
+        return evidence.marginalise(names, cut, self.precision(evidence, names, sigma))
 
     def _not_hidden(
-        self, options: Sequence[Option], evidence: Evidence, values: Sequence[Floats]
+        self, options: Sequence[Option], evidence: GramBlocks, values: Sequence[Floats]
     ) -> npt.NDArray[np.bool_]:
         """Return which changes show with the intervals asked for, too, or may do so at their moment."""
         present, y = self.present_in(evidence), evidence.residuals[self.residual]

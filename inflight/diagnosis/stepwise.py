@@ -27,7 +27,15 @@ from inflight.diagnosis.refine import Trials
 from inflight.diagnosis.residual import Material, correlation_s
 from inflight.diagnosis.scoring import Present, fit, projected
 from inflight.diagnosis.search import FORMS, Option, Round, Rules, Search, Table
-from inflight.lsq import Evidence, gram_inverse, half_inverse, promised_p, taken_over
+from inflight.lsq import (
+    GramBlocks,
+    bartlett_covariance,
+    expected_gain_p,
+    gram_inverse,
+    inverse_square_root,
+    regression,
+    sandwich,
+)
 from inflight.time import SECOND
 
 #: Reach of the scores' correlation, in blocks.
@@ -59,7 +67,7 @@ class Estimate:
     rms: float
 
 
-def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floats]:
+def joint_fit(evidence: GramBlocks, present: Present, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
     Scatter of few blocks that tell nearly all of a column comes out too small, for the fit follows them. No
@@ -70,37 +78,20 @@ def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floa
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
     inverse = gram_inverse(matrix)
     value = -inverse @ total[p, y]
-    scores = evidence.gram[:, p, y] + np.einsum("bij,j->bi", evidence.gram[:, p[:, None], p[None, :]], value)
+    blocks = evidence.rows(p, np.append(p, y))
+    scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
-    meat = scores.T @ scores
-    own = meat.copy()
-    for lag in range(1, min(_BARTLETT, count - 1) + 1):
-        weight = 1.0 - lag / (_BARTLETT + 1.0)
-        cross = scores[lag:].T @ scores[:-lag]
-        meat += weight * (cross + cross.T)
-    # By chance few blocks look anticorrelated; that is no knowledge.
-    meat = _at_least(meat, own)
+    meat = bartlett_covariance(scores, _BARTLETT)
     free = max(count - p.size / 3.0, 2.0)
     left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
     white = max(float(left), 0.0) / max(float(evidence.count.sum()), 1.0) * total[np.ix_(p, p)]
-    return value, _at_least(inverse @ (meat * count / free) @ inverse, inverse @ white @ inverse)
-
-
-def _at_least(covariance: Floats, least: Floats) -> Floats:
-    """Return a covariance with variances no smaller than those of another one, and its own correlations."""
-    own = np.diag(covariance)
-    raised = np.maximum(own, np.diag(least))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lift = np.sqrt(np.where(own > 0, raised / own, 1.0))
-    out = covariance * lift[:, None] * lift[None, :]
-    out[np.diag_indices_from(out)] = raised
-    return np.asarray(out)
+    return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     """Return the values of an accepted option's columns, in the joint fit of the whole model."""
     evidence, present, y = search.forms[form], search.present(form), search.y(form)
-    value, covariance = sandwich(evidence, present, y)
+    value, covariance = joint_fit(evidence, present, y)
     columns = evidence.index(option.columns)
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
     scale = evidence.scale[columns]
@@ -132,7 +123,7 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
 
 
 def centred(search: Search, option: Option) -> Floats:
-    """Return the Gram matrix of an option's columns about constant channels (see `Evidence.centred`)."""
+    """Return the Gram matrix of an option's columns about constant channels (see `GramArrays.centred`)."""
     own = search.raw.index(option.columns)
     # Only a channel has a mean that is none of the effect's doing.
     base = [name for term in search.library.base for name in term.columns] if option.channels else []
@@ -150,7 +141,7 @@ def detectable(search: Search, option: Option, form: str = "raw") -> Floats:
     both = Present(
         np.concatenate([present.columns, columns]), np.append(present.precision, np.zeros(columns.size))
     )
-    _, covariance = sandwich(evidence, both, y)
+    _, covariance = joint_fit(evidence, both, y)
     sigma = np.sqrt(np.clip(np.diag(covariance)[-columns.size :], 0.0, None))
     return np.asarray(3.0 * sigma * evidence.scale[columns])
 
@@ -172,7 +163,7 @@ def mimics(search: Search, option: Option, gamma: Floats) -> list[tuple[str, flo
     names = [name for term in search.library.base for name in term.columns]
     base, own = raw.index(names), raw.index(option.columns)
     total = raw.total
-    shift = taken_over(total, base, own) @ (gamma / raw.scale[own])
+    shift = regression(total, base, own) @ (gamma / raw.scale[own])
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))
 
 
@@ -253,7 +244,7 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     left = projected(evidence.total, search.present(form, option))
     gamma, _ = fit(evidence, search.present(form, option), [own], search.y(form))
     shared = left[np.ix_(wide, own)] @ gamma[0]
-    half = half_inverse(left[np.ix_(wide, wide)][None])[0]
+    half = inverse_square_root(left[np.ix_(wide, wide)][None])[0]
     whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
     return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > _CONTAINED * whole
 
@@ -650,7 +641,7 @@ def _p_of(search: Search, material: Material, option: Option) -> float:
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)
     gained, promised = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
-    return float(promised_p(gained, promised, promised > 0)[0])
+    return float(expected_gain_p(gained, promised, promised > 0)[0])
 
 
 def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.design import Library
 from inflight.effects import Affine, ScalarBias, TimeShift, VectorSensor
-from inflight.lsq import Evidence
+from inflight.lsq import GramBlocks
 from inflight.time import Int64, to_utc
 
 #: Block edges at which steps are tried, at most.
@@ -128,7 +128,7 @@ def moment_text(when: int) -> str:
     return f"{whole}.{part.rstrip('0')}".rstrip(".")
 
 
-def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
+def drifts(evidence: GramBlocks, carriers: Carriers) -> list[Change]:
     """Return drifts of everything that may drift, straight in time; factors in days from the middle."""
     middle = evidence.start / 2 + evidence.end / 2
     days = (middle - middle.mean()) / _DAY_NS
@@ -142,7 +142,7 @@ def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
     return found
 
 
-def steps(evidence: Evidence, carriers: Carriers) -> list[Change]:
+def steps(evidence: GramBlocks, carriers: Carriers) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
     edges = _edges(len(evidence))
@@ -169,7 +169,7 @@ def batches(changes: Sequence[Change]) -> Iterator[list[Change]]:
             yield batch
 
 
-def _sharpness(evidence: Evidence, edges: Sequence[int], place: int) -> int:
+def _sharpness(evidence: GramBlocks, edges: Sequence[int], place: int) -> int:
     """Return how far a step may be from the edge tried, ns: a block, or half way to the next edge tried."""
     starts = [*evidence.start.tolist(), int(evidence.end[-1])]
     edge = edges[place]
@@ -186,12 +186,12 @@ def _edges(blocks: int) -> Sequence[int]:
     return [int(place) for place in np.unique(places)]
 
 
-def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int) -> list[Change]:
+def episodes(evidence: GramBlocks, absorbed: GramBlocks, carriers: Carriers, y: int) -> list[Change]:
     """Return the best episodes of clock and bias, found by a scan over all pairs of edges.
 
     Parameters
     ----------
-    evidence, absorbed : Evidence
+    evidence, absorbed : GramBlocks
         Before and after the calibration was absorbed; the scan takes blocks as independent.
     """
     found = []
@@ -200,7 +200,8 @@ def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int)
         if len(columns) != 1 or len(evidence) < 6:
             continue
         column = int(absorbed.index(columns)[0])
-        for first, last in _best_spans(absorbed.gram[:, column, y], absorbed.gram[:, column, column]):
+        score = absorbed.rows(columns)[:, 0, y]
+        for first, last in _best_spans(score, absorbed.squares[:, column]):
             inside = np.zeros(len(evidence))
             inside[first:last] = 1.0
             when = (int(evidence.start[first]), int(evidence.end[last - 1]))

@@ -48,11 +48,11 @@ from inflight.diagnosis.stepwise import (
     Standing,
     detectable,
     estimate,
+    joint_fit,
     look_closer,
     mimics,
     polish,
     run,
-    sandwich,
     settle,
     within_and_raw,
 )
@@ -199,7 +199,7 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
     (first, second), _ = fit(evidence, present, [one, other], y)
     both = np.concatenate([one, other])
     weights = np.concatenate([first, -second])
-    sums = np.einsum("i,bij,j->b", weights, evidence.gram[:, both[:, None], both[None, :]], weights)
+    sums = np.einsum("i,bij,j->b", weights, evidence.rows(both, both), weights)
     rms = np.sqrt(np.clip(sums, 0.0, None) / np.maximum(evidence.count, 1.0))
     best = np.argsort(-rms)[:_SEPARATING]
     return [
@@ -255,7 +255,7 @@ def refined(search: Search) -> tuple[dict[str, Any], ...]:
     sigma = [s for term in search.library.refined for s in term.sigma]
     if not names:
         return ()
-    value, covariance = sandwich(evidence, present, search.y())
+    value, covariance = joint_fit(evidence, present, search.y())
     scale = evidence.scale[present.columns]
     out = []
     for place, name in enumerate(names):

@@ -30,6 +30,9 @@ from scipy.stats import t as student_t
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 
+#: Places of columns in a Gram matrix.
+Places = npt.NDArray[np.int64]
+
 #: Information of the data relative to the prior below which a direction stays at its prior.
 MIN_INFORMATION = 1.0
 
@@ -50,6 +53,95 @@ _VARIANCE_PASSES = 10
 
 #: The variance of rounding: readings are never better than this; nT^2.
 _SMALLEST_VARIANCE = 1e-12
+
+
+#: Eigenvalues of a matrix of unit diagonal below this determine nothing: rounding of sums of squares.
+EIGEN_CUT = 1e-12
+
+#: Directions that keep less than this of their own variance beside the others are dropped.
+WEAK_CUT = 1e-6
+
+
+def _unit_eigen(matrices: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the units that make each diagonal 1 (..., k), and eigenvalues and vectors in these units."""
+    size = np.sqrt(np.clip(np.einsum("...ii->...i", matrices), 0.0, None))
+    unit = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
+    own, vectors = np.linalg.eigh(matrices * unit[..., :, None] * unit[..., None, :])
+    return unit, own, vectors
+
+
+def solve_scaled(matrix: Floats, right: Floats, cut: float = EIGEN_CUT) -> Floats:
+    """Solve a symmetric system in units of its own diagonal; what it does not determine stays 0.
+
+    A prior is part of the matrix: its precision times the residual's variance, on the diagonal.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+    right : ndarray, shape (n,) or (n, m)
+    cut : float
+        Eigenvalues of the unit-diagonal matrix below it are no information.
+    """
+    unit, own, vectors = _unit_eigen(matrix)
+    inverse = np.where(own > cut, 1.0 / np.where(own > cut, own, 1.0), 0.0)
+    scaled = right * (unit[:, None] if right.ndim == 2 else unit)
+    found = vectors @ ((vectors.T @ scaled) * (inverse[:, None] if right.ndim == 2 else inverse))
+    return np.asarray(found * (unit[:, None] if right.ndim == 2 else unit))
+
+
+def inverse_square_root(matrices: Floats, cut: float = WEAK_CUT) -> Floats:
+    """Return L with ``L L^T`` the inverse of each matrix where it is one; (candidate, k, k)."""
+    unit, own, vectors = _unit_eigen(matrices)
+    root = np.where(own > cut, 1.0 / np.sqrt(np.where(own > cut, own, 1.0)), 0.0)
+    return np.asarray(unit[:, :, None] * vectors * root[:, None, :])
+
+
+def gram_inverse(matrix: Floats, cut: float = WEAK_CUT) -> Floats:
+    """Return the inverse of a Gram matrix (k, k) along what it determines, 0 along what it does not."""
+    half = inverse_square_root(matrix[None], cut)[0]
+    return np.asarray(half @ half.T)
+
+
+def regression(gram: Floats, fitted: Places, ignored: Places) -> Floats:
+    """Return how much of each fitted column stands for one unit of each ignored one; (..., fitted, ignored).
+
+    With X the fitted columns and z an ignored one it is ``(X^T X)^-1 X^T z``: least squares of z on X.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (..., column, column)
+        Gram matrix of all columns; one, or one a block.
+    fitted, ignored : ndarray of int
+        Their places.
+    """
+    stack = gram.reshape(-1, *gram.shape[-2:])
+    half = inverse_square_root(stack[:, fitted[:, None], fitted[None, :]])
+    found = half @ half.swapaxes(1, 2) @ stack[:, fitted[:, None], ignored[None, :]]
+    return np.asarray(found.reshape(*gram.shape[:-2], fitted.size, ignored.size))
+
+
+def marginalise(gram: Floats, marginalised: Places, kept: Places) -> Floats:
+    """Return the Gram matrix of the kept columns less what the marginalised ones explain; (..., kept, kept).
+
+    The Schur complement ``G_kk - G_km G_mm^-1 G_mk``.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (..., column, column)
+        Gram matrix of all columns; one, or one a block.
+    marginalised, kept : ndarray of int
+        Their places.
+    """
+    over = regression(gram, marginalised, kept)
+    cross = gram[..., kept[:, None], marginalised[None, :]]
+    return np.asarray(gram[..., kept[:, None], kept[None, :]] - cross @ over)
+
+
+def correlation_of(covariance: Floats) -> Floats:
+    """Return the correlations of a covariance or Gram matrix (k, k), in [-1, 1]; 0 where a size is 0."""
+    size = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    unit = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
+    return np.clip(covariance * unit[:, None] * unit[None, :], -1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -413,57 +505,3 @@ def _solve(gram: Floats, ridge: Floats) -> Floats:
             remedy="take more data, leave a column out, or state what is known of it beforehand",
         )
     return np.asarray(np.linalg.solve(scaled, (gram[:, :-1, -1] / scale)[..., None])[..., 0] / scale)
-
-
-#: Places of columns in a Gram matrix.
-Places = npt.NDArray[np.int64]
-
-#: Directions that keep less than this of their own variance beside the others are dropped.
-_EIGEN_CUT = 1e-6
-
-
-def half_inverse(matrices: Floats) -> Floats:
-    """Return L with ``L L^T`` the inverse of each matrix where it is one; (candidate, k, k)."""
-    size = np.sqrt(np.clip(np.einsum("cii->ci", matrices), 0.0, None))
-    unit = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
-    own, vectors = np.linalg.eigh(matrices * unit[:, :, None] * unit[:, None, :])
-    root = np.where(own > _EIGEN_CUT, 1.0 / np.sqrt(np.where(own > _EIGEN_CUT, own, 1.0)), 0.0)
-    return np.asarray(unit[:, :, None] * vectors * root[:, None, :])
-
-
-def gram_inverse(matrix: Floats) -> Floats:
-    """Return the inverse of a Gram matrix (k, k) along what it determines, 0 along what it does not."""
-    half = half_inverse(matrix[None])[0]
-    return np.asarray(half @ half.T)
-
-
-def taken_over(gram: Floats, fitted: Places, ignored: Places) -> Floats:
-    """Return how much of each fitted column stands for one unit of each ignored one; (..., fitted, ignored).
-
-    With X the fitted columns and z an ignored one it is ``(X^T X)^-1 X^T z``: least squares of z on X.
-
-    Parameters
-    ----------
-    gram : ndarray, shape (..., column, column)
-        Gram matrix of all columns; one, or one a block.
-    fitted, ignored : ndarray of int
-        Their places.
-    """
-    stack = gram.reshape(-1, *gram.shape[-2:])
-    half = half_inverse(stack[:, fitted[:, None], fitted[None, :]])
-    found = half @ half.swapaxes(1, 2) @ stack[:, fitted[:, None], ignored[None, :]]
-    return np.asarray(found.reshape(*gram.shape[:-2], fitted.size, ignored.size))
-
-
-def left(gram: Floats, absorbed: Places, kept: Places) -> Floats:
-    """Return the Gram matrix of the kept columns less what the absorbed ones explain; (..., kept, kept)."""
-    over = taken_over(gram, absorbed, kept)
-    cross = gram[..., kept[:, None], absorbed[None, :]]
-    return np.asarray(gram[..., kept[:, None], kept[None, :]] - cross @ over)
-
-
-def correlation_of(covariance: Floats) -> Floats:
-    """Return the correlations of a covariance or Gram matrix (k, k), in [-1, 1]; 0 where a size is 0."""
-    size = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
-    unit = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
-    return np.clip(covariance * unit[:, None] * unit[None, :], -1.0, 1.0)

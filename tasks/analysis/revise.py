@@ -44,7 +44,7 @@ from inflight.diagnosis import (
 )
 from inflight.effects import did_you_mean
 from inflight.errors import ModelError, SettingsError
-from inflight.lsq import Evidence
+from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, folding_of
 from inflight.tasks.analysis.diagnosis import Prepared, intervals_of, material_of, prepare, search_of
@@ -195,7 +195,7 @@ class Workbench:
             self.made = replace(self.made, used=self.current)
         self._narrow: tuple[tuple[str, ...], Prepared] | None = None
         #: The fit of the model as it stands is asked for again with the next change.
-        self._last: tuple[Evidence, tuple[Any, ...], Fitted] | None = None
+        self._last: tuple[GramBlocks, tuple[Any, ...], Fitted] | None = None
         self._restore()
 
     def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> Prepared:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.diagnosis.search import cut_around
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, INTERVAL_DAYS, BLOCK_DAYS = 14, 7, 0.25
@@ -96,7 +96,7 @@ def test_intervals_are_those_asked_for_once_a_step_is_dropped():
 
 def blocks(count):
     edges = np.arange(count + 1, dtype=np.int64) * DAY
-    empty = Evidence(
+    empty = GramArrays(
         ("residual",), np.zeros((count, 1, 1)), edges[:-1], edges[1:], np.ones(count), np.ones(1)
     )
     return replace(empty)

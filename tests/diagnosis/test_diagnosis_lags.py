@@ -7,7 +7,7 @@ from row_cases import DAY_NS
 from inflight.diagnosis import Present, folds_of
 from inflight.diagnosis.candidates import LAGS
 from inflight.diagnosis.refine import mixture, profile
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 from inflight.samples import respond
 
 STEP_S, BLOCKS = 60.0, 30
@@ -58,7 +58,7 @@ def lag_case(lag, size, seed, noise=0.09):
     names = ("p0", "p1", *(f"c{k}" for k in range(2 * len(LAGS))), "residual")
     start = DAY_NS * np.arange(BLOCKS, dtype=np.int64)
     gram = np.einsum("bri,brj->bij", values, values, optimize=True)
-    evidence = Evidence(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
+    evidence = GramArrays(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
     places = {one: 2 + 2 * at + np.arange(2) for at, one in enumerate(LAGS)}
     return evidence, Present(np.array([0, 1]), np.zeros(2)), places
 

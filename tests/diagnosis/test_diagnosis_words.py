@@ -6,7 +6,7 @@ import pytest
 from inflight.diagnosis import Signature
 from inflight.diagnosis.residual import holding
 from inflight.diagnosis.result import FoundEffect, sentence, stopped
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 from inflight.time import SECOND
 
 SIZES = {"held_out_before_nT": 0.2, "held_out_after_nT": 0.2, "noise_floor_nT": 0.198, "structure_nT": 0.01}
@@ -75,7 +75,7 @@ def test_a_long_span_of_which_few_blocks_tell_is_not_said_to_be_short_but_when_t
 
 def test_the_blocks_that_hold_nearly_all_are_the_fewest_in_order_of_time():
     hours = 700_000_000 * SECOND + 3600 * SECOND * np.arange(91)
-    evidence = Evidence(("residual",), np.ones((90, 1, 1)), hours[:-1], hours[1:], np.ones(90), np.ones(1))
+    evidence = GramArrays(("residual",), np.ones((90, 1, 1)), hours[:-1], hours[1:], np.ones(90), np.ones(1))
     square = np.full(90, 0.1)
     assert holding(evidence, square) == []
     square[[40, 12]] = 300.0, 400.0
