@@ -33,15 +33,16 @@ from inflight.errors import CalibrationError
 from inflight.frames import direction_of
 from inflight.lsq import (
     RESIDUAL,
+    SOLVER,
     GramArrays,
     Solution,
     arrays_of,
     biweight,
     full_dataset,
-    gram_inverse,
     larger_scatter,
     robust_sigma,
     solve,
+    solve_scaled,
 )
 from inflight.time import Int64
 
@@ -340,7 +341,7 @@ def _biweight(rows: Floats, weight: Floats) -> Floats:
     found = np.ones(len(rows))
     for _ in range(_TURNS):
         gram = (rows * (weight * found)[:, None]).T @ rows
-        change = -gram_inverse(gram[:-1, :-1]) @ gram[:-1, -1]
+        change = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], SOLVER.weak_cut)
         rest = rows[:, -1] + rows[:, :-1] @ change
         found = biweight(rest / robust_sigma(rest, floor=1e-9))
     return found
@@ -350,7 +351,7 @@ def _assembled(
     grams: Floats, count: float, names: list[str], scale: Floats, span: tuple[int, int], attrs: dict[str, Any]
 ) -> NormalEquations:
     total = grams.sum(axis=0)
-    change = -gram_inverse(total[:-1, :-1]) @ total[:-1, -1]
+    change = -solve_scaled(total[:-1, :-1], total[:-1, -1], SOLVER.weak_cut)
     scatter = np.zeros_like(total)
     scatter[:-1, :-1] = score_scatter(grams, change, np.full(len(names) - 1, _WIDE))
     still = np.zeros((1, len(names)))

@@ -1,9 +1,11 @@
+from .clusters import ClusteredFit, grams_by_cluster, mean_of_clusters, solve_clusters
 from .contrasts import Chosen, RobustFit, Series, in_amperes, robust_contrast, robust_fit, windowed
 from .covariance import (
     at_least,
     bartlett_covariance,
     bartlett_kernel,
     bartlett_variance,
+    correlated_covariance,
     correlation_steps,
     expected_gain_p,
     expected_gain_t,
@@ -30,37 +32,26 @@ from .gram_blocks import (
 )
 from .robust import BIWEIGHT_WIDTH, TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope, robust_sigma
 from .solver import (
-    EIGEN_CUT,
-    FEWEST_CLUSTERS,
-    MIN_INFORMATION,
-    SINGULAR,
-    WEAK_CUT,
-    ClusteredFit,
+    SOLVER,
     Solution,
     correlation_of,
     gram_inverse,
-    grams_by_cluster,
     inverse_square_root,
     marginalise,
-    mean_of_clusters,
     posterior,
+    posterior_covariance,
     regression,
     residual_sum,
     retained_fraction,
     solve,
-    solve_clusters,
     solve_scaled,
 )
 
 __all__ = [
     "BIWEIGHT_WIDTH",
-    "EIGEN_CUT",
-    "FEWEST_CLUSTERS",
-    "MIN_INFORMATION",
     "RESIDUAL",
-    "SINGULAR",
+    "SOLVER",
     "TO_SIGMA",
-    "WEAK_CUT",
     "WEIGHTED_RMS",
     "BlockSums",
     "Chosen",
@@ -77,6 +68,7 @@ __all__ = [
     "bartlett_variance",
     "biweight",
     "biweight_slope",
+    "correlated_covariance",
     "correlation_of",
     "correlation_steps",
     "expected_gain_p",
@@ -97,6 +89,7 @@ __all__ = [
     "newey_west_lags",
     "parts_of",
     "posterior",
+    "posterior_covariance",
     "prewhiten",
     "regression",
     "residual_sum",

@@ -27,6 +27,7 @@ import numpy.typing as npt
 from scipy.special import ndtr, stdtr, stdtrit
 
 from inflight.arrays import Floats
+from inflight.lsq.solver import posterior_covariance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -265,6 +266,36 @@ def _no_smaller(total: Floats, white: Floats) -> Floats:
     ratio, directions = np.linalg.eigh(inverse.T @ total @ inverse)
     spread = root @ directions
     return np.asarray((spread * np.maximum(ratio, LONG_RUN.least)) @ spread.T)
+
+
+def correlated_covariance(
+    scores: Floats, information: Floats, prior_sigma: Floats, functions: float = 1.0
+) -> Floats:
+    """Return the covariance of a fit with a prior from the scatter of its blocks' scores, correlated in time.
+
+    With B the covariance for white residuals, ``(A + P)^-1``, it is that of the blocks' influences ``B s``
+    (`long_run_covariance`) plus ``B P B``, what the prior leaves open; variances are at least those of B:
+    fewer blocks than parameters leave scores that are too small.
+
+    Parameters
+    ----------
+    scores : ndarray, shape (block, column)
+        At the fit, over the residual's variance.
+    information : ndarray, shape (column, column)
+        Gram matrix of all blocks together over the residual's variance: A.
+    prior_sigma : ndarray, shape (column,)
+        P is the diagonal of 1 / sigma^2; 0 for what is fixed.
+    functions : float
+        Functions of time of each parameter, on average; as of `long_run_covariance`.
+    """
+    free = np.flatnonzero(prior_sigma > 0)
+    grid = np.ix_(free, free)
+    white = posterior_covariance(information[grid], prior_sigma[free])
+    precision = 1.0 / prior_sigma[free] ** 2
+    spread = long_run_covariance(scores[:, free] @ white, functions) + (white * precision) @ white
+    out = np.zeros_like(information)
+    out[grid] = at_least(spread, white)
+    return out
 
 
 def sigma_of_mean(series: Floats) -> float:

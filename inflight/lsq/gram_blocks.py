@@ -33,7 +33,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq.solver import EIGEN_CUT, Places, residual_sum, solve_scaled
+from inflight.lsq.solver import SOLVER, Places, residual_sum, solve_scaled
 from inflight.time import GAP, SECOND
 
 #: Columns, by name or by place.
@@ -650,7 +650,7 @@ class GramArrays:
         precision: Floats | None = None,
         dtype: npt.DTypeLike = np.float64,
         *,
-        cut: float = EIGEN_CUT,
+        cut: float = SOLVER.eigen_cut,
         least_kept: float = LEAST_KEPT,
     ) -> Self:
         """Return what is left of every column after some are fitted anew in each interval.
@@ -677,10 +677,9 @@ class GramArrays:
         gone = self.index(names)
         kept = np.setdiff1d(np.arange(len(self.names)), gone)
         out = np.empty((len(self), kept.size, kept.size), dtype=dtype)
-        known = np.zeros(gone.size) if precision is None else precision
         for group in [[block] for block in range(len(self))] if groups is None else groups:
             total = self.gram[np.ix_(np.asarray(group), gone)].sum(axis=0)
-            fitted = solve_scaled(total[:, gone] + np.diag(known), total[:, kept], cut)
+            fitted = solve_scaled(total[:, gone], total[:, kept], cut, precision)
             for place in group:
                 gram = self.gram[place]
                 cross = fitted.T @ (gram[np.ix_(gone, kept)] - 0.5 * gram[np.ix_(gone, gone)] @ fitted)
@@ -724,9 +723,8 @@ class GramArrays:
             place = np.asarray(group)
             of_gone, others = self.gram[np.ix_(place, gone)], across[place]
             total = of_gone.sum(axis=0)
-            matrix = total[:, gone] + np.diag(precision)
-            fitted = solve_scaled(matrix, total[:, kept])
-            fresh = solve_scaled(matrix, others[:, gone].sum(axis=0))
+            fitted = solve_scaled(total[:, gone], total[:, kept], precision=precision)
+            fresh = solve_scaled(total[:, gone], others[:, gone].sum(axis=0), precision=precision)
             rest = others[:, gone] - of_gone[:, :, gone] @ fresh
             out[place] = others[:, kept] - fitted.T @ rest - of_gone[:, :, kept].transpose(0, 2, 1) @ fresh
             shared = fresh.T @ (others[:, gone] - 0.5 * of_gone[:, :, gone] @ fresh)

@@ -34,11 +34,12 @@ from inflight.effects import AXES, DayNight, DayNightSeries
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     RESIDUAL,
-    WEAK_CUT,
+    SOLVER,
     ClusteredFit,
     correlation_of,
     jackknife,
     mean_of_clusters,
+    posterior,
     retained_fraction,
 )
 from inflight.mission_fit.continuous import Continuous, daily_parameters, fitted_beside, shift_columns
@@ -221,7 +222,7 @@ def rival_temperatures(
     beside = [one for names in columns.values() for one in names if one not in held]
     wide = joined_with(equations, strips, beside)
     names = wide.columns
-    at = _at_the_fit(wide, found, held).marginalise(names[:9], cut=WEAK_CUT, least_kept=0.0)
+    at = _at_the_fit(wide, found, held).marginalise(names[:9], cut=SOLVER.weak_cut, least_kept=0.0)
     others = [place for place in range(9, len(equations.columns)) if names[place] not in set(held)]
     known = dict(zip(equations.columns, [one for term in terms_of(model) for one in term.sigma], strict=True))
     count = wide.count
@@ -269,7 +270,6 @@ def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floa
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
     value = np.zeros(count)
-    variance = float(gram[-1, -1]) / max(rows, 1.0)
     for _ in range(_TURNS):
         turn = np.zeros((len(gram), sigma.size + 1))
         turn[:count, :count], turn[-1, -1] = np.eye(count), 1.0
@@ -277,11 +277,8 @@ def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floa
             answers, slopes = coefficients_of(unknown)
             turn[count:-1, count:-1], turn[count:-1, -1] = slopes, answers - slopes @ unknown
         inner = turn.T @ gram @ turn
-        matrix = (inner[:-1, :-1] * np.outer(sigma, sigma)) / variance + np.eye(sigma.size)
-        value = -sigma * np.linalg.solve(matrix, inner[:-1, -1] * sigma / variance)
+        value, _, _ = posterior(inner, rows, np.zeros_like(sigma), sigma)
         unknown = value[count:]
-        own = np.append(value, 1.0)
-        variance = max(float(own @ inner @ own) / max(rows, 1.0), 1e-30)
     return np.concatenate([value[:count], coefficients_of(unknown)[0]]) if temperature else value
 
 
@@ -502,17 +499,7 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
 
 def _covariance(gram: Floats, count: float, prior: Floats) -> Floats:
     """Return the covariance of all columns, scaled, for white residuals; 0 for what is fixed."""
-    free = np.flatnonzero(prior > 0)
-    matrix, unit = gram[:-1, :-1][np.ix_(free, free)], prior[free]
-    found = np.zeros_like(gram[:-1, :-1])
-    variance = float(gram[-1, -1]) / max(count, 1.0)
-    for _ in range(2):
-        bread = np.linalg.inv(matrix * np.outer(unit, unit) / variance + np.eye(free.size))
-        answer = -unit * (bread @ (unit * gram[free, -1])) / variance
-        own = float(gram[-1, -1] + 2 * answer @ gram[free, -1] + answer @ matrix @ answer)
-        variance = max(own, 1e-30) / max(count, 1.0)
-    found[np.ix_(free, free)] = bread * np.outer(unit, unit)
-    return found
+    return posterior(gram, count, np.zeros_like(prior), prior)[1]
 
 
 def _shifts(covariance: Floats) -> Floats:

@@ -25,7 +25,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import PARTS, SOURCES, UNITS, NormalEquations, reference_of, vector_sensor_of
 from inflight.errors import CalibrationError
-from inflight.lsq import EIGEN_CUT, RESIDUAL, TO_SIGMA, gram_inverse, retained_fraction
+from inflight.lsq import RESIDUAL, SOLVER, TO_SIGMA, gram_inverse, retained_fraction
 from inflight.mission_fit.daily_equations import DayDrift, about_offsets, rates, terms_of
 from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
 from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
@@ -343,7 +343,7 @@ def _solved(gram: Floats, rows: float) -> tuple[Floats, Floats]:
     kept = np.flatnonzero((np.diag(own) > 0) & (retained_fraction(own) > _LEAST_RETAINED))
     if rows <= kept.size or not kept.size:
         return change, sigma
-    inverse = gram_inverse(own[np.ix_(kept, kept)], EIGEN_CUT)
+    inverse = gram_inverse(own[np.ix_(kept, kept)], SOLVER.eigen_cut)
     change[kept] = -inverse @ cross[kept]
     rest = max(float(gram[-1, -1] + change[kept] @ cross[kept]), 0.0)
     sigma[kept] = np.sqrt(np.diag(inverse) * rest / (rows - kept.size))

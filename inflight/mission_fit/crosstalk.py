@@ -184,7 +184,8 @@ def cross_talk(
     total = equations.total
     over = regression(total, own, other)
     each = equations.rows(wide, wide)
-    single = (regression(each, *np.split(np.arange(wide.size), [own.size])) * turn).swapaxes(1, 2)
+    places = np.arange(wide.size)
+    single = (regression(each, places[: own.size], places[own.size :]) * turn).swapaxes(1, 2)
     scatter = single.std(axis=0, ddof=1) if len(single) > 1 else np.full(single.shape[1:], np.nan)
     before = np.diag(total)[other]
     explained = np.einsum("fi,fi->i", over, total[np.ix_(own, other)])

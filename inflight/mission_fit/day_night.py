@@ -28,7 +28,7 @@ from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_column
 from inflight.effects import AXES, DayNight, DayNightSeries, of_orders
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
-from inflight.lsq import WEAK_CUT, gram_inverse, marginalise, solve_clusters
+from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters
 from inflight.mission_fit.crosstalk import SHOWN
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.
@@ -259,7 +259,7 @@ def fit_day_night(
         )
     both = equations.select([*names, *absorbed])
     groups = None if each_block else [range(len(both))]
-    rest = both.marginalise(absorbed, groups, cut=WEAK_CUT, least_kept=0.0)
+    rest = both.marginalise(absorbed, groups, cut=SOLVER.weak_cut, least_kept=0.0)
     own = both.index(names)
     retained, determined = _told(rest.total[:-1, :-1], both.total[own, own])
     if not determined.any():

@@ -31,7 +31,7 @@ from inflight.arrays import Floats
 from inflight.calibration import NINE, NormalEquations, block_equations, joined, nine_columns
 from inflight.effects import AXES, slope
 from inflight.errors import CalibrationError
-from inflight.lsq import WEAK_CUT, ClusteredFit, jackknife, mean_of_clusters, solve_clusters
+from inflight.lsq import SOLVER, ClusteredFit, jackknife, mean_of_clusters, solve_clusters
 from inflight.time import GAP, SECOND, Int64
 
 #: Kinds of columns of a temperature, three axes each: what the coefficient, and its lag, answer to.
@@ -240,7 +240,7 @@ def left_of_each(equations: NormalEquations, channel: str, each: Sequence[str]) 
     """Return [12 columns | residual] of the blocks less what their own columns explain, physical units."""
     own = [f"{channel}.{kind}[{axis}]" for kind in KINDS for axis in AXES]
     common = equations.at_one_reference().select([*own, *each])
-    rest = common.marginalise(each, cut=WEAK_CUT, least_kept=0.0) if each else common
+    rest = common.marginalise(each, cut=SOLVER.weak_cut, least_kept=0.0) if each else common
     return rest.in_units, rest.count
 
 

@@ -17,7 +17,15 @@ from scipy import optimize
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
-from inflight.lsq import BlockSums, long_run_covariance, residual_sum
+from inflight.lsq import (
+    SOLVER,
+    BlockSums,
+    correlated_covariance,
+    gram_inverse,
+    long_run_covariance,
+    residual_sum,
+    solve_scaled,
+)
 from inflight.mission_fit.trends import (
     TREND_KINDS,
     Expansion,
@@ -27,7 +35,6 @@ from inflight.mission_fit.trends import (
     fit_trends,
     make_trend,
     outlier_weights,
-    sandwich,
     score_statistic,
     with_origin,
 )
@@ -172,12 +179,8 @@ def profile_sum(
     owners = expansion.owners
     gram = sums.expanded(expansion.values, owners)
     with np.errstate(divide="ignore"):
-        held = variance * (scale / prior_sigma)[owners] ** 2
-    free = np.flatnonzero(np.isfinite(held))
-    matrix = gram[np.ix_(free, free)] + np.diag(held[free])
-    change = np.zeros(owners.size)
-    change[free] = -np.linalg.solve(matrix, gram[free, -1])
-    return residual_sum(gram, change)
+        precision = variance * (scale / prior_sigma)[owners] ** 2
+    return residual_sum(gram, -solve_scaled(gram[:-1, :-1], gram[:-1, -1], 0.0, precision))
 
 
 def _with_unknown_origin(
@@ -193,13 +196,15 @@ def _with_unknown_origin(
     matrix, scores = matrix / np.outer(unit, unit), scores / unit
     owners = [equations.columns.index(column.split("*")[0]) for column in fit.columns]
     fixed = np.append(prior_sigma[owners] <= 0, False)
-    # The prior has had its say in the fit; here the data speak alone.
+    # The prior is in the fit already; here the data count alone.
     wide = np.where(fixed, 0.0, 1e6 * fit.rms)
     functions = len(fit.columns) / len(fit.trends) + 1.0 / len(fit.trends)
-    covariance = sandwich(scores, matrix / fit.rms**2, fit.rms**2, wide, functions) / np.outer(unit, unit)
+    variance = fit.rms**2
+    covariance = correlated_covariance(scores / variance, matrix / variance, wide, functions)
+    covariance /= np.outer(unit, unit)
     free = np.flatnonzero(~fixed)
-    white = np.linalg.pinv(matrix[np.ix_(free, free)], hermitian=True)
-    plain = white[-1, -1] * fit.rms**2 / unit[-1] ** 2
+    white = gram_inverse(matrix[np.ix_(free, free)], SOLVER.eigen_cut)
+    plain = white[-1, -1] * variance / unit[-1] ** 2
     return covariance, max(float(covariance[-1, -1] / plain), 1.0) if plain > 0 else 1.0
 
 

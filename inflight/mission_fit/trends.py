@@ -25,12 +25,15 @@ from inflight.effects import Parameter
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     RESIDUAL,
+    SOLVER,
     GramArrays,
+    correlated_covariance,
+    gram_inverse,
     larger_scatter,
-    long_run_covariance,
     residual_sum,
     robust_sigma,
     solve,
+    solve_scaled,
 )
 from inflight.model import Dependence, TimedValue, component_names
 from inflight.time import DAY, Int64, mjd_of
@@ -131,7 +134,7 @@ def _gram(value: Floats, covariance: Floats, known: np.ndarray, scale: Floats, c
     if use.size == 0:
         return gram
     unit = scale[use]
-    information = np.linalg.inv(covariance[np.ix_(use, use)] / np.outer(unit, unit))
+    information = gram_inverse(covariance[np.ix_(use, use)] / np.outer(unit, unit), SOLVER.eigen_cut)
     away = (value[use] - centre[use]) / unit
     gram[np.ix_(use, use)] = information
     gram[use, -1] = gram[-1, use] = -information @ away
@@ -180,16 +183,14 @@ def score_statistic(equations: NormalEquations, value: Floats, prior_sigma: Floa
     own = equations.squares[:, -1] / np.maximum(equations.count, 1.0)
     variance = max(float(np.median(own)), 1e-30)
     with np.errstate(divide="ignore"):
-        held = np.where(prior_sigma > 0, variance * (scale / prior_sigma) ** 2, np.inf)
-    free = np.flatnonzero(np.isfinite(held))
-    out = np.empty(len(scores))
+        precision = variance * (scale / prior_sigma) ** 2
+    columns, out = np.arange(scale.size), np.empty(len(scores))
     # Some blocks at a time: a matrix of each of three thousand days would fill the memory.
     for first in range(0, len(scores), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        steadied = equations.rows(free, free, part) + np.diag(held[free])
-        score = scores[part][:, free]
-        wish = np.linalg.solve(steadied, score[:, :, None])[:, :, 0]
-        out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", wish, score), 0.0))
+        matrix = equations.rows(columns, columns, part)
+        change = solve_scaled(matrix, scores[part], 0.0, precision)
+        out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", change, scores[part]), 0.0))
     return out
 
 
@@ -621,7 +622,8 @@ def _solve(
     if sure:
         scores = sums.scores(values, owners, expansion.parameters(solution.value))
         matrix, functions = total[:-1, :-1] / solution.variance, expansion.functions_each
-        covariance = sandwich(scores, matrix, solution.variance, sigma, functions)
+        scores /= solution.variance
+        covariance = correlated_covariance(scores, matrix, sigma, functions)
     covariance *= np.outer(scale, scale)
     # A function of time counts from 0, a constant from the reference.
     still = np.array([trend.count == 1 for trend in expansion.trends.values()])[owners]
@@ -644,38 +646,6 @@ def _determined(expansion: Expansion, of_functions: np.ndarray) -> np.ndarray:
         out[at : at + basis.shape[1]] = of_functions[at : at + basis.shape[1]].all()
         at += basis.shape[1]
     return out
-
-
-def sandwich(
-    scores: Floats, matrix: Floats, variance: float, prior_sigma: Floats, functions: float = 1.0
-) -> Floats:
-    """Return the covariance of a fit from the scatter of its blocks' scores, correlated in time.
-
-    Parameters
-    ----------
-    scores : ndarray, shape (block, column)
-        At the fit, scaled.
-    matrix : ndarray, shape (column, column)
-        Information of all blocks together.
-    variance : float
-        Residual variance.
-    prior_sigma : ndarray, shape (column,)
-        Scaled; 0 for what is fixed.
-    functions : float
-        Functions of time of each parameter, on average.
-    """
-    free = np.flatnonzero(prior_sigma > 0)
-    grid, unit = np.ix_(free, free), prior_sigma[free]
-    # In units of the prior's sigma: the columns differ by many orders.
-    bread = np.linalg.inv(matrix[grid] * np.outer(unit, unit) + np.eye(free.size))
-    influence = (scores[:, free] * unit / variance) @ bread
-    spread = long_run_covariance(influence, functions) + bread @ bread
-    # Fewer blocks than parameters leave scores that are too small: never surer than white residuals are.
-    lift = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(spread), 1e-300), 1.0))
-    spread *= np.outer(lift, lift)
-    out = np.zeros_like(matrix)
-    out[grid] = spread * np.outer(unit, unit)
-    return np.asarray(out)
 
 
 def with_origin(fit: TrendFit, origin: Origin) -> TrendFit:

@@ -90,7 +90,7 @@ SCENE = Scene()
 
 
 def test_a_wrong_sign_in_cross_talk_changes_the_verdicts(monkeypatch):
-    right = crosstalk.taken_over
+    right = crosstalk.regression
     monkeypatch.setattr(crosstalk, "regression", lambda *arguments: -right(*arguments))
     verdicts = {report.figure.id: report.verdict for report in scorecard(["lag", "bias"])}
     assert verdicts["lag.xz-exact"] == verdicts["bias.scale-factors"] == "contradicted"
