@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from inflight.figures import (
     found_effects,
     html_table,
     ledger_table,
+    paragraph,
     rivals_apart,
     short_name,
     unscorable_list,
@@ -182,7 +182,7 @@ def diagnosis_sections(fields: Fields) -> list[Section]:
         ("Verdict", [_asked(fields), strip, *found_effects(fields), *rivals_apart(fields)], []),
         (
             "Candidates",
-            [f'<p class="quiet">{escape(_NOTE)}</p>', table, unscorable],
+            [paragraph(_NOTE, kind="quiet"), table, unscorable],
             [drop_figure(fields["candidates"])],
         ),
         ("Ledger", [ledger_table(fields["rounds"])], []),
@@ -199,7 +199,7 @@ def _asked(fields: Fields) -> str:
         ends.append(f"to {np.datetime64(asked['end'], 'D') - 1}")
     version = f" version {model['version']}" if model.get("version") else ""
     span = f"Days {' '.join(ends)}" if ends else "All days"
-    return f'<p class="quiet">{escape(span)}, model {escape(str(model.get("name")))}{version}.</p>'
+    return paragraph(f"{span}, model {model.get('name')}{version}.", kind="quiet")
 
 
 def _change(changes: Sequence[Fields]) -> pn.viewable.Viewable:
@@ -216,9 +216,9 @@ def change_section(changes: Sequence[Fields]) -> Inside:
     changes : sequence of mapping
         As `Revision.as_json`, in the order they were made; at least one.
     """
-    note = (
-        "<p>Products and tables are those of the model before until <code>inflight reprocess</code> makes "
-        "them anew; a new diagnosis says what is still missing.</p>"
+    note = paragraph(
+        "Products and tables are those of the model before until 'inflight reprocess' makes them anew; a new "
+        "diagnosis says what is still missing."
     )
     return [*change_tables(changes[-1]), note], [error_figure(changes)]
 
@@ -243,5 +243,7 @@ def version_section(versions: Sequence[Fields]) -> Inside:
         for one in reversed(versions)
     ]
     head = ("version", "model", "", "from", "what was done", "UTC")
-    table = html_table(head, rows) if rows else "<p>None is saved yet: in use is the mission's own file.</p>"
-    return ['<h2 style="margin-top:1rem">Versions of the model</h2>', table], []
+    table = (
+        html_table(head, rows) if rows else paragraph("None is saved yet: in use is the mission's own file.")
+    )
+    return [paragraph("", bold="Versions of the model"), table], []

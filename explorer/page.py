@@ -13,6 +13,7 @@ from inflight.explorer.missing_view import MissingView
 from inflight.explorer.offer import Offer, comparisons, first_step, offer_of
 from inflight.explorer.sitting import Days, Sitting
 from inflight.explorer.views import MeasurementView, TablesView, View
+from inflight.figures import facts_table
 from inflight.tasks import told_error
 
 _COLOUR = "#1f3a52"
@@ -89,7 +90,7 @@ class Page:
             "products": f"{offer.products} days" if offer.products else "none",
             "model": offer.model,
         }
-        self._facts.objects = [drawing.text(drawing.facts(listed))]
+        self._facts.objects = [drawing.text(facts_table(listed))]
 
     def _model_changed(self) -> None:
         """Tell which model is in use now; what is shown stays."""

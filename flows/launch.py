@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from importlib import import_module
+from collections.abc import Mapping
 from typing import Any
+
+from pydantic import ValidationError, validate_call
 
 from inflight.catalog import Workspace
 from inflight.errors import SettingsError
-from inflight.flows.progress import told_to
+from inflight.flows.runner import PlainRunner, progress_shown_by, using_runner
 from inflight.flows.settings import prefect_settings
 from inflight.tasks import Progress, RunReport
-
-#: Flows there are; each lives in the module of its name.
-FLOWS = ("ingest", "reprocess", "backfill", "monthly", "diagnose", "release")
 
 
 def run_embedded(
@@ -29,7 +27,7 @@ def run_embedded(
     Parameters
     ----------
     name : str
-        One of `FLOWS`.
+        One of `inflight.flows.steps.STEPS`.
     workspace : Workspace
         Where; the embedded server keeps its home there, too.
     parameters : mapping
@@ -37,7 +35,7 @@ def run_embedded(
     workers : int, optional
         Dask processes; the cores when absent.
     progress : callable, optional
-        Told ``(stage, done, total)``.
+        Called with ``(stage, done, total)``.
 
     Raises
     ------
@@ -46,17 +44,15 @@ def run_embedded(
     InflightError
         What the step itself raised; the catalog has it, too.
     """
-    with prefect_settings(workspace.prefect_home), told_to(progress):
+    with prefect_settings(workspace.prefect_home), progress_shown_by(progress):
         from prefect.exceptions import ParameterBindError, ParameterTypeError
 
-        flow: Callable[..., dict[str, Any]] = getattr(import_module(f"inflight.flows.{name}"), name)
-        given = dict(parameters) | ({} if workers is None else {"workers": workers})
+        from inflight.flows import prefect_flows
+
         try:
-            return RunReport.from_json(flow(workspace=workspace.root.resolve(), **given))
+            return RunReport.from_json(getattr(prefect_flows, name)(**_given(workspace, parameters, workers)))
         except (ParameterBindError, ParameterTypeError) as error:
-            raise SettingsError(
-                f"parameters of {name}: {error}", remedy=f"inflight {name} --help lists the options"
-            ) from None
+            raise _wrong_parameters(name, error) from None
 
 
 def run_plain(
@@ -71,6 +67,20 @@ def run_plain(
 
     Parameters and errors are those of `run_embedded`.
     """
-    from inflight.flows import plain
+    from inflight.flows.steps import STEPS
 
-    return plain.STEPS[name](workspace, parameters, workers, progress)
+    step = validate_call(STEPS[name])
+    with using_runner(PlainRunner(progress)):
+        try:
+            return RunReport.from_json(step(**_given(workspace, parameters, workers)))
+        except ValidationError as error:
+            raise _wrong_parameters(name, error) from None
+
+
+def _given(workspace: Workspace, parameters: Mapping[str, Any], workers: int | None) -> dict[str, Any]:
+    given = {"workspace": workspace.root.resolve()} | dict(parameters)
+    return given if workers is None else given | {"workers": workers}
+
+
+def _wrong_parameters(name: str, error: Exception) -> SettingsError:
+    return SettingsError(f"parameters of {name}: {error}", remedy=f"inflight {name} --help lists the options")

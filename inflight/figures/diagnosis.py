@@ -19,7 +19,6 @@ Changes of a model one after the other: what each did to the error, its numbers,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
 from inflight.diagnosis import Step, Trial
-from inflight.figures.page import html_table
+from inflight.figures.page import bullet_list, facts_table, html_table, paragraph, render
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -80,27 +79,23 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
     remaining : str
         Verdict on what is left.
     """
-    colour = _COLOURS.get(verdict, REFERENCE)
     part = explained(residual)
-    told = [
+    sizes = [
         ("residual now", _told(residual["held_out_before_nT"])),
         ("with what was found", _told(residual["held_out_after_nT"])),
         (f"noise floor ({_interval(residual)})", _told(residual["noise_floor_nT"])),
         ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
         ("what is left", remaining),
     ]
-    cells = "".join(
-        f'<div style="margin-right:1.6rem"><div class="quiet">{escape(name)}</div>'
-        f'<div style="font-size:1.15rem;font-weight:600">{escape(value)}</div></div>'
-        for name, value in told
-    )
-    return (
-        f'<div style="border-left:8px solid {colour};padding:.6rem 1rem;background:#f6f6f4">'
-        f'<div><span style="background:{colour};color:#fff;padding:.15rem .6rem;border-radius:4px;'
-        f'font-weight:700;letter-spacing:.03em">{escape(verdict)}</span> '
-        f'<span class="quiet">{escape(MEANING.get(verdict, ""))}</span></div>'
-        f'<p style="font-size:1.02rem;margin:.6rem 0;max-width:66rem">{_lines(sentence)}</p>'
-        f'<div style="display:flex;flex-wrap:wrap">{cells}</div>{_scale(residual)}</div>'
+    return render(
+        "verdict.html",
+        verdict=verdict,
+        meaning=MEANING.get(verdict, ""),
+        colour=_COLOURS.get(verdict, REFERENCE),
+        # Each of several findings on a line of its own.
+        lines=sentence.replace("; ", ";\n").split("\n"),
+        sizes=sizes,
+        scale=_scale(residual),
     )
 
 
@@ -108,11 +103,6 @@ def _sizes(residual: Mapping[str, Any]) -> list[float]:
     """Return the size before, after, and of the noise floor; NaN for none."""
     names = ("held_out_before_nT", "held_out_after_nT", "noise_floor_nT")
     return [np.nan if residual[name] is None else float(residual[name]) for name in names]
-
-
-def _lines(sentence: str) -> str:
-    """Return a sentence of several findings with each on a line of its own."""
-    return "<br>".join(escape(part) for part in sentence.replace("; ", ";\n").split("\n"))
 
 
 def _told(value: float | None) -> str:
@@ -126,34 +116,22 @@ def _interval(residual: Mapping[str, Any]) -> str:
     return f"{low:.4g} to {high:.4g}, 95 %"
 
 
-def _scale(residual: Mapping[str, Any]) -> str:
-    """Return a horizontal scale with the residual before and after and the noise floor's interval."""
+def _scale(residual: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return places on a horizontal scale from 0: residual before and after, noise floor and its interval."""
     before, after, floor = _sizes(residual)
     most = float(np.nanmax([before, after, floor, 0.0]))
     if not np.isfinite(most) or most <= 0:
-        return ""
+        return None
 
     def at(value: float) -> float:
         return _LEFT + (_RIGHT - _LEFT) * value / (1.05 * most)
 
-    parts = [
-        f'<rect x="{_LEFT}" y="8" width="{at(before) - _LEFT:.1f}" height="7" fill="{BEFORE}"/>',
-        f'<rect x="{_LEFT}" y="18" width="{at(after) - _LEFT:.1f}" height="7" fill="{AFTER}"/>',
-        f'<text x="{_LEFT + 4}" y="38" font-size="11" fill="#555">rms held out, linear from 0: '
-        "brown before, blue after, dashed line and grey band the noise floor</text>",
-    ]
+    places = {"width": _WIDTH, "left": _LEFT, "before_colour": BEFORE, "after_colour": AFTER}
+    places |= {"before": at(before), "after": at(after)}
     if np.isfinite(floor):
         low, high = (float(residual.get(f"noise_floor_{end}_nT") or floor) for end in ("low", "high"))
-        wide = max(at(high) - at(low), 1.0)
-        parts.append(
-            f'<rect x="{at(low):.1f}" y="2" width="{wide:.1f}" height="26" fill="#777" opacity=".35"/>'
-            f'<line x1="{at(floor):.1f}" x2="{at(floor):.1f}" y1="0" y2="28" stroke="#333" '
-            'stroke-dasharray="3 2"/>'
-        )
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} 42" style="width:100%;margin-top:.5rem" role="img" '
-        f'aria-label="residual before, after and noise floor">{"".join(parts)}</svg>'
-    )
+        places |= {"floor": at(floor), "low": at(low), "high": at(high)}
+    return places
 
 
 #: Rows of the table and of the drop plot; width of a bar, pixels; values and rivals printed of one candidate.
@@ -180,7 +158,7 @@ def candidate_table(
     """
     real = [one for one in candidates if not one["placebo"]][:_ROWS]
     if not real:
-        return "<p>No candidate could be scored.</p>"
+        return paragraph("No candidate could be scored.")
     ghost = max([float(one["gain"]) for one in candidates if one["placebo"]], default=0.0)
     wide = max(*(float(one["gain"]) + 2.0 * _sigma(one) for one in real), ghost, 0.02)
     head = (
@@ -192,15 +170,9 @@ def candidate_table(
         "over placebo, t",
         *(("retained", "W/k", "values, alone") if trials else ()),
     )
-    aligned = ["text-align:left" if cell in ("candidate", "values, alone") else "" for cell in head]
-    top = "".join(
-        f'<th style="{style}">{escape(cell)}</th>' for style, cell in zip(aligned, head, strict=True)
-    )
-    lines = [
-        _row(place + 1, one, _alone(trials, one["name"]), found, ghost, wide)
-        for place, one in enumerate(real)
-    ]
-    return f'<div style="overflow-x:auto"><table class="wide"><tr>{top}</tr>{"".join(lines)}</table></div>'
+    rows = [_row(one, trials, found, ghost, _BAR / wide) for one in real]
+    colours = {"taken": AFTER, "rival": NEW, "ghost": _GHOST}
+    return render("candidates.html", head=head, rows=rows, colours=colours, bar_width=_BAR)
 
 
 def _sigma(one: Mapping[str, Any]) -> float:
@@ -210,46 +182,42 @@ def _sigma(one: Mapping[str, Any]) -> float:
 
 
 def _row(
-    rank: int,
     one: Mapping[str, Any],
-    alone: Sequence[str],
+    trials: Mapping[str, Trial],
     found: Mapping[str, Sequence[str]],
     ghost: float,
-    wide: float,
-) -> str:
-    name = one["name"]
-    taken = name in found
+    scale: float,
+) -> dict[str, Any]:
+    """Return what the table shows of a candidate; `scale` is pixels of the bar a unit of gain."""
+    name = str(one["name"])
     own = [short_parameter(rival) if "." in rival else short_name(rival) for rival in found.get(name, ())]
-    chips = "".join(_chip(f"or {rival}", NEW) for rival in own[:_CHIPS])
-    chips += _chip(f"or {len(own) - _CHIPS} more", NEW) if len(own) > _CHIPS else ""
-    rival_of = [other for other, rivals in found.items() if _is_among(name, rivals)]
-    chips += "".join(_chip(f"rival of {short_name(other)}", NEW) for other in rival_of)
-    weight = "font-weight:600" if taken else ""
-    mark = " " + _chip("taken", AFTER) if taken else ""
-    cells = [
-        f'<td style="text-align:right">{rank}</td>',
-        f'<td style="text-align:left;max-width:17rem;overflow-wrap:anywhere" title="{escape(name)}">'
-        f'<span style="{weight}">{escape(short_name(name))}</span>{mark}'
-        f'<div class="quiet">{escape(str(one["family"]).replace("_", " "))}</div>{chips}</td>',
-        f"<td>{_bar(one, ghost, wide)}</td>",
-        f"<td>{_number(one['t'], '.1f')}</td>",
-        f"<td>{_number(one['p'], '.2g')}</td>",
-        f"<td>{_number(one['placebo_t'], '.1f')}</td>",
-        *alone,
-    ]
-    return f"<tr>{''.join(cells)}</tr>"
-
-
-def _alone(trials: Mapping[str, Trial], name: str) -> list[str]:
-    """Return the cells of a candidate's own values; none when no candidate has any."""
-    if not trials:
-        return []
+    rivals = [f"or {rival}" for rival in own[:_CHIPS]]
+    rivals += [f"or {len(own) - _CHIPS} more"] if len(own) > _CHIPS else []
+    rivals += [f"rival of {short_name(other)}" for other, them in found.items() if _is_among(name, them)]
+    gain, sigma = float(one["gain"]), 2.0 * _sigma(one)
     trial = trials.get(name)
-    return [
-        f"<td>{_number(trial.retained, '.2g') if trial else ''}</td>",
-        f"<td>{_number(trial.consistency, '.1f') if trial else ''}</td>",
-        f'<td style="text-align:left;white-space:nowrap">{_values(trial)}</td>',
-    ]
+    numbers = [_number(one["t"], ".1f"), _number(one["p"], ".2g"), _number(one["placebo_t"], ".1f")]
+    if trials:
+        numbers.append(_number(trial.retained, ".2g") if trial else "")
+        numbers.append(_number(trial.consistency, ".1f") if trial else "")
+    values, hidden = _values(trial)
+    return {
+        "name": name,
+        "short_name": short_name(name),
+        "family": str(one["family"]).replace("_", " "),
+        "taken": name in found,
+        "rivals": rivals,
+        "bar": {
+            "gain": gain,
+            "length": max(gain, 0.0) * scale,
+            "low": max(gain - sigma, 0.0) * scale,
+            "high": max(gain + sigma, 0.0) * scale,
+            "ghost": max(ghost, 0.0) * scale,
+        },
+        "numbers": numbers,
+        "alone": values if trials else None,
+        "hidden": hidden,
+    }
 
 
 def _is_among(name: str, rivals: Sequence[str]) -> bool:
@@ -261,38 +229,14 @@ def _number(value: float | None, how: str) -> str:
     return format(value, how) if value is not None and np.isfinite(value) else ""
 
 
-def _chip(text: str, colour: str) -> str:
-    return (
-        f'<span style="border:1px solid {colour};color:{colour};border-radius:8px;padding:0 .4rem;'
-        f'margin-right:.2rem;font-size:.8rem;white-space:nowrap">{escape(text)}</span>'
-    )
-
-
-def _values(trial: Trial | None) -> str:
-    """Return the most significant values; a field of many coefficients has too many to print."""
+def _values(trial: Trial | None) -> tuple[list[str], int]:
+    """Return the most significant values, and how many are not printed: a field may have very many."""
     if trial is None:
-        return ""
+        return [], 0
     order = sorted(trial.values, key=lambda one: -abs(one[1]) / max(one[2], 1e-300))
     shown = [one for one in trial.values if one in order[:_VALUES]]
     lines = [f"{bare_parameter(name)} {value:.3g} ± {sigma:.1g} {unit}" for name, value, sigma, unit in shown]
-    hidden = len(trial.values) - len(shown)
-    more = f'<div class="quiet">and {hidden} more</div>' if hidden else ""
-    return "<br>".join(map(escape, lines)) + more
-
-
-def _bar(one: Mapping[str, Any], ghost: float, wide: float) -> str:
-    """Return an SVG bar: gain with its interval over the ghost bar of the best placebo."""
-    gain, sigma = float(one["gain"]), 2.0 * _sigma(one)
-    scale = _BAR / wide
-    length = max(gain, 0.0) * scale
-    low, high = max(gain - sigma, 0.0) * scale, max(gain + sigma, 0.0) * scale
-    return (
-        f'<svg width="{_BAR + 52}" height="20" role="img" aria-label="gain {gain:.3f}">'
-        f'<rect x="0" y="2" width="{max(ghost, 0.0) * scale:.1f}" height="16" fill="{_GHOST}"/>'
-        f'<rect x="0" y="6" width="{length:.1f}" height="8" fill="{AFTER}"/>'
-        f'<line x1="{low:.1f}" x2="{high:.1f}" y1="10" y2="10" stroke="#111" stroke-width="1.5"/>'
-        f'<text x="{max(high, ghost * scale) + 5:.1f}" y="14" font-size="11">{gain:.1%}</text></svg>'
-    )
+    return lines, len(trial.values) - len(shown)
 
 
 def unscorable_list(unscorable: Sequence[Mapping[str, Any]]) -> str:
@@ -302,13 +246,8 @@ def unscorable_list(unscorable: Sequence[Mapping[str, Any]]) -> str:
     reasons: dict[str, list[str]] = {}
     for one in unscorable:
         reasons.setdefault(str(one["reason"]), []).append(short_name(str(one["name"])))
-    items = "".join(
-        f"<li>{escape(', '.join(names))}: {escape(reason)}</li>" for reason, names in reasons.items()
-    )
-    return (
-        '<div class="quiet">Not scored, and so neither found nor excluded:'
-        f'<ul style="margin:.2rem 0">{items}</ul></div>'
-    )
+    items = [f"{', '.join(names)}: {reason}" for reason, names in reasons.items()]
+    return bullet_list(items, kind="quiet", before="Not scored, and so neither found nor excluded:")
 
 
 def drop_figure(candidates: Sequence[Mapping[str, Any]]) -> figure:
@@ -381,7 +320,7 @@ def found_effects(fields: Fields) -> list[str]:
     """
     signature = _signature(fields["remaining"]["signature"])
     if not fields["effects"]:
-        return [f"<p>No effect was added: {escape(fields['stopped'])}.</p>", *signature]
+        return [paragraph(f"No effect was added: {fields['stopped']}."), *signature]
     head = ("found", "family", "value ± sigma", "at", "gain", "t", "p", "retained", "W/k", "rms, nT")
     rows = [row for one in fields["effects"] for row in _rows(one, len(head))]
     note = (
@@ -392,7 +331,7 @@ def found_effects(fields: Fields) -> list[str]:
     stopped = f"The rounds ended: {fields['stopped']}."
     return [
         html_table(head, rows),
-        f'<p class="quiet">{escape(note)} {escape(stopped)}</p>',
+        paragraph(f"{note} {stopped}", kind="quiet"),
         *signature,
     ]
 
@@ -452,7 +391,7 @@ def _signature(left: Fields | None) -> list[str]:
         ("duty", f"{duty:.2f}" if duty is not None else ""),
     ]
     said = ", ".join(f"{name} {value}" for name, value in parts if value)
-    return [f"<p><b>Signature of what is left:</b> {escape(said)}</p>"]
+    return [paragraph(f" {said}", bold="Signature of what is left:")]
 
 
 def _nanotesla(size: float | None) -> str:
@@ -475,7 +414,7 @@ def rivals_apart(fields: Fields) -> list[str]:
         for pair, blocks in pairs.items()
     ]
     return [
-        "<p>What would tell the rivals apart: the blocks in which they differ most.</p>",
+        paragraph("What would tell the rivals apart: the blocks in which they differ most."),
         html_table(("rivals", "blocks that begin (UTC)", "largest difference, nT rms"), rows),
     ]
 
@@ -483,7 +422,7 @@ def rivals_apart(fields: Fields) -> list[str]:
 def ledger_table(rounds: Sequence[Mapping[str, Any]]) -> str:
     """Return the rounds as HTML; each with the command that takes its effect out again."""
     if not rounds:
-        return "<p>No round took anything.</p>"
+        return paragraph("No round took anything.")
     head = (
         "round",
         "what",
@@ -511,17 +450,12 @@ def ledger_table(rounds: Sequence[Mapping[str, Any]]) -> str:
         )
         for one in rounds
     ]
-    return f'<div style="overflow-x:auto">{html_table(head, rows)}</div>'
+    return html_table(head, rows, kind="scrolled")
 
 
 def facts_list(facts: Mapping[str, Any]) -> str:
     """Return settings, seed, hashes and versions as a list that can be copied."""
-    items = "".join(
-        f"<tr><td>{escape(name)}</td><td style='text-align:left'><code>{escape(str(value))}</code></td></tr>"
-        for name, value in facts.items()
-        if value not in ("", None)
-    )
-    return f"<table>{items}</table>"
+    return facts_table(facts, code=True)
 
 
 def waterfall_figure(
@@ -673,9 +607,11 @@ def change_tables(change: Fields) -> list[str]:
         f"{label} {error[key][0]:.4g} to {error[key][1]:.4g} nT"
         for key, label in (("held_out_nT", "held out"), ("in_sample_nT", "in sample"))
     )
-    out = [
-        f"<p><b>{escape(model['name'])} version {model['version']}</b>, from version {model['parent']}: "
-        f"{escape(str(change['effect']))}. Residual {said}.</p>"
+    out: list[str] = [
+        paragraph(
+            f", from version {model['parent']}: {change['effect']}. Residual {said}.",
+            bold=f"{model['name']} version {model['version']}",
+        )
     ]
     if change["coefficients"]:
         rows = [
@@ -697,5 +633,5 @@ def change_tables(change: Fields) -> list[str]:
         ]
         out.append(html_table(("what else moved", "by", "sigma before", "sigma", "unit", ""), others))
     if len(change["moved"]) > _MOVED:
-        out.append(f'<p class="quiet">and {len(change["moved"]) - _MOVED} more</p>')
+        out.append(paragraph(f"and {len(change['moved']) - _MOVED} more", kind="quiet"))
     return out

@@ -1,14 +1,20 @@
-"""A self-contained static page: text and figures in one HTML file that needs no network."""
+"""Static pages: text and figures in one HTML file that needs no network.
+
+The HTML stands in the templates beside this file (`templates/`, Jinja2 with automatic escaping); functions
+here and in the other modules choose what is shown and hand it to `render`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from html import escape
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from bokeh.embed import components
 from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 #: Heading; paragraphs, which are HTML that is escaped already; figures, which are Bokeh models.
 Section: TypeAlias = tuple[str, Sequence[str], Sequence[Any]]
@@ -21,22 +27,26 @@ Later: TypeAlias = tuple[str, Callable[[], Inside]]
 #: What figures alone need: widgets, tables of Bokeh's own and formulas would triple the page.
 _RESOURCES = Resources(mode="inline", components=["bokeh"])
 
-_BODY = """
-body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1180px; color: #222 }
-h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2rem }
-"""
 
-#: How the text of sections looks, wherever it is shown.
-TEXT_STYLE = """
-.row { display: flex; flex-wrap: wrap; gap: 8px }
-table { border-collapse: collapse; margin: .5rem 0 }
-td, th { padding: .15rem .8rem .15rem 0; text-align: right }
-td:first-child, th:first-child { text-align: left } th { border-bottom: 1px solid #999; font-weight: 600 }
-.quiet { color: #666; font-size: .9rem }
-.wide { font-size: .88rem } .wide th { white-space: normal; max-width: 6rem }
-.told td, .told th { text-align: left } .told td:not(:last-child) { white-space: nowrap }
-.wide td { border-bottom: 1px solid #e4e4e0; vertical-align: top }
-"""
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("inflight.figures", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def render(template: str, **values: Any) -> Markup:
+    """Return a template of this folder filled with values, as HTML; values that are not HTML are escaped."""
+    return Markup(_environment().get_template(template).render(**values).strip())
+
+
+def text_style() -> str:
+    """Return the style sheet of the text of sections, wherever it is shown."""
+    return str(render("text.css"))
 
 
 def html_page(title: str, sections: Sequence[Section], footer: str = "") -> str:
@@ -50,32 +60,63 @@ def html_page(title: str, sections: Sequence[Section], footer: str = "") -> str:
     footer : str
         Plain text, such as an acknowledgement of the data.
     """
-    scripts, body = [], []
+    scripts, shown = [], []
     for heading, paragraphs, plots in sections:
-        body.append(f"<h2>{escape(heading)}</h2>")
-        body += [f"<div>{paragraph}</div>" for paragraph in paragraphs]
         # One document a figure: the time Bokeh takes grows with the square of what a document holds.
         parts = [components(plot) for plot in plots]
         scripts += [script for script, _ in parts]
-        body.append('<div class="row">' + "".join(place for _, place in parts) + "</div>")
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<style>{_BODY}{TEXT_STYLE}</style>{_scripts_of_figures()}</head><body><h1>{escape(title)}</h1>"
-        "<noscript><p>Figures need scripts; text and tables do not.</p></noscript>"
-        f'{"".join(body)}<p class="quiet">{escape(footer)}</p>{"".join(scripts)}</body></html>\n'
+        places = [place for _, place in parts]
+        shown.append({"heading": heading, "paragraphs": paragraphs, "figures": places})
+    # Other libraries' extensions, which Bokeh's own `render` would name, stay out.
+    libraries = _RESOURCES.js_raw
+    page = render(
+        "page.html", title=title, sections=shown, footer=footer, scripts=scripts, libraries=libraries
+    )
+    return f"{page}\n"
+
+
+def html_table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    kind: str = "",
+    folded: str = "",
+    opened: bool = False,
+    one_line: bool = False,
+) -> Markup:
+    """Return a table.
+
+    Parameters
+    ----------
+    head : sequence of str
+        Names of the columns.
+    rows : iterable of sequence of str
+        Cells.
+    kind : str
+        Classes of the style sheet: ``wide``, ``told``, ``scrolled``.
+    folded : str
+        Title behind which the table is folded away, unless `opened`.
+    one_line : bool
+        Keep cells on one line.
+    """
+    return render(
+        "table.html", head=head, rows=rows, kind=kind, folded=folded, opened=opened, one_line=one_line
     )
 
 
-def _scripts_of_figures() -> str:
-    """Return what draws figures. Other libraries' extensions, which `render` would name, stay out."""
-    return "".join(f"<script>{one}</script>" for one in _RESOURCES.js_raw)
+def paragraph(text: str, *, kind: str = "", bold: str = "") -> Markup:
+    """Return a paragraph; `kind` is a class of the style sheet (``quiet``), `bold` begins it."""
+    return render("paragraph.html", text=text, kind=kind, bold=bold)
 
 
-def html_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table; cells are escaped."""
-    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    lines = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
-    return f"<table><tr>{top}</tr>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+def bullet_list(items: Iterable[str], *, kind: str = "", before: str = "") -> Markup:
+    """Return a list of items, with a line `before` it."""
+    return render("list.html", items=items, kind=kind, before=before)
+
+
+def facts_table(facts: Mapping[str, Any], *, code: bool = False) -> Markup:
+    """Return names and values as a table without a head; empty values are left out."""
+    return render("facts.html", facts=facts, code=code)
 
 
 def write_page(output: Path, page: str) -> None:

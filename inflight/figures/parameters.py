@@ -221,7 +221,7 @@ def shift_table(shifts: Sequence[Shift]) -> str:
         )
         for one in shifts
     ]
-    return f'<div class="wide" style="overflow-x:auto;white-space:nowrap">{html_table(head, rows)}</div>'
+    return html_table(head, rows, kind="wide scrolled", one_line=True)
 
 
 def ignored_figure(found: CrossTalkTable) -> figure:

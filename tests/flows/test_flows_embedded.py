@@ -9,7 +9,7 @@ from tiny_mission import make_tiny_workspace
 
 from inflight.catalog import Catalog, Workspace
 from inflight.errors import CatalogError, ContentError, SettingsError, StorageError
-from inflight.flows import run_embedded, run_plain, stages
+from inflight.flows import run_embedded, run_plain, runner
 from inflight.flows.span import month_span
 
 pytestmark = pytest.mark.usefixtures("shared_cluster")
@@ -128,10 +128,9 @@ def tries_of(monkeypatch, error: Exception, fails: int) -> int:
     """Run a flow of one step that fails so many times; return how often it was tried."""
     from prefect import flow
 
-    monkeypatch.setattr(stages, "RETRY_DELAYS", [0.0, 0.0, 0.0])
+    monkeypatch.setattr(runner, "RETRY_DELAYS", [0.0, 0.0, 0.0])
     tries = []
 
-    @stages.step("fragile")
     def fragile() -> int:
         tries.append(1)
         if len(tries) <= fails:
@@ -140,7 +139,7 @@ def tries_of(monkeypatch, error: Exception, fails: int) -> int:
 
     @flow(name="fragile", persist_result=False)
     def run() -> int:
-        return fragile()
+        return runner.PrefectRunner().run("fragile", fragile)
 
     try:
         run()

@@ -1,0 +1,188 @@
+"""How the steps of a flow run: their batches on Dask processes, with or without Prefect tasks around them.
+
+A step asks `runner()` how to run its batches and where to show progress. Inside a Prefect flow every step
+and every batch is a Prefect task with retries (`PrefectRunner`); elsewhere they are plain calls
+(`PlainRunner`). What is computed, and every byte that is written, is the same.
+
+Prefect plans, retries and shows; what was done is in the catalog alone. So tasks use no cache and keep no
+result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
+
+from inflight.errors import InflightError
+from inflight.tasks import Progress
+from inflight.tasks.archive import each_result, result_of
+
+if TYPE_CHECKING:
+    from distributed import Client
+    from prefect.client.schemas.objects import State, TaskRun
+    from prefect.tasks import Task
+
+    from inflight.tasks.pipelines import Mapper
+
+#: Seconds before the second, third and fourth try.
+RETRY_DELAYS: list[float] = [1.0, 10.0, 60.0]
+
+R = TypeVar("R")
+
+
+def no_progress(stage: str, done: int, total: int) -> None:
+    """Take a report of progress that nobody watches."""
+
+
+class Runner(Protocol):
+    """What a step needs of the process it runs in."""
+
+    @property
+    def progress(self) -> Progress:
+        """Called with ``(stage, done, total)``."""
+
+    def run(self, name: str, function: Callable[..., R], *arguments: Any) -> R:
+        """Run one function as a step of this name and return its result."""
+
+    def mapper(self, client: Client) -> Mapper:
+        """Return what runs a function over independent batches and yields the outcomes in their order."""
+
+
+class PlainRunner:
+    """Runs steps as plain calls; only their batches go to Dask processes."""
+
+    def __init__(self, progress: Progress | None = None) -> None:
+        self._progress = progress or no_progress
+
+    @property
+    def progress(self) -> Progress:
+        """Called with ``(stage, done, total)``."""
+        return self._progress
+
+    def run(self, name: str, function: Callable[..., R], *arguments: Any) -> R:
+        """Call the function."""
+        return function(*arguments)
+
+    def mapper(self, client: Client) -> Mapper:
+        """Return what runs batches on the client."""
+
+        def run_batches(
+            stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
+        ) -> Iterator[Any]:
+            return _counted(self.progress, stage, each_result(client, function, arguments), len(arguments))
+
+        return run_batches
+
+
+class PrefectRunner:
+    """Runs steps and batches as tasks of the Prefect flow around them; failures that can pass are retried."""
+
+    @property
+    def progress(self) -> Progress:
+        """Called with ``(stage, done, total)``; a flow that a worker runs reports to nobody."""
+        return _progress.get()
+
+    def run(self, name: str, function: Callable[..., R], *arguments: Any) -> R:
+        """Run the function as a task of this name."""
+        return cast(R, _as_task(name, function)(*map(_unsearched, arguments)))
+
+    def mapper(self, client: Client) -> Mapper:
+        """Return what runs every batch as a task whose work a Dask process does."""
+
+        def run_batches(
+            stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
+        ) -> Iterator[Any]:
+            run_batch = _as_task(stage, _run_batch)
+            shared = (_unsearched(client), _unsearched(function))
+            futures = [run_batch.submit(*shared, _unsearched(batch)) for batch in arguments]
+            return _counted(self.progress, stage, (future.result() for future in futures), len(arguments))
+
+        return run_batches
+
+
+_runner: ContextVar[Runner | None] = ContextVar("runner", default=None)
+_progress: ContextVar[Progress] = ContextVar("progress", default=no_progress)
+
+
+def runner() -> Runner:
+    """Return the runner of the flow or plain call this is part of."""
+    return _runner.get() or PlainRunner(_progress.get())
+
+
+@contextmanager
+def using_runner(chosen: Runner) -> Iterator[None]:
+    """Run the steps inside with a runner."""
+    token = _runner.set(chosen)
+    try:
+        yield
+    finally:
+        _runner.reset(token)
+
+
+@contextmanager
+def progress_shown_by(listener: Progress | None) -> Iterator[None]:
+    """Show the progress of what runs inside to `listener`, a function ``(stage, done, total)``."""
+    token = _progress.set(listener or no_progress)
+    try:
+        yield
+    finally:
+        _progress.reset(token)
+
+
+def can_pass(error: object) -> bool:
+    """Return True for a failure that may not happen again: a full disk, a lost process, a locked database."""
+    if isinstance(error, InflightError):
+        return error.cause == "transient"
+    from distributed import KilledWorker
+    from distributed.comm.core import CommClosedError
+    from sqlalchemy.exc import OperationalError
+
+    return isinstance(
+        error, KilledWorker | CommClosedError | OperationalError | ConnectionError | TimeoutError
+    )
+
+
+def _counted(progress: Progress, stage: str, outcomes: Iterator[Any], total: int) -> Iterator[Any]:
+    """Yield outcomes and report how many there were, so that what is registered keeps their order."""
+    progress(stage, 0, total)
+    for done, outcome in enumerate(outcomes, start=1):
+        progress(stage, done, total)
+        yield outcome
+
+
+def _as_task(name: str, function: Callable[..., Any]) -> Task[..., Any]:
+    """Make a plain function a Prefect task; `name` is what the server shows."""
+    from prefect import task
+    from prefect.cache_policies import NO_CACHE
+
+    return task(
+        name=name,
+        cache_policy=NO_CACHE,
+        persist_result=False,
+        retries=len(RETRY_DELAYS),
+        retry_delay_seconds=RETRY_DELAYS,
+        retry_condition_fn=_is_worth_a_retry,
+        log_prints=False,
+    )(function)
+
+
+def _is_worth_a_retry(step: Task[..., Any], run: TaskRun, state: State[Any]) -> bool:
+    return can_pass(state.data)
+
+
+def _unsearched(value: R) -> R:
+    """Return an argument that a task takes as it is: Prefect would search it for futures to wait for."""
+    from prefect.utilities.annotations import quote
+
+    return cast(R, quote(value))
+
+
+def _run_batch(client: Client, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """Run a plain function in one of the client's processes and wait for its result.
+
+    The function is not pure to Dask: it writes a store, so an equal call is never answered from
+    memory.
+    """
+    return result_of(client.submit(function, *arguments, pure=False))
