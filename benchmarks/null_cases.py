@@ -28,7 +28,7 @@ from inflight.diagnosis import (
     score,
     steps,
 )
-from inflight.lsq import Evidence, half_inverse, promised_t
+from inflight.lsq import GramBlocks, expected_gain_t, inverse_square_root
 
 
 def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[int, list[str]]:
@@ -128,7 +128,7 @@ def score_many(
     gain = gained.sum(axis=0) / np.where(whole > 0, whole, 1.0)
     active = np.broadcast_to(active_blocks(evidence, candidates)[:, :, None], gained.shape)
     flat = (len(evidence), -1)
-    t = promised_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
+    t = expected_gain_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
     return gain, t.reshape(gain.shape)
 
 
@@ -143,7 +143,7 @@ def _turned(blocks: Floats, present: ModelColumns, train: Floats) -> Floats:
     return np.asarray(blocks - across - across.transpose(0, 2, 1) + inner)
 
 
-def _small(search: Search, residuals: Sequence[int]) -> tuple[Evidence, list[str], list[str]]:
+def _small(search: Search, residuals: Sequence[int]) -> tuple[GramBlocks, list[str], list[str]]:
     """Return calibration, model and carriers with some residuals, and the names of the first two."""
     base = [name for term in search.library.base for name in term.columns]
     refined = [name for term in search.library.refined for name in term.columns]
@@ -166,7 +166,7 @@ def _absorbed(
     search: Search, small: Evidence, base: Sequence[str], refined: Sequence[str]
 ) -> tuple[Evidence, ModelColumns]:
     sigma = np.asarray([s for term in search.library.base for s in term.sigma])
-    wide = small.absorbed(base, search.intervals, search.precision(small, base, sigma))
+    wide = small.marginalise(base, search.intervals, search.precision(small, base, sigma))
     own = np.asarray([s for term in search.library.refined for s in term.sigma])
     return wide, ModelColumns(wide.index(refined), search.precision(wide, refined, own))
 

@@ -43,7 +43,7 @@ def synthetic(blocks: int = BLOCKS, candidates: int = CANDIDATES) -> Made:
     gram = gram.astype(np.float32)  # as the forms of a search hold them
     names = (*(f"c{place}" for place in range(width - 1)), "residual")
     start = np.arange(blocks, dtype=np.int64) * 15 * DAY
-    evidence = Evidence(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
+    evidence = GramArrays(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
     columns = [np.arange(2 + WIDTH * place, 2 + WIDTH * (place + 1)) for place in range(candidates)]
     return Made(evidence, ModelColumns(np.array([0, 1]), np.zeros(2)), columns)
 

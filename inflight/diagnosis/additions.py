@@ -27,7 +27,7 @@ from inflight.diagnosis.stepwise import sandwich
 from inflight.diagnosis.time_changes import TimeVariableColumns, time_text
 from inflight.effects import ANGLES
 from inflight.errors import ModelError
-from inflight.lsq import Evidence, solve_scaled
+from inflight.lsq import GramBlocks, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.samples import parse
@@ -81,7 +81,7 @@ class FitSetup:
 
     Attributes
     ----------
-    raw : Evidence
+    raw : GramBlocks
     base, refined : tuple of Term
         What each interval fits anew; what the model lets data refine.
     intervals : sequence of sequence of int
@@ -90,7 +90,7 @@ class FitSetup:
         Of a row, nT^2; it weighs data against what is known beforehand.
     """
 
-    raw: Evidence
+    raw: GramBlocks
     base: tuple[Term, ...]
     refined: tuple[Term, ...]
     intervals: Sequence[Sequence[int]]
@@ -148,7 +148,7 @@ class FitSetup:
 
     def _model_of(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[Evidence, list[str], list[float]]:
+    ) -> tuple[GramBlocks, list[str], list[float]]:
         """Return the evidence of calibration and model, names of the model's columns, and their priors."""
         free = [
             (name, sigma)
@@ -181,7 +181,7 @@ class FitSetup:
     def _base_sigma(self) -> Floats:
         return np.array([sigma for term in self.base for sigma in term.sigma])
 
-    def _precision(self, evidence: Evidence, names: Sequence[str], sigma: Floats) -> Floats:
+    def _precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
         scale = evidence.scale[evidence.index(names)]
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
@@ -191,14 +191,14 @@ class FitSetup:
         p = present.columns
         if not p.size:
             return np.zeros(0), np.zeros((0, 0))
-        value, covariance = sandwich(evidence, present, evidence.residuals[0])
+        value, covariance = joint_fit(evidence, present, evidence.residuals[0])
         # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
         inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
         inverse = solve_scaled(inner, np.eye(p.size))
         return value, covariance + self.variance * (inverse * present.precision) @ inverse
 
     def _base(
-        self, whole: Evidence, names: Sequence[str], value: Floats, covariance: Floats
+        self, whole: GramBlocks, names: Sequence[str], value: Floats, covariance: Floats
     ) -> tuple[dict[str, float], dict[str, float]]:
         """Return the calibration's mean shift over its intervals and its error, physical units."""
         gone = self._base_names
@@ -242,22 +242,21 @@ def combine_columns(
     needed = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
     small = evidence.select(list(dict.fromkeys(needed)))
     names = [*plain, *(one.name for one in columns), "residual"]
-    turn = np.zeros((len(small), len(small.names), len(names)))
+    weights = np.zeros((len(small), len(names), len(small.names)))
     scale = np.ones(len(names))
     origin = small.index(plain)
-    turn[:, origin, np.arange(len(plain))] = 1.0
+    weights[:, np.arange(len(plain)), origin] = 1.0
     scale[: len(plain)] = small.scale[origin]
     for place, one in enumerate(columns, start=len(plain)):
         for name, weight in one.parts:
             index = int(small.index([name])[0])
-            turn[:, index, place] += weight * (1.0 if one.factor is None else one.factor)
+            weights[:, place, index] += weight * (1.0 if one.factor is None else one.factor)
             scale[place] = small.scale[index]
-    turn[:, small.residuals[0], -1] = 1.0
+    weights[:, -1, small.residuals[0]] = 1.0
     for name, change in fixed.items():
         index = int(small.index([name])[0])
-        turn[:, index, -1] += change / small.scale[index]
-    gram = turn.transpose(0, 2, 1) @ small.gram @ turn
-    return replace(small, names=tuple(names), gram=gram, scale=scale)
+        weights[:, -1, index] += change / small.scale[index]
+    return small.combine(names, weights, scale)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,7 @@ from inflight.diagnosis.search import CachedDesign, Option, ScoreTable, Search
 from inflight.diagnosis.time_changes import Change, time_text
 from inflight.errors import InflightError
 from inflight.frames import GEOMETRY, SLOW_GEOMETRY
-from inflight.lsq import Evidence, hac_t, half_inverse, prewhiten, solve_scaled
+from inflight.lsq import GramBlocks, hac_t, inverse_square_root, jackknife, prewhiten, solve_scaled
 from inflight.mission import sensors_of
 from inflight.model import make_effect
 from inflight.samples import Derived, parse
@@ -890,22 +890,16 @@ def profile_lag(
         own = left[np.ix_(columns, columns)].reshape(lags.size, size, lags.size, size)
         cross = left[columns, y].reshape(lags.size, size)
         matrices = np.einsum("gi,iajb,gj->gab", mixed, own, mixed, optimize=True)
-        half = half_inverse(matrices)
+        half = inverse_square_root(matrices)
         return np.asarray(np.sum(np.einsum("gak,ga->gk", half, mixed @ cross) ** 2, axis=1))
 
     total = evidence.total
     whole = explained(total)
-    others = [_peak(grid, explained(total - evidence.gram[fold].sum(axis=0))) for fold in folds]
+    others = [_peak(grid, explained(total - held)) for held in evidence.sums(folds)]
     best = _peak(grid, whole)
-    sigma = jackknife(others)
+    sigma = float(jackknife(np.array(others)))
     base = float(projected(total, present)[y, y])
     return LagProfile(grid, base - whole, best, sigma)
-
-
-def jackknife(others: Sequence[float]) -> float:
-    """Return the standard error of a value from those found with one part left out each time."""
-    count = len(others)
-    return float(np.sqrt((count - 1) / count * np.sum((np.array(others) - np.mean(others)) ** 2)))
 
 
 def _peak(grid: Floats, explained: Floats) -> float:

@@ -26,7 +26,7 @@ from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.dual import Switched
-from inflight.lsq import Evidence, solve_scaled
+from inflight.lsq import GramArrays, GramBlocks, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.residual import NoiseFloor, joined_floor, level_of_rows
@@ -231,16 +231,16 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
 
 
 def _base_values(
-    search: Search, group: object, base: list[str], sigma: Floats, names: list[str], common: Floats
+    search: Search, group: Sequence[int], base: list[str], sigma: Floats, names: list[str], common: Floats
 ) -> Floats:
     if not base:
         return np.zeros(0)
-    raw: Evidence = search.raw
-    total = raw.gram[np.asarray(group)].sum(axis=0)
+    raw: GramBlocks = search.raw
+    total = raw.rows(base, blocks=np.asarray(group)).sum(axis=0)
     inner, others, y = raw.index(base), raw.index(names), raw.residuals[search.residual]
-    right = total[inner, y] + (total[np.ix_(inner, others)] @ common if names else 0.0)
+    right = total[:, y] + (total[:, others] @ common if names else 0.0)
     precision = search.precision(raw, base, sigma)
-    return -solve_scaled(total[np.ix_(inner, inner)] + np.diag(precision), right)
+    return -solve_scaled(total[:, inner] + np.diag(precision), right)
 
 
 def derived_channels(
@@ -378,7 +378,7 @@ def correctable_evidence(
     places = [names.index(name) for name in [*base, *model]]
     values = np.concatenate([columns[:, :, places], rows.residual[:, :, None]], axis=2)
     values *= np.sqrt(series["weight"])[:, None, None]
-    gram = np.array(raw.gram[:, np.array(order)[:, None], np.array(order)], dtype=np.float64)
+    gram = np.array(raw.rows(order, order), dtype=np.float64)
     count = raw.count.copy()
     for block in np.unique(series.block[gaps.rows]):
         own = series.block == block
@@ -390,14 +390,9 @@ def correctable_evidence(
         every, lost = (_square(values[one]) * bins for one in (own, own & gaps.rows))
         gram[block] -= lost + share * (gram[block] - every)
         count[block] *= 1.0 - share
-    small = replace(
-        raw,
-        names=(*base, *model, raw.names[order[-1]]),
-        gram=gram,
-        count=count,
-        scale=raw.scale[np.array(order)],
-    )
-    return small.absorbed(base, search.intervals, search.precision(raw, base, sigma))
+    names_known = (*base, *model, raw.names[order[-1]])
+    small = GramArrays(names_known, gram, raw.start, raw.end, count, raw.scale[order])
+    return small.marginalise(base, search.intervals, search.precision(raw, base, sigma))
 
 
 def _square(values: Floats) -> Floats:

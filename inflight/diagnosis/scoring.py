@@ -13,13 +13,13 @@ statistic to its mean over the flips (Westfall and Young's maximum).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.lsq import Evidence, Fits, hac_t, half_inverse, promised_t, solve_scaled
+from inflight.lsq import GramBlocks, expected_gain_t, hac_t, inverse_square_root, solve_scaled
 
 Index = npt.NDArray[np.int64]
 
@@ -105,7 +105,7 @@ class Scores:
         apart = self.fits.apart(one, other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
-        return float(promised_t(difference, apart[:, None], active)[0])
+        return float(expected_gain_t(difference, apart[:, None], active)[0])
 
     def t_over_placebo(
         self, placebos: Sequence[int], pairwise: npt.NDArray[np.bool_], rival_t: float
@@ -144,7 +144,7 @@ class Scores:
         if apart is None:
             return 0.0
         gained = self.loss[:, placebo] - self.loss[:, place]
-        t = float(promised_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
+        t = float(expected_gain_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
         return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
 
     def without_fits(self) -> Scores:
@@ -223,7 +223,7 @@ def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds
 
 def active_blocks(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
-    own = np.einsum("bii->bi", evidence.gram)
+    own = evidence.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
     lively = own > SCORING.quiet * peak
     return (
@@ -291,7 +291,7 @@ def score(
     fits = Fits(evidence, p := present.columns, list(candidates))
     groups = group_by_size(candidates)
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
-        blocks = evidence.gram[fold]
+        blocks = given[fold]
         train = total - held
         own = present.solve(train)
         fits.begin(fold, own)
@@ -304,7 +304,7 @@ def score(
                 across = train[columns[:, :, None], p]
                 inner = inner - across @ own[:, columns].transpose(1, 0, 2)
                 right = right - across @ own[:, y]
-            half = half_inverse(inner)
+            half = inverse_square_root(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
             fits.keep(positions, gamma)
             change, square = _loss_change(blocks, p, own, columns, gamma, y)
@@ -332,26 +332,29 @@ def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats
     """Return the sum of squares of the residual after the model's own columns; (block,)."""
     out = blocks[:, y, y].copy()
     if present.size:
-        out -= 2.0 * blocks[:, present, y] @ own_y
-        out += np.einsum("i,bij,j->b", own_y, blocks[:, present[:, None], present[None, :]], own_y)
+        out -= 2.0 * blocks[:, :-1, y] @ own_y
+        out += np.einsum("i,bij,j->b", own_y, blocks[:, :-1, present], own_y)
     return np.asarray(out)
 
 
 def _loss_change(
     blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
 ) -> tuple[Floats, Floats]:
-    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate)."""
-    linear = np.sum(blocks[:, columns, y] * gamma, axis=2)
-    inner = blocks[:, columns[:, :, None], columns[:, None, :]]
+    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
+
+    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual;
+    `inner` (block, candidate, k, k) the products of each candidate's own columns.
+    """
+    linear = np.sum(blocks[:, -1, columns] * gamma, axis=2)
     square = np.sum(np.matmul(inner, gamma[:, :, None])[:, :, :, 0] * gamma, axis=2)
     if not present.size:
         return np.asarray(2.0 * linear + square), square
     # The model's own columns give way: their change is minus the candidate's projection on them.
     beta = -np.einsum("pck,ck->cp", own[:, columns], gamma)
     own_y = own[:, y]
-    model = blocks[:, present[:, None], present[None, :]]
-    across = np.matmul(gamma[:, None, :], blocks[:, columns[:, :, None], present])[:, :, 0, :]
-    linear = linear - across @ own_y + (blocks[:, present, y] - model @ own_y) @ beta.T
+    model = blocks[:, :-1, present]
+    across = np.einsum("bpck,ck->bcp", blocks[:, :-1, columns], gamma)
+    linear = linear - across @ own_y + (blocks[:, :-1, y] - model @ own_y) @ beta.T
     square = square + 2.0 * np.sum(across * beta, axis=2) + np.sum(np.matmul(beta, model) * beta, axis=2)
     return np.asarray(2.0 * linear + square), square
 
@@ -363,11 +366,11 @@ def block_scores(evidence: Evidence, present: ModelColumns, y: int) -> Floats:
     """
     total = evidence.total
     own = present.solve(total)
-    gram = evidence.gram
-    if not present.columns.size:
-        return np.asarray(gram[:, :, y])
     p = present.columns
-    right = gram[:, :, y] - gram[:, :, p] @ own[:, y]
+    given = evidence.rows(np.append(p, y))
+    if not p.size:
+        return np.asarray(given[:, -1])
+    right = given[:, -1] - np.einsum("bpc,p->bc", given[:, :-1], own[:, y])
     inner = right[:, p]
     return np.asarray(right - inner @ own)
 
@@ -394,7 +397,7 @@ def sign_flip_ratios(
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for place, columns in enumerate(candidates):
-        half = half_inverse(gram[np.ix_(columns, columns)][None])[0]
+        half = inverse_square_root(gram[np.ix_(columns, columns)][None])[0]
         own = summed[:, columns] @ half
         drawn = np.sum((signs @ own) ** 2, axis=1)
         usual = max(float(drawn.mean()), 1e-300)

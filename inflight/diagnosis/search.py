@@ -217,7 +217,7 @@ class Search:
 
     Attributes
     ----------
-    raw, white : Evidence
+    raw, white : GramBlocks
         Columns as the library has them, the calibration's own among them.
     library : Library
         What the columns are; terms that joined are among its terms.
@@ -254,8 +254,8 @@ class Search:
         Columns on the coarse series, once terms joined.
     """
 
-    raw: Evidence
-    white: Evidence
+    raw: GramBlocks
+    white: GramBlocks
     library: Library
     days: Groups
     requested_intervals: Groups
@@ -365,7 +365,7 @@ class Search:
         sigma = [s for term in self.library.base for s in term.sigma]
         return names, np.asarray(sigma)
 
-    def precision(self, evidence: Evidence, names: Sequence[str], sigma: Floats) -> Floats:
+    def precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
         """Return variance over squared prior sigma in scaled units; 0 without a prior."""
         scale = evidence.scale[evidence.index(names)]
         with np.errstate(divide="ignore"):
@@ -377,7 +377,7 @@ class Search:
         precision = self.precision(self.raw, names, sigma)
         forms = {
             form: (self.within if form == "within" else None)
-            or source.absorbed(names, groups, precision, np.float32)
+            or source.marginalise(names, groups, precision, np.float32)
             for form, (source, groups) in self.sources().items()
         }
         return replace(self, forms=forms)
@@ -541,7 +541,7 @@ class Search:
         return intervals_around(self.raw, self.requested_intervals, [*at, *more])
 
     def _not_hidden(
-        self, options: Sequence[Option], evidence: Evidence, values: Sequence[Floats]
+        self, options: Sequence[Option], evidence: GramBlocks, values: Sequence[Floats]
     ) -> npt.NDArray[np.bool_]:
         """Return which changes show with the requested intervals, too, or may do so at their time."""
         present, y = self.present_in(evidence), evidence.residuals[self.residual]

@@ -122,7 +122,8 @@ def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats,
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
     inverse = gram_inverse(matrix)
     value = -inverse @ total[p, y]
-    scores = evidence.gram[:, p, y] + np.einsum("bij,j->bi", evidence.gram[:, p[:, None], p[None, :]], value)
+    blocks = evidence.rows(p, np.append(p, y))
+    scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
     meat = scores.T @ scores
     own = meat.copy()
@@ -135,24 +136,13 @@ def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats,
     free = max(count - p.size / 3.0, 2.0)
     left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
     white = max(float(left), 0.0) / max(float(evidence.count.sum()), 1.0) * total[np.ix_(p, p)]
-    return value, _at_least(inverse @ (meat * count / free) @ inverse, inverse @ white @ inverse)
-
-
-def _at_least(covariance: Floats, least: Floats) -> Floats:
-    """Return a covariance with variances no smaller than those of another one, and its own correlations."""
-    own = np.diag(covariance)
-    raised = np.maximum(own, np.diag(least))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lift = np.sqrt(np.where(own > 0, raised / own, 1.0))
-    out = covariance * lift[:, None] * lift[None, :]
-    out[np.diag_indices_from(out)] = raised
-    return np.asarray(out)
+    return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     """Return the values of an accepted option's columns, in the joint fit of the whole model."""
     evidence, present, y = search.forms[form], search.present(form), search.y(form)
-    value, covariance = sandwich(evidence, present, y)
+    value, covariance = joint_fit(evidence, present, y)
     columns = evidence.index(option.columns)
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
     scale = evidence.scale[columns]
@@ -184,7 +174,7 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
 
 
 def centred(search: Search, option: Option) -> Floats:
-    """Return the Gram matrix of an option's columns about constant channels (see `Evidence.centred`)."""
+    """Return the Gram matrix of an option's columns about constant channels (see `GramArrays.centred`)."""
     own = search.raw.index(option.columns)
     # Only a channel has a mean that is none of the effect's doing.
     base = [name for term in search.library.base for name in term.columns] if option.channels else []
@@ -202,7 +192,7 @@ def detectable_amplitude(search: Search, option: Option, form: str = "raw") -> F
     both = ModelColumns(
         np.concatenate([present.columns, columns]), np.append(present.precision, np.zeros(columns.size))
     )
-    _, covariance = sandwich(evidence, both, y)
+    _, covariance = joint_fit(evidence, both, y)
     sigma = np.sqrt(np.clip(np.diag(covariance)[-columns.size :], 0.0, None))
     return np.asarray(3.0 * sigma * evidence.scale[columns])
 
@@ -224,7 +214,7 @@ def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tu
     names = [name for term in search.library.base for name in term.columns]
     base, own = raw.index(names), raw.index(option.columns)
     total = raw.total
-    shift = taken_over(total, base, own) @ (gamma / raw.scale[own])
+    shift = regression(total, base, own) @ (gamma / raw.scale[own])
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))
 
 
@@ -298,7 +288,7 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     left = projected(evidence.total, search.present(form, option))
     gamma, _ = fit(evidence, search.present(form, option), [own], search.y(form))
     shared = left[np.ix_(wide, own)] @ gamma[0]
-    half = half_inverse(left[np.ix_(wide, wide)][None])[0]
+    half = inverse_square_root(left[np.ix_(wide, wide)][None])[0]
     whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
     return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION.contained * whole
 

@@ -184,7 +184,7 @@ def batches(changes: Sequence[Change]) -> Iterator[list[Change]]:
             yield batch
 
 
-def _sharpness(evidence: Evidence, edges: Sequence[int], place: int) -> int:
+def _sharpness(evidence: GramBlocks, edges: Sequence[int], place: int) -> int:
     """Return how far a step may be from the edge tried, ns: a block, or half way to the next edge tried."""
     starts = [*evidence.start.tolist(), int(evidence.end[-1])]
     edge = edges[place]

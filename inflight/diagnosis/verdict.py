@@ -352,7 +352,7 @@ def _separating(search: Search, option: Option, rival: Option) -> list[dict[str,
     (first, second), _ = fit(evidence, present, [one, other], y)
     both = np.concatenate([one, other])
     weights = np.concatenate([first, -second])
-    sums = np.einsum("i,bij,j->b", weights, evidence.gram[:, both[:, None], both[None, :]], weights)
+    sums = np.einsum("i,bij,j->b", weights, evidence.rows(both, both), weights)
     rms = np.sqrt(np.clip(sums, 0.0, None) / np.maximum(evidence.count, 1.0))
     best = np.argsort(-rms)[: REPORT.separating]
     return [
@@ -407,7 +407,7 @@ def refined_parameters(search: Search) -> tuple[dict[str, Any], ...]:
     sigma = [s for term in search.library.refined for s in term.sigma]
     if not names:
         return ()
-    value, covariance = sandwich(evidence, present, search.y())
+    value, covariance = joint_fit(evidence, present, search.y())
     scale = evidence.scale[present.columns]
     out = []
     for place, name in enumerate(names):

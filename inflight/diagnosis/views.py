@@ -26,8 +26,8 @@ from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
 from inflight.diagnosis.stepwise import calibration_shifts, estimate, form_disagreement
 from inflight.effects import coefficient_unit
-from inflight.lsq import correlation_of, gram_inverse
-from inflight.residual import MIN_BLOCKS, bin_edges, jackknife
+from inflight.lsq import correlation_of, gram_inverse, jackknife
+from inflight.residual import MIN_BLOCKS, bin_edges
 from inflight.time import DAY, SECOND, Int64, to_utc
 
 #: Rows and columns of a heat map at most, and coordinates that are drawn.

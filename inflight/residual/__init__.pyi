@@ -9,7 +9,6 @@ from .dependence import (
     Failure,
     bin_edges,
     find_failures,
-    jackknife,
     measure,
 )
 from .lines import Line, drawn_periods, find_lines, known_periods, resolve_lines, told_period
@@ -52,7 +51,6 @@ __all__ = [
     "find_lines",
     "find_steps",
     "finest",
-    "jackknife",
     "joined",
     "joined_floor",
     "known_periods",

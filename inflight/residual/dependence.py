@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.lsq import jackknife
 
 #: Bins of a dependence, and the fewest blocks its uncertainty is taken from.
 BINS = 24
@@ -120,13 +121,6 @@ class _Binned:
         count = self.count.sum(axis=0) - self.count
         total = self.total.sum(axis=0) - self.total
         return np.where(self.met & (count > 0), total / np.maximum(count, 1.0), np.nan)
-
-
-def jackknife(without: Floats) -> Floats:
-    """Return the standard deviation of a statistic from its values without one block; (block, ...)."""
-    blocks = without.shape[0]
-    spread = without - without.mean(axis=0)
-    return np.asarray(np.sqrt((blocks - 1) / blocks * np.sum(spread**2, axis=0)))
 
 
 def _rms(mean: Floats, without: Floats, share: Floats) -> tuple[float, float]:

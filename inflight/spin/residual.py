@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.residual import CLEAR, LONELY, MIN_BLOCKS, bin_edges, jackknife
+from inflight.lsq import jackknife
+from inflight.residual import CLEAR, LONELY, MIN_BLOCKS, bin_edges
 from inflight.samples import ORDER, Complex
 
 Ints = npt.NDArray[np.int64]

@@ -415,7 +415,7 @@ def _ledger(
     facts: Mapping[str, Any],
 ) -> Section:
     y = search.raw.residuals[search.residual]
-    data = hashlib.sha256(np.ascontiguousarray(search.raw.gram[:, :, y]).tobytes()).hexdigest()
+    data = hashlib.sha256(np.ascontiguousarray(search.raw.rows(np.array([y]))[:, 0]).tobytes()).hexdigest()
     rules = search.rules
     listed = {
         "mission": context.mission.mission,

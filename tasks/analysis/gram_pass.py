@@ -33,7 +33,7 @@ from inflight.dual import Switched, switched
 from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
+from inflight.lsq import GramArrays, GramBlocks, gram_of, parts_of, prewhiten
 from inflight.mission import Mission, is_told_by_states, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, joined_floor, level_of_rows
@@ -301,7 +301,7 @@ def block_evidence(
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
     if made.within_blocks:
         names = [name for term in made.library.base for name in term.columns]
-        inside = [one[0].absorbed(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
+        inside = [one[0].marginalise(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
         within = inside[0]
         for more_raw in inside[1:]:
             within = _sum_blocks(within, more_raw)
@@ -320,7 +320,7 @@ def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
     return replace(rows, samples=rows.samples.assign(samples))
 
 
-def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
+def _series(made: PassPlan, raw: GramArrays, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
     """Return the coarse series of a block (or of the blocks of a day), and what it holds."""
     plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
     channels = list(dict.fromkeys([*made.channel_summaries, *plain, *GEOMETRY]))
@@ -346,7 +346,7 @@ def _day_evidence(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Evidence, Evidence, Rows, dict[str, Any]]:
+) -> tuple[GramArrays, GramArrays, Rows, dict[str, Any]]:
     rows, sums = day_rows(cat, mission, made, index, derived, day)
     columns = design(made.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
@@ -366,8 +366,8 @@ def _day_evidence(
         np.array([*made.scale, 1.0]),
     )
     return (
-        Evidence(names, gram_of(columns, residual, rows.weight, parts), *common),
-        Evidence(names, gram_of(white[0], white[1], rows.weight, parts), *common),
+        GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common),
+        GramArrays(names, gram_of(white[0], white[1], rows.weight, parts), *common),
         rows,
         sums,
     )
@@ -445,9 +445,9 @@ def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, sampl
 class Loaded:
     """The evidence of a span: raw, prewhitened, within-day when it was made apart, the series, outliers."""
 
-    raw: Evidence
-    white: Evidence
-    within: Evidence | None
+    raw: GramBlocks
+    white: GramBlocks
+    within: GramBlocks | None
     series: Series
     sums: Mapping[str, float]
     floor: NoiseFloor
@@ -460,15 +460,15 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     scale = np.array([*made.scale, 1.0])
     ordered = sorted(days, key=lambda day: day.day)
     parts = [cat.read(day) for day in ordered]
-    raw = [Evidence.of(part, names, scale) for part in parts]
-    white = [Evidence.of(part, names, scale, "gram_white") for part in parts]
+    raw = [GramArrays.of(part, names, scale) for part in parts]
+    white = [GramArrays.of(part, names, scale, "gram_white") for part in parts]
     within = None
     if made.within_blocks:
         base = {name for term in made.library.base for name in term.columns}
         kept = [place for place, name in enumerate(names) if name not in base]
         left = tuple(names[place] for place in kept)
-        apart = [Evidence.of(part, left, scale[kept], "gram_within") for part in parts]
-        within = apart[0].joined(apart[1:])
+        apart = [GramArrays.of(part, left, scale[kept], "gram_within") for part in parts]
+        within = apart[0].join(apart[1:])
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])

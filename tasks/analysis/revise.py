@@ -42,7 +42,7 @@ from inflight.diagnosis import (
 )
 from inflight.effects import did_you_mean
 from inflight.errors import ModelError, SettingsError
-from inflight.lsq import Evidence
+from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, folding_of
 from inflight.tasks.analysis.diagnosis import PassResult, begin_search, context_of, intervals_of, make_pass

@@ -30,7 +30,7 @@ from inflight.diagnosis import (
     thin_rows,
 )
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
+from inflight.lsq import GramArrays, gram_of, parts_of, prewhiten
 from inflight.mission import Mission
 from inflight.model import Model, rows_of
 from inflight.residual import NoiseFloor
@@ -385,7 +385,7 @@ class Case:
         return conclude(self.search(residual, without, **rules), self.material(residual))[0]
 
 
-def alone(evidence: Evidence, residual: int) -> Evidence:
+def alone(evidence: GramArrays, residual: int) -> GramArrays:
     """Return evidence with one of its residuals, as a pass over an archive makes it."""
     own = len(evidence.names) - len(evidence.residuals)
     kept = np.array([*range(own), own + residual])
@@ -397,7 +397,7 @@ def alone(evidence: Evidence, residual: int) -> Evidence:
     )
 
 
-def groups_of(evidence: Evidence, width: int) -> list[list[int]]:
+def groups_of(evidence: GramArrays, width: int) -> list[list[int]]:
     """Return the blocks of each span of a length; a short rest joins the span before."""
     place = (evidence.start - evidence.start[0]) // width
     groups = [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
@@ -552,7 +552,7 @@ def rows_on_bins(
 
 def evidence_of(
     library: Library, rows: Rows, residuals: np.ndarray, block_days: float = 1.0, every: int = 1
-) -> tuple[Evidence, Evidence]:
+) -> tuple[GramArrays, GramArrays]:
     """Return raw and prewhitened evidence, a block a day or another span."""
     columns, weight = design(library.all_terms, rows)[::every], rows.weight[::every]
     residuals, stamps = residuals[::every], rows.samples["tt2000"].values[::every]
@@ -567,6 +567,6 @@ def evidence_of(
     common = (np.array(cuts[:-1]), np.array(cuts[1:]), rows_in, scale)
     white = [prewhiten(values, weight, stamps, 600.0) for values in (columns, residuals)]
     return (
-        Evidence(names, gram_of(columns, residuals, weight, parts), *common),
-        Evidence(names, gram_of(*white, weight, parts), *common),
+        GramArrays(names, gram_of(columns, residuals, weight, parts), *common),
+        GramArrays(names, gram_of(*white, weight, parts), *common),
     )

@@ -95,7 +95,7 @@ def test_intervals_are_those_asked_for_once_a_step_is_dropped():
 
 def blocks(count):
     edges = np.arange(count + 1, dtype=np.int64) * DAY
-    empty = Evidence(
+    empty = GramArrays(
         ("residual",), np.zeros((count, 1, 1)), edges[:-1], edges[1:], np.ones(count), np.ones(1)
     )
     return replace(empty)

@@ -28,7 +28,7 @@ def null_evidence(effect=0.0, seed=0):
     names = (*(f"z{k}" for k in range(12)), "p0", "p1", *(f"residual~{k}" for k in range(NULLS)))
     start = DAY_NS * np.arange(BLOCKS, dtype=np.int64)
     gram = np.einsum("bri,brj->bij", values, values, optimize=True)
-    return Evidence(names, gram, start, start + DAY_NS, np.full(BLOCKS, float(ROWS)), np.ones(len(names)))
+    return GramArrays(names, gram, start, start + DAY_NS, np.full(BLOCKS, float(ROWS)), np.ones(len(names)))
 
 
 def p_values(evidence, candidates, most=NULLS):

@@ -7,7 +7,7 @@ from row_cases import row_case
 from benchmarks.null_cases import score_many
 from inflight.diagnosis import ModelColumns, active_blocks, make_folds, score
 from inflight.diagnosis.scoring import block_scores, fit
-from inflight.lsq import half_inverse, promised_t
+from inflight.lsq import expected_gain_t, inverse_square_root
 
 PRESENTS = {
     "nothing": ((), ()),
@@ -76,7 +76,7 @@ def test_held_out_losses_are_those_of_refits_of_the_rows(present, interleaved):
         change = contributed(case, names, precision, candidate, folds)
         np.testing.assert_allclose(found.expected[:, place], change, rtol=1e-8)
         used = np.ones((20, 1), dtype=bool)
-        t = promised_t((without - expected)[:, None], change[:, None], used)[0]
+        t = expected_gain_t((without - expected)[:, None], change[:, None], used)[0]
         assert found.t[place] == pytest.approx(t, rel=1e-6)
 
 
@@ -154,12 +154,12 @@ def test_the_half_inverse_is_one_where_the_matrix_has_an_inverse():
     g = np.random.default_rng(0)
     rows = g.normal(size=(5, 30, 3)) * [1e-4, 1.0, 1e4]
     matrices = np.einsum("cri,crj->cij", rows, rows)
-    half = half_inverse(matrices)
+    half = inverse_square_root(matrices)
     product = np.matmul(half.transpose(0, 2, 1), np.matmul(matrices, half))
     np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-9)
     rows[:, :, 2] = rows[:, :, 0]
     twins = np.einsum("cri,crj->cij", rows, rows)
-    half = half_inverse(twins)
+    half = inverse_square_root(twins)
     back = np.matmul(twins, np.matmul(half, np.matmul(half.transpose(0, 2, 1), twins)))
     np.testing.assert_allclose(back, twins, rtol=1e-6)
 

@@ -113,7 +113,7 @@ def test_evidence_of_the_known_rows_is_that_of_a_record_without_the_others(step)
     direct = evidence_of(case.library, rows, case.residuals)[0]
     base, sigma = search.base()
     names = list(found.names[:-1])
-    wanted = direct.select([*base, *names]).absorbed(
+    wanted = direct.select([*base, *names]).marginalise(
         base, search.intervals, search.precision(direct, base, sigma)
     )
     np.testing.assert_allclose(found.count, wanted.count, rtol=1e-6)

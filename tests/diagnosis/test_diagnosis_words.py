@@ -88,7 +88,7 @@ def test_a_long_span_of_which_few_blocks_tell_is_not_said_to_be_short_but_when_t
 
 def test_the_blocks_that_hold_nearly_all_are_the_fewest_in_order_of_time():
     hours = 700_000_000 * SECOND + 3600 * SECOND * np.arange(91)
-    evidence = Evidence(("residual",), np.ones((90, 1, 1)), hours[:-1], hours[1:], np.ones(90), np.ones(1))
+    evidence = GramArrays(("residual",), np.ones((90, 1, 1)), hours[:-1], hours[1:], np.ones(90), np.ones(1))
     square = np.full(90, 0.1)
     assert dominant_blocks(evidence, square) == []
     square[[40, 12]] = 300.0, 400.0
