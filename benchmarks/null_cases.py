@@ -88,7 +88,7 @@ def suspects(search: Search, residuals: Sequence[int]) -> list[int]:
 
 
 def _reached(
-    search: Search, evidence: Evidence, present: ModelColumns, columns: Sequence[Index], y: Index
+    search: Search, evidence: GramBlocks, present: ModelColumns, columns: Sequence[Index], y: Index
 ) -> Floats:
     """Return which residuals have a candidate beyond the rules' t and gain; (residual,) of bool."""
     gain, t = score_many(evidence, present, columns, y, make_folds(len(evidence)))
@@ -96,7 +96,7 @@ def _reached(
 
 
 def score_many(
-    evidence: Evidence, present: ModelColumns, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
+    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
 ) -> tuple[Floats, Floats]:
     """Return held-out gain and t of all candidates on several residuals; (candidate, residual) each.
 
@@ -116,7 +116,7 @@ def score_many(
         train = projected(train, present)
         loss0[fold] = blocks[:, y, y]
         for positions, columns in group_by_size(candidates):
-            half = half_inverse(train[columns[:, :, None], columns[:, None, :]])
+            half = inverse_square_root(train[columns[:, :, None], columns[:, None, :]])
             right = train[columns[:, :, None], y]
             gamma = -np.matmul(half, np.matmul(half.transpose(0, 2, 1), right))
             own = blocks[:, columns[:, :, None], columns[:, None, :]]
@@ -163,8 +163,8 @@ def _small(search: Search, residuals: Sequence[int]) -> tuple[GramBlocks, list[s
 
 
 def _absorbed(
-    search: Search, small: Evidence, base: Sequence[str], refined: Sequence[str]
-) -> tuple[Evidence, ModelColumns]:
+    search: Search, small: GramBlocks, base: Sequence[str], refined: Sequence[str]
+) -> tuple[GramBlocks, ModelColumns]:
     sigma = np.asarray([s for term in search.library.base for s in term.sigma])
     wide = small.marginalise(base, search.intervals, search.precision(small, base, sigma))
     own = np.asarray([s for term in search.library.refined for s in term.sigma])

@@ -1,6 +1,6 @@
 """The search: ranking 300 candidates of 3000 days, and the pass against reading, decoding and BLAS.
 
-Evidence of 3000 days is made from random rows with the structure of real evidence: nine parameters,
+Gram blocks of 3000 days is made from random rows with the structure of real evidence: nine parameters,
 a few of a model, 300 candidates of three columns, 200 blocks. The ranking reads nothing else.
 """
 
@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.nine import timed
 from inflight.catalog import Catalog, Workspace
 from inflight.diagnosis import ModelColumns, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays, GramBlocks
 from inflight.time import DAY, SECOND
 
 #: Blocks of a mission of 3000 days, candidates, columns of each, rows that stand for a block's.
@@ -24,9 +24,9 @@ BLOCKS, CANDIDATES, WIDTH, ROWS = 200, 300, 3, 1500
 
 @dataclass(frozen=True)
 class Made:
-    """Evidence with its candidates' columns."""
+    """GramBlocks with its candidates' columns."""
 
-    evidence: Evidence
+    evidence: GramBlocks
     present: ModelColumns
     candidates: list[np.ndarray] = field(default_factory=list)
 

@@ -23,7 +23,7 @@ from inflight.design import EQUATIONS, Candidate, Library, Term, sensor_matrices
 from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
 from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option
-from inflight.diagnosis.stepwise import sandwich
+from inflight.diagnosis.stepwise import joint_fit
 from inflight.diagnosis.time_changes import TimeVariableColumns, time_text
 from inflight.effects import ANGLES
 from inflight.errors import ModelError
@@ -139,7 +139,7 @@ class FitSetup:
 
     def marginalised(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[Evidence, ModelColumns]:
+    ) -> tuple[GramBlocks, ModelColumns]:
         """Return what the calibration leaves of the model's columns, and which they are with their priors.
 
         Those of `columns` come last.
@@ -165,10 +165,10 @@ class FitSetup:
         )
 
     def _marginalised(
-        self, whole: Evidence, names: Sequence[str], sigma: Sequence[float]
-    ) -> tuple[Evidence, ModelColumns]:
+        self, whole: GramBlocks, names: Sequence[str], sigma: Sequence[float]
+    ) -> tuple[GramBlocks, ModelColumns]:
         gone = self._base_names
-        evidence = whole.absorbed(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
+        evidence = whole.marginalise(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
         return evidence, ModelColumns(
             evidence.index(names), self._precision(evidence, names, np.array(sigma))
         )
@@ -186,7 +186,7 @@ class FitSetup:
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
 
-    def _solved(self, evidence: Evidence, present: ModelColumns) -> tuple[Floats, Floats]:
+    def _solved(self, evidence: GramBlocks, present: ModelColumns) -> tuple[Floats, Floats]:
         """Return values and covariance of the model's columns, scaled."""
         p = present.columns
         if not p.size:
@@ -210,10 +210,10 @@ class FitSetup:
         error = np.zeros((len(gone), len(gone)))
         count = len(self.intervals)
         for group in self.intervals:
-            total = whole.gram[np.asarray(group)].sum(axis=0)
-            inverse = solve_scaled(total[np.ix_(at, at)] + prior, np.eye(len(gone)))
-            cross = inverse @ total[np.ix_(at, others)]
-            shift -= (inverse @ total[at, y] + cross @ value) / count
+            total = whole.rows(at, blocks=np.asarray(group)).sum(axis=0)
+            inverse = solve_scaled(total[:, at] + prior, np.eye(len(gone)))
+            cross = inverse @ total[:, others]
+            shift -= (inverse @ total[:, y] + cross @ value) / count
             mean_cross += cross / count
             error += self.variance * inverse / count**2
         both = error + mean_cross @ covariance @ mean_cross.T
@@ -226,8 +226,8 @@ class FitSetup:
 
 
 def combine_columns(
-    evidence: Evidence, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
-) -> Evidence:
+    evidence: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
+) -> GramBlocks:
     """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
 
     Parameters
@@ -329,7 +329,7 @@ class AdditionMaker:
     ----------
     model : Model
         At the values the Gram blocks are linearised at.
-    raw : Evidence
+    raw : GramBlocks
         Its blocks say when things change.
     names : frozenset of str
         Names in the model that are not free any more.
@@ -339,7 +339,7 @@ class AdditionMaker:
     model: Model
     library: Library
     time_variable: TimeVariableColumns
-    raw: Evidence
+    raw: GramBlocks
     names: frozenset[str] = frozenset()
 
     def of_candidate(self, candidate: Candidate, name: str = "", lag_s: float | None = None) -> Addition:

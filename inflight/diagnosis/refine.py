@@ -236,7 +236,7 @@ def _best_lag(
     others = [_vertex(np.log(near), total - each[:, fold].sum(axis=1)) for fold in folds]
     if not np.all(np.isfinite(others)):
         return best, None
-    return best, best * jackknife(others)
+    return best, best * float(jackknife(np.array(others)))
 
 
 def _with_response(search: Search, context: Context, option: Option) -> Refined:
@@ -781,7 +781,7 @@ def _add_products(gram: Floats, values: Floats, weight: Floats, block: np.ndarra
 
 
 def _border(
-    evidence: Evidence,
+    evidence: GramBlocks,
     gram: Floats,
     names: Sequence[str],
     terms: Sequence[Term],
@@ -862,7 +862,7 @@ class LagProfile:
 
 
 def profile_lag(
-    evidence: Evidence,
+    evidence: GramBlocks,
     present: ModelColumns,
     bank: Mapping[float, Index],
     y: int,

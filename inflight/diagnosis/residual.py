@@ -362,7 +362,7 @@ def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
 
 def correctable_evidence(
     search: Search, gaps: UncorrectableRows, sensor_matrices: dict[str, Floats]
-) -> Evidence:
+) -> GramBlocks:
     """Return the raw form of the model's columns and the residual, of the rows that could be corrected.
 
     What the lost rows add to the Gram matrices is subtracted with the help of the coarse series. Of long
@@ -373,7 +373,7 @@ def correctable_evidence(
     base, sigma = search.base()
     model = [name for term in search.library.refined for name in term.columns]
     model += [name for option in search.accepted for name in option.columns]
-    order = [*raw.index([*base, *model]), raw.residuals[search.residual]]
+    order = np.array([*raw.index([*base, *model]), raw.residuals[search.residual]])
     rows, names, columns = model_columns(search, series, sensor_matrices, search.accepted)
     places = [names.index(name) for name in [*base, *model]]
     values = np.concatenate([columns[:, :, places], rows.residual[:, :, None]], axis=2)
@@ -465,7 +465,7 @@ def with_correctable_rows(search: Search, context: Context) -> Context:
     return replace(context, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence_of_sizes(search: Search, context: Context) -> tuple[Evidence, ModelColumns, int]:
+def _evidence_of_sizes(search: Search, context: Context) -> tuple[GramBlocks, ModelColumns, int]:
     """Return the raw form that sizes are taken from, the model's columns in it, and the residual's index."""
     if context.gaps is None:
         return search.forms["raw"], search.present(), search.y()
@@ -508,7 +508,7 @@ def effective_blocks(search: Search, context: Context, residual: Floats) -> dict
     correlation = correlation_s(context.series, residual)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
-    square = np.clip(evidence.gram[:, y, y], 0.0, None)
+    square = np.clip(evidence.squares[:, y], 0.0, None)
     informative = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
     by_length = min(float(used), span / max(2.0 * correlation, 1e-9))
     return {
@@ -522,7 +522,7 @@ def effective_blocks(search: Search, context: Context, residual: Floats) -> dict
     }
 
 
-def dominant_blocks(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
+def dominant_blocks(evidence: GramBlocks, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)

@@ -62,6 +62,53 @@ class ModelColumns:
         return solve_scaled(inner, gram[self.columns])
 
 
+@dataclass
+class Fits:
+    """What was fitted to all folds but one, fold after fold, to set candidates against each other.
+
+    Parameters
+    ----------
+    evidence : GramBlocks
+    present : ndarray of int
+        Columns of the model.
+    candidates : list of ndarray of int
+        Columns of each candidate.
+    """
+
+    evidence: GramBlocks
+    present: Index
+    candidates: list[Index]
+    folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
+
+    def begin(self, fold: Index, own: Floats) -> None:
+        """Begin a fold: its blocks, and the projection (present, column) of the others."""
+        self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
+
+    def keep(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
+        """Keep the values (candidate, k) of some candidates in the fold begun last."""
+        fitted = self.folds[-1][2]
+        for place, values in zip(positions, gamma, strict=True):
+            fitted[int(place)] = values
+
+    def apart(self, one: int, other: int) -> Floats | None:
+        """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
+
+        When one of the two is the truth, it is what each block is expected to prefer it by.
+        """
+        if max(one, other) >= len(self.candidates):
+            return None
+        first, second = self.candidates[one], self.candidates[other]
+        columns = np.concatenate([self.present, first, second])
+        out = np.zeros(len(self.evidence))
+        for fold, own, fitted in self.folds:
+            own_one = own[:, first] @ fitted[one]
+            own_other = own[:, second] @ fitted[other]
+            values = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
+            blocks = self.evidence.rows(columns, columns, fold)
+            out[fold] = np.einsum("i,bij,j->b", values, blocks, values)
+        return np.maximum(out, 0.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Scores:
     """Scores of candidates on one form.
@@ -127,7 +174,7 @@ class Scores:
             return self.t
         # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
         apart = self.expected + self.expected[:, [best]]
-        out = promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
+        out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
         for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
             out[place] = max(out[place], self._beyond(place, best, rival_t))
         return out
@@ -221,7 +268,7 @@ def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
 
 
-def active_blocks(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
+def active_blocks(evidence: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
     own = evidence.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
@@ -251,14 +298,14 @@ def projected(gram: Floats, present: ModelColumns) -> Floats:
 
 
 def fit(
-    evidence: Evidence, present: ModelColumns, candidates: Sequence[Index], y: int
+    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
     gram = projected(evidence.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
     for positions, columns in group_by_size(candidates):
-        half = half_inverse(gram[columns[:, :, None], columns[:, None, :]])
+        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
         score = np.einsum("cik,ci->ck", half, gram[columns, y])
         values = -np.einsum("cik,ck->ci", half, score)
         explained[positions] = np.sum(score**2, axis=1)
@@ -268,13 +315,13 @@ def fit(
 
 
 def score(
-    evidence: Evidence, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : GramBlocks
         One form, the calibration marginalised.
     present : Present
         The model's columns.
@@ -289,6 +336,7 @@ def score(
     loss0 = np.zeros(len(evidence))
     loss, expected = np.zeros((2, len(evidence), len(candidates)))
     fits = Fits(evidence, p := present.columns, list(candidates))
+    given = evidence.rows(np.append(p, y))
     groups = group_by_size(candidates)
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
         blocks = given[fold]
@@ -307,14 +355,15 @@ def score(
             half = inverse_square_root(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
             fits.keep(positions, gamma)
-            change, square = _loss_change(blocks, p, own, columns, gamma, y)
+            inner = evidence.products_within(columns, fold)
+            change, square = _loss_change(blocks, inner, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change
             expected[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
     active = active_blocks(evidence, candidates)
-    t = promised_t(loss0[:, None] - loss, expected, active)
+    t = expected_gain_t(loss0[:, None] - loss, expected, active)
     return Scores(
         loss0=loss0,
         loss=loss,
@@ -329,8 +378,11 @@ def score(
 
 
 def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
-    """Return the sum of squares of the residual after the model's own columns; (block,)."""
-    out = blocks[:, y, y].copy()
+    """Return the sum of squares of the residual after the model's own columns; (block,).
+
+    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual.
+    """
+    out = blocks[:, -1, y].copy()
     if present.size:
         out -= 2.0 * blocks[:, :-1, y] @ own_y
         out += np.einsum("i,bij,j->b", own_y, blocks[:, :-1, present], own_y)
@@ -338,7 +390,7 @@ def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats
 
 
 def _loss_change(
-    blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
+    blocks: Floats, inner: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
 ) -> tuple[Floats, Floats]:
     """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
 
@@ -359,7 +411,7 @@ def _loss_change(
     return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(evidence: Evidence, present: ModelColumns, y: int) -> Floats:
+def block_scores(evidence: GramBlocks, present: ModelColumns, y: int) -> Floats:
     """Return the score statistics of every column at the model's own fit, block by block; (block, column).
 
     They sum to what the projected columns have in common with the residual.
@@ -383,7 +435,7 @@ def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]
 
 
 def sign_flip_ratios(
-    evidence: Evidence,
+    evidence: GramBlocks,
     present: ModelColumns,
     candidates: Sequence[Index],
     y: int,

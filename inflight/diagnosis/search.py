@@ -35,7 +35,7 @@ from inflight.diagnosis.scoring import (
     sign_flip_ratios,
 )
 from inflight.diagnosis.time_changes import Change, TimeVariableColumns, batches, drifts, episodes, steps
-from inflight.lsq import Evidence
+from inflight.lsq import GramBlocks
 
 Groups = Sequence[Sequence[int]]
 
@@ -229,13 +229,13 @@ class Search:
     rules : Rules
     variance : float
         Of a row that the calibration alone leaves, nT^2.
-    forms : dict of str to Evidence
+    forms : dict of str to GramBlocks
         The calibration marginalised: ``raw``, ``within``, ``white``.
     options : tuple of Option
         What may be added, changes in time aside.
     unscorable : tuple of dict
         What these data cannot show, and why.
-    within : Evidence, optional
+    within : GramBlocks, optional
         The within-day form of blocks longer than a day, marginalised when they were made.
     residual : int
         Which residual of the Gram blocks is searched.
@@ -262,10 +262,10 @@ class Search:
     intervals: Groups
     rules: Rules
     variance: float
-    forms: Mapping[str, Evidence]
+    forms: Mapping[str, GramBlocks]
     options: tuple[Option, ...]
     unscorable: tuple[Mapping[str, object], ...] = ()
-    within: Evidence | None = None
+    within: GramBlocks | None = None
     residual: int = 0
     time_variable: TimeVariableColumns = field(default_factory=TimeVariableColumns)
     accepted: tuple[Option, ...] = ()
@@ -279,13 +279,13 @@ class Search:
     @classmethod
     def begin(
         cls,
-        raw: Evidence,
-        white: Evidence,
+        raw: GramBlocks,
+        white: GramBlocks,
         library: Library,
         intervals: Groups,
         days: Groups,
         rules: Rules | None = None,
-        within: Evidence | None = None,
+        within: GramBlocks | None = None,
         *,
         time_variable: TimeVariableColumns | None = None,
         residual: int = 0,
@@ -382,7 +382,7 @@ class Search:
         }
         return replace(self, forms=forms)
 
-    def sources(self) -> dict[str, tuple[Evidence, Groups]]:
+    def sources(self) -> dict[str, tuple[GramBlocks, Groups]]:
         """Return what each form is made from, and the blocks of each of its intervals."""
         return {
             "raw": (self.raw, self.intervals),
@@ -403,16 +403,16 @@ class Search:
         names = [name for term in self.library.refined for name in term.columns]
         return names + [name for one in self.accepted if one is not without for name in one.columns]
 
-    def present_in(self, evidence: Evidence, without: Option | None = None) -> ModelColumns:
+    def present_in(self, evidence: GramBlocks, without: Option | None = None) -> ModelColumns:
         """Return the columns of the model in some evidence that has them, with their priors."""
         names = self._model_columns(without)
         sigma = [s for term in self.library.refined for s in term.sigma]
         sigma += [np.inf] * (len(names) - len(sigma))
         return ModelColumns(evidence.index(names), self.precision(evidence, names, np.asarray(sigma)))
 
-    def _marginalised(self, evidence: Evidence, intervals: Groups) -> Evidence:
+    def _marginalised(self, evidence: GramBlocks, intervals: Groups) -> GramBlocks:
         names, sigma = self.base()
-        return evidence.absorbed(names, intervals, self.precision(evidence, names, sigma))
+        return evidence.marginalise(names, intervals, self.precision(evidence, names, sigma))
 
     # Scores.
 
@@ -460,7 +460,7 @@ class Search:
 
     def _changes(
         self, without: Option | None
-    ) -> Iterator[tuple[list[Option], Evidence, ModelColumns, Evidence | None]]:
+    ) -> Iterator[tuple[list[Option], GramBlocks, ModelColumns, GramBlocks | None]]:
         """Yield options bound to a time, some at a time with the evidence of their columns alone.
 
         Where that is of other intervals than those in use, it comes again with the requested ones.
@@ -497,7 +497,7 @@ class Search:
                 wide = self._marginalised(small, intervals)
                 yield [one], wide, self.present_in(wide, without), self._requested(small, intervals)
 
-    def _requested(self, evidence: Evidence, intervals: Groups) -> Evidence | None:
+    def _requested(self, evidence: GramBlocks, intervals: Groups) -> GramBlocks | None:
         """Return the evidence with the requested intervals; None when `intervals` are those in use."""
         return None if intervals == self.intervals else self._marginalised(evidence, self.requested_intervals)
 
@@ -675,7 +675,7 @@ class Search:
         Parameters
         ----------
         raw, white : (across, inner)
-            Products of the new columns with those there are, and with each other (`Evidence.bordered`).
+            Products of the new columns with those there are, and with each other (`GramArrays.bordered`).
         """
         names = [name for term in terms for name in term.columns]
         scale = np.array([one for term in terms for one in term.scale])
@@ -683,7 +683,7 @@ class Search:
         precision = self.precision(self.raw, base, sigma)
         forms = {}
         for form, (source, groups) in self.sources().items():
-            left = source.absorbed_border(base, groups, precision, *(white if form == "white" else raw))
+            left = source.marginalised_border(base, groups, precision, *(white if form == "white" else raw))
             forms[form] = self.forms[form].bordered(names, scale, *left)
         library = replace(self.library, terms=self.library.terms | {term.key: term for term in terms})
         return replace(
@@ -705,26 +705,26 @@ class Search:
         return replace(other, intervals=self.requested_intervals, forms={"raw": raw})
 
 
-def row_variance(white: Evidence, base: Sequence[Term], residual: int = 0) -> float:
+def row_variance(white: GramBlocks, base: Sequence[Term], residual: int = 0) -> float:
     """Return the variance of a row that the calibration alone leaves: the median of the blocks, nT^2.
 
     Parameters
     ----------
-    white : Evidence
+    white : GramBlocks
         Prewhitened.
     base : sequence of Term
         The calibration's own; they are marginalised over the whole span.
     """
     names = [name for term in base for name in term.columns]
-    free = white.absorbed(names, [range(len(white))], np.zeros(len(names)))
+    free = white.marginalise(names, [range(len(white))], np.zeros(len(names)))
     y = free.residuals[residual]
-    each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
+    each = free.squares[:, y] / np.maximum(free.count, 1.0)
     return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
 
 
 def is_visible(
-    raw: Evidence,
-    form: Evidence,
+    raw: GramBlocks,
+    form: GramBlocks,
     columns: Sequence[str],
     base: Index,
     usual: Floats,
@@ -735,7 +735,7 @@ def is_visible(
 
     Parameters
     ----------
-    raw, form : Evidence
+    raw, form : GramBlocks
         Before and after the calibration was marginalised.
     columns : sequence of str
         Of the effect.
@@ -758,7 +758,7 @@ def is_visible(
 
 
 def is_visible_change(
-    evidence: Evidence,
+    evidence: GramBlocks,
     present: ModelColumns,
     columns: Index,
     gamma: Floats,
@@ -770,7 +770,7 @@ def is_visible_change(
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : GramBlocks
         With the requested intervals.
     gamma : ndarray, shape (column,)
         The change's values (scaled), from intervals that do not hide it.
@@ -784,7 +784,7 @@ def is_visible_change(
 
 
 def intervals_around(
-    evidence: Evidence, intervals: Groups, at: Sequence[int], settings: VisibilitySettings = VISIBILITY
+    evidence: GramBlocks, intervals: Groups, at: Sequence[int], settings: VisibilitySettings = VISIBILITY
 ) -> list[list[int]]:
     """Return calibration intervals no edge of which is near some times.
 
@@ -816,6 +816,6 @@ def intervals_around(
     return [part.tolist() for part in np.split(np.arange(len(evidence)), kept)]
 
 
-def is_at_edge(evidence: Evidence, intervals: Groups, when: int, sharpness: int) -> bool:
+def is_at_edge(evidence: GramBlocks, intervals: Groups, when: int, sharpness: int) -> bool:
     """Return True when a time known no better may lie on an edge between intervals."""
     return any(abs(int(evidence.start[group[0]]) - when) <= sharpness for group in intervals[1:])

@@ -3,7 +3,7 @@
 Takes a state of the search (`inflight.diagnosis.search`); makes the next one, step by step, until nothing
 more is justified (`select_effects`), and holds what was taken against everything that could take its place
 (`exchange_and_check`). Values with errors (`estimate`) come from the joint fit of the whole model, with a
-covariance clustered by block (Bartlett's kernel; `sandwich`).
+covariance clustered by block (Bartlett's kernel; `joint_fit`).
 
 The few-block test: signs of six blocks can be flipped in 64 ways, so that whatever lies in them can never be
 significant, however clearly each of them shows it. Where blocks are much longer than the residual's
@@ -25,7 +25,15 @@ from inflight.diagnosis.refine import FormTrials, refine
 from inflight.diagnosis.residual import Context, correlation_s
 from inflight.diagnosis.scoring import ModelColumns, fit, projected
 from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
-from inflight.lsq import Evidence, gram_inverse, half_inverse, promised_p, taken_over
+from inflight.lsq import (
+    GramBlocks,
+    bartlett_covariance,
+    expected_gain_p,
+    gram_inverse,
+    inverse_square_root,
+    regression,
+    sandwich,
+)
 from inflight.time import SECOND
 
 
@@ -111,7 +119,7 @@ class Estimate:
     rms: float
 
 
-def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
+def joint_fit(evidence: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
     The scatter of few blocks that hold nearly all information on a column comes out too small, for the fit
@@ -125,14 +133,7 @@ def sandwich(evidence: Evidence, present: ModelColumns, y: int) -> tuple[Floats,
     blocks = evidence.rows(p, np.append(p, y))
     scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
-    meat = scores.T @ scores
-    own = meat.copy()
-    for lag in range(1, min(SELECTION.bartlett, count - 1) + 1):
-        weight = 1.0 - lag / (SELECTION.bartlett + 1.0)
-        cross = scores[lag:].T @ scores[:-lag]
-        meat += weight * (cross + cross.T)
-    # By chance few blocks look anticorrelated; that is no information.
-    meat = _at_least(meat, own)
+    meat = bartlett_covariance(scores, SELECTION.bartlett)
     free = max(count - p.size / 3.0, 2.0)
     left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
     white = max(float(left), 0.0) / max(float(evidence.count.sum()), 1.0) * total[np.ix_(p, p)]
@@ -638,7 +639,7 @@ def _few_block_p(search: Search, context: Context, option: Option) -> float:
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)
     gained, expected = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
-    return float(promised_p(gained, expected, expected > 0)[0])
+    return float(expected_gain_p(gained, expected, expected > 0)[0])
 
 
 def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.design import Library
 from inflight.effects import Affine, ScalarBias, TimeShift, VectorSensor
-from inflight.lsq import Evidence
+from inflight.lsq import GramBlocks
 from inflight.time import DAY, Int64, to_utc
 
 #: Kinds of drifts.
@@ -141,7 +141,7 @@ def time_text(when: int) -> str:
     return f"{whole}.{part.rstrip('0')}".rstrip(".")
 
 
-def drifts(evidence: Evidence, changing: TimeVariableColumns) -> list[Change]:
+def drifts(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     """Return drifts of everything that may drift, linear in time; factors in days from the middle."""
     middle = evidence.start / 2 + evidence.end / 2
     days = (middle - middle.mean()) / DAY
@@ -155,7 +155,7 @@ def drifts(evidence: Evidence, changing: TimeVariableColumns) -> list[Change]:
     return found
 
 
-def steps(evidence: Evidence, changing: TimeVariableColumns) -> list[Change]:
+def steps(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
     blocks = len(evidence)
@@ -195,13 +195,13 @@ def _sharpness(evidence: GramBlocks, edges: Sequence[int], place: int) -> int:
 
 
 def episodes(
-    evidence: Evidence, marginalised: Evidence, changing: TimeVariableColumns, y: int
+    evidence: GramBlocks, marginalised: GramBlocks, changing: TimeVariableColumns, y: int
 ) -> list[Change]:
     """Return the best episodes of clock and bias, found by a scan over all pairs of edges.
 
     Parameters
     ----------
-    evidence, marginalised : Evidence
+    evidence, marginalised : GramBlocks
         Before and after the calibration was marginalised; the scan takes blocks as independent.
     """
     found = []
@@ -210,7 +210,8 @@ def episodes(
         if len(columns) != 1 or len(evidence) < 6:
             continue
         column = int(marginalised.index(columns)[0])
-        for first, last in _best_spans(marginalised.gram[:, column, y], marginalised.gram[:, column, column]):
+        score = marginalised.rows(columns)[:, 0, y]
+        for first, last in _best_spans(score, marginalised.squares[:, column]):
             inside = np.zeros(len(evidence))
             inside[first:last] = 1.0
             when = (int(evidence.start[first]), int(evidence.end[last - 1]))

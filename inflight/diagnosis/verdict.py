@@ -49,8 +49,8 @@ from inflight.diagnosis.stepwise import (
     estimate,
     exchange_and_check,
     form_disagreement,
+    joint_fit,
     refine_all,
-    sandwich,
     select_effects,
 )
 from inflight.effects import coefficient_unit

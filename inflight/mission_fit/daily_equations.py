@@ -28,7 +28,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import PARTS, RESIDUAL, NormalEquations, vector_sensor_of
+from inflight.calibration import PARTS, NormalEquations, vector_sensor_of
 from inflight.design import (
     Rows,
     Term,
@@ -137,7 +137,7 @@ def _kind_of(name: str) -> str:
 
 
 def _on_bins(samples: xr.Dataset, name: str, stamps: Int64, edges: Int64) -> Floats:
-    """Return means of a channel on the bins, (bin, ...), its short gaps bridged."""
+    """Return means of a channel on the bins, (bin, ...), its short gaps bridge_gaps."""
     if name not in samples:
         return np.full(edges.size - 1, np.nan)
     values = np.asarray(samples[name].values, dtype=np.float64)

@@ -335,8 +335,8 @@ def _series(made: PassPlan, raw: GramArrays, rows: Sequence[Rows]) -> tuple[np.n
     return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples)), features
 
 
-def _sum_blocks(one: Evidence, other: Evidence) -> Evidence:
-    return one.joined([other]).merged([range(len(one) + len(other))])
+def _sum_blocks(one: GramArrays, other: GramArrays) -> GramArrays:
+    return one.join([other]).merge([min(one.start[0], other.start[0]), max(one.end[-1], other.end[-1])])
 
 
 def _day_evidence(
@@ -479,8 +479,8 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
         for name in ("count", "square", "inside", "spikes")
     }
     return Loaded(
-        raw=raw[0].joined(raw[1:]),
-        white=white[0].joined(white[1:]),
+        raw=raw[0].join(raw[1:]),
+        white=white[0].join(white[1:]),
         within=within,
         series=replace(series, row_filter=made.row_filter),
         sums=sums,

@@ -202,7 +202,7 @@ class Workbench:
             self.made = replace(self.made, used=self.current)
         self._narrow: tuple[tuple[str, ...], PassResult] | None = None
         #: The fit of the present model is needed again with the next change.
-        self._last: tuple[Evidence, tuple[Any, ...], JointFit] | None = None
+        self._last: tuple[GramBlocks, tuple[Any, ...], JointFit] | None = None
         self._restore()
 
     def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> PassResult:

@@ -330,8 +330,8 @@ class Case:
     library: Library
     rows: Rows
     residuals: np.ndarray
-    raw: Evidence
-    white: Evidence
+    raw: GramArrays
+    white: GramArrays
     told: Mapping[str, ChannelSummary]
 
     def search(

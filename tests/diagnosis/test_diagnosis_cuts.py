@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.diagnosis.search import intervals_around
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, INTERVAL_DAYS, BLOCK_DAYS = 14, 7, 0.25

@@ -7,7 +7,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from inflight.diagnosis import ModelColumns, draw_signs, family_wise_p, sign_flip_ratios
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 
 BLOCKS, ROWS, DRAWS, NULLS = 40, 50, 400, 400
 CANDIDATES = ("z0", "z1", "z2"), ("z3",), ("z4",), ("z5", "z6"), ("z7",), ("z8",), ("z9", "z10", "z11")

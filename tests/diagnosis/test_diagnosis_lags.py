@@ -7,7 +7,7 @@ from row_cases import DAY_NS
 from inflight.diagnosis import ModelColumns, make_folds
 from inflight.diagnosis.candidates import BANK
 from inflight.diagnosis.refine import lag_weights, profile_lag
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 from inflight.samples import respond
 
 STEP_S, BLOCKS = 60.0, 30
@@ -47,7 +47,7 @@ def test_a_lag_of_the_bank_is_its_own_column(lag):
 
 
 def lag_case(lag, size, seed, noise=0.09):
-    """Evidence of a switch whose slow response is seen along two turning directions, beside a slow offset."""
+    """Gram blocks of a switch with a slow response along two turning directions, and a slow offset."""
     g = np.random.default_rng(seed)
     count = BLOCKS * 1440
     channel = switch(seed, count)
@@ -60,7 +60,7 @@ def lag_case(lag, size, seed, noise=0.09):
     names = ("p0", "p1", *(f"c{k}" for k in range(2 * len(BANK.lags))), "residual")
     start = DAY_NS * np.arange(BLOCKS, dtype=np.int64)
     gram = np.einsum("bri,brj->bij", values, values, optimize=True)
-    evidence = Evidence(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
+    evidence = GramArrays(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
     places = {one: 2 + 2 * at + np.arange(2) for at, one in enumerate(BANK.lags)}
     return evidence, ModelColumns(np.array([0, 1]), np.zeros(2)), places
 

@@ -6,7 +6,7 @@ import pytest
 from inflight.diagnosis import Signature
 from inflight.diagnosis.residual import dominant_blocks
 from inflight.diagnosis.result import FoundEffect, sentence, stop_reason
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 from inflight.time import SECOND
 
 SIZES = {"held_out_before_nT": 0.2, "held_out_after_nT": 0.2, "noise_floor_nT": 0.198, "structure_nT": 0.01}

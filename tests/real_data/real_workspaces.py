@@ -14,7 +14,7 @@ from inflight.catalog import Catalog, Workspace
 from inflight.diagnosis import Diagnosis, ModelColumns, Search, conclude
 from inflight.diagnosis.result import FoundEffect
 from inflight.diagnosis.search import Option
-from inflight.diagnosis.stepwise import sandwich
+from inflight.diagnosis.stepwise import joint_fit
 from inflight.tasks.analysis import DiagnoseSettings
 from inflight.tasks.analysis.diagnosis import begin_search, context_of, make_pass
 from inflight.tasks.archive import ingest
@@ -142,9 +142,9 @@ def along(search: Search, option: Option, direction: np.ndarray, before: bool = 
     present = search.present("raw", option)
     both = ModelColumns(np.append(present.columns, columns), np.append(present.precision, np.zeros(3)))
     if before:
-        value, covariance = sandwich(evidence, both, y)
+        value, covariance = joint_fit(evidence, both, y)
     else:
-        value, covariance = sandwich(evidence, search.present(), y)
+        value, covariance = joint_fit(evidence, search.present(), y)
         both = search.present()
     place = [int(np.flatnonzero(both.columns == column)[0]) for column in columns]
     weight = direction * evidence.scale[columns]
