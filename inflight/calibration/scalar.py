@@ -32,11 +32,14 @@ from inflight.errors import CalibrationError, ModelError
 from inflight.flags import UNUSABLE
 from inflight.lsq import (
     BIWEIGHT_WIDTH,
-    MIN_INFORMATION,
+    SOLVER,
     WEIGHTED_RMS,
     Solution,
+    bartlett_kernel,
     posterior,
+    posterior_covariance,
     robust_sigma,
+    shift_reference,
     solve,
 )
 from inflight.model import Model, ModelEffect, component_names, corrected
@@ -471,7 +474,7 @@ def fit_block(
     value, passes = reference.value, 0
     for part in (data.thinned(), data):
         for turn in range(_MAX_PASSES):
-            least = MIN_INFORMATION * _EDGE_RISE ** max(0, turn - _EDGE_TURN)
+            least = SOLVER.min_information * _EDGE_RISE ** max(0, turn - _EDGE_TURN)
             found = _pass(part, value, prior, passes > 0, least)
             moved, value, passes = found.value - value, found.value, passes + 1
             settled = np.all(np.abs(moved) <= _SETTLED * np.maximum(found.sigma, 1e-12 * SCALE))
@@ -601,18 +604,16 @@ def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats
     """
     matrices = blocks[:, :-1, :-1]
     scores = blocks[:, :-1, -1] + matrices @ change
-    lag = np.abs(np.subtract.outer(np.arange(len(blocks)), np.arange(len(blocks))))
-    kernel = np.maximum(0.0, 1.0 - lag / (BARTLETT + 1.0))
+    kernel = bartlett_kernel(len(blocks), BARTLETT)
     scatter = scores.T @ kernel @ scores
     total = matrices.sum(axis=0)
-    unit = prior_sigma[:, None] * prior_sigma[None, :]
-    steadied = np.linalg.pinv(total * unit + np.eye(change.size), hermitian=True) * unit
+    covariance = posterior_covariance(total, prior_sigma)
     # What each pair of sub-blocks shares through the fitted parameters, summed with the kernel.
-    turned = steadied @ matrices
-    flat = turned.reshape(len(blocks), -1)
-    absorbed = float(np.sum(kernel * (flat @ turned.transpose(0, 2, 1).reshape(len(blocks), -1).T)))
-    known = float(np.trace(steadied @ total))
-    kept = 1.0 - absorbed / known if known > 0 else 1.0
+    leverage = covariance @ matrices
+    flat = leverage.reshape(len(blocks), -1)
+    lost = float(np.sum(kernel * (flat @ leverage.transpose(0, 2, 1).reshape(len(blocks), -1).T)))
+    known = float(np.trace(covariance @ total))
+    kept = 1.0 - lost / known if known > 0 else 1.0
     return np.asarray(scatter / max(kept, 0.1))
 
 
@@ -658,18 +659,3 @@ def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
     root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
     theta, scale = kernel_parameters(reference), kernel_scale(reference)
     return np.asarray(gram_elsewhere(theta, data.e, data.s, data.f, root, scale))
-
-
-def shift_reference(gram: Floats, change: Floats) -> Floats:
-    """Express the residual column after a scaled change of the parameters: y becomes ``y + X change``.
-
-    Parameters
-    ----------
-    gram : ndarray, shape (parameter + 1, parameter + 1)
-        Gram matrix of [X | y], scaled columns, nT^2.
-    change : ndarray, shape (parameter,)
-        Scaled.
-    """
-    turn = np.eye(gram.shape[0])
-    turn[-1, :-1] = change
-    return np.asarray(turn @ gram @ turn.T)

@@ -1,25 +1,42 @@
-from .additions import Addition, Fitted, Ground, Maker, addition_of, held_at_nothing, values_of, variance_of
+from .additions import (
+    Addition,
+    AdditionMaker,
+    FitSetup,
+    JointFit,
+    addition_of,
+    neutral_changes,
+    values_of,
+)
 from .candidates import make_library
 from .refine import LagProfile
-from .requests import best_lag, find_wanted, known_addition
-from .residual import Material
+from .requests import addition_of_entry, best_lag, find_request
+from .residual import Context
 from .result import Diagnosis, Signature
 from .scoring import (
     Index,
-    Present,
-    activity,
-    family_wise,
-    flip_ratios,
-    flip_signs,
-    folds_of,
-    grouped,
+    ModelColumns,
+    active_blocks,
+    draw_signs,
+    family_wise_p,
+    group_by_size,
+    make_folds,
     projected,
     score,
+    sign_flip_ratios,
 )
-from .search import Rules, Search
-from .series import Features, Series, features_of, pack_blocks, thin
+from .search import Rules, Search, row_variance
+from .series import Features, Series, features_of, pack_blocks, thin_rows
 from .signature import periods_of, residual_lines
-from .time_changes import DRIFTS, Carriers, Stretches, batches, carriers_of, drifts, episodes, steps
+from .time_changes import (
+    DRIFTS,
+    Stretches,
+    TimeVariableColumns,
+    batches,
+    drifts,
+    episodes,
+    steps,
+    time_variable_columns,
+)
 from .verdict import conclude, lag_profile
 from .views import (
     BeforeAfter,
@@ -43,19 +60,18 @@ from .views import (
 __all__ = [
     "DRIFTS",
     "Addition",
+    "AdditionMaker",
     "BeforeAfter",
-    "Carriers",
+    "Context",
     "CrossTalk",
     "Diagnosis",
     "Features",
-    "Fitted",
-    "Ground",
+    "FitSetup",
     "HeatMap",
     "Index",
+    "JointFit",
     "LagProfile",
-    "Maker",
-    "Material",
-    "Present",
+    "ModelColumns",
     "Rules",
     "Search",
     "Series",
@@ -63,43 +79,44 @@ __all__ = [
     "Signature",
     "Step",
     "Stretches",
+    "TimeVariableColumns",
     "Trial",
-    "activity",
+    "active_blocks",
     "addition_of",
+    "addition_of_entry",
     "along_field",
     "batches",
     "before_after",
     "best_lag",
-    "carriers_of",
     "conclude",
     "cross_talk",
+    "draw_signs",
     "drifts",
     "episodes",
     "epoch",
-    "family_wise",
+    "family_wise_p",
     "features_of",
-    "find_wanted",
-    "flip_ratios",
-    "flip_signs",
-    "folds_of",
-    "grouped",
+    "find_request",
+    "group_by_size",
     "heat_maps",
-    "held_at_nothing",
-    "known_addition",
     "lag_profile",
+    "make_folds",
     "make_library",
+    "neutral_changes",
     "pack_blocks",
     "periods_of",
     "projected",
     "residual_lines",
     "responses",
+    "row_variance",
     "score",
     "shifts_of",
+    "sign_flip_ratios",
     "sizes_of",
     "steps",
-    "thin",
+    "thin_rows",
+    "time_variable_columns",
     "trials",
     "values_of",
-    "variance_of",
     "waterfall",
 ]

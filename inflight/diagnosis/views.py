@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.diagnosis.residual import Material, held_out, left_of, of_known_rows
+from inflight.diagnosis.residual import Context, held_out_rms, remaining_residual, with_correctable_rows
 from inflight.diagnosis.result import Coefficient
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
-from inflight.diagnosis.stepwise import estimate, mimics, within_and_raw
+from inflight.diagnosis.stepwise import calibration_shifts, estimate, form_disagreement
 from inflight.effects import coefficient_unit
 from inflight.lsq import correlation_of, gram_inverse
 from inflight.residual import DEPENDENCES, Curve, FieldResponse, curve_of, field_axes, field_response
@@ -133,11 +133,11 @@ class BeforeAfter:
         return BeforeAfter(series, self.before[::step], self.after[::step], self.block[::step])
 
 
-def before_after(search: Search, material: Material) -> BeforeAfter:
+def before_after(search: Search, material: Context) -> BeforeAfter:
     """Return the series with its residual before and after what the search took."""
-    material = of_known_rows(search, material)
+    material = with_correctable_rows(search, material)
     series = material.series
-    before, after = (left_of(search, material, one) for one in (False, True))
+    before, after = (remaining_residual(search, material, one) for one in (False, True))
     day = (series.tt2000 - series.tt2000[0]) // DAY
     long = day.size > 0 and day[-1] >= VIEWS.day_blocks
     return BeforeAfter(series, before, after, np.asarray(day if long else series.block, dtype=np.int64))
@@ -349,12 +349,12 @@ class Step:
         return self.before**2 - self.after**2
 
 
-def waterfall(search: Search, material: Material) -> list[Step]:
+def waterfall(search: Search, material: Context) -> list[Step]:
     """Return how the held-out error falls with every effect the search took."""
-    taken, known = list(search.accepted), of_known_rows(search, material)
+    taken, known = list(search.accepted), with_correctable_rows(search, material)
 
     def size(options: Sequence[Option]) -> float:
-        return held_out(search.holding(options), known)
+        return held_out_rms(search.holding(options), known)
 
     sizes = [size(taken[:count]) for count in range(len(taken) + 1)]
     out = []
@@ -455,7 +455,7 @@ def shifts_of(search: Search, option: Option, coefficients: Sequence[Coefficient
     for place, coefficient in enumerate(coefficients):
         gamma = np.zeros(len(option.columns))
         gamma[place] = coefficient.value
-        found = mimics(search, option, gamma)
+        found = calibration_shifts(search, option, gamma)
         out.append(Shift(option.name, coefficient.name, coefficient.unit, coefficient.value, dict(found)))
     return out
 
@@ -482,7 +482,7 @@ class Trial:
     values: tuple[tuple[str, float, float, str], ...]
 
 
-def trials(search: Search, material: Material, names: Sequence[str]) -> dict[str, Trial]:
+def trials(search: Search, material: Context, names: Sequence[str]) -> dict[str, Trial]:
     """Return the values that candidates would have, each alone added to the model as it was.
 
     Changes bound to a time and candidates of many columns are skipped: they have no value to print.
@@ -496,16 +496,16 @@ def trials(search: Search, material: Material, names: Sequence[str]) -> dict[str
         alone = search.holding([option])
         found = estimate(alone, option)
         values = tuple(
-            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(material, option, column))
+            (column.rsplit(".", 1)[-1], float(value), float(sigma), _unit(search, material, option, column))
             for column, value, sigma in zip(found.columns, found.value, found.sigma, strict=True)
         )
-        out[name] = Trial(found.retained, within_and_raw(alone, option), values)
+        out[name] = Trial(found.retained, form_disagreement(alone, option), values)
     return out
 
 
-def _unit(material: Material, option: Option, column: str) -> str:
+def _unit(search: Search, material: Context, option: Option, column: str) -> str:
     for key in option.terms:
-        term = material.terms[key]
+        term = search.library.by_key[key]
         if column in term.columns:
             kind = type(term.entry.effect).parameters()[column[len(term.key) + 1 :].split("[", maxsplit=1)[0]]
             channel = term.entry.effect.channels[0] if term.entry.effect.channels else ""

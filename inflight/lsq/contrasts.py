@@ -22,8 +22,9 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.errors import SamplesError, SettingsError
 from inflight.frames import direction_of
-from inflight.lsq.covariance import long_run_covariance
+from inflight.lsq.covariance import long_run_covariance, sandwich
 from inflight.lsq.robust import biweight, biweight_slope, robust_sigma
+from inflight.lsq.solver import SOLVER, gram_inverse
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
@@ -83,9 +84,10 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
         say = biweight(pull)
     slope = biweight_slope(pull) / (variance + extra)
     weight = say / (variance + extra)
-    bread = np.linalg.inv(_at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit))
+    slopes = _at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit)
+    bread = gram_inverse(slopes, SOLVER.eigen_cut)
     scores = unit * (weight * left)[:, None]
-    covariance = bread @ long_run_covariance(scores, functions) @ bread
+    covariance = sandwich(bread, long_run_covariance(scores, functions))
     return RobustFit(found / size, covariance / np.outer(size, size), left, say, float(np.sqrt(extra)))
 
 

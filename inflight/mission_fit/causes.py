@@ -32,13 +32,21 @@ from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations
 from inflight.effects import AXES, DayNight, DayNightSeries
 from inflight.errors import CalibrationError
-from inflight.lsq import ClusteredFit, correlation_of, left, mean_of_clusters, retained_fraction
+from inflight.lsq import (
+    RESIDUAL,
+    SOLVER,
+    ClusteredFit,
+    correlation_of,
+    jackknife,
+    mean_of_clusters,
+    posterior,
+    retained_fraction,
+)
 from inflight.mission_fit.continuous import Continuous, daily_parameters, fitted_beside, shift_columns
 from inflight.mission_fit.crosstalk import SHOWN, CrossTalkTable, Ignored, cross_talk
 from inflight.mission_fit.daily_equations import (
     holds_day_night,
     joined_with,
-    of_grams,
     reference_of,
     temperature_entry,
     terms_of,
@@ -137,8 +145,7 @@ def _with_lag(
     lag's change, the residual is ``y + C (c - c0) + d R c``: about c1 and d1 its columns are ``C + d1 R`` and
     ``R c1``, and what is constant, ``d1 R (c0 - c1)``, belongs to y.
     """
-    data, names = equations.dataset, equations.columns
-    scale = data["scale"].values
+    names, scale = equations.columns, equations.scale
     from_rates = [names.index(name) for name in rates]
     to = [names.index(name) for name in own]
     kept = [place for place in range(len(names)) if place not in set(from_rates)]
@@ -148,13 +155,13 @@ def _with_lag(
         turn[kept.index(column), rate] = change * scale[column] / scale[rate]
     turn[-2, from_rates] = _LAG_UNIT * value / scale[from_rates]
     turn[-1, -1] = 1.0
-    common = data["reference"].values
+    common = equations.reference
+    assert common is not None
     each = np.broadcast_to(turn, (len(common), *turn.shape)).copy()
     each[:, -1, from_rates] = change * (common[:, to] - value) / scale[from_rates]
-    gram = each @ data["gram"].values @ each.swapaxes(1, 2)
     reference = np.concatenate([common[:, kept], np.zeros((len(common), 2))], axis=1)
     new = np.concatenate([scale[kept], [_LAG_UNIT, 1.0]])
-    return of_grams(data, gram, reference, new, [*(names[place] for place in kept), "lag"])
+    return equations.combine([*(names[place] for place in kept), "lag", RESIDUAL], each, new, reference)
 
 
 def _as_coil(
@@ -166,18 +173,17 @@ def _as_coil(
     determined = fit.determined[places].copy()
     follows = np.abs(value[:3]) > _FOLLOWS * fit.sigma[places][:3]
     determined[-1] &= bool(follows.any()) and fit.sigma[places[-1]] < 0.5 * PRIOR[2]
-    total = equations.dataset["gram"].values.sum(axis=0)[:-1, :-1]
     return CoilFit(
         channel,
         reference,
         ClusteredFit(
             value,
             fit.covariance[np.ix_(places, places)],
-            retained_fraction(total)[columns],
+            retained_fraction(equations.total[:-1, :-1])[columns],
             determined,
             fit.rms**2,
             len(equations),
-            float(equations.dataset["count"].values.sum()),
+            float(equations.count.sum()),
         ),
     )
 
@@ -216,11 +222,10 @@ def rival_temperatures(
     beside = [one for names in columns.values() for one in names if one not in held]
     wide = joined_with(equations, strips, beside)
     names = wide.columns
-    at = _at_the_fit(wide, found, held)
-    nine = np.arange(9)
+    at = _at_the_fit(wide, found, held).marginalise(names[:9], cut=SOLVER.weak_cut, least_kept=0.0)
     others = [place for place in range(9, len(equations.columns)) if names[place] not in set(held)]
     known = dict(zip(equations.columns, [one for term in terms_of(model) for one in term.sigma], strict=True))
-    scale, count = wide.dataset["scale"].values, wide.dataset["count"].values
+    count = wide.count
     squares: dict[str, Floats] = {}
     sections = np.array_split(np.arange(len(wide)), min(_SECTIONS, len(wide)))
     if len(sections) < 2 * _FOLDS:
@@ -230,9 +235,8 @@ def rival_temperatures(
     rows = np.array([count[part].sum() for part in sections])
     prior = np.array([known[names[place]] for place in others])
     for name in (NONE, *channels):
-        mine = [names.index(one) for one in columns.get(name, [])]
-        kept = np.array([*others, *mine, len(scale) - 1])
-        gram = left(at, nine, kept) / np.outer(scale[kept], scale[kept])
+        mine = columns.get(name, [])
+        gram = at.select([*(names[place] for place in others), *mine]).in_units
         merged = np.array([gram[part].sum(axis=0) for part in sections])
         squares[name] = _held_out(merged, rows, prior, bool(mine)) / rows
     return _chosen(squares, rows)
@@ -242,19 +246,13 @@ def _named(channel: str, kinds: Sequence[str]) -> list[str]:
     return [f"{channel}.{kind}[{axis}]" for kind in kinds for axis in AXES]
 
 
-def _at_the_fit(wide: NormalEquations, found: Continuous, held: Sequence[str]) -> Floats:
-    """Return the Gram matrices with the residual at the fit of all days, without the coefficients held."""
-    data, fit = wide.dataset, found.fit
-    middle = data["start"].values // 2 + data["end"].values // 2
+def _at_the_fit(wide: NormalEquations, found: Continuous, held: Sequence[str]) -> NormalEquations:
+    """Return the equations with the residual at the fit of all days, without the coefficients held."""
+    fit, middle = found.fit, wide.middle
     common = dict(zip(fit.trends, fit.at(middle)[0].T, strict=True))
     nought = np.zeros(len(middle))
-    at = np.stack([nought if name in held else common.get(name, nought) for name in wide.columns], axis=1)
-    step = (at - data["reference"].values[:, :-1]) / data["scale"].values[:-1]
-    turn = np.broadcast_to(
-        np.eye(step.shape[1] + 1), (len(step), step.shape[1] + 1, step.shape[1] + 1)
-    ).copy()
-    turn[:, -1, :-1] = step
-    return np.asarray(turn @ data["gram"].values @ turn.swapaxes(1, 2))
+    each = [nought if name in held else common.get(name, nought) for name in wide.columns]
+    return wide.at(np.stack(each, axis=1))
 
 
 def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> Floats:
@@ -272,7 +270,6 @@ def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floa
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
     value = np.zeros(count)
-    variance = float(gram[-1, -1]) / max(rows, 1.0)
     for _ in range(_TURNS):
         turn = np.zeros((len(gram), sigma.size + 1))
         turn[:count, :count], turn[-1, -1] = np.eye(count), 1.0
@@ -280,11 +277,8 @@ def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floa
             answers, slopes = coefficients_of(unknown)
             turn[count:-1, count:-1], turn[count:-1, -1] = slopes, answers - slopes @ unknown
         inner = turn.T @ gram @ turn
-        matrix = (inner[:-1, :-1] * np.outer(sigma, sigma)) / variance + np.eye(sigma.size)
-        value = -sigma * np.linalg.solve(matrix, inner[:-1, -1] * sigma / variance)
+        value, _, _ = posterior(inner, rows, np.zeros_like(sigma), sigma)
         unknown = value[count:]
-        own = np.append(value, 1.0)
-        variance = max(float(own @ inner @ own) / max(rows, 1.0), 1e-30)
     return np.concatenate([value[:count], coefficients_of(unknown)[0]]) if temperature else value
 
 
@@ -363,7 +357,7 @@ def fit_daylight(
     fit = fitted_beside(wide, equations, found, sigma)
     places = np.array([fit.place(name).start for name in names])
     columns = np.array([wide.columns.index(name) for name in names])
-    retained = retained_fraction(wide.dataset["gram"].values.sum(axis=0)[:-1, :-1])[columns]
+    retained = retained_fraction(wide.total[:-1, :-1])[columns]
     determined = fit.determined[places] & (retained > LEAST_RETAINED)
     if not determined.any():
         raise CalibrationError(
@@ -472,22 +466,20 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
     if not len(filled):
         raise CalibrationError("no day tells anything", remedy="see the failed days of the chain")
     sigma = np.array([one for term in terms_of(model) for one in term.sigma])
-    data = filled.dataset
-    scale, gram = data["scale"].values[:-1], data["gram"].values
+    scale = filled.scale[:-1]
     prior, names = sigma / scale, filled.columns
     causes = causes_of(names, units, model)
     shown = [SHOWN.get(units.get(name, ""), (1.0, units.get(name, ""))) for name in names]
     factor = scale * np.array([one for one, _ in shown])
     size = np.array([one.size for one in causes]) / scale
-    total, count = gram.sum(axis=0), float(data["count"].values.sum())
-    parts = np.array_split(np.arange(len(gram)), min(_PARTS, len(gram)))
+    total, count = filled.total, float(filled.count.sum())
+    parts = np.array_split(np.arange(len(filled)), min(_PARTS, len(filled)))
     whole = _covariance(total, count, prior)
     value = _shifts(whole) * np.outer(size, factor)
     if len(parts) > 1:
-        rest = [(gram[part].sum(axis=0), float(data["count"].values[part].sum())) for part in parts]
+        rest = zip(filled.sums(parts), (float(filled.count[part].sum()) for part in parts), strict=True)
         others = np.array([_shifts(_covariance(total - one, count - rows, prior)) for one, rows in rest])
-        spread = others - others.mean(axis=0)
-        error = np.sqrt((len(parts) - 1) / len(parts) * np.sum(spread**2, axis=0)) * np.outer(size, factor)
+        error = jackknife(others) * np.outer(size, factor)
     else:
         error = np.full_like(value, np.nan)
     both = ("ignored", "parameter")
@@ -507,17 +499,7 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
 
 def _covariance(gram: Floats, count: float, prior: Floats) -> Floats:
     """Return the covariance of all columns, scaled, for white residuals; 0 for what is fixed."""
-    free = np.flatnonzero(prior > 0)
-    matrix, unit = gram[:-1, :-1][np.ix_(free, free)], prior[free]
-    found = np.zeros_like(gram[:-1, :-1])
-    variance = float(gram[-1, -1]) / max(count, 1.0)
-    for _ in range(2):
-        bread = np.linalg.inv(matrix * np.outer(unit, unit) / variance + np.eye(free.size))
-        answer = -unit * (bread @ (unit * gram[free, -1])) / variance
-        own = float(gram[-1, -1] + 2 * answer @ gram[free, -1] + answer @ matrix @ answer)
-        variance = max(own, 1e-30) / max(count, 1.0)
-    found[np.ix_(free, free)] = bread * np.outer(unit, unit)
-    return found
+    return posterior(gram, count, np.zeros_like(prior), prior)[1]
 
 
 def _shifts(covariance: Floats) -> Floats:

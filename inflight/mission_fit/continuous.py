@@ -25,10 +25,10 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import PARTS, SOURCES, UNITS, NormalEquations, reference_of, vector_sensor_of
 from inflight.errors import CalibrationError
-from inflight.lsq import TO_SIGMA, residual_sum, retained_fraction
+from inflight.lsq import RESIDUAL, SOLVER, TO_SIGMA, gram_inverse, retained_fraction
 from inflight.mission_fit.daily_equations import DayDrift, about_offsets, rates, terms_of
 from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
-from inflight.mission_fit.trends import TrendFit, at_one_reference, fit_trends, make_trend, middles
+from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
 from inflight.model import Model
 
 #: Trends that are compared, the ones a model's file can hold.
@@ -93,7 +93,7 @@ def fit_mission(
         When the days do not suffice for the trend.
     """
     sigma = np.array([one for term in terms_of(model) for one in term.sigma])
-    common = at_one_reference(equations)
+    common = equations.at_one_reference()
     choice = None
     if kind == "auto":
         kind, choice = _choose(common, sigma, _nine(model)[:3], origin)
@@ -101,7 +101,7 @@ def fit_mission(
     if drift is not None:
         # The first fit tells the rates to a part of what they are; they are small themselves.
         equations = drift.taken_out(equations, rates(fit, equations))
-        fit = _fitted(at_one_reference(equations), model, sigma, kind, origin)
+        fit = _fitted(equations.at_one_reference(), model, sigma, kind, origin)
     return Continuous(fit, choice, continuous_model(model, fit), equations)
 
 
@@ -109,7 +109,7 @@ def _fitted(
     equations: NormalEquations, model: Model, sigma: Floats, kind: str, origin: int | None
 ) -> TrendFit:
     """Fit one kind of trend to days at one reference."""
-    names, units, times = _nine(model)[:3], _units(model), middles(equations)
+    names, units, times = _nine(model)[:3], _units(model), equations.middle
     if kind == "log" and origin is None:
         first = int(times[0])
         start = make_trend("log", times, first - (int(times[-1]) - first) // 4)
@@ -124,9 +124,9 @@ def _choose(
     """Return the kind of trend that foretells held-out days best; all but the nine stay at a common fit."""
     if len(equations) < _FOLDS * _FOLD_DAYS:
         return "linear", None
-    wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", middles(equations))), sigma)
+    wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", equations.middle)), sigma)
     common = [name for name in equations.columns if name not in names]
-    at = equations.reference.copy()
+    at = equations.first_reference.copy()
     for name in common:
         at[equations.columns.index(name)] = wide.value[wide.place(name)][0]
     own = equations.columns[:9]
@@ -169,9 +169,9 @@ def continuous_table(
         As `inflight.calibration.calibration_table`.
     """
     fit, names = found.fit, _nine(found.model)
-    prior = reference_of(before, int(middles(equations)[0]))
-    common = at_one_reference(equations)
-    data, times = common.dataset, middles(common)
+    prior = reference_of(before, int(equations.middle[0]))
+    common = equations.at_one_reference()
+    times = common.middle
     order = [list(fit.trends).index(name) for name in names]
     value = fit.values(times)
     slope = fit.slopes(times, names)
@@ -179,7 +179,7 @@ def continuous_table(
     own, after = _left(common, value)
     known = np.array([fit.determined[fit.place(name)].all() for name in names])
     each, row = ("interval", "parameter"), ("interval",)
-    count = data["count"].values
+    count = common.count
     shape = (len(times), len(names))
     return xr.Dataset(
         {
@@ -196,8 +196,8 @@ def continuous_table(
             "prior": ("parameter", prior.value),
             "prior_sigma": ("parameter", prior.sigma),
             "units": ("parameter", np.array(UNITS, dtype="U8")),
-            "start": (row, data["start"].values, {"scale": "TT2000"}),
-            "end": (row, data["end"].values, {"scale": "TT2000"}),
+            "start": (row, common.start, {"scale": "TT2000"}),
+            "end": (row, common.end, {"scale": "TT2000"}),
             "blocks": (row, np.ones(len(times), dtype=np.int64)),
             "directions": (row, np.full(len(times), int(known.sum()), dtype=np.int64)),
             "count": (row, count),
@@ -213,20 +213,9 @@ def continuous_table(
 
 def _left(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:
     """Return each block's rms at the nine it was linearised at and at values (block, parameter); nT."""
-    scale, gram = equations.dataset["scale"].values[:-1], equations.dataset["gram"].values
-    count = np.maximum(equations.dataset["count"].values, 1.0)
-    change = (value - equations.reference) / scale
-    after = np.array([residual_sum(one, step) for one, step in zip(gram, change, strict=True)])
-    least = np.array([_least(one) for one in gram])
-    return np.sqrt(least / count), np.sqrt(after / count)
-
-
-def _least(gram: Floats) -> float:
-    """Return what the best nine parameters of a block leave of its square, nT^2."""
-    inner, cross = gram[:9, :9], gram[:9, -1]
-    size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    found = np.linalg.lstsq(inner / np.outer(size, size), cross / size)[0]
-    return float(max(gram[-1, -1] - found @ (cross / size), 0.0))
+    count = np.maximum(equations.count, 1.0)
+    least = equations.marginalise(equations.columns[:9], least_kept=0.0).squares[:, -1]
+    return np.sqrt(np.maximum(least, 0.0) / count), np.sqrt(equations.squares_at(value) / count)
 
 
 def _nine(model: Model) -> list[str]:
@@ -256,8 +245,8 @@ def fitted_beside(
     sigma : ndarray, shape (column,)
         What is known beforehand of each, physical units.
     """
-    of = dict(zip(equations.dataset["start"].values.tolist(), found.fit.weight.tolist(), strict=True))
-    weight = np.array([of[one] for one in wide.dataset["start"].values.tolist()])
+    of = dict(zip(equations.start.tolist(), found.fit.weight.tolist(), strict=True))
+    weight = np.array([of[one] for one in wide.start.tolist()])
     trends = {name: one for name, one in found.fit.trends.items() if one.count > 1}
     return fit_trends(wide, trends, sigma, weight, found.fit.units)
 
@@ -308,17 +297,14 @@ def daily_parameters(equations: NormalEquations, found: Continuous, names: Seque
         When a name is none of the equations' columns.
     """
     columns = _chosen(equations, names)
-    fit, data = found.fit, equations.dataset
-    middle = data["start"].values // 2 + data["end"].values // 2
+    fit = found.fit
     order = [list(fit.trends).index(name) for name in equations.columns]
-    common = fit.values(middle)[:, order]
-    places = [equations.columns.index(name) for name in columns]
-    scale = data["scale"].values[:-1]
-    steps = (common - data["reference"].values[:, :-1]) / scale
-    rows = data["count"].values
-    grams = data["gram"].values
-    solved = [_solved(*one, places) for one in zip(grams, steps, rows.tolist(), strict=True)]
-    change, sigma = (np.array([one[part] for one in solved]) * scale[places] for part in (0, 1))
+    common = fit.values(equations.middle)[:, order]
+    places = equations.index(columns)
+    chosen = equations.at(common).select(columns)
+    own = chosen.rows([*columns, RESIDUAL], [*columns, RESIDUAL])
+    solved = [_solved(*one) for one in zip(own, equations.count.tolist(), strict=True)]
+    change, sigma = (np.array([one[part] for one in solved]) * chosen.scale[:-1] for part in (0, 1))
     inflation = _widening(change / sigma)
     sigma = sigma * inflation
     each = ("interval", "parameter")
@@ -330,8 +316,8 @@ def daily_parameters(equations: NormalEquations, found: Continuous, names: Seque
             "determined": (each, np.isfinite(sigma)),
             "inflation": ("parameter", inflation),
             "units": ("parameter", np.array([fit.units.get(name, "") for name in columns], dtype="U16")),
-            "start": ("interval", data["start"].values, {"scale": "TT2000"}),
-            "end": ("interval", data["end"].values, {"scale": "TT2000"}),
+            "start": ("interval", equations.start, {"scale": "TT2000"}),
+            "end": ("interval", equations.end, {"scale": "TT2000"}),
         },
         coords={"parameter": columns},
         attrs={"trend": found.kind},
@@ -347,22 +333,20 @@ def _chosen(equations: NormalEquations, names: Sequence[str]) -> list[str]:
     return [*nine, *(name for name in names if name not in nine)]
 
 
-def _solved(gram: Floats, step: Floats, rows: float, places: list[int]) -> tuple[Floats, Floats]:
-    """Return change and sigma of the chosen columns, scaled, after a scaled step of all; NaN when untold."""
-    matrix = gram[:-1, :-1]
-    cross = (gram[:-1, -1] + matrix @ step)[places]
-    own = matrix[np.ix_(places, places)]
-    size = np.sqrt(np.clip(np.diag(own), 0.0, None))
-    change, sigma = np.full((2, len(places)), np.nan)
-    kept = np.flatnonzero((size > 0) & (retained_fraction(own) > _LEAST_RETAINED))
+def _solved(gram: Floats, rows: float) -> tuple[Floats, Floats]:
+    """Return change and sigma of the columns, scaled; NaN for those that the data do not determine.
+
+    `gram` is the Gram matrix of [columns | residual].
+    """
+    own, cross = gram[:-1, :-1], gram[:-1, -1]
+    change, sigma = np.full((2, len(own)), np.nan)
+    kept = np.flatnonzero((np.diag(own) > 0) & (retained_fraction(own) > _LEAST_RETAINED))
     if rows <= kept.size or not kept.size:
         return change, sigma
-    unit = size[kept]
-    inverse = np.linalg.inv(own[np.ix_(kept, kept)] / np.outer(unit, unit))
-    found = -inverse @ (cross[kept] / unit)
-    left = residual_sum(gram, step) + float(found @ (cross[kept] / unit))
-    change[kept] = found / unit
-    sigma[kept] = np.sqrt(np.diag(inverse) * max(left, 0.0) / (rows - kept.size)) / unit
+    inverse = gram_inverse(own[np.ix_(kept, kept)], SOLVER.eigen_cut)
+    change[kept] = -inverse @ cross[kept]
+    rest = max(float(gram[-1, -1] + change[kept] @ cross[kept]), 0.0)
+    sigma[kept] = np.sqrt(np.diag(inverse) * rest / (rows - kept.size))
     return change, sigma
 
 

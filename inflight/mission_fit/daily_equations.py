@@ -28,14 +28,24 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import PARTS, RESIDUAL, NormalEquations, vector_sensor_of
-from inflight.design import Rows, Term, bin_means, bridged, coarsen, design, grid, term_of, turns_of
+from inflight.calibration import PARTS, NormalEquations, vector_sensor_of
+from inflight.design import (
+    Rows,
+    Term,
+    bin_means,
+    bridge_gaps,
+    coarsen,
+    design,
+    grid,
+    sensor_matrices,
+    term_of,
+)
 from inflight.errors import CalibrationError
 from inflight.frames import add_geometry
-from inflight.lsq import TO_SIGMA, gram_of
+from inflight.lsq import RESIDUAL, TO_SIGMA, gram_of
 from inflight.mission_fit.day_night import series_columns, switched_columns
 from inflight.mission_fit.temperature import KINDS, coil_columns
-from inflight.mission_fit.trends import TrendFit, middles
+from inflight.mission_fit.trends import TrendFit
 from inflight.model import Model, ModelEffect
 from inflight.model import ResidualRows as NativeRows
 from inflight.time import DAY, SECOND, Int64, usual_step
@@ -127,12 +137,12 @@ def _kind_of(name: str) -> str:
 
 
 def _on_bins(samples: xr.Dataset, name: str, stamps: Int64, edges: Int64) -> Floats:
-    """Return means of a channel on the bins, (bin, ...), its short gaps bridged."""
+    """Return means of a channel on the bins, (bin, ...), its short gaps bridge_gaps."""
     if name not in samples:
         return np.full(edges.size - 1, np.nan)
     values = np.asarray(samples[name].values, dtype=np.float64)
     known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
-    return bridged(bin_means(values, stamps, edges, known)[0])
+    return bridge_gaps(bin_means(values, stamps, edges, known)[0])
 
 
 def _daylight(samples: xr.Dataset, stamps: Int64, edges: Int64, centre: Int64) -> tuple[Floats, Floats]:
@@ -203,61 +213,14 @@ def joined_with(
             remedy="see the missing days of the channels, and of the orbit",
         )
     parts = [strip.sel(beside=wanted, other=wanted) for place in kept if (strip := strips[place]) is not None]
-    data = equations.dataset.isel(block=kept)
-    old, new = data.sizes["column"] - 1, len(wanted)
-    gram = np.zeros((len(kept), old + new + 1, old + new + 1))
-    places = np.append(np.arange(old), old + new)
-    gram[:, places[:, None], places[None, :]] = data["gram"].values
-    cross = np.stack([part["cross"].values for part in parts])
-    gram[:, old : old + new, places] = cross
-    gram[:, places, old : old + new] = cross.swapaxes(1, 2)
-    gram[:, old : old + new, old : old + new] = np.stack([part["own"].values for part in parts])
-    scale = np.concatenate([data["scale"].values[:-1], parts[0]["scale"].values, [1.0]])
-    nought = np.zeros((len(kept), new))
-    reference = np.concatenate(
-        [data["reference"].values[:, :-1], nought, data["reference"].values[:, -1:]], axis=1
-    )
-    return of_grams(data, gram, reference, scale, [*equations.columns, *wanted])
+    across = np.stack([part["cross"].values for part in parts]).swapaxes(1, 2)
+    inner = np.stack([part["own"].values for part in parts])
+    return equations.of_blocks(np.array(kept)).bordered(wanted, parts[0]["scale"].values, across, inner)
 
 
 def _knows(strip: xr.Dataset, names: Sequence[str]) -> bool:
     have = dict(zip(strip["beside"].values.tolist(), strip["known"].values.tolist(), strict=True))
     return all(bool(have.get(name, 0)) for name in names)
-
-
-def of_grams(
-    data: xr.Dataset, gram: Floats, reference: Floats, scale: Floats, names: Sequence[str]
-) -> NormalEquations:
-    """Return equations of the same blocks with other columns.
-
-    Parameters
-    ----------
-    data : Dataset
-        Of the equations they come from.
-    gram : ndarray, shape (block, column + 1, column + 1)
-        Scaled, the residual last.
-    reference : ndarray, shape (block, column + 1)
-    scale : ndarray, shape (column + 1,)
-    names : sequence of str
-        Of the columns.
-    """
-    row, both = ("block", "column", "other"), [*names, RESIDUAL]
-    return NormalEquations(
-        xr.Dataset(
-            {
-                "gram": (row, gram, {"units": "nT2"}),
-                # Days scatter between themselves: what scatters inside one is not asked.
-                "scatter": (row, np.broadcast_to(0.0, gram.shape)),
-                "reference": (("block", "column"), reference),
-                "start": data["start"],
-                "end": data["end"],
-                "count": data["count"],
-                "scale": ("column", scale),
-            },
-            coords={"column": both, "other": both},
-            attrs=data.attrs,
-        )
-    )
 
 
 def lag_of(samples: xr.Dataset, name: str) -> float:
@@ -299,20 +262,16 @@ class DayDrift:
         rate : ndarray, shape (block, rate)
             Change of each scale factor a day.
         """
-        data = equations.dataset
-        width = data.sizes["column"]
-        step = rate / data["scale"].values[:SCALES]
-        gram = data["gram"].values.copy()
+        width = equations.scale.size
+        step = rate / equations.scale[:SCALES]
         along = np.einsum("bd,bdj->bj", step, self.gram)
-        gram[:, -1, :] += along[:, :width]
-        gram[:, :, -1] += along[:, :width]
-        gram[:, -1, -1] += np.einsum("bd,bd->b", along[:, width:], step)
-        return NormalEquations(data.assign(gram=data["gram"].copy(data=gram)))
+        square = np.einsum("bd,bd->b", along[:, width:], step)
+        return equations.with_added_residual(along[:, :width], square)
 
 
 def rates(fit: TrendFit, equations: NormalEquations) -> Floats:
     """Return how fast the scale factors change in the middles of blocks; (block, rate), a day."""
-    times, out = middles(equations), []
+    times, out = equations.middle, []
     for name in equations.columns[:SCALES]:
         trend, value = fit.trends[name], fit.value[fit.place(name)]
         ends = [trend.basis(times + sign * _STEP, name) @ value for sign in (1, -1)]
@@ -425,7 +384,7 @@ def wide_and_beside(
     for name in sorted(used & set(map(str, samples.variables))):
         rows = replace(rows, good=rows.good & ~between_levels(stamps, samples[name]))
     binned, _ = coarsen(
-        samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
+        samples, rows, edges, _channels(samples, used, stamps, edges), sensor_matrices(fitted, sum(span) // 2)
     )
     columns = np.moveaxis(design(terms, binned), -1, 0)
     days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY

@@ -20,7 +20,14 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq import BIWEIGHT_WIDTH, long_run_covariance, memory_of, robust_fit, robust_sigma, windowed
+from inflight.lsq import (
+    BIWEIGHT_WIDTH,
+    correlation_steps,
+    long_run_covariance,
+    robust_fit,
+    robust_sigma,
+    windowed,
+)
 
 #: Least part of a window's days that have a value, and how far their mean time may lie from the middle, in
 #: windows: at the ends of a mission and beside a long gap a mean is that of another time.
@@ -218,7 +225,7 @@ def slope_of(
         float(fit.value[1]),
         float(errors[1]),
         centre,
-        int(memory_of(fit.left[:, None])[0]),
+        int(correlation_steps(fit.left[:, None])[0]),
         int(use.sum()),
         fit.outlying,
         unit,

@@ -28,12 +28,10 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NormalEquations, block_equations, joined, nine_columns, places
+from inflight.calibration import NINE, NormalEquations, block_equations, joined, nine_columns
 from inflight.effects import AXES, slope
 from inflight.errors import CalibrationError
-from inflight.lsq import ClusteredFit, left, mean_of_clusters, solve_clusters
-from inflight.mission_fit.trends import at_one_reference
-from inflight.residual import jackknife
+from inflight.lsq import SOLVER, ClusteredFit, jackknife, mean_of_clusters, solve_clusters
 from inflight.time import GAP, SECOND, Int64
 
 #: Kinds of columns of a temperature, three axes each: what the coefficient, and its lag, answer to.
@@ -240,14 +238,10 @@ def fit_coil(
 
 def left_of_each(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
     """Return [12 columns | residual] of the blocks less what their own columns explain, physical units."""
-    data = at_one_reference(equations).dataset
     own = [f"{channel}.{kind}[{axis}]" for kind in KINDS for axis in AXES]
-    kept = np.append(places(equations, own), data.sizes["column"] - 1)
-    absorbed = places(equations, list(each))
-    gram = data["gram"].values
-    gram = left(gram, absorbed, kept) if absorbed.size else gram[:, kept[:, None], kept[None, :]]
-    size = data["scale"].values[kept]
-    return np.asarray(gram / np.outer(size, size)), np.asarray(data["count"].values)
+    common = equations.at_one_reference().select([*own, *each])
+    rest = common.marginalise(each, cut=SOLVER.weak_cut, least_kept=0.0) if each else common
+    return rest.in_units, rest.count
 
 
 def coefficients_of(value: Floats) -> tuple[Floats, Floats]:
@@ -465,7 +459,7 @@ def compare_temperatures(
         When training blocks are fewer than five.
     """
     squares: dict[str, Floats] = {}
-    count = np.asarray(equations.dataset["count"].values, dtype=np.float64)
+    count = equations.count
     for channel in channels:
         gram, rows = left_of_each(equations, channel, each)
         squares.setdefault(NONE, gram[:, -1, -1] / rows)

@@ -39,7 +39,7 @@ from scipy import signal
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError, SettingsError
 from inflight.lsq import (
-    FEWEST_CLUSTERS,
+    SOLVER,
     TO_SIGMA,
     ClusteredFit,
     biweight,
@@ -290,7 +290,7 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
     fits, kept, short = [], [], 0
     for one in np.unique(day):
         part = np.flatnonzero(day == one)
-        if part.size < FEWEST_CLUSTERS:
+        if part.size < SOLVER.fewest_clusters:
             short += 1
             continue
         fit = solve_clusters(gram[part], rows[part])
@@ -298,7 +298,7 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
         kept.append(int(one))
     if not fits:
         raise SamplesError(
-            f"{short} days found, none with {FEWEST_CLUSTERS} stretches of samples",
+            f"{short} days found, none with {SOLVER.fewest_clusters} stretches of samples",
             remedy="lower 'longest' when the equations are made, or fit all days together",
         )
     first = fits[0].table().drop_vars("covariance")
@@ -328,9 +328,9 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
         day over its sigma: 1 when the days differ as they say).
     """
     value, sigma = (daily[name].values.reshape(daily.sizes["day"], -1) for name in ("value", "sigma"))
-    if len(value) < FEWEST_CLUSTERS:
+    if len(value) < SOLVER.fewest_clusters:
         raise SamplesError(
-            f"{len(value)} days, at least {FEWEST_CLUSTERS} needed for the error of a mean",
+            f"{len(value)} days, at least {SOLVER.fewest_clusters} needed for the error of a mean",
             remedy="take more days",
         )
     columns = [_biweight_mean(value[:, i], sigma[:, i]) for i in range(9)]

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq import FEWEST_CLUSTERS, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
+from inflight.lsq import SOLVER, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
 from inflight.time import SECOND, Int64
 
 #: Two orbits: clusters of samples whose errors belong together.
@@ -305,9 +305,9 @@ def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -
         When there are fewer than five clusters.
     """
     total = len(moments)
-    if total < FEWEST_CLUSTERS:
+    if total < SOLVER.fewest_clusters:
         raise CalibrationError(
-            f"{total} clusters with data found, at least {FEWEST_CLUSTERS} needed for an uncertainty",
+            f"{total} clusters with data found, at least {SOLVER.fewest_clusters} needed for an uncertainty",
             remedy="take a longer span or shorter clusters",
         )
     whole = moments.sum(axis=0)

@@ -17,11 +17,14 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     BIWEIGHT_WIDTH,
+    SOLVER,
     RobustFit,
     biweight,
     biweight_slope,
+    gram_inverse,
     long_run_covariance,
     robust_sigma,
+    sandwich,
 )
 
 #: Spans of a day whose means are nearly independent: 20 minutes.
@@ -214,11 +217,11 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
     rows = np.stack([square, np.ones_like(square)], axis=1)
     slopes = biweight_slope(pull) / total
     bread = np.linalg.inv((tool * slopes[:, None]).T @ rows)
-    covariance = bread @ long_run_covariance(tool * (weight * left)[:, None], 2.0) @ bread.T
+    scores = tool * (weight * left)[:, None]
     # Days near zero offset, few of them, hold the noise: their scatter may be small by chance.
-    stated = np.diag(np.linalg.inv((tool * weight[:, None]).T @ tool))
-    lift = np.sqrt(np.maximum(stated / np.diag(covariance), 1.0))
-    return RobustFit(value, covariance * np.outer(lift, lift), left, say, float(np.sqrt(extra)))
+    stated = gram_inverse((tool * weight[:, None]).T @ tool, SOLVER.eigen_cut)
+    covariance = sandwich(bread, long_run_covariance(scores, 2.0), stated)
+    return RobustFit(value, covariance, left, say, float(np.sqrt(extra)))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.lsq import jackknife
 
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
@@ -187,13 +188,6 @@ def _solved(gram: Any, right: Any) -> Any:
     trace = np.trace(gram, axis1=-2, axis2=-1).real
     ridge = 1e-9 * np.maximum(trace, 1e-9)[..., None, None] * np.eye(gram.shape[-1])
     return np.linalg.solve(gram + ridge, right)
-
-
-def jackknife(without: Floats) -> Floats:
-    """Return the standard deviation of a statistic from its values without one block; (block, ...)."""
-    blocks = without.shape[0]
-    spread = without - without.mean(axis=0)
-    return np.asarray(np.sqrt((blocks - 1) / blocks * np.sum(spread**2, axis=0)))
 
 
 def excess_rms(mean: Floats, without: Floats, share: Floats) -> tuple[float, float]:

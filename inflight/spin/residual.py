@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.lsq import jackknife
 from inflight.residual import (
     DEPENDENCES,
     BinnedFit,
     bin_edges,
     bin_of,
     bins_of,
-    jackknife,
     shifted,
     successive,
 )

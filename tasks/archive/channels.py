@@ -14,7 +14,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.design import Told, channel_on, grid
+from inflight.design import ChannelSummary, bin_channel, grid
 from inflight.effects import NO_CAUSE
 from inflight.frames import add_geometry
 from inflight.mission import Mission
@@ -186,7 +186,7 @@ class ChannelReader:
                     phase = turning.phase(stamps) if phase is None else phase
                     out[need.name] = turning.folded(values, stamps, phase, edges)
                 else:
-                    out[need.name] = channel_on(values, stamps, edges, cadence)
+                    out[need.name] = bin_channel(values, stamps, edges, cadence)
         return out
 
 
@@ -222,7 +222,7 @@ class DerivedChannels:
 
     reader: ChannelReader
     days: Sequence[np.datetime64]
-    told: Mapping[str, Told]
+    told: Mapping[str, ChannelSummary]
     shifts: Mapping[str, float]
     _by_orbit: dict[np.datetime64, xr.Dataset] = field(default_factory=dict, init=False, repr=False)
 
@@ -285,7 +285,7 @@ class DerivedChannels:
         return np.where(np.isfinite(values), values, stand_in_value(self.told, channel))
 
 
-def stand_in_value(told: Mapping[str, Told], channel: str) -> float:
+def stand_in_value(told: Mapping[str, ChannelSummary], channel: str) -> float:
     """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
     return told[channel].mean if channel in told else 0.0
 

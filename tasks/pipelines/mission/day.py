@@ -23,10 +23,10 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import RESIDUAL, BlockFit, NormalEquations
+from inflight.calibration import BlockFit, NormalEquations
 from inflight.errors import SamplesError
 from inflight.frames import direction_of, geometry_at
-from inflight.lsq import in_amperes
+from inflight.lsq import RESIDUAL, in_amperes
 from inflight.mission import Mission
 from inflight.mission_fit import (
     Beside,

@@ -51,7 +51,7 @@ def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
     data = equations.dataset
     rows = []
     for index in range(len(equations)):
-        one = NormalEquations(data.isel(block=[index]))
+        one = equations.of_blocks(slice(index, index + 1))
         start, end = int(data["start"].values[index]), int(data["end"].values[index])
         prior = reference_of(model, (start + end) // 2)
         if not len(one.filled):
@@ -102,7 +102,7 @@ def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Inte
     common = part.at(prior.value)
     solution = common.solve(prior.sigma, prior.value)
     value, covariance = common.physical(solution)
-    gram, count = common.dataset["gram"].values.sum(axis=0), float(common.dataset["count"].values.sum())
+    gram, count = common.total, float(common.count.sum())
     return Interval(
         start,
         end,
@@ -136,7 +136,7 @@ def relinearise_at(equations: NormalEquations, model: Model, strength: float) ->
     equations = equations.filled
     if not len(equations):
         return None
-    whole = equations.at(equations.reference)
+    whole = equations.at_one_reference()
     prior = reference_of(model, int(whole.dataset["start"].values[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
     places = equations.dataset["linearised_at"].values[:, :-1]
