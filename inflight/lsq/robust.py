@@ -1,4 +1,7 @@
-"""Robust weights: gross errors lose their say, ordinary noise keeps nearly all of it."""
+"""Robust weights and scale: gross errors are weighted down, ordinary noise keeps nearly all its weight.
+
+Tukey's biweight, and the scale from the median of absolute deviations.
+"""
 
 from __future__ import annotations
 

@@ -284,6 +284,35 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
     return value, inverse * np.outer(prior_sigma, prior_sigma), least
 
 
+def fit_white(gram: Floats, count: float, prior_sigma: Floats) -> tuple[Floats, float]:
+    """Return values with the prior 0 +- `prior_sigma` and the residual variance, for white residuals.
+
+    Exact for columns and priors of any size, where `posterior` works in units of the prior.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (parameter + 1, parameter + 1)
+        Of [X | y], scaled columns, nT^2.
+    count : float
+        Sum of the weights.
+    prior_sigma : ndarray, shape (parameter,)
+        Scaled; 0 fixes a parameter.
+
+    Returns
+    -------
+    value : ndarray, shape (parameter,)
+    variance : float
+        That weighed the prior in the last of two passes, nT^2.
+    """
+    value, variance = np.zeros_like(prior_sigma), 0.0
+    with np.errstate(divide="ignore"):
+        known = 1.0 / prior_sigma**2
+    for _ in range(2):
+        variance = max(residual_sum(gram, value), 1e-30) / max(count, 1.0)
+        value = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], 0.0, variance * known)
+    return value, variance
+
+
 def _information(matrix: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
     """Return information (nT^2, ascending) and its directions in units of prior sigma.
 

@@ -1,15 +1,13 @@
-"""Day/night field.
+"""The field that day and night switch on a spacecraft: what of it can be determined, and how it is fitted.
 
-The field that day and night switch on a spacecraft: where it is, what of it can be seen, how it is fitted.
+Takes normal equations with its columns; makes a `DayNightField`, and the nine parameters of each block
+with and without it. Two forms (Yin 2010, section 4.3). *Switched*: a vector times `sunlit`, 1 in the Sun
+and 0 in the shadow. *Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0 nearest the Sun, T the
+orbit. A square wave of duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms
+agree as k grows.
 
-Two forms (Yin 2010, section 4.3). *Switched*: a vector times `sunlit`, 1 in the Sun and 0 in the shadow.
-*Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0 nearest the Sun, T the orbit. A square wave of
-duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms agree as k grows.
-
-A constant field at the sensor is an offset to a scalar calibration, so a_0 is never told from it; the
-rest is told only as far as the nine parameters cannot imitate it. That part is `retained`.
-
-How long day and night last on a circular orbit, and the series of a wave that follows them.
+A constant field at the sensor is an offset to a scalar calibration, so a_0 is never determined beside it;
+the rest is only as far as the nine parameters cannot imitate it. That part is `retained`.
 """
 
 from __future__ import annotations

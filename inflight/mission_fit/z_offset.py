@@ -27,14 +27,32 @@ from inflight.lsq import (
     sandwich,
 )
 
+
+@dataclass(frozen=True, kw_only=True)
+class SpreadSettings:
+    """What a day's spread needs, and how a fit where both sides err settles.
+
+    Attributes
+    ----------
+    fewest_samples : int
+        Fewest samples of a sub-block's worth a day; assumed.
+    fewest_days : int
+        Fewest days of a regression; assumed.
+    passes : int
+        Passes of the fit; assumed.
+    """
+
+    fewest_samples: int = 300
+    fewest_days: int = 5
+    passes: int = 20
+
+
+SPREAD = SpreadSettings()
+
+
 #: Spans of a day whose means are nearly independent: 20 minutes.
 SUB_BLOCKS = 72
 
-#: Fewest samples of a sub-block's worth a day, and fewest days of a regression.
-_FEWEST_SAMPLES, _FEWEST_DAYS = 300, 5
-
-#: Turns of a fit where both sides err.
-_TURNS = 20
 
 #: Statistics of a day whose errors belong together, as in `covariance`.
 STATISTICS = ("mean", "variance", "slope")
@@ -74,9 +92,9 @@ def day_statistics(
     use &= True if good is None else good
     use &= _near(residual, use)
     count = int(use.sum())
-    if count < _FEWEST_SAMPLES:
+    if count < SPREAD.fewest_samples:
         raise CalibrationError(
-            f"{count} usable samples for a day's spread, {_FEWEST_SAMPLES} needed",
+            f"{count} usable samples for a day's spread, {SPREAD.fewest_samples} needed",
             remedy="see the day's coverage and flags",
         )
     y, e = residual[use], direction[use]
@@ -171,7 +189,7 @@ def spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> SpreadL
     """
     known = np.isfinite(offset) & np.isfinite(sigma)
     square = offset[known] ** 2 - sigma[known] ** 2
-    if known.sum() < _FEWEST_DAYS or np.ptp(square) == 0:
+    if known.sum() < SPREAD.fewest_days or np.ptp(square) == 0:
         raise CalibrationError(
             f"{int(known.sum())} days with an offset do not tell how the spread follows it",
             remedy="use five or more days of different offsets",
@@ -199,7 +217,7 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
     """
     say, extra = np.ones(square.size), 0.0
     value = np.array([2.0 / 3.0, float(np.min(spread))])
-    for _ in range(_TURNS):
+    for _ in range(SPREAD.passes):
         true = np.maximum(spread - value[1], 0.0) / value[0]
         of_x = 4.0 * true * sigma**2 + 2.0 * sigma**4
         total = variance + extra + value[0] ** 2 * of_x
