@@ -39,7 +39,7 @@ from inflight.mission_fit.trends import (
     with_origin,
 )
 from inflight.model import Dependence
-from inflight.time import Int64, mjd_of, tt2000_of
+from inflight.time import Int64, from_mjd2000, mjd2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,11 +138,11 @@ class _Profile:
     @property
     def first(self) -> float:
         """MJD of the middle of the first block."""
-        return float(mjd_of(self.equations.middle[0]))
+        return float(mjd2000(self.equations.middle[0]))
 
     def grid(self) -> Floats:
         """Distances of the first search, days."""
-        span = float(mjd_of(self.equations.middle[-1])) - self.first
+        span = float(mjd2000(self.equations.middle[-1])) - self.first
         most = min(SELECTION.spans * span, SELECTION.farthest_days)
         return np.geomspace(
             SELECTION.nearest_days,
@@ -155,7 +155,7 @@ class _Profile:
         if np.isinf(distance):
             line = make_trend("linear", self.equations.middle)
             return self.trends | dict.fromkeys(self.logs, line)
-        t0 = int(tt2000_of(self.first - distance))
+        t0 = int(from_mjd2000(self.first - distance))
         return self.trends | {name: replace(self.trends[name], t0=t0) for name in self.logs}
 
     def total(self, distance: float) -> float:

@@ -69,7 +69,6 @@ from inflight.figures import (
     unscorable_list,
     verdict_strip,
     waterfall_figure,
-    write_page,
 )
 from inflight.mission import Mission
 from inflight.residual import drawn_periods, told_period
@@ -77,7 +76,7 @@ from inflight.residual import known_periods as named_periods
 from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 from inflight.tasks.pipelines.states import named_units
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 
 #: Channels whose response is drawn, beside those of found effects; and found effects drawn one by one.
