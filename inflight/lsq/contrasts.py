@@ -58,7 +58,7 @@ class RobustFit:
     value, covariance : ndarray, shape (column,), (column, column)
     left : ndarray, shape (row,)
         Values less the fit.
-    say : ndarray, shape (row,)
+    robust_weight : ndarray, shape (row,)
         1 for a value that counts wholly, 0 for one that does not.
     scatter : float
         Robust standard deviation of the values beyond their stated errors.
@@ -67,13 +67,13 @@ class RobustFit:
     value: Floats
     covariance: Floats
     left: Floats
-    say: Floats
+    robust_weight: Floats
     scatter: float
 
     @property
     def outlying(self) -> int:
-        """How many values lost most of their say."""
-        return int(np.sum(self.say < 0.2))
+        """Number of values that are weighted down to less than a fifth."""
+        return int(np.sum(self.robust_weight < 0.2))
 
 
 def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) -> RobustFit:
@@ -90,23 +90,25 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
     """
     size = np.maximum(np.abs(rows).max(axis=0), 1e-300)
     unit = rows / size
-    say, extra = np.ones(value.size), 0.0
+    robust_weight, extra = np.ones(value.size), 0.0
     for _ in range(CONTRASTS.passes):
         sigma2 = variance + extra
-        root = np.sqrt(say / sigma2)
+        root = np.sqrt(robust_weight / sigma2)
         found = np.linalg.lstsq(unit * root[:, None], value * root)[0]
         left = value - unit @ found
         usual = robust_sigma(left)
         extra = max(usual**2 - float(np.median(variance)), 1e-12 * float(np.median(variance)))
-        pull = left / np.sqrt(variance + extra)
-        say = biweight(pull)
-    slope = biweight_slope(pull) / (variance + extra)
-    weight = say / (variance + extra)
+        standardised = left / np.sqrt(variance + extra)
+        robust_weight = biweight(standardised)
+    slope = biweight_slope(standardised) / (variance + extra)
+    weight = robust_weight / (variance + extra)
     slopes = _at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit)
     bread = gram_inverse(slopes, SOLVER.eigen_cut)
     scores = unit * (weight * left)[:, None]
     covariance = sandwich(bread, long_run_covariance(scores, functions))
-    return RobustFit(found / size, covariance / np.outer(size, size), left, say, float(np.sqrt(extra)))
+    return RobustFit(
+        found / size, covariance / np.outer(size, size), left, robust_weight, float(np.sqrt(extra))
+    )
 
 
 def _at_least(slopes: Floats, weights: Floats) -> Floats:

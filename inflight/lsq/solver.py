@@ -270,10 +270,10 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
         As in `solve`.
     """
     matrix, cross = gram[:-1, :-1], gram[:-1, -1]
-    pull = prior_sigma * (matrix @ prior + cross)
+    score = prior_sigma * (matrix @ prior + cross)
     value, variance = prior, 1.0
     own, vectors = _information(matrix, prior_sigma)
-    seen = np.where(own > 0, vectors.T @ pull, 0.0)
+    seen = np.where(own > 0, vectors.T @ score, 0.0)
     for _ in range(2):
         variance = _variance(gram, value, count)
         shrink = 1.0 / (1.0 + own / variance)
@@ -430,8 +430,8 @@ def _directions(
 
 def _posterior(found: _Directions, prior: Floats, slope: Floats, prior_sigma: Floats) -> Floats:
     """Return the maximum of the posterior; directions the prior knows better stay."""
-    pull = -(found.vectors.T @ (prior_sigma * slope))
-    step = np.where(found.known, pull / found.variance / found.inflation / (1.0 + found.information), 0.0)
+    score = -(found.vectors.T @ (prior_sigma * slope))
+    step = np.where(found.known, score / found.variance / found.inflation / (1.0 + found.information), 0.0)
     return np.asarray(prior + prior_sigma * (found.vectors @ step))
 
 

@@ -215,13 +215,13 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
     The square of an offset Z with the error s errs by ``4 Z^2 s^2 + 2 s^4``; Z is taken from the law
     itself, since weights that follow the errors would bend it.
     """
-    say, extra = np.ones(square.size), 0.0
+    robust_weight, extra = np.ones(square.size), 0.0
     value = np.array([2.0 / 3.0, float(np.min(spread))])
     for _ in range(SPREAD.passes):
         true = np.maximum(spread - value[1], 0.0) / value[0]
         of_x = 4.0 * true * sigma**2 + 2.0 * sigma**4
         total = variance + extra + value[0] ** 2 * of_x
-        weight = say / total
+        weight = robust_weight / total
         x, y = (float(np.average(one, weights=weight)) for one in (square, spread))
         adjusted = ((square - x) * (variance + extra) + value[0] * (spread - y) * of_x) / total
         slope = np.sum(weight * adjusted * (spread - y)) / np.sum(weight * adjusted * (square - x))
@@ -229,17 +229,17 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
         left = spread - slope * square - value[1]
         usual = robust_sigma(left / np.sqrt(total))
         extra = max(extra + (usual**2 - 1.0) * float(np.median(total)), 0.0)
-        pull = left / np.sqrt(total)
-        say = biweight(pull)
+        standardised = left / np.sqrt(total)
+        robust_weight = biweight(standardised)
     tool = np.stack([adjusted + x, np.ones_like(x + adjusted)], axis=1)
     rows = np.stack([square, np.ones_like(square)], axis=1)
-    slopes = biweight_slope(pull) / total
+    slopes = biweight_slope(standardised) / total
     bread = np.linalg.inv((tool * slopes[:, None]).T @ rows)
     scores = tool * (weight * left)[:, None]
     # Days near zero offset, few of them, hold the noise: their scatter may be small by chance.
     stated = gram_inverse((tool * weight[:, None]).T @ tool, SOLVER.eigen_cut)
     covariance = sandwich(bread, long_run_covariance(scores, 2.0), stated)
-    return RobustFit(value, covariance, left, say, float(np.sqrt(extra)))
+    return RobustFit(value, covariance, left, robust_weight, float(np.sqrt(extra)))
 
 
 @dataclass(frozen=True)
