@@ -55,7 +55,7 @@ def biweight(standardised: Floats) -> Floats:
 
 
 def biweight_slope(standardised: Floats) -> Floats:
-    """Return by how much the influence ``standardised * biweight(standardised)`` gives way where a residual moves.
+    """Return the derivative of the influence ``u biweight(u)`` by the standardised residual u.
 
     Weights follow the residuals: a fit answers by this slope, not by the weight.
     """
