@@ -231,7 +231,7 @@ class DayNightField:
 
 
 def fit_day_night(
-    equations: NormalEquations, absorbed: Sequence[str] = NINE, each_block: bool = True
+    equations: NormalEquations, marginalised: Sequence[str] = NINE, each_block: bool = True
 ) -> DayNightField:
     """Fit the day/night columns of normal equations beside the nine parameters.
 
@@ -239,7 +239,7 @@ def fit_day_night(
     ----------
     equations : NormalEquations
         With the nine columns and those of `switched_columns` or `series_columns`.
-    absorbed : sequence of str
+    marginalised : sequence of str
         What is fitted beside them.
     each_block : bool
         A calibration of its own for each block (days), or one for all (orbits of a day).
@@ -255,9 +255,9 @@ def fit_day_night(
             f"no day/night column among {equations.columns}",
             remedy="form the equations with `switched_columns` or `series_columns`",
         )
-    both = equations.select([*names, *absorbed])
+    both = equations.select([*names, *marginalised])
     groups = None if each_block else [range(len(both))]
-    rest = both.marginalise(absorbed, groups, cut=SOLVER.weak_cut, least_kept=0.0)
+    rest = both.marginalise(marginalised, groups, cut=SOLVER.weak_cut, least_kept=0.0)
     own = both.index(names)
     retained, determined = _told(rest.total[:-1, :-1], both.total[own, own])
     if not determined.any():
@@ -266,7 +266,7 @@ def fit_day_night(
             remedy="take days at other local times",
         )
     free = [name for name, is_determined in zip(names, determined, strict=True) if is_determined]
-    parts = rest.select(free) if each_block else both.select([*free, *absorbed])
+    parts = rest.select(free) if each_block else both.select([*free, *marginalised])
     return _packed(names, retained, determined, parts.rows(parts.names), parts.count)
 
 
