@@ -13,6 +13,7 @@ adds to the scalar reading the column ``+field``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -45,6 +46,26 @@ from inflight.lsq import (
     solve_scaled,
 )
 from inflight.time import Int64
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustRowSettings:
+    """How rows of any columns are weighted.
+
+    Attributes
+    ----------
+    passes : int
+        Passes of the robust weights; they settle in three or four.
+    wide : float
+        Scaled prior sigma with which the scores of sub-blocks are steadied: wider than anything fitted.
+    """
+
+    passes: int = 6
+    wide: float = 1e4
+
+
+ROBUST_ROWS = RobustRowSettings()
+
 
 #: A function of time: from TT2000 nanoseconds (block,) to numbers (block,).
 TimeFunction = Callable[[Floats], Floats]
@@ -228,12 +249,6 @@ NINE = tuple(Reference(PERFECT, np.zeros(9)).columns)
 
 NINE_UNITS = dict(zip(NINE, UNITS, strict=True))
 
-#: Turns of the robust weights; they settle in three or four.
-_TURNS = 6
-
-#: Scaled prior sigma with which the scores of sub-blocks are steadied: wider than anything fitted.
-_WIDE = 1e4
-
 
 def nine_columns(field: Floats, value: Floats = PERFECT) -> dict[str, Floats]:
     """Return what one unit of each of the nine parameters adds to the corrected residual.
@@ -339,7 +354,7 @@ def block_equations(
 def _biweight(rows: Floats, weight: Floats) -> Floats:
     """Weights of rows [columns | residual] about their own fit; (row,) in [0, 1]."""
     found = np.ones(len(rows))
-    for _ in range(_TURNS):
+    for _ in range(ROBUST_ROWS.passes):
         gram = (rows * (weight * found)[:, None]).T @ rows
         change = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], SOLVER.weak_cut)
         rest = rows[:, -1] + rows[:, :-1] @ change
@@ -353,7 +368,7 @@ def _assembled(
     total = grams.sum(axis=0)
     change = -solve_scaled(total[:-1, :-1], total[:-1, -1], SOLVER.weak_cut)
     scatter = np.zeros_like(total)
-    scatter[:-1, :-1] = score_scatter(grams, change, np.full(len(names) - 1, _WIDE))
+    scatter[:-1, :-1] = score_scatter(grams, change, np.full(len(names) - 1, ROBUST_ROWS.wide))
     still = np.zeros((1, len(names)))
     return _one_block(
         names,

@@ -83,35 +83,15 @@ class RemainingSettings:
 
     Attributes
     ----------
-    least_part : float
-        A line that explains less than this part of the residual's square is no effect worth a name; assumed.
-    splits : int
-        Lines next to a harmonic at so many turns of the Earth are that harmonic's.
-    resolutions, sharpness : float, float
-        Lines are the same within so many resolutions of the span, or this part of the frequency: what a
-        nominal period may be off by; assumed.
-    turning : float
-        The field must turn by this much, as a part of its size, to have a period of its own; assumed.
-    harmonics : int
-        Harmonics of a known period that are no news: beyond, any period is near one of a day's; assumed.
     white : float
         Structure below this part of the noise does not make a residual coloured, however sure it is; assumed.
-    around : float
-        A known period explains a band when it is within it or off by no more than this factor; assumed.
     hint_t : float
         A rejected candidate hints at what remains from this held-out t on: two sigma.
     as_much : float
         A search that leaves no more than so many times as much explains as much; assumed.
     """
 
-    least_part: float = 0.01
-    splits: int = 2
-    resolutions: float = 1.5
-    sharpness: float = 2e-4
-    turning: float = 0.3
-    harmonics: int = 30
     white: float = 0.1
-    around: float = 1.1
     hint_t: float = 2.0
     as_much: float = 1.003
 

@@ -270,10 +270,10 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
         As in `solve`.
     """
     matrix, cross = gram[:-1, :-1], gram[:-1, -1]
-    pull = prior_sigma * (matrix @ prior + cross)
+    score = prior_sigma * (matrix @ prior + cross)
     value, variance = prior, 1.0
     own, vectors = _information(matrix, prior_sigma)
-    seen = np.where(own > 0, vectors.T @ pull, 0.0)
+    seen = np.where(own > 0, vectors.T @ score, 0.0)
     for _ in range(2):
         variance = _variance(gram, value, count)
         shrink = 1.0 / (1.0 + own / variance)
@@ -282,6 +282,35 @@ def posterior(gram: Floats, count: float, prior: Floats, prior_sigma: Floats) ->
     free = prior_sigma > 0
     least = float(own[-int(free.sum())]) / variance if free.any() else np.inf
     return value, inverse * np.outer(prior_sigma, prior_sigma), least
+
+
+def fit_white(gram: Floats, count: float, prior_sigma: Floats) -> tuple[Floats, float]:
+    """Return values with the prior 0 +- `prior_sigma` and the residual variance, for white residuals.
+
+    Exact for columns and priors of any size, where `posterior` works in units of the prior.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (parameter + 1, parameter + 1)
+        Of [X | y], scaled columns, nT^2.
+    count : float
+        Sum of the weights.
+    prior_sigma : ndarray, shape (parameter,)
+        Scaled; 0 fixes a parameter.
+
+    Returns
+    -------
+    value : ndarray, shape (parameter,)
+    variance : float
+        That weighed the prior in the last of two passes, nT^2.
+    """
+    value, variance = np.zeros_like(prior_sigma), 0.0
+    with np.errstate(divide="ignore"):
+        known = 1.0 / prior_sigma**2
+    for _ in range(2):
+        variance = max(residual_sum(gram, value), 1e-30) / max(count, 1.0)
+        value = -solve_scaled(gram[:-1, :-1], gram[:-1, -1], 0.0, variance * known)
+    return value, variance
 
 
 def _information(matrix: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
@@ -401,8 +430,8 @@ def _directions(
 
 def _posterior(found: _Directions, prior: Floats, slope: Floats, prior_sigma: Floats) -> Floats:
     """Return the maximum of the posterior; directions the prior knows better stay."""
-    pull = -(found.vectors.T @ (prior_sigma * slope))
-    step = np.where(found.known, pull / found.variance / found.inflation / (1.0 + found.information), 0.0)
+    score = -(found.vectors.T @ (prior_sigma * slope))
+    step = np.where(found.known, score / found.variance / found.inflation / (1.0 + found.information), 0.0)
     return np.asarray(prior + prior_sigma * (found.vectors @ step))
 
 

@@ -1,23 +1,17 @@
-"""Temperature, day/night and cross-talk in the fit of all days.
+"""Temperature, day and night, and cross-talk in the fit of all days.
 
-The coil's temperature in the fit of all days: its coefficients, its lag, and the rivals it has.
+Takes the days' wide equations, their auxiliary columns and the continuous fit; makes:
 
-The wide equations hold what the residual answers to the coefficients with the temperature as it was aligned,
-the strip beside them what it answers to the temperature's rate. A lag is bilinear: its column is the rate's
-times the coefficients, so that a few turns settle it together with all else that the model lets data move.
-
-The field of day and night in the fit of all days, and what the daily parameters are once it is known.
-
-It is fitted beside everything else of the model, trends included: what a panel's current explains, which is
-there by day too, is not told twice, and its error says so. Without it the angles of each day's own fit
-wander with the local time, with a period of 260.5 days (Yin 2010, section 4.3).
-
-Cross-talk of a whole mission: what one unit of a cause that is ignored does to everything else.
-
-Two answers from the same stored equations. With the nine parameters alone, as a scalar calibration fits them,
-a cause goes into them as far as they can imitate it (Yin 2010, section 4.2). With everything of the model
-fitted together the others share what one of them ignores: with C the covariance, leaving out a parameter j of
-size c moves parameter i by ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
+- the coil's temperature (`fit_coil_lag`): its coefficients, its lag, and its rivals. The auxiliary columns
+  are the residual's derivatives by the temperature's rate. A lag is bilinear: its column is the rate's
+  times the coefficients, so that a few passes settle it together with everything that the model fits.
+- the field of day and night (`fit_daylight`), fitted together with everything else, trends included: what
+  a panel's current explains by day is not counted twice, and the error contains it. Without it the angles
+  of each day's own fit vary with the local time, with a period of 260.5 days (Yin 2010, section 4.3).
+- cross-talk: what one unit of an ignored cause does to everything else. With the nine alone, a cause goes
+  into them as far as they can imitate it (`of_the_nine`; Yin 2010, section 4.2). With everything fitted
+  together (`of_everything`), C the covariance, leaving out a parameter j of size c moves parameter i by
+  ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
 """
 
 from __future__ import annotations
@@ -37,9 +31,10 @@ from inflight.lsq import (
     SOLVER,
     ClusteredFit,
     correlation_of,
+    fit_white,
     jackknife,
     mean_of_clusters,
-    posterior,
+    posterior_covariance,
     retained_fraction,
 )
 from inflight.mission_fit.continuous import Continuous, daily_parameters, fitted_beside, shift_columns
@@ -64,17 +59,40 @@ from inflight.mission_fit.temperature import (
 from inflight.mission_fit.trends import TrendFit
 from inflight.model import Model
 
-#: Turns of the lag; it settles in two, three where the coefficients were not known.
-_TURNS = 4
 
-#: One unit of the lag's column, s.
-_LAG_UNIT = 10.0
+@dataclass(frozen=True, kw_only=True)
+class CauseSettings:
+    """How causes are fitted to all days and held out.
 
-#: Sigmas that one of the axes must follow the temperature by for a lag to be told.
-_FOLLOWS = 3.0
+    Attributes
+    ----------
+    passes : int
+        Passes of the lag; it settles in two, three where the coefficients were not known.
+    lag_unit_s : float
+        One unit of the lag's column, s; assumed.
+    follows : float
+        Sigmas that one of the axes must follow the temperature by for a lag to be determined: a level of
+        0.3 %.
+    folds : int
+        Sections of the span that are held out; assumed.
+    sections : int
+        Sections by which scores are compared; assumed.
+    bias : float
+        The bias of the thesis' example, nT (Yin 2010, section 4.2).
+    parts : int
+        Parts of the span of the jackknife; assumed.
+    """
 
-#: Sections of the span that are held out, and by which scores are compared.
-_FOLDS, _SECTIONS = 5, 40
+    passes: int = 4
+    lag_unit_s: float = 10.0
+    follows: float = 3.0
+    folds: int = 5
+    sections: int = 40
+    bias: float = 0.4
+    parts: int = 10
+
+
+CAUSES = CauseSettings()
 
 
 def fit_coil_lag(
@@ -122,7 +140,7 @@ def fit_coil_lag(
     own = [f"{entry.name}.{kind}[{axis}]" for kind in KINDS[:2] for axis in AXES]
     sigma = np.append([one for term in terms_of(model) for one in term.sigma], PRIOR[2])
     value, change = _values_of(found.fit, own), 0.0
-    for _ in range(_TURNS):
+    for _ in range(CAUSES.passes):
         before = change
         turned = _with_lag(wide, rates, own, value, change)
         fit = fitted_beside(turned, equations, found, sigma)
@@ -153,14 +171,14 @@ def _with_lag(
     turn[np.arange(len(kept)), kept] = 1.0
     for rate, column in zip(from_rates, to, strict=True):
         turn[kept.index(column), rate] = change * scale[column] / scale[rate]
-    turn[-2, from_rates] = _LAG_UNIT * value / scale[from_rates]
+    turn[-2, from_rates] = CAUSES.lag_unit_s * value / scale[from_rates]
     turn[-1, -1] = 1.0
     common = equations.reference
     assert common is not None
     each = np.broadcast_to(turn, (len(common), *turn.shape)).copy()
     each[:, -1, from_rates] = change * (common[:, to] - value) / scale[from_rates]
     reference = np.concatenate([common[:, kept], np.zeros((len(common), 2))], axis=1)
-    new = np.concatenate([scale[kept], [_LAG_UNIT, 1.0]])
+    new = np.concatenate([scale[kept], [CAUSES.lag_unit_s, 1.0]])
     return equations.combine([*(names[place] for place in kept), "lag", RESIDUAL], each, new, reference)
 
 
@@ -171,7 +189,7 @@ def _as_coil(
     columns = [equations.columns.index(name) for name in (*own, "lag")]
     value = fit.value[places] + np.append(np.zeros(len(own)), lag)
     determined = fit.determined[places].copy()
-    follows = np.abs(value[:3]) > _FOLLOWS * fit.sigma[places][:3]
+    follows = np.abs(value[:3]) > CAUSES.follows * fit.sigma[places][:3]
     determined[-1] &= bool(follows.any()) and fit.sigma[places[-1]] < 0.5 * PRIOR[2]
     return CoilFit(
         channel,
@@ -227,10 +245,11 @@ def rival_temperatures(
     known = dict(zip(equations.columns, [one for term in terms_of(model) for one in term.sigma], strict=True))
     count = wide.count
     squares: dict[str, Floats] = {}
-    sections = np.array_split(np.arange(len(wide)), min(_SECTIONS, len(wide)))
-    if len(sections) < 2 * _FOLDS:
+    sections = np.array_split(np.arange(len(wide)), min(CAUSES.sections, len(wide)))
+    if len(sections) < 2 * CAUSES.folds:
         raise CalibrationError(
-            f"{len(sections)} days for {_FOLDS} parts to hold out", remedy=f"use {2 * _FOLDS} days or more"
+            f"{len(sections)} days for {CAUSES.folds} parts to hold out",
+            remedy=f"use {2 * CAUSES.folds} days or more",
         )
     rows = np.array([count[part].sum() for part in sections])
     prior = np.array([known[names[place]] for place in others])
@@ -258,7 +277,7 @@ def _at_the_fit(wide: NormalEquations, found: Continuous, held: Sequence[str]) -
 def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> Floats:
     """Return the sum of squares of each section at the fit of the other folds; (section,) nT^2."""
     out = np.empty(len(gram))
-    for part in np.array_split(np.arange(len(gram)), _FOLDS):
+    for part in np.array_split(np.arange(len(gram)), CAUSES.folds):
         total = np.delete(gram, part, axis=0).sum(axis=0)
         at = np.append(_solved(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
         out[part] = np.einsum("i,bij,j->b", at, gram[part], at)
@@ -270,14 +289,14 @@ def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floa
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
     value = np.zeros(count)
-    for _ in range(_TURNS):
+    for _ in range(CAUSES.passes):
         turn = np.zeros((len(gram), sigma.size + 1))
         turn[:count, :count], turn[-1, -1] = np.eye(count), 1.0
         if temperature:
             answers, slopes = coefficients_of(unknown)
             turn[count:-1, count:-1], turn[count:-1, -1] = slopes, answers - slopes @ unknown
         inner = turn.T @ gram @ turn
-        value, _, _ = posterior(inner, rows, np.zeros_like(sigma), sigma)
+        value, _ = fit_white(inner, rows, sigma)
         unknown = value[count:]
     return np.concatenate([value[:count], coefficients_of(unknown)[0]]) if temperature else value
 
@@ -392,12 +411,6 @@ SIZES = {
     "1/nT^2": 1e-16,
 }
 
-#: The bias of the thesis' example, nT.
-_BIAS = 0.4
-
-#: Parts of the span, of which each is left out once for the error.
-_PARTS = 10
-
 
 def causes_of(columns: Sequence[str], units: Mapping[str, str], model: Model) -> list[Ignored]:
     """Return columns as causes of a size that people ask about; of a scalar bias 0.4 nT.
@@ -415,7 +428,7 @@ def causes_of(columns: Sequence[str], units: Mapping[str, str], model: Model) ->
     found = []
     for name in columns:
         unit = units.get(name, "nT")
-        size = _BIAS if name in biases else SIZES.get(unit, 1.0)
+        size = CAUSES.bias if name in biases else SIZES.get(unit, 1.0)
         found.append(Ignored(name, size, unit))
     return found
 
@@ -473,7 +486,7 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
     factor = scale * np.array([one for one, _ in shown])
     size = np.array([one.size for one in causes]) / scale
     total, count = filled.total, float(filled.count.sum())
-    parts = np.array_split(np.arange(len(filled)), min(_PARTS, len(filled)))
+    parts = np.array_split(np.arange(len(filled)), min(CAUSES.parts, len(filled)))
     whole = _covariance(total, count, prior)
     value = _shifts(whole) * np.outer(size, factor)
     if len(parts) > 1:
@@ -499,7 +512,7 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
 
 def _covariance(gram: Floats, count: float, prior: Floats) -> Floats:
     """Return the covariance of all columns, scaled, for white residuals; 0 for what is fixed."""
-    return posterior(gram, count, np.zeros_like(prior), prior)[1]
+    return posterior_covariance(gram[:-1, :-1], prior, fit_white(gram, count, prior)[1])
 
 
 def _shifts(covariance: Floats) -> Floats:

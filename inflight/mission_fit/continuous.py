@@ -1,17 +1,11 @@
-"""One fit of all days.
+"""One fit of a whole mission: continuous scale factors, everything else constant, all together.
 
-One fit of a whole mission: continuous scale factors, everything else constant, all together.
-
-The scale factors follow one trend in time (Yin 2010, ch. 3), chosen on held-out days unless it is stated;
-angles, offsets and all that the model lets data refine have one value. The result is a model and the
-calibration table that says how sure it is on each day.
-
-Fits of all days with more columns than the model has, everything else as the continuous fit had it.
-
-Each day's own parameters after the continuous fit: what still wanders once everything else is known.
-
-A day's wide equations are expressed at the values of the continuous fit for that day. The nine parameters
-of the vector sensor, and named ones such as the time shift, are then solved for; all others stay there.
+Takes the days' wide equations; makes a model, the calibration table that states how sure it is on each
+day, and each day's own parameters beside it. The scale factors follow one trend in time (Yin 2010, ch. 3),
+chosen on held-out days unless it is stated; angles, offsets and all that the model lets data refine have
+one value. `fitted_beside` fits further columns to all days, with the trends of the continuous fit.
+`daily_parameters` solves each day for the nine and for named ones such as the time shift, everything else
+at the values of the continuous fit: what changes from day to day once everything else is known.
 """
 
 from __future__ import annotations
@@ -31,11 +25,34 @@ from inflight.mission_fit.trend_selection import TrendComparison, compare_trends
 from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
 from inflight.model import Model
 
+
+@dataclass(frozen=True, kw_only=True)
+class ContinuousSettings:
+    """How the trend of all days is chosen, and what a day determines.
+
+    Attributes
+    ----------
+    folds : int
+        Held-out sections of the span; assumed.
+    fold_days : int
+        Days of a section at least; shorter spans keep a straight line; assumed.
+    least_retained : float
+        Parameters of which the others leave less than this part are not determined by a day; assumed.
+    fewest : int
+        Fewest differences of neighbouring days that widen the days' own errors; assumed.
+    """
+
+    folds: int = 8
+    fold_days: int = 3
+    least_retained: float = 1e-6
+    fewest: int = 10
+
+
+CONTINUOUS = ContinuousSettings()
+
+
 #: Trends that are compared, the ones a model's file can hold.
 KINDS = ("constant", "linear", "parabola", "log", "spline")
-
-#: Days of a fold at least; spans with fewer keep to what two numbers can say.
-_FOLDS, _FOLD_DAYS = 8, 3
 
 
 @dataclass(frozen=True)
@@ -122,7 +139,7 @@ def _choose(
     equations: NormalEquations, sigma: Floats, names: list[str], origin: int | None
 ) -> tuple[str, TrendComparison | None]:
     """Return the kind of trend that foretells held-out days best; all but the nine stay at a common fit."""
-    if len(equations) < _FOLDS * _FOLD_DAYS:
+    if len(equations) < CONTINUOUS.folds * CONTINUOUS.fold_days:
         return "linear", None
     wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", equations.middle)), sigma)
     common = [name for name in equations.columns if name not in names]
@@ -131,7 +148,7 @@ def _choose(
         at[equations.columns.index(name)] = wide.value[wide.place(name)][0]
     own = equations.columns[:9]
     small = equations.at(at).select(own)
-    choice = compare_trends(small, names, sigma[:9], KINDS, t0=origin, folds=_FOLDS)
+    choice = compare_trends(small, names, sigma[:9], KINDS, t0=origin, folds=CONTINUOUS.folds)
     return choice.chosen, choice
 
 
@@ -251,13 +268,6 @@ def fitted_beside(
     return fit_trends(wide, trends, sigma, weight, found.fit.units)
 
 
-#: Parameters of a day whose part that no other explains is below this are not told by it.
-_LEAST_RETAINED = 1e-6
-
-#: Fewest differences of neighbouring days that tell more than the days' own errors.
-_FEWEST = 10
-
-
 def shift_columns(model: Model) -> list[str]:
     """Return the columns of a model's time shifts that data may move."""
     return [
@@ -340,7 +350,7 @@ def _solved(gram: Floats, rows: float) -> tuple[Floats, Floats]:
     """
     own, cross = gram[:-1, :-1], gram[:-1, -1]
     change, sigma = np.full((2, len(own)), np.nan)
-    kept = np.flatnonzero((np.diag(own) > 0) & (retained_fraction(own) > _LEAST_RETAINED))
+    kept = np.flatnonzero((np.diag(own) > 0) & (retained_fraction(own) > CONTINUOUS.least_retained))
     if rows <= kept.size or not kept.size:
         return change, sigma
     inverse = gram_inverse(own[np.ix_(kept, kept)], SOLVER.eigen_cut)
@@ -355,6 +365,6 @@ def _widening(pulls: Floats) -> Floats:
     out = np.ones(pulls.shape[1])
     for index, column in enumerate(pulls.T):
         apart = np.abs(np.diff(column[np.isfinite(column)])) / np.sqrt(2.0)
-        if apart.size >= _FEWEST:
+        if apart.size >= CONTINUOUS.fewest:
             out[index] = max(TO_SIGMA * float(np.median(apart)), 1.0)
     return out

@@ -1,20 +1,15 @@
-"""Wide equations of a day, extra columns, drift.
+"""Wide equations of a day: the nine parameters and everything else that a model lets data refine.
 
-Columns of causes that a model does not hold: their Gram strip beside a day's wide equations.
+Takes a day's samples and the model at the day's own fit; makes the Gram matrix of its columns, with those
+of the drift within the day and, in a strip beside it, those of causes that the model does not hold.
 
-Temperatures with their lag, and the field of day and night, in the rows the wide equations are made of. The
-strip is a small part of a day's statistics; what it says is asked of all days together, later.
-
-What drifts within a day: a day's rows hold its scale factors still, and soon after launch they do not.
-
-A scale factor that ages by 5e-6 a day moves the residual by 0.1 nT at both ends of it. How fast it ages the
-fit of all days tells, so that each day keeps, beside its equations, the Gram matrix of the columns by which
-its residual would follow a drift: the drift is taken out of the equations without a look at a sample.
-
-Wide normal equations of a day: the nine parameters and everything else a model lets data refine.
-
-The nine are linearised at the day's own fit, all others at the model's values. Rows are means over bins,
-which keep every linear statement: the mean residual is the same function of the mean columns.
+- The nine are linearised at the day's own fit, all others at the model's values. Rows are means over bins,
+  which keep every linear statement: the mean residual is the same function of the mean columns.
+- Drift: a scale factor that ages by 5e-6 a day moves the residual by 0.1 nT at both ends of it. Each day
+  keeps the products of the columns by which its residual would follow a drift; the fit of all days
+  determines the rate, which is then taken out of the equations without reading a sample (`DayDrift`).
+- Auxiliary columns: temperatures with their lag, and the field of day and night. `split` makes the strip,
+  `joined_with` puts columns of it beside the model's, for all days together.
 """
 
 from __future__ import annotations
@@ -49,6 +44,26 @@ from inflight.mission_fit.trends import TrendFit
 from inflight.model import Model, ModelEffect
 from inflight.model import ResidualRows as NativeRows
 from inflight.time import DAY, SECOND, Int64, usual_step
+
+
+@dataclass(frozen=True, kw_only=True)
+class DayEquationSettings:
+    """How samples of a day become rows.
+
+    Attributes
+    ----------
+    usual_differences : float
+        Two readings are far apart when they differ by so many usual differences; assumed.
+    resolutions : float
+        And by so many resolutions; assumed.
+    """
+
+    usual_differences: float = 8.0
+    resolutions: float = 4.0
+
+
+DAY_ROWS = DayEquationSettings()
+
 
 #: Degrees Celsius where a rival temperature's change is 0, when the model states none.
 REFERENCE = 20.0
@@ -282,8 +297,6 @@ def rates(fit: TrendFit, equations: NormalEquations) -> Floats:
 #: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
 BIN_S = 10.0
 
-#: Two readings are far apart when they differ by so many usual differences, and by so many resolutions.
-_FAST, _STEPS = 8.0, 4.0
 
 #: Variables of samples that are no channel.
 _NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
@@ -455,8 +468,8 @@ def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_
     known = np.isfinite(change)
     if not known.any():
         return out
-    least = _FAST * TO_SIGMA * float(np.median(change[known]))
-    far = known & (change > max(least, _STEPS * float(channel.attrs.get("resolution") or 0.0)))
+    least = DAY_ROWS.usual_differences * TO_SIGMA * float(np.median(change[known]))
+    far = known & (change > max(least, DAY_ROWS.resolutions * float(channel.attrs.get("resolution") or 0.0)))
     for place in range(reach + 1):
         out[place : place + far.size] |= far
     return out

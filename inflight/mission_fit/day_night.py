@@ -1,15 +1,13 @@
-"""Day/night field.
+"""The field that day and night switch on a spacecraft: what of it can be determined, and how it is fitted.
 
-The field that day and night switch on a spacecraft: where it is, what of it can be seen, how it is fitted.
+Takes normal equations with its columns; makes a `DayNightField`, and the nine parameters of each block
+with and without it. Two forms (Yin 2010, section 4.3). *Switched*: a vector times `sunlit`, 1 in the Sun
+and 0 in the shadow. *Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0 nearest the Sun, T the
+orbit. A square wave of duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms
+agree as k grows.
 
-Two forms (Yin 2010, section 4.3). *Switched*: a vector times `sunlit`, 1 in the Sun and 0 in the shadow.
-*Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0 nearest the Sun, T the orbit. A square wave of
-duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms agree as k grows.
-
-A constant field at the sensor is an offset to a scalar calibration, so a_0 is never told from it; the
-rest is told only as far as the nine parameters cannot imitate it. That part is `retained`.
-
-How long day and night last on a circular orbit, and the series of a wave that follows them.
+A constant field at the sensor is an offset to a scalar calibration, so a_0 is never determined beside it;
+the rest is only as far as the nine parameters cannot imitate it. That part is `retained`.
 """
 
 from __future__ import annotations
@@ -233,7 +231,7 @@ class DayNightField:
 
 
 def fit_day_night(
-    equations: NormalEquations, absorbed: Sequence[str] = NINE, each_block: bool = True
+    equations: NormalEquations, marginalised: Sequence[str] = NINE, each_block: bool = True
 ) -> DayNightField:
     """Fit the day/night columns of normal equations beside the nine parameters.
 
@@ -241,7 +239,7 @@ def fit_day_night(
     ----------
     equations : NormalEquations
         With the nine columns and those of `switched_columns` or `series_columns`.
-    absorbed : sequence of str
+    marginalised : sequence of str
         What is fitted beside them.
     each_block : bool
         A calibration of its own for each block (days), or one for all (orbits of a day).
@@ -257,9 +255,9 @@ def fit_day_night(
             f"no day/night column among {equations.columns}",
             remedy="form the equations with `switched_columns` or `series_columns`",
         )
-    both = equations.select([*names, *absorbed])
+    both = equations.select([*names, *marginalised])
     groups = None if each_block else [range(len(both))]
-    rest = both.marginalise(absorbed, groups, cut=SOLVER.weak_cut, least_kept=0.0)
+    rest = both.marginalise(marginalised, groups, cut=SOLVER.weak_cut, least_kept=0.0)
     own = both.index(names)
     retained, determined = _told(rest.total[:-1, :-1], both.total[own, own])
     if not determined.any():
@@ -268,7 +266,7 @@ def fit_day_night(
             remedy="take days at other local times",
         )
     free = [name for name, is_determined in zip(names, determined, strict=True) if is_determined]
-    parts = rest.select(free) if each_block else both.select([*free, *absorbed])
+    parts = rest.select(free) if each_block else both.select([*free, *marginalised])
     return _packed(names, retained, determined, parts.rows(parts.names), parts.count)
 
 

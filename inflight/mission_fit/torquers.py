@@ -1,7 +1,6 @@
-"""Torquer band and remanent field.
+"""Magneto-torquers: their coefficients from the band of their modulation, and the body's remanent field.
 
-Coefficients of the magneto-torquers from the band of their 20 s modulation (Yin 2010, 3.4.3, eq. 3.5).
-
+*Band* (Yin 2010, 3.4.3, eq. 3.5). Takes residual, direction and currents; makes the matrix of nT/A.
 Torquer currents alternate with a period of 20 s; hardly anything else in the residual does. With
 ``dB' = |B_v| - |B_s|`` corrected by matrices that are wrong by D_v and D_s, ``dB' = e.((D_v - D_s) I)``
 plus noise. The power of ``dB' - sum a_jk e_j I_k`` between 0.045 and 0.055 Hz is a square in a, so its
@@ -13,8 +12,7 @@ Signs. The fitted ``a = D_v - D_s`` is the difference of the sensors, as everywh
 sensor's matrix is right, the scalar sensor's is corrected by *adding* ``D_s = -a``: the residual then
 becomes ``dB(alpha' + D) = dB' + e.(D I)``. The thesis prints a minus there, which doubles the error.
 
-The body's remanent field from the mean torquer current (Yin 2010, section 3.4.4).
-
+*Remanent field* (Yin 2010, section 3.4.4). Takes daily mean currents; makes the body's field.
 Torquers hold the attitude against the torque on the body's own magnetic moment, so over a whole cycle
 of local time their mean moment is the body's with the other sign. The body's moment makes the field
 ``B = eta (0, mean I_y, mean I_z)`` at the scalar sensor. Eta is positive although the moments cancel,

@@ -1,8 +1,8 @@
-"""Which trend, which origin.
+"""Which trend in time, and the origin of a logarithm.
 
-The origin of a logarithm of time, fitted with its interval, or said to be not determined.
-
-Which trend in time: compared on days that were not fitted, so that no kind is ever forced.
+Takes normal equations of blocks; makes the fit with the origin as an unknown (`fit_origin`): its interval
+by the profile of the sum of squares, or the statement that it is not determined; and the comparison of
+kinds of trend on blocks that were not fitted (`compare_trends`), so that no kind is ever forced.
 """
 
 from __future__ import annotations
@@ -41,12 +41,36 @@ from inflight.mission_fit.trends import (
 from inflight.model import Dependence
 from inflight.time import Int64, from_mjd2000, mjd2000
 
-#: 95 % of a chi square with one degree of freedom.
-_LIMIT = 3.841
 
-#: Distances of the origin from the first block, days: the least; the most, in spans and as far as stamps
-#: reach; beyond, the logarithm is a straight line. Points of the first search, per decade.
-_NEAREST, _SPANS, _FARTHEST, _PER_DECADE = 0.1, 300.0, 9e4, 5
+@dataclass(frozen=True, kw_only=True)
+class TrendSelectionSettings:
+    """How the origin of a logarithm is searched, and which kinds tie.
+
+    Attributes
+    ----------
+    limit : float
+        95 % of a chi square with one degree of freedom.
+    nearest_days : float
+        Least distance of the origin from the first block, days; assumed.
+    spans : float
+        The largest, in spans; beyond, the logarithm is a straight line; assumed.
+    farthest_days : float
+        And as far as stamps reach, days: TT2000 ends 292 years from 2000.
+    per_decade : int
+        Points of the first search, per decade; assumed.
+    tied : float
+        Kinds whose held-out sums differ by less than so many sigmas are tied: a level of 5 %.
+    """
+
+    limit: float = 3.841
+    nearest_days: float = 0.1
+    spans: float = 300.0
+    farthest_days: float = 9e4
+    per_decade: int = 5
+    tied: float = 2.0
+
+
+SELECTION = TrendSelectionSettings()
 
 
 def fit_origin(
@@ -89,7 +113,7 @@ def fit_origin(
     fitted = fit_trends(equations, profile.moved(best), prior_sigma, given.weight, units)
     covariance, inflation = _with_unknown_origin(common, sums, fitted, prior_sigma)
     sigma, shared = float(np.sqrt(covariance[-1, -1])), covariance[:-1, -1]
-    limit = profile.total(best) + _LIMIT * inflation * fitted.rms**2
+    limit = profile.total(best) + SELECTION.limit * inflation * fitted.rms**2
     far, near = profile.crossings(best, grid, limit)
     determined = bool(np.isfinite(far)) and grid[0] < best < 0.99 * grid[-1]
     origin = Origin(
@@ -119,8 +143,12 @@ class _Profile:
     def grid(self) -> Floats:
         """Distances of the first search, days."""
         span = float(mjd2000(self.equations.middle[-1])) - self.first
-        most = min(_SPANS * span, _FARTHEST)
-        return np.geomspace(_NEAREST, most, int(_PER_DECADE * np.log10(most / _NEAREST)) + 2)
+        most = min(SELECTION.spans * span, SELECTION.farthest_days)
+        return np.geomspace(
+            SELECTION.nearest_days,
+            most,
+            int(SELECTION.per_decade * np.log10(most / SELECTION.nearest_days)) + 2,
+        )
 
     def moved(self, distance: float) -> dict[str, Dependence]:
         """Return the trends with their origin so far before the first block; straight lines at infinity."""
@@ -223,10 +251,6 @@ def _with_origin_column(equations: NormalEquations, sums: BlockSums, fit: TrendF
     together[-1, len(fit.columns) :] = 1.0
     matrix = together @ sums.expanded(values, owners)[:-1, :-1] @ together.T
     return matrix, sums.scores(values, owners, here) @ together.T
-
-
-#: Kinds whose held-out sums differ by less than this many sigmas are tied.
-_TIED = 2.0
 
 
 @dataclass(frozen=True)
@@ -354,7 +378,7 @@ def compare_trends(
         behind = whole[kind] - whole[best]
         sigma = _sigma_behind(common, held[kind], held[best]) / float(count.sum()) if behind > 0 else 0.0
         size = maker.coefficients(kind)
-        tied = kind == best or behind < _TIED * sigma
+        tied = kind == best or behind < SELECTION.tied * sigma
         rivals.append(Rival(kind, size, float(np.sqrt(whole[kind])), behind, sigma, tied))
     chosen = min((one for one in rivals if one.tied), key=lambda one: one.coefficients).kind
     unit = "sigma" if equations.attributes.get("filter") == "table" else "nT"

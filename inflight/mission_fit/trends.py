@@ -1,13 +1,9 @@
-"""Trend fit.
+"""Continuous parameters: one trend in time for a whole mission, without a jump (Yin 2010, ch. 3).
 
-What trends are fitted to: normal equations of blocks, made from a table too, with robust weights.
-
-Trends as functions of time that are orthonormal over the blocks they are fitted to.
-
-Continuous parameters: one trend in time for a whole mission, without a jump (Yin 2010, ch. 3).
-
-A trend is fitted to the summed normal equations of all blocks, or to a table of daily or 15-day values,
-whose covariances make normal equations of it: one way for both.
+Takes the normal equations of blocks, or a table of daily or 15-day values, whose covariances make normal
+equations of it (`equations_of_table`): one way for both. Makes a `TrendFit`. Functions of time are made
+orthonormal over the blocks (`Expansion`), so that coefficients are solved for in good units; blocks far
+from the trend are weighted down by their score statistic.
 """
 
 from __future__ import annotations
@@ -38,17 +34,36 @@ from inflight.lsq import (
 from inflight.model import Dependence, TimedValue, component_names
 from inflight.time import DAY, Int64, mjd2000
 
+
+@dataclass(frozen=True, kw_only=True)
+class TrendSettings:
+    """How blocks are weighted about a trend.
+
+    Attributes
+    ----------
+    far : float
+        Blocks up to so many robust standard deviations from the trend keep their weight; assumed.
+    lost : float
+        From so many on they have none; assumed.
+    at_once : int
+        Blocks that are solved together: a matrix of each of three thousand days would fill the memory.
+    fewest : int
+        Fewest blocks whose scatter shows an outlying one; assumed.
+    passes : int
+        Passes of weights and fit; assumed.
+    """
+
+    far: float = 4.0
+    lost: float = 8.0
+    at_once: int = 256
+    fewest: int = 8
+    passes: int = 4
+
+
+TRENDS = TrendSettings()
+
+
 TREND_KINDS = ("constant", "linear", "parabola", "log", "spline")
-
-#: Blocks up to this many robust standard deviations from the trend keep their weight; from the second
-#: number on they have none.
-_FAR, _LOST = 4.0, 8.0
-
-#: Blocks that are solved together.
-_AT_ONCE = 256
-
-#: Fewest blocks whose scatter tells an outlying one.
-_FEWEST = 8
 
 
 def make_trend(kind: str, times: Int64, t0: int | None = None, per: int = DAY, knots: int = 5) -> Dependence:
@@ -186,8 +201,8 @@ def score_statistic(equations: NormalEquations, value: Floats, prior_sigma: Floa
         precision = variance * (scale / prior_sigma) ** 2
     columns, out = np.arange(scale.size), np.empty(len(scores))
     # Some blocks at a time: a matrix of each of three thousand days would fill the memory.
-    for first in range(0, len(scores), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
+    for first in range(0, len(scores), TRENDS.at_once):
+        part = slice(first, first + TRENDS.at_once)
         matrix = equations.rows(columns, columns, part)
         change = solve_scaled(matrix, scores[part], 0.0, precision)
         out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", change, scores[part]), 0.0))
@@ -199,13 +214,13 @@ def outlier_weights(distance: Floats) -> Floats:
 
     The scale is the spread of the distances themselves, so that what wanders from day to day is no outlier.
     """
-    if distance.size < _FEWEST:
+    if distance.size < TRENDS.fewest:
         return np.ones_like(distance)
     centre = float(np.median(distance))
     spread = robust_sigma(distance - centre)
     # Distances of few dimensions scatter by at least a part of their size.
     z = (distance - centre) / max(spread, 0.1 * centre, 1e-300)
-    return np.asarray(np.clip((_LOST - z) / (_LOST - _FAR), 0.0, 1.0))
+    return np.asarray(np.clip((TRENDS.lost - z) / (TRENDS.lost - TRENDS.far), 0.0, 1.0))
 
 
 def values_at(trends: Mapping[str, Dependence], coefficients: Mapping[str, Floats], times: Int64) -> Floats:
@@ -319,10 +334,6 @@ def _stacked(units: list[Floats]) -> Floats:
         out[at : at + unit.size, index] = unit
         at += unit.size
     return out
-
-
-#: Turns of weights and fit.
-_TURNS = 4
 
 
 @dataclass(frozen=True)
@@ -561,7 +572,7 @@ def fit_trends(
     # A trend's origin or knots lie anywhere; blocks at one reference make it one linear problem.
     common = equations.at_one_reference()
     expansion = Expansion.of(common.middle, every)
-    turns = 1 if weight is not None else _TURNS
+    turns = 1 if weight is not None else TRENDS.passes
     held = np.ones(len(common)) if weight is None else weight
     for turn in range(turns):
         found = _solve(common, held, expansion, prior_sigma, sure=turn == turns - 1)

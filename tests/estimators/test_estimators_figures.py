@@ -90,7 +90,7 @@ def behaviour_figures():
         behaviour.parameter_spectrum_figure(spectrum, "offset z"),
         behaviour.running_means_figure(MJD, value, means, "offset z"),
         behaviour.loop_figure(loop, "offset z"),
-        behaviour.steps_figure(steps, "offset z"),
+        behaviour.event_steps_figure(steps, "offset z"),
         behaviour.clock_figure(clock_faults(MJD, shift, np.full(MJD.size, 4e-4)), shift),
     ]
 
