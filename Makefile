@@ -11,6 +11,8 @@ WORKERS ?= 2
 DEMO ?= demo
 DAYS ?= 30
 SEEDS ?= 1
+# Folder of the golden record.
+RECORD ?= golden-record
 
 # One BLAS thread: steps run in parallel over days, and results must not depend on the number of threads.
 export OPENBLAS_NUM_THREADS := 1
@@ -18,7 +20,7 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test cases lint bench docs lock format clean
+.PHONY: help setup demo test cases lint bench golden docs lock format clean
 
 help:  ## list the targets
 	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -61,6 +63,9 @@ format: setup  ## put the code into the project's format
 
 bench: setup  ## measure speed and memory
 	$(BIN)/python -m benchmarks
+
+golden: setup  ## keep what the software gives for small missions in RECORD, to compare
+	$(BIN)/python -m benchmarks.golden make $(RECORD) --jobs $(WORKERS)
 
 docs: setup  ## build the documentation into docs/_build/html
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html

@@ -28,7 +28,7 @@ from inflight.model import rows_of
 from inflight.tasks import preflight_model
 from inflight.tasks.archive import ArchiveIndex, ingest, load_samples, needs_of
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
-from inflight.time import SECOND, Int64, mjd_of, to_tt2000
+from inflight.time import SECOND, Int64, mjd2000, to_tt2000
 
 #: Readings faster than this are averaged, s.
 _MEAN_S = 10.0
@@ -87,7 +87,7 @@ def blocks_of(days: list[CoilBlock], hours: int) -> tuple[Floats, Floats, Floats
             part = np.minimum(np.arange(use.size) * _PARTS // use.size, _PARTS - 1)
             columns = np.column_stack([np.ones(use.size), rate[use]])
             fit = solve_clusters(*grams_by_cluster(columns, residual[use], np.ones(use.size), part))
-            middle = mjd_of(np.array([stamps[low] // 2 + stamps[high - 1] // 2]))[0] * 24 / hours
+            middle = mjd2000(np.array([stamps[low] // 2 + stamps[high - 1] // 2]))[0] * 24 / hours
             # A reading that is early by s leaves s dF/dt: the sign of the effect `time_shift`.
             found.append((middle, *fit.value, *fit.sigma))
     table = np.array(found)
@@ -161,7 +161,7 @@ def _hour(number: int) -> np.datetime64:
 def _steps(record: Record, at: Floats, value: Floats, sigma: Floats) -> None:
     """Print the steps at the stated moments, and the largest ones anywhere."""
     moments = np.array([np.datetime64(one, "ns") for one in record.events.values()])
-    events = mjd_of(to_tt2000(moments)) * 24 / record.hours
+    events = mjd2000(to_tt2000(moments)) * 24 / record.hours
     for index, (what, unit) in enumerate((("baseline", "nT"), ("clock", "s"))):
         try:
             steps = event_steps(at, value[:, index], sigma[:, index], events, unit=unit)

@@ -23,13 +23,13 @@ from zarr.codecs.numcodecs import Delta
 from inflight.arrays import Floats
 from inflight.spin import (
     SPIN_RELATED,
-    Layout,
-    TwelveParameters,
+    BlockLayout,
+    CalibrationParameters,
     calibrate_by_selection,
-    joint_estimate,
-    lay_out,
+    cut_into_blocks,
+    estimate_jointly,
+    measure_tones,
     spin_equations,
-    spin_tones,
 )
 from inflight.time import SECOND, Int64
 
@@ -39,8 +39,10 @@ _STEP_NT, _STEP_RAD = 1e-3, 1e-7
 #: Sub-intervals the loop takes, and its step of differences.
 _LOOPED, _STEP = 40, 1e-6
 #: In use, and a week later.
-_PRESENT = TwelveParameters(1.001, 1.0, 1.0, (1e-3, -2e-3), 5e-4, (1e-3, 2e-3), 0.0, (1.0, -2.0, 3.0))
-_TRUTH = TwelveParameters(1.00102, 1.0, 1.0, (1e-3, -2e-3), 5e-4, (1.02e-3, 2e-3), 0.0, (1.05, -2.0, 3.0))
+_PRESENT = CalibrationParameters(1.001, 1.0, 1.0, (1e-3, -2e-3), 5e-4, (1e-3, 2e-3), 0.0, (1.0, -2.0, 3.0))
+_TRUTH = CalibrationParameters(
+    1.00102, 1.0, 1.0, (1e-3, -2e-3), 5e-4, (1.02e-3, 2e-3), 0.0, (1.05, -2.0, 3.0)
+)
 
 
 def readings_of_a_day(seed: int = 1) -> tuple[Floats, Floats, Int64]:
@@ -84,7 +86,7 @@ def read(folder: Path) -> tuple[Floats, Floats, Int64]:
 
 
 def loop(
-    readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters, subs: int
+    readings: Floats, phase: Floats, layout: BlockLayout, parameters: CalibrationParameters, subs: int
 ) -> tuple[Floats, Floats]:
     """Return the tones (sub, 6) of Bz and modulus and their derivatives (sub, 6, 8), some sub-intervals."""
     tones, slopes = np.empty((subs, 6)), np.empty((subs, 6, len(SPIN_RELATED)))
@@ -109,7 +111,7 @@ def _shapes(phase: Floats, blocks: Iterable[tuple[int, int]]) -> Floats:
     return np.column_stack([*lines, *(f(k * angle) for k in (1, 2) for f in (np.cos, np.sin))])
 
 
-def _tones(readings: Floats, shapes: Floats, parameters: TwelveParameters) -> Floats:
+def _tones(readings: Floats, shapes: Floats, parameters: CalibrationParameters) -> Floats:
     field = parameters.correct(readings)
     both = np.column_stack([field[:, 2], np.hypot(field[:, 0], field[:, 1])])
     tones = np.linalg.lstsq(shapes, both, rcond=None)[0][-4:]
@@ -134,22 +136,22 @@ def spin_eight() -> list[str]:
         folder = Path(scratch) / "day"
         store(folder, readings, phase, stamps)
         day = read(folder)
-        layout = lay_out(*day)
-        joint = joint_estimate(*day, layout, _PRESENT)
+        layout = cut_into_blocks(*day)
+        joint = estimate_jointly(*day, layout, _PRESENT)
         chosen = calibrate_by_selection(*day, layout, _PRESENT)
         took = taking_turns(
             {
                 "read": lambda: read(folder),
-                "cut": lambda: lay_out(*day),
-                "pass": lambda: spin_tones(*day, layout, _PRESENT),
-                "joint": lambda: joint_estimate(*day, lay_out(*day), _PRESENT),
-                "selection": lambda: calibrate_by_selection(*day, lay_out(*day), _PRESENT),
+                "cut": lambda: cut_into_blocks(*day),
+                "pass": lambda: measure_tones(*day, layout, _PRESENT),
+                "joint": lambda: estimate_jointly(*day, cut_into_blocks(*day), _PRESENT),
+                "selection": lambda: calibrate_by_selection(*day, cut_into_blocks(*day), _PRESENT),
             }
         )
         tones, slopes = loop(*day[:2], layout, _PRESENT, _LOOPED)
         slow = taking_turns({"loop": lambda: loop(*day[:2], layout, _PRESENT, _LOOPED)}, 2)["loop"]
         slow *= layout.count / _LOOPED
-        found = spin_equations(spin_tones(*day, layout, _PRESENT))
+        found = spin_equations(measure_tones(*day, layout, _PRESENT))
     apart = [
         float(np.abs(one[:_LOOPED] - other).max() / np.abs(other).max())
         for one, other in ((found.residual, tones), (found.design, slopes))
@@ -159,7 +161,7 @@ def spin_eight() -> list[str]:
         return f"{name:<28} {took[key]:8.1f} ms, {took[key] / took['read']:.1f} times the reading"
 
     return [
-        f"a day at 4 Hz, 28,800 spins, {joint.tones.told()}",
+        f"a day at 4 Hz, 28,800 spins, {joint.tones.summary()}",
         f"{'reading and decoding it':<28} {took['read']:8.1f} ms",
         told("cutting into sub-intervals", "cut"),
         told("one pass of all tones", "pass"),

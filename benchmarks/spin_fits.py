@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.spin import spin_fits
+from inflight.spin import fit_spins
 from inflight.time import SECOND, Int64
 
 SPINS, READINGS, PERIOD = 28_800, 12, 3.0
@@ -47,20 +47,20 @@ def spin_fit_ratios() -> list[str]:
     stamps, field, phase = day()
     rivals: dict[str, Callable[[], object]] = {
         "lstsq a spin": lambda: loop(field, phase),
-        "all at once": lambda: spin_fits(stamps, field, phase, robust=False),
-        "all at once, robust": lambda: spin_fits(stamps, field, phase),
+        "all at once": lambda: fit_spins(stamps, field, phase, robust=False),
+        "all at once, robust": lambda: fit_spins(stamps, field, phase),
         # What has to be looked at once: times, readings and phase.
         "reading the memory": lambda: (stamps.sum(), field.sum(), phase.sum()),
         "sin and cos alone": lambda: (np.sin(phase), np.cos(phase)),
     }
-    spin_fits(stamps[:600], field[:600], phase[:600])
+    fit_spins(stamps[:600], field[:600], phase[:600])
     least = dict.fromkeys(rivals, np.inf)
     for _ in range(_ROUNDS):
         for name, rival in rivals.items():
             before = time.process_time()
             rival()
             least[name] = min(least[name], time.process_time() - before)
-    apart = np.abs(spin_fits(stamps, field, phase, robust=False).value - loop(field, phase)).max()
+    apart = np.abs(fit_spins(stamps, field, phase, robust=False).value - loop(field, phase)).max()
     slow = least["lstsq a spin"]
     rows = [f"{name:>20}: {1e3 * took:8.2f} ms, {slow / took:6.1f} x" for name, took in least.items()]
     return [

@@ -103,7 +103,7 @@ class Catalog:
             return run_records(session, kind)
 
     def current(self, name: str, day: str | np.datetime64) -> Day | None:
-        """Return the published revision of a day, or None; its `key` tells whether there is work to do."""
+        """Return the published revision of a day, or None; with an equal `key` there is no work to do."""
         with self._database.read() as session:
             return current_day(session, name, as_date(day))
 
@@ -305,16 +305,23 @@ class Catalog:
         report: Mapping[str, Any] | None = None,
     ) -> None:
         """Record a delivered file; `files` shows it once the run has published what was made from it."""
-        told = FileRecord(
-            instrument, str(path), sha256, size, mtime_ns, tuple(map(str, days)), dict(report or {}), run.id
+        record = FileRecord(
+            instrument=instrument,
+            path=str(path),
+            sha256=sha256,
+            size=size,
+            mtime_ns=mtime_ns,
+            days=tuple(map(str, days)),
+            report=dict(report or {}),
+            run=run.id,
         )
-        self.record_files(run, [told])
+        self.record_files(run, [record])
 
     def record_files(self, run: Run, files: Iterable[FileRecord]) -> None:
         """Record many delivered files in one transaction."""
         with self._database.write() as session:
-            for told in files:
-                registry.record_file(session, run.id, told)
+            for record in files:
+                registry.record_file(session, run.id, record)
 
     def files(self, instrument: str) -> dict[str, FileRecord]:
         """Return the delivered files already taken in, by path."""

@@ -47,7 +47,7 @@ class Database:
         try:
             self._migrate()
         except DatabaseError as error:
-            raise _told(error, url) from error
+            raise _catalog_error(error, url) from error
 
     @contextmanager
     def read(self) -> Iterator[Session]:
@@ -104,8 +104,8 @@ def _open_sealed(
 ) -> sqlite3.Connection | None:
     """Open a database that this user cannot write, for reading; None leaves any other to SQLAlchemy.
 
-    A write-ahead log wants a file of its own beside the database even to read. Where none can be made and
-    nobody writes at this moment, the database is read as a file that does not change.
+    A write-ahead log needs a file of its own next to the database even to read. Where none can be made and
+    no process writes at this moment, the database is read as a file that does not change.
     """
     path = Path(str(arguments[0])) if arguments else Path()
     if not _is_sealed(path):
@@ -157,10 +157,10 @@ def _errors_told(engine: Engine) -> Iterator[None]:
     try:
         yield
     except DatabaseError as error:
-        raise _told(error, str(engine.url)) from error
+        raise _catalog_error(error, str(engine.url)) from error
 
 
-def _told(error: DatabaseError, url: str) -> CatalogError:
+def _catalog_error(error: DatabaseError, url: str) -> CatalogError:
     reason = str(error.orig)
     if isinstance(error, OperationalError) and any(
         word in reason for word in ("locked", "full", "disk", "readonly", "unable to open")

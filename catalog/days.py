@@ -105,8 +105,8 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
     With `states`, the newest record in one of them that is not older than the published one: a day
     that failed and was published later is not failed any more.
     """
-    wanted = None if states is None else set(states)
-    if wanted is not None and (unknown := wanted - set(DAY_STATES)):
+    accepted = None if states is None else set(states)
+    if accepted is not None and (unknown := accepted - set(DAY_STATES)):
         raise CatalogError(
             f"unknown day states {sorted(unknown)}", remedy=f"use some of {', '.join(DAY_STATES)}"
         )
@@ -123,7 +123,7 @@ def status_of_days(session: Session, name: str, span: Span, states: Iterable[str
             by_day[row.day] = [(row, path)]
         elif row.state != "published":
             by_day[row.day].append((row, path))
-    chosen = (_choose(by_day[day], wanted) for day in sorted(by_day))
+    chosen = (_choose(by_day[day], accepted) for day in sorted(by_day))
     return [day_record(found[0], name, found[1]) for found in chosen if found]
 
 
@@ -197,9 +197,9 @@ def adoptable_days(session: Session, name: str) -> list[tuple[dt.date, str]]:
     return [(day, key) for day, key in found]
 
 
-def _choose(rows: Sequence[Any], wanted: set[str] | None) -> Any:
-    if wanted is not None:
-        return next((found for found in reversed(rows) if found[0].state in wanted), None)
+def _choose(rows: Sequence[Any], accepted: set[str] | None) -> Any:
+    if accepted is not None:
+        return next((found for found in reversed(rows) if found[0].state in accepted), None)
     published = next((found for found in rows if found[0].state == "published"), None)
     return published or rows[-1]
 

@@ -17,15 +17,30 @@ from inflight.time import TT2000_FILL
 
 Array = npt.NDArray[Any]
 
-#: A value may differ from a multiple of the resolution by this part of the resolution.
-STEP_TOLERANCE: Final = 1e-6
-#: A decoded value may differ from the given one by this part of it.
-VALUE_TOLERANCE: Final = 1e-9
-#: Attribute of a stored array that says how to decode it.
+#: Attribute of a stored array that describes its encoding.
 ENCODING_ATTRIBUTE: Final = "inflight"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class PackingSettings:
+    """When a channel may be stored as multiples of its resolution; both must hold.
+
+    Attributes
+    ----------
+    step_tolerance : float
+        A value may differ from a multiple of the resolution by this part of the resolution (assumed).
+    value_tolerance : float
+        A decoded value may differ from the given one by this part of it: rounding of float32 (derived).
+    """
+
+    step_tolerance: float = 1e-6
+    value_tolerance: float = 1e-9
+
+
+PACKING = PackingSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Encoding:
     """How one variable is stored.
 
@@ -46,23 +61,23 @@ class Encoding:
 
     def attributes(self) -> dict[str, Any]:
         """Return the attributes to store; packed arrays carry the CF ones too, for other readers."""
-        told: dict[str, Any] = {"kind": self.kind, "dtype": self.dtype}
+        described: dict[str, Any] = {"kind": self.kind, "dtype": self.dtype}
         if self.kind == "labels":
-            told["labels"] = list(self.labels)
+            described["labels"] = list(self.labels)
         if self.kind != "packed":
-            return {ENCODING_ATTRIBUTE: told}
-        told |= {"resolution": self.resolution, "missing": self.missing}
-        return {ENCODING_ATTRIBUTE: told, "scale_factor": self.resolution, "_FillValue": self.missing}
+            return {ENCODING_ATTRIBUTE: described}
+        described |= {"resolution": self.resolution, "missing": self.missing}
+        return {ENCODING_ATTRIBUTE: described, "scale_factor": self.resolution, "_FillValue": self.missing}
 
     @classmethod
     def from_attributes(cls, attributes: dict[str, Any], stored: str) -> Encoding:
         """Rebuild the encoding and take its own attributes out of `attributes`."""
-        told = dict(attributes.pop(ENCODING_ATTRIBUTE))
-        if told["kind"] == "packed":
+        described = dict(attributes.pop(ENCODING_ATTRIBUTE))
+        if described["kind"] == "packed":
             attributes.pop("scale_factor")
             attributes.pop("_FillValue")
-        labels = tuple(told.pop("labels", ()))
-        return cls(stored=stored, fill=0, labels=labels, **told)
+        labels = tuple(described.pop("labels", ()))
+        return cls(stored=stored, fill=0, labels=labels, **described)
 
     def encode(self, values: Array) -> Array:
         """Return the stored form of `values`, same shape."""
@@ -107,12 +122,12 @@ def choose_encoding(name: str, pieces: Sequence[Array], attributes: dict[str, An
     dtype = pieces[0].dtype
     if dtype.kind in "UOT":
         labels = sorted({str(value) for piece in pieces for value in piece.ravel()})
-        return Encoding("labels", "str", "uint32", 0, labels=tuple(labels))
+        return Encoding(kind="labels", dtype="str", stored="uint32", fill=0, labels=tuple(labels))
     if dtype.kind in "mM":
         unit = "datetime64[ns]" if dtype.kind == "M" else "timedelta64[ns]"
-        return Encoding("stamps", unit, "int64", int(TT2000_FILL), delta=True)
+        return Encoding(kind="stamps", dtype=unit, stored="int64", fill=int(TT2000_FILL), delta=True)
     fill: int | float | bool = np.nan if dtype.kind in "fc" else False if dtype.kind == "b" else 0
-    plain = Encoding("plain", dtype.name, dtype.name, fill)
+    plain = Encoding(kind="plain", dtype=dtype.name, stored=dtype.name, fill=fill)
     if name == "tt2000":
         return replace(plain, fill=int(TT2000_FILL), delta=True)
     resolution = attributes.get("resolution")
@@ -134,7 +149,15 @@ def _packed(pieces: Sequence[Array], resolution: float) -> Encoding | None:
         if not largest < 2**53 or not _lossless(finite, resolution):
             return None
     stored, missing = ("int32", -(2**31)) if largest < 2**31 - 1 else ("int64", -(2**63))
-    return Encoding("packed", pieces[0].dtype.name, stored, missing, True, resolution, missing)
+    return Encoding(
+        kind="packed",
+        dtype=pieces[0].dtype.name,
+        stored=stored,
+        fill=missing,
+        delta=True,
+        resolution=resolution,
+        missing=missing,
+    )
 
 
 def _lossless(finite: Array, resolution: float) -> bool:
@@ -144,7 +167,12 @@ def _lossless(finite: Array, resolution: float) -> bool:
     if np.array_equal(decoded, finite):
         return True
     error = np.abs(decoded - finite)
-    return bool(np.all((error <= STEP_TOLERANCE * resolution) & (error <= VALUE_TOLERANCE * np.abs(finite))))
+    return bool(
+        np.all(
+            (error <= PACKING.step_tolerance * resolution)
+            & (error <= PACKING.value_tolerance * np.abs(finite))
+        )
+    )
 
 
 def _steps(values: Array, resolution: float) -> npt.NDArray[np.float64]:

@@ -29,10 +29,10 @@ _reached: Counter[str] = Counter()
 
 def reached(point: str) -> None:
     """Kill the process, as ``kill -9`` does, when the environment asks for it here."""
-    wanted = os.environ.get("INFLIGHT_KILL_AT")
-    if not wanted:
+    requested = os.environ.get("INFLIGHT_KILL_AT")
+    if not requested:
         return
     _reached[point] += 1
-    name, _, number = wanted.partition(":")
+    name, _, number = requested.partition(":")
     if name == point and _reached[point] == int(number or 1):
         os.kill(os.getpid(), signal.SIGKILL)

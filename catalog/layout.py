@@ -236,14 +236,11 @@ def _check_like_first(
             day=day,
             remedy="make the days alike, or write two segments",
         )
-    if not in_rows and not _equal(piece, its_piece):
+    with_nan = piece.dtype.kind in "fcmM"
+    if not in_rows and not np.array_equal(piece, its_piece, equal_nan=with_nan):
         raise ContentError(
             "has no rows and differs between days",
             channel=name,
             day=day,
             remedy=f"give it dimension {list(ROW_TIMES)}",
         )
-
-
-def _equal(one: Array, other: Array) -> bool:
-    return np.array_equal(one, other, equal_nan=one.dtype.kind in "fcmM")

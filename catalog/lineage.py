@@ -29,10 +29,10 @@ def parent_ids(parents: Iterable[Day | str]) -> list[str]:
 
 def add_edges(session: Session, edges: Iterable[Edge]) -> None:
     """Record edges; those already there are left."""
-    wanted = dict.fromkeys(Edge(*edge) for edge in edges)
-    children = list(dict.fromkeys(edge.child for edge in wanted))
+    new = dict.fromkeys(Edge(*edge) for edge in edges)
+    children = list(dict.fromkeys(edge.child for edge in new))
     known = set(_edges(session, EdgeRow.child, children))
-    session.add_all(EdgeRow(parent=edge.parent, child=edge.child) for edge in wanted if edge not in known)
+    session.add_all(EdgeRow(parent=edge.parent, child=edge.child) for edge in new if edge not in known)
 
 
 def walk(session: Session, ids: Iterable[str], *, up: bool) -> list[Edge]:
@@ -75,10 +75,10 @@ def _known(session: Session, kind: str, items: list[str]) -> set[str]:
         return set()
     column, numbers = columns[kind], kind in {"day", "table"}
     values = [item.partition(":")[2] for item in items]
-    wanted: list[Any] = [int(value) for value in values if value.isdigit()] if numbers else values
+    keys: list[Any] = [int(value) for value in values if value.isdigit()] if numbers else values
     known: set[str] = set()
-    for first in range(0, len(wanted), _BATCH):
-        batch = wanted[first : first + _BATCH]
+    for first in range(0, len(keys), _BATCH):
+        batch = keys[first : first + _BATCH]
         known |= {f"{kind}:{value}" for value in session.scalars(select(column).where(column.in_(batch)))}
     return known
 

@@ -42,7 +42,7 @@ def read_one_day(
 ) -> xr.Dataset:
     """Read one day eagerly, without dask; the parameters and errors are those of `Catalog.read_day`."""
     store = open_store(str(workspace / day.segment))
-    names = _wanted([store], day.dataset, variables)
+    names = _names_to_read([store], day.dataset, variables)
     start, stop = day.rows
     dataset = store.dataset_of_day(start // store.chunk, names, start, stop)
     if store.row_dim == "time" and dated:
@@ -54,12 +54,13 @@ def open_days(
     workspace: Path, days: Sequence[Day], span: Span, variables: Iterable[str] | None
 ) -> xr.Dataset:
     """Open published days as one lazy Dataset; the parameters and errors are those of `Catalog.open`."""
-    wanted = None if variables is None else list(variables)
-    pieces = [_cut(_piece(workspace, day), span) for day in days]
+    requested = None if variables is None else list(variables)
+    opened_days = [_Piece(open_store(str(workspace / day.segment)), day, *day.rows) for day in days]
+    pieces = [_cut(piece, span) for piece in opened_days]
     pieces = [piece for piece in pieces if piece.stop > piece.start] or pieces[:1]
     stores = list({piece.store.folder: piece.store for piece in pieces}.values())
     dataset, row_dim = days[0].dataset, stores[0].row_dim
-    names = _wanted(stores, dataset, wanted)
+    names = _names_to_read(stores, dataset, requested)
     data = {name: _variable(name, stores, pieces) for name in names}
     coordinates = frozenset.union(*(store.coordinates for store in stores)) & set(names)
     opened = xr.Dataset(data, attrs=_common([store.attributes for store in stores])).set_coords(coordinates)
@@ -89,10 +90,6 @@ def utc_of_day(stamps: npt.NDArray[np.int64]) -> npt.NDArray[np.datetime64]:
         return to_utc(stamps)
     utc: npt.NDArray[np.datetime64] = (stamps + shifts[0]).view("datetime64[ns]")
     return utc
-
-
-def _piece(workspace: Path, day: Day) -> _Piece:
-    return _Piece(open_store(str(workspace / day.segment)), day, *day.rows)
 
 
 def _cut(piece: _Piece, span: Span) -> _Piece:
@@ -125,7 +122,7 @@ def read_table(workspace: Path, path: str, table_id: int) -> xr.Dataset:
     return dataset.assign_attrs(table_id=table_id)
 
 
-def _wanted(stores: Sequence[Store], dataset: str, variables: Iterable[str] | None) -> list[str]:
+def _names_to_read(stores: Sequence[Store], dataset: str, variables: Iterable[str] | None) -> list[str]:
     """Return the names to read, with the variable that dates the rows."""
     known = list(dict.fromkeys(name for store in stores for name in store.variables))
     if variables is None:

@@ -29,7 +29,7 @@ def this_process() -> ProcessMark:
 
 
 def _start_of(pid: int) -> str:
-    """Return when a process began, in whatever unit the system tells it; empty when there is none."""
+    """Return when a process began, in the system's own unit; empty when there is none."""
     if not Path("/proc/self/stat").exists():
         return _start_from_ps(pid)
     try:
@@ -50,7 +50,7 @@ def _boot() -> str:
 
 
 def _start_from_ps(pid: int) -> str:
-    told = subprocess.run(
+    answer = subprocess.run(
         ["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False
     )
-    return told.stdout.strip()
+    return answer.stdout.strip()

@@ -40,8 +40,8 @@ def publish_run(
         ).all()
         _check_stores(workspace, {store.path: store.sha256 for _, store, _ in rows})
         published = _move_pointers(session, run_id, [row for row, _, _ in rows])
-        for wanted in certify:
-            certify_table(session, wanted, supersede=supersede)
+        for certification in certify:
+            certify_table(session, certification, supersede=supersede)
         # A delivered file counts as taken in only with the days that were made from it.
         session.execute(update(FileRow).where(FileRow.run_id == run_id).values(taken=True))
         session.flush()

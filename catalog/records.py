@@ -1,7 +1,7 @@
 """What the catalog gives and takes: days, segments, tables, files. Plain frozen records without a database.
 
 Words: a *segment* is one immutable Zarr store that holds several days of one dataset; a *day* is one
-revision of one UTC day of one dataset; a *row* of a segment says where a day lies in it.
+revision of one UTC day of one dataset; a *row* of a segment is the place of a day in it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DAMAGED: Final = "damaged: "
 
 
 def is_damaged(notes: Sequence[str]) -> bool:
-    """Tell whether a store's notes say that it was found damaged."""
+    """Return True when a store's notes state that it was found damaged."""
     return any(note.startswith(DAMAGED) for note in notes)
 
 
@@ -60,7 +60,7 @@ class DayData:
     report: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SegmentRow:
     """Where one day lies in a segment: rows ``[start, stop)``; times are TT2000, both samples included."""
 
@@ -77,11 +77,11 @@ class SegmentRow:
     step_ns: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Segment:
     """A complete, verified, immutable store.
 
-    `path` is relative to the workspace, `sha256` that of its manifest; `notes` tell what could not be packed.
+    `path` is relative to the workspace, `sha256` that of its manifest; `notes` list what could not be packed.
     """
 
     path: str
@@ -92,7 +92,7 @@ class Segment:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Day:
     """One revision of one day of one dataset, as the catalog knows it.
 
@@ -122,7 +122,7 @@ class Day:
     step_ns: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TableRecord:
     """One calibration table; `certified` lists ``(context, start, end)`` in half-open TT2000.
 
@@ -141,7 +141,7 @@ class TableRecord:
     damaged: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FileRecord:
     """A delivered file that was taken in."""
 
@@ -155,7 +155,7 @@ class FileRecord:
     run: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RunRecord:
     """One run; `state` is running, done or failed."""
 
@@ -181,7 +181,7 @@ class ContextRecord:
     tables: Mapping[str, int]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelRecord:
     """One version of a model; `parent` is the version it was made from."""
 
@@ -205,7 +205,7 @@ def idempotency_key(
     day : str or datetime64[D]
         The UTC day.
     algorithm_version : int
-        Bumped by hand beside each algorithm: a commit hash would re-run a mission for a typo.
+        Raised by hand with each change of the algorithm: a commit hash would re-run a mission for a typo.
     context : str or None
         Id of the context.
     inputs : sequence of str

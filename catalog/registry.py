@@ -67,7 +67,14 @@ def model_text(session: Session, name: str | None, version: int | None) -> tuple
 def model_records(session: Session) -> list[ModelRecord]:
     """Return the history of all models, oldest first."""
     return [
-        ModelRecord(row.name, row.version, row.parent, row.message, row.sha256, row.created)
+        ModelRecord(
+            name=row.name,
+            version=row.version,
+            parent=row.parent,
+            message=row.message,
+            sha256=row.sha256,
+            created=row.created,
+        )
         for row in session.scalars(select(ModelRow).order_by(ModelRow.id))
     ]
 
@@ -103,18 +110,18 @@ def context_record(session: Session, context: str) -> ContextRecord:
     return ContextRecord(row.id, row.mission_text, row.model_name, row.model_version, row.tables)
 
 
-def record_file(session: Session, run_id: str, told: FileRecord) -> None:
+def record_file(session: Session, run_id: str, record: FileRecord) -> None:
     """Record a delivered file for a run; it counts as taken in when the run publishes."""
     row = session.scalar(
         select(FileRow).where(
-            FileRow.run_id == run_id, FileRow.instrument == told.instrument, FileRow.path == told.path
+            FileRow.run_id == run_id, FileRow.instrument == record.instrument, FileRow.path == record.path
         )
     )
     if row is None:
-        row = FileRow(run_id=run_id, instrument=told.instrument, path=told.path)
+        row = FileRow(run_id=run_id, instrument=record.instrument, path=record.path)
         session.add(row)
-    row.sha256, row.size, row.mtime_ns = told.sha256, told.size, told.mtime_ns
-    row.days, row.report, row.taken = list(told.days), dict(told.report), False
+    row.sha256, row.size, row.mtime_ns = record.sha256, record.size, record.mtime_ns
+    row.days, row.report, row.taken = list(record.days), dict(record.report), False
 
 
 def file_records(session: Session, instrument: str) -> dict[str, FileRecord]:

@@ -15,7 +15,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
-import xarray as xr
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -42,7 +41,7 @@ _MARKER: Final = "release.json"
 _WHOLE: Final = Span(None, None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Collection:
     """What goes into a release: the days, the days that are not there, the tables and the context."""
 
@@ -113,19 +112,29 @@ def _collect(
         there = {day.day for day in present}
         recorded = [day for day in status_of_days(session, name, _WHOLE, None) if day.day not in there]
         known = {day.day for day in recorded}
-        gaps = [Day(name, day, "missing") for day in missing_days(present) if day not in known]
+        gaps = [
+            Day(dataset=name, day=day, state="missing") for day in missing_days(present) if day not in known
+        ]
         absent += sorted(recorded + gaps, key=lambda day: day.day)
     if not days:
         raise CatalogError(f"no published days match {list(patterns)}", remedy="see 'inflight catalog list'")
     pinned = context_record(session, context) if context else None
-    wanted = set(pinned.tables.values()) if pinned else set()
+    pinned_ids = set(pinned.tables.values()) if pinned else set()
     tables = [
         table
         for table in table_records(session, None)
-        if table.id in wanted or any(scope in {None, context} for scope, _, _ in table.certified)
+        if table.id in pinned_ids or any(scope in {None, context} for scope, _, _ in table.certified)
     ]
     model = model_text(session, pinned.model_name, pinned.model_version)[2] if pinned else ""
-    return _Collection(version, notes, tuple(days), tuple(absent), tuple(tables), pinned, model)
+    return _Collection(
+        version=version,
+        notes=notes,
+        days=tuple(days),
+        absent=tuple(absent),
+        tables=tuple(tables),
+        context=pinned,
+        model=model,
+    )
 
 
 def _days_of(session: Session, name: str, context: str | None) -> list[Day]:
@@ -166,7 +175,9 @@ def _write_release(workspace: Path, folder: Path, collection: _Collection) -> No
     for batch in _batches(collection.days):
         _copy_days(workspace, folder, batch)
     for table in collection.tables:
-        _copy_table(workspace, folder, table)
+        store = open_store(str(workspace / table.segment))
+        dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
+        write_table(folder, "tables", f"{table.name}-{table.id}", dataset, portable=True)
     if (folder / "stores").exists():
         for group in (folder / "stores").iterdir():
             group.rename(folder / group.name)
@@ -194,7 +205,10 @@ def _batches(days: Sequence[Day]) -> Iterator[list[Day]]:
 def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
     """Write days again without the delta filter, and compare every value with the original."""
     contents = [
-        _without_time(read_one_day(workspace, day, None)).assign_attrs(version=day.version) for day in batch
+        read_one_day(workspace, day, None)
+        .drop_vars("time", errors="ignore")
+        .assign_attrs(version=day.version)
+        for day in batch
     ]
     data = [
         DayData(day.day, dataset, day.key, report=day.report)
@@ -210,16 +224,6 @@ def _copy_days(workspace: Path, folder: Path, batch: Sequence[Day]) -> None:
                 day=str(row.day),
                 remedy="run 'inflight catalog verify'",
             )
-
-
-def _copy_table(workspace: Path, folder: Path, table: TableRecord) -> None:
-    store = open_store(str(workspace / table.segment))
-    dataset = store.dataset_of_day(0, list(store.variables), 0, 0)
-    write_table(folder, "tables", f"{table.name}-{table.id}", dataset, portable=True)
-
-
-def _without_time(dataset: xr.Dataset) -> xr.Dataset:
-    return dataset.drop_vars("time", errors="ignore")
 
 
 def _write_days(path: Path, collection: _Collection) -> None:
@@ -277,10 +281,11 @@ def _readme(collection: _Collection) -> str:
         missing = sum(day.dataset == name for day in collection.absent)
         lines.append(f"| {name} | {days[0].day} | {days[-1].day} | {len(days)} | {missing} |")
     if collection.context:
-        told = collection.context
+        context = collection.context
         lines += [
             "",
-            f"Model: {told.model_name} version {told.model_version} (`model.yaml`), context `{told.id}`.",
+            f"Model: {context.model_name} version {context.model_version} (`model.yaml`), "
+            f"context `{context.id}`.",
         ]
     return "\n".join(lines) + "\n"
 

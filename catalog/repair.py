@@ -1,6 +1,6 @@
 """The way back from damage: what a damaged store held is made again by the next ingest and reprocess.
 
-A key that is published tells a run that there is no work. So the days of a damaged store lose their
+A published key means that there is no work. So the days of a damaged store lose their
 pointer, and its tables their validity; what was delivered and what is whole is not touched.
 """
 
@@ -39,21 +39,21 @@ class Repair:
 
 
 def repair(workspace: Path, database: Database, *, dry_run: bool) -> list[Repair]:
-    """Let go of what lies in damaged stores; see `Catalog.repair`."""
+    """Withdraw what lies in damaged stores; see `Catalog.repair`."""
     with database.read() as session:
         damaged = [
             (store.path, item, tuple(file for file, _ in faults))
             for store, item, faults in damaged_stores(workspace, session, None)
         ]
-        found = [_extent(session, *told) for told in damaged]
+        found = [_extent(session, *store) for store in damaged]
     if dry_run or not found:
         return found
-    settings = {"repaired": [asdict(told) for told in found]}
+    settings = {"repaired": [asdict(store) for store in found]}
     with Run(workspace, database, "repair", settings, None) as run, database.write() as session:
         # Asked again under the write lock: a run may have published meanwhile.
-        found = [_extent(session, *told) for told in damaged]
-        for told in found:
-            _let_go(session, run.id, told)
+        found = [_extent(session, *store) for store in damaged]
+        for store in found:
+            _withdraw(session, run.id, store)
     return found
 
 
@@ -71,11 +71,11 @@ def _extent(session: Session, path: str, item: str, files: tuple[str, ...]) -> R
     return Repair(item, path, files, tuple(map(str, days)), tuple(tables))
 
 
-def _let_go(session: Session, run_id: str, told: Repair) -> None:
+def _withdraw(session: Session, run_id: str, damage: Repair) -> None:
     """Take the pointers and validities of one store away and record why; rows and files stay."""
-    store = session.scalars(select(StoreRow).where(StoreRow.path == told.path)).one()
-    store.notes = [*store.notes, DAMAGED + ", ".join(told.files)]
-    message = f"its store is damaged: {told.path}/{told.files[0]}"
+    store = session.scalars(select(StoreRow).where(StoreRow.path == damage.path)).one()
+    store.notes = [*store.notes, DAMAGED + ", ".join(damage.files)]
+    message = f"its store is damaged: {damage.path}/{damage.files[0]}"
     rows = session.scalars(
         select(DayRow).join(CurrentRow, CurrentRow.day_id == DayRow.id).where(DayRow.store_id == store.id)
     ).all()
@@ -84,4 +84,4 @@ def _let_go(session: Session, run_id: str, told: Repair) -> None:
         lost.state, lost.cause, lost.message = "failed", "transient", message
         session.add(lost)
     session.execute(delete(CurrentRow).where(CurrentRow.day_id.in_([row.id for row in rows])))
-    session.execute(delete(CertificationRow).where(CertificationRow.table_id.in_(told.tables)))
+    session.execute(delete(CertificationRow).where(CertificationRow.table_id.in_(damage.tables)))

@@ -82,7 +82,7 @@ class Run:
         except CatalogError as refused:
             if error is None:
                 raise
-            # The first failure is the one to tell; the next opening after this process closes the run.
+            # The first failure is reported; the next opening after this process closes the run.
             error.add_note(f"the run could not be closed: {refused}")
 
     def attach(self, segment: Segment, parents: Iterable[Day | str] = ()) -> list[Day]:
@@ -93,7 +93,7 @@ class Run:
         segment : Segment
             From `write_segment` with this run's id.
         parents : iterable of Day or lineage ids
-            Of all its days, beside those each `DayData` states and the run's context.
+            Of all its days, in addition to those each `DayData` states and the run's context.
 
         Returns
         -------
@@ -115,7 +115,11 @@ class Run:
             pairs = zip(rows, segment.rows, strict=True)
             add_edges(
                 session,
-                (Edge(parent, f"day:{row.id}") for row, told in pairs for parent in [*told.parents, *shared]),
+                (
+                    Edge(parent, f"day:{row.id}")
+                    for row, written in pairs
+                    for parent in [*written.parents, *shared]
+                ),
             )
         return [day_record(row, segment.name, segment.path) for row in rows]
 
@@ -199,11 +203,11 @@ class Run:
             )
         if (cause or state == "failed") and cause not in CAUSES:
             raise CatalogError(f"cause {cause!r} is unknown", remedy=f"use one of {', '.join(CAUSES)}")
-        told = plain_attributes(report or {}, f"the report of day {day}")
+        plain = plain_attributes(report or {}, f"the report of day {day}")
         with self._database.write() as session:
             row = self._own_row(session, _dataset(session, name), as_date(day))
-            row.state, row.cause, row.message, row.report, row.key = state, cause, message, told, key
-            row.coverage = told.get("coverage")
+            row.state, row.cause, row.message, row.report, row.key = state, cause, message, plain, key
+            row.coverage = plain.get("coverage")
             session.flush()
         return day_record(row, name, None)
 
@@ -235,7 +239,7 @@ class Run:
             if found is None or not self._is_sound(found[1]):
                 return None
             theirs, store = found
-            told = SegmentRow(
+            written = SegmentRow(
                 day=utc_day(theirs.day),
                 start=theirs.start,
                 stop=theirs.stop,
@@ -246,7 +250,7 @@ class Run:
                 report=theirs.report,
                 step_ns=theirs.step_ns,
             )
-            row = self._staged_row(session, theirs.dataset_id, store, told)
+            row = self._staged_row(session, theirs.dataset_id, store, written)
             session.flush()
             adopted = f"day:{theirs.id}"
             made_from = [edge.parent for edge in walk(session, [adopted], up=True) if edge.child == adopted]
@@ -296,21 +300,21 @@ class Run:
             select(DayRow).where(DayRow.run_id == self.id, DayRow.dataset_id == dataset, DayRow.day == day)
         )
         if row is None:
-            told = {"run_id": self.id, "dataset_id": dataset, "context": self.context}
-            row = DayRow(day=day, state=DAY_STATES[0], **told)
+            columns = {"run_id": self.id, "dataset_id": dataset, "context": self.context}
+            row = DayRow(day=day, state=DAY_STATES[0], **columns)
             session.add(row)
         elif row.state == "published":
             raise CatalogError("this run has already published it", day=str(day), remedy="start another run")
         return row
 
-    def _staged_row(self, session: Session, dataset: int, store: StoreRow, told: SegmentRow) -> DayRow:
-        row = self._own_row(session, dataset, as_date(told.day))
-        row.state, row.message = "verified", str(told.report.get("partial", ""))
+    def _staged_row(self, session: Session, dataset: int, store: StoreRow, written: SegmentRow) -> DayRow:
+        row = self._own_row(session, dataset, as_date(written.day))
+        row.state, row.message = "verified", str(written.report.get("partial", ""))
         row.cause = "partial" if row.message else ""
-        row.store_id, row.start, row.stop, row.key = store.id, told.start, told.stop, told.key
-        row.first_tt2000, row.last_tt2000 = told.first_tt2000, told.last_tt2000
-        row.count, row.step_ns, row.report = told.count, told.step_ns, dict(told.report)
-        row.coverage = told.report.get("coverage")
+        row.store_id, row.start, row.stop, row.key = store.id, written.start, written.stop, written.key
+        row.first_tt2000, row.last_tt2000 = written.first_tt2000, written.last_tt2000
+        row.count, row.step_ns, row.report = written.count, written.step_ns, dict(written.report)
+        row.coverage = written.report.get("coverage")
         return row
 
     def _is_sound(self, store: StoreRow) -> bool:
@@ -373,7 +377,7 @@ def close_dead_runs(workspace: Path, database: Database) -> list[str]:
         gone = [
             row.id
             for row in session.scalars(select(RunRow).where(RunRow.state == "running"))
-            if _is_gone(row)
+            if ProcessMark(row.host, row.pid, row.process).is_gone()
         ]
     if not gone:
         return []
@@ -385,10 +389,6 @@ def close_dead_runs(workspace: Path, database: Database) -> list[str]:
     for run_id in gone:
         shutil.rmtree(workspace / "staging" / run_id, ignore_errors=True)
     return gone
-
-
-def _is_gone(row: RunRow) -> bool:
-    return ProcessMark(row.host, row.pid, row.process).is_gone()
 
 
 def _dataset(session: Session, name: str) -> int:

@@ -37,7 +37,7 @@ class Base(DeclarativeBase):
 
 
 class RunRow(Base):
-    """One run; host, pid and `process` (start of the process) tell whether it is still alive."""
+    """One run; host, pid and `process` (start of the process) identify its process."""
 
     __tablename__ = "run"
     id: Mapped[str] = mapped_column(primary_key=True)

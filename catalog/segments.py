@@ -100,7 +100,7 @@ def write_segment(
     with _staged(Path(workspace), run_id, label) as staged:
         notes = _write_store(staged.folder, contents, layout, common, described, portable)
         path, sha256, size = staged.finish()
-    return Segment(path, name, sha256, size, layout.rows, tuple(notes))
+    return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=layout.rows, notes=tuple(notes))
 
 
 def write_table(
@@ -127,7 +127,7 @@ def write_table(
     with _staged(Path(workspace), run_id, _label(name)) as staged:
         notes = _write_store(staged.folder, contents, None, attributes, described, portable)
         path, sha256, size = staged.finish()
-    return Segment(path, name, sha256, size, (), tuple(notes))
+    return Segment(path=path, name=name, sha256=sha256, bytes=size, rows=(), notes=tuple(notes))
 
 
 class _Staged:
@@ -280,7 +280,7 @@ def _check_metadata(folder: Path, contents: Sequence[Variable]) -> None:
         array = group[item.name]
         stored = dict(array.attrs)
         if not isinstance(array, zarr.Array) or any(
-            stored.get(key) != told for key, told in item.attributes.items()
+            stored.get(key) != value for key, value in item.attributes.items()
         ):
             raise IntegrityError("attributes read back differently", file=str(folder), channel=item.name)
     if set(group.array_keys()) != {item.name for item in contents}:

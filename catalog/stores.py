@@ -33,7 +33,7 @@ Array = npt.NDArray[Any]
 REMEDY: Final = "run 'inflight catalog repair', then 'inflight ingest' and 'inflight reprocess' make it again"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StoredVariable:
     """One array of a store; `shape` and `chunks` are those on disk."""
 
@@ -52,7 +52,7 @@ class StoredVariable:
         return np.dtype(self.encoding.dtype)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Store:
     """An opened store: metadata only, until values are asked for."""
 
@@ -143,15 +143,12 @@ class Store:
                 f"chunk cannot be read: {error}",
                 file=str(self.folder / name),
                 channel=variable.name,
-                day=self._day_of_chunk(variable.name, place),
+                day=self.days[place[0]] if self.in_rows(variable.name) and place[0] < len(self.days) else "",
                 remedy=REMEDY,
             ) from error
         if variable.delta:
             block = np.cumsum(block, axis=None, dtype=block.dtype).reshape(variable.chunks)
         return block[tuple(slice(0, size) for size in variable.shape)] if not all(variable.shape) else block
-
-    def _day_of_chunk(self, name: str, place: tuple[int, ...]) -> str:
-        return self.days[place[0]] if self.in_rows(name) and place[0] < len(self.days) else ""
 
 
 def open_store(folder: str) -> Store:

@@ -1,4 +1,4 @@
-"""Looking after a workspace: what it holds, whether it is whole, what nobody needs any more."""
+"""Upkeep of a workspace: what it holds, whether it is whole, which stores are no longer needed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def damaged_stores(
 
 
 def _edges_in_use(session: Session) -> list[tuple[str, str]]:
-    """Return the lineage of all but days nobody sees: a run that died had not named their files yet."""
+    """Return the lineage of published days: a run that died had not recorded the files of others yet."""
     unseen = {f"day:{id}" for id in session.scalars(select(DayRow.id).where(DayRow.state != "published"))}
     edges = session.execute(select(EdgeRow.parent, EdgeRow.child)).all()
     return [(parent, child) for parent, child in edges if child not in unseen]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -17,9 +16,9 @@ from inflight.time import to_utc
 Certification = tuple[int, int, int, str | None]
 
 
-def certify_table(session: Session, wanted: Certification, *, supersede: bool) -> None:
+def certify_table(session: Session, certification: Certification, *, supersede: bool) -> None:
     """Give a table a validity; see `Catalog.certify`."""
-    table_id, start, end, context = wanted
+    table_id, start, end, context = certification
     table = session.get(TableRow, table_id)
     if table is None:
         raise CatalogError(f"table {table_id} is not in the catalog", remedy="see Catalog.tables")
@@ -41,7 +40,7 @@ def certify_table(session: Session, wanted: Certification, *, supersede: bool) -
                 f"table {older.table_id}, valid {_span(older.start, older.end)}",
                 remedy="choose a span that is free, or supersede the older table",
             )
-        _cut(session, older, start, end)
+        _take_out(session, older, start, end)
     session.flush()
     session.add(CertificationRow(table_id=table_id, name=table.name, context=scope, start=start, end=end))
     session.flush()
@@ -57,11 +56,11 @@ def valid_table(session: Session, name: str, at: int, context: str | None) -> tu
     CatalogError
         When no table holds then; the message lists those that hold at other times.
     """
-    found = (
-        (_certified(session, name, at, context) if context else None)
-        or (_pinned(session, name, context) if context else None)
-        or _certified(session, name, at, "")
-    )
+    found = _certified(session, name, at, context) if context else None
+    if found is None and context:
+        pinned = session.scalar(select(ContextRow.tables).where(ContextRow.id == context)) or {}
+        found = session.get(TableRow, pinned[name]) if name in pinned else None
+    found = found or _certified(session, name, at, "")
     if found is None:
         spans = session.scalars(select(CertificationRow).where(CertificationRow.name == name))
         others = "; ".join(f"table {row.table_id} {_span(row.start, row.end)}" for row in spans) or "none"
@@ -118,12 +117,7 @@ def _certified(session: Session, name: str, at: int, scope: str) -> TableRow | N
     )
 
 
-def _pinned(session: Session, name: str, context: str) -> TableRow | None:
-    pinned: dict[str, Any] | None = session.scalar(select(ContextRow.tables).where(ContextRow.id == context))
-    return session.get(TableRow, pinned[name]) if pinned and name in pinned else None
-
-
-def _cut(session: Session, older: CertificationRow, start: int, end: int) -> None:
+def _take_out(session: Session, older: CertificationRow, start: int, end: int) -> None:
     """Take ``[start, end)`` out of an older validity; what is left on both sides stays valid."""
     before, after = (older.start, start), (end, older.end)
     kept = [span for span in (before, after) if span[0] < span[1]]

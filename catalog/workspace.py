@@ -171,7 +171,7 @@ def _parse(path: Path) -> Mission:
 
 
 def _companions(source: Path, mission: Mission) -> dict[str, Path]:
-    """Return the files a mission names beside itself, by their relative name."""
+    """Return the further files a mission names, by their relative name."""
     found = {name: source.parent / name for name in mission.companions if not Path(name).is_absolute()}
     for name, path in found.items():
         if ".." in Path(name).parts or not path.is_file():

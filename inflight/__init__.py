@@ -1,8 +1,10 @@
 """In-flight calibration of magnetometers: pure physics over numpy and xarray.
 
-The package itself opens no file. Storage lives in :mod:`inflight.catalog`, pipeline steps in
-:mod:`inflight.tasks`, Prefect flows in :mod:`inflight.flows`. Names are imported when they are first asked
-for, here and in every folder: the command line must not wait for numpy to print its help.
+What a user needs first: `Mission` (what flew), `Model` and `Effect` (what disturbs the readings), `align`
+(measurements on one time base), `NormalEquations` (what a fit reads). This package opens no file: storage
+lives in :mod:`inflight.catalog`, steps in :mod:`inflight.tasks`, Prefect flows in :mod:`inflight.flows`.
+Open `inflight.effects.base` and `inflight.model.model` first. Names are imported when they are first used,
+here and in every folder: the command line must not wait for numpy to print its help.
 """
 
 import lazy_loader

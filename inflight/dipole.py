@@ -1,4 +1,4 @@
-"""What one dipole makes at both sensors, from the difference that the residual tells."""
+"""The field of one dipole at two sensors, from the difference that a residual gives (Yin 2010, eq. 3.1)."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def dipole_split(
     SettingsError
         Sensors at equal distances or at the dipole; off one line without a direction.
     """
-    wanted = np.asarray(difference, dtype=np.float64)
+    observed = np.asarray(difference, dtype=np.float64)
     spread = np.zeros((3, 3)) if covariance is None else np.asarray(covariance, dtype=np.float64)
     near, far = (_position(one) for one in (r_vector, r_scalar))
     size = [float(np.linalg.norm(one)) for one in (near, far)]
@@ -74,7 +74,7 @@ def dipole_split(
     else:
         parts = _along_moment(near, far, direction)
         factor = float("nan"), float("nan")
-    vector, scalar = (part @ wanted for part in parts)
+    vector, scalar = (part @ observed for part in parts)
     sigma = [np.sqrt(np.clip(np.diag(part @ spread @ part.T), 0.0, None)) for part in parts]
     return DipoleSplit(vector, scalar, sigma[0], sigma[1], factor)
 

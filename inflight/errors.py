@@ -41,8 +41,8 @@ class InflightError(Exception):
             )
             if text
         )
-        told = f"{place}: {self.message}" if place else self.message
-        return f"{told}; {self.remedy}" if self.remedy else told
+        text = f"{place}: {self.message}" if place else self.message
+        return f"{text}; {self.remedy}" if self.remedy else text
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle whole, because errors travel from Dask workers."""
@@ -122,9 +122,13 @@ class SettingsError(InflightError, ValueError):
     """Parameters of a run make no sense together or for this mission."""
 
 
+class ConformanceError(InflightError, AssertionError):
+    """A plug-in does not keep its contract; the message lists every failed check and what to mend."""
+
+
 class CalibrationError(InflightError, ArithmeticError):
     """A fit cannot be made from the data given."""
 
 
 class TooLittleError(CalibrationError):
-    """A record tells nothing of what is looked for, though nothing in it speaks against it."""
+    """A record is too short or too quiet to determine what is asked for; it is not contradicted."""

@@ -1,7 +1,7 @@
 """Small expressions over named arrays, as a mission YAML states them in ``good_when``.
 
-Only comparisons, arithmetic, ``and or not & | ~``, numbers, names and ``name[column]`` are known; the
-text is parsed into a tree whose every node is checked, and nothing of it is ever run as Python.
+Only comparisons, arithmetic, ``and or not & | ~``, numbers, names and ``name[column]`` are allowed; the
+text is parsed into a tree whose every node is checked, and none of it is run as Python.
 """
 
 from __future__ import annotations

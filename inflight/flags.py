@@ -45,13 +45,13 @@ class Flag(IntFlag):
     PHASE_JUMP = 1 << 12
     #: The spacecraft is in a state that no training has seen: its stray field is not known from states.
     UNKNOWN_STATE = 1 << 13
-    #: Two or more states fit about equally well, or the stretch is too short to tell.
+    #: Two or more states fit about equally well, or the stretch is too short to decide.
     AMBIGUOUS_STATE = 1 << 14
     #: The sample lies in a passing disturbance or in the transition between two states.
     TRANSIENT = 1 << 15
     #: A flipper holds the sensors in the position that the day is not calibrated for.
     FLIPPED = 1 << 16
-    #: The reading of a sensor stands at an end of the range the mission YAML states.
+    #: The reading of a sensor lies at an end of the range the mission YAML states.
     SATURATED = 1 << 17
     #: Nothing is taken off the outboard reading of two sensors: no correction is known here, or the one that
     #: was learnt does not help.

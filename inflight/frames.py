@@ -1,23 +1,16 @@
-"""Sun, Earth, GSE/GSM, NEC, quaternions.
+"""Frames: the Sun, the Earth's turn and shadow, orbit geometry, and turning vectors between axes.
 
-Where the Sun stands and how the Earth turns, to a hundredth of a degree, and the Earth's shadow.
+Frames: *sensor* (orthogonal axes of the vector sensor), *spacecraft*, *itrf* (turns with the Earth), *nec*
+(north, east, centre: z towards the Earth's centre, geocentric), *gcrf* (equator and equinox of J2000), *gei*
+(mean equator and equinox of date), *gse* (x to the Sun as the Earth sees it, z to the pole of the ecliptic
+of date), *gsm* (gse turned about x until the Earth's dipole lies in its xz plane, z northward: Russell 1971;
+Hapgood 1992). *Payload* axes have z along the spin and x to the Sun's projection into the spin plane
+(Farrell et al. 1995, eq. 1). *Of date* is the true direction at the time, less nutation (below 0.005
+degrees). UTC stands for UT1, which differs by at most 0.9 s (0.004 degrees). Directions are true to some
+hundredths of a degree (low-precision formulas of the Astronomical Almanac); the dipole is that of the IGRF.
 
-Frames: *of date* is the true direction of equator and equinox at the time, less nutation (below
-0.005 degrees); *gcrf* is the equator and equinox of J2000; *itrf* turns with the Earth. UTC stands
-for UT1, which it never leaves by more than 0.9 s (0.004 degrees).
-
-Where the spacecraft is and how it points: latitude, orbit phase, and the axes fields are given in.
-
-Frames: *sensor* (orthogonal axes of the vector sensor), *spacecraft*, *itrf* (Earth-fixed), *nec*
-(north, east, centre: z towards the Earth's centre, geocentric).
-
-Geocentric solar axes, and the payload axes of a spinning spacecraft in them.
-
-*gse* has x to the Sun as the Earth sees it and z to the pole of the ecliptic of date; *gsm* is turned about
-x until the Earth's dipole lies in its xz plane, z northward (Russell 1971; Hapgood 1992). *gei* is the mean
-equator and equinox of date, *gcrf* those of J2000, *itrf* turns with the Earth. *Payload* axes have z along
-the spin and x to the Sun's projection into the spin plane (Farrell et al. 1995, eq. 1). Directions are true
-to some hundredths of a degree: see `inflight.frames`. The dipole is that of the IGRF.
+These formulas are kept here because a library for them takes seconds to import; the tests hold them against
+one.
 """
 
 from __future__ import annotations
@@ -46,6 +39,32 @@ _DAY = np.timedelta64(1, "D")
 EARTH_RADIUS = 6371.0
 
 SUN_RADIUS = 0.2666 * np.pi / 180.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometrySettings:
+    """Where directions stop being known.
+
+    Attributes
+    ----------
+    shortest_quaternion : float
+        A quaternion shorter than this is none (assumed: a fill value or nothing).
+    plane_step : float
+        s; two positions this far apart give the orbit's plane: further than their rounding matters (derived).
+    least_inclination : float
+        Sine of an angle; an orbit inclined by less has no node, and its phase counts from the vernal equinox
+        (assumed).
+    least_projection : float
+        Sine of 5 degrees; with the Sun nearer to the spin axis its projection gives no direction (assumed).
+    """
+
+    shortest_quaternion: float = 0.5
+    plane_step: float = 60.0
+    least_inclination: float = 0.01
+    least_projection: float = 0.087
+
+
+GEOMETRY_LIMITS = GeometrySettings()
 
 
 def days_since_j2000(tt2000: Int64) -> Floats:
@@ -131,10 +150,6 @@ def _covered(apart: Floats, cover: Floats, disc: float) -> Floats:
     return np.where(np.isfinite(apart), out, np.nan)
 
 
-#: A quaternion shorter than this is none.
-_SHORTEST = 0.5
-
-
 def rotate(field: Floats, quaternion: Floats) -> Floats:
     """Turn vectors by quaternions x, y, z, w.
 
@@ -155,8 +170,8 @@ def rotate(field: Floats, quaternion: Floats) -> Floats:
     vx, vy, vz = np.ascontiguousarray(field.T)
     size = x * x + y * y + z * z + w * w
     with np.errstate(invalid="ignore", divide="ignore"):
-        twice = np.where(size > _SHORTEST**2, 2.0 / size, np.nan)
-    # v + 2 w (q x v) + 2 q x (q x v), of a quaternion whose length is its own affair.
+        twice = np.where(size > GEOMETRY_LIMITS.shortest_quaternion**2, 2.0 / size, np.nan)
+    # v + 2 w (q x v) + 2 q x (q x v), of a quaternion of any length.
     tx, ty, tz = twice * (y * vz - z * vy), twice * (z * vx - x * vz), twice * (x * vy - y * vx)
     out = np.empty_like(field)
     out[:, 0] = vx + w * tx + y * tz - z * ty
@@ -249,24 +264,18 @@ GEOMETRY = {
     "sun_direction": "1",
 }
 
-#: Variables of samples that tell them.
-_TELLING = ("tt2000", "position", "attitude", "vector", "inboard")
+#: Variables of samples that they are made from.
+_GEOMETRY_INPUTS = ("tt2000", "position", "attitude", "vector", "inboard")
 
-#: Those that the orbit's plane tells.
+#: Those made from the orbit's plane.
 _PHASES = ("orbit_phase", "sun_phase")
 
-#: Those that a slow response or a play may be made of: positions alone tell them.
+#: Those that a slow response or a play may be made of: positions are enough for them.
 SLOW_GEOMETRY = ("sunlit", "latitude")
-
-#: Two positions this far apart in time tell the orbit's plane, seconds: further than their rounding matters.
-_PLANE_STEP = 60.0
-
-#: An orbit inclined by less has no node: its phase counts from the vernal equinox. Sine of the angle.
-_LEAST_INCLINATION = 0.01
 
 
 def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) -> xr.Dataset:
-    """Add what position and attitude say of a sample; at any cadence, with gaps.
+    """Add geometry from position and attitude; at any cadence, with gaps.
 
     Parameters
     ----------
@@ -276,7 +285,7 @@ def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) 
         nec); a vector reading with attribute `orientation`, the quaternion from sensor to
         spacecraft axes (the same axes when absent).
     names : collection of str
-        Of `GEOMETRY`, what is wanted.
+        Of `GEOMETRY`, what to add.
 
     Returns
     -------
@@ -292,7 +301,7 @@ def add_geometry(samples: xr.Dataset, names: Collection[str] = tuple(GEOMETRY)) 
         return samples
     missing = [name for name in names if name not in samples]
     normal = _orbit_normal(place) if set(missing) & set(_PHASES) else None
-    return samples.assign(_variables(_told(samples, place, normal, missing)))
+    return samples.assign(_as_variables(_geometry(samples, place, normal, missing)))
 
 
 def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, xr.Variable]:
@@ -311,22 +320,22 @@ def geometry_at(samples: xr.Dataset, rows: npt.NDArray[np.int64]) -> dict[str, x
         dims (time,) or (time, axis), as long as `rows`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
-    samples = samples[[name for name in _TELLING if name in samples]]
-    before, after, longest = _beside(stamps, rows)
+    samples = samples[[name for name in _GEOMETRY_INPUTS if name in samples]]
+    before, after, longest = _neighbours(stamps, rows)
     around = np.unique(np.concatenate([before, rows, after]))
     place = _place(samples.isel(time=around))
     if place is None:
         return {}
     normal, known = _normals(place, np.searchsorted(around, before), np.searchsorted(around, after), longest)
     if not known.all():
-        # Beside a gap the orbit's plane comes from farther away.
+        # Next to a gap the orbit's plane comes from farther away.
         whole = add_geometry(samples)
         return {name: whole[name].variable.isel(time=rows) for name in GEOMETRY if name in whole}
     here = np.searchsorted(around, rows)
-    return _variables(_told(samples.isel(time=rows), place.rows(here), normal, list(GEOMETRY)))
+    return _as_variables(_geometry(samples.isel(time=rows), place.rows(here), normal, list(GEOMETRY)))
 
 
-def _variables(found: Mapping[str, Floats]) -> dict[str, xr.Variable]:
+def _as_variables(found: Mapping[str, Floats]) -> dict[str, xr.Variable]:
     return {
         name: xr.Variable(("time", "axis")[: values.ndim], values, {"units": GEOMETRY[name]})
         for name, values in found.items()
@@ -342,7 +351,7 @@ def _place(samples: xr.Dataset) -> _Place | None:
     return _Place.of(np.asarray(position.values, dtype=np.float64), position.attrs, stamps)
 
 
-def _told(
+def _geometry(
     samples: xr.Dataset, place: _Place, normal: Floats | None, names: Collection[str]
 ) -> dict[str, Floats]:
     """Return what is wanted of places; the orbit's normal is needed for its phases only."""
@@ -391,7 +400,7 @@ class _Place:
 def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
     """Return the angles along the orbit from the ascending node, and from the point nearest the Sun; deg."""
     node = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
-    node[np.hypot(node[:, 0], node[:, 1]) < _LEAST_INCLINATION] = (1.0, 0.0, 0.0)
+    node[np.hypot(node[:, 0], node[:, 1]) < GEOMETRY_LIMITS.least_inclination] = (1.0, 0.0, 0.0)
     ahead = np.cross(normal, node)
 
     def angle(vectors: Floats) -> Floats:
@@ -403,10 +412,10 @@ def _phases(place: _Place, normal: Floats) -> tuple[Floats, Floats]:
     return np.rad2deg(phase) % 360.0, np.rad2deg(phase - angle(place.sun)) % 360.0
 
 
-def _beside(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
-    """Return the samples on both sides that tell the orbit's plane, and their longest distance, ns."""
+def _neighbours(stamps: Int64, rows: Int64) -> tuple[Int64, Int64, float]:
+    """Return the samples on both sides that the orbit's plane comes from, and their longest distance, ns."""
     usual = usual_step(stamps[:2000], SECOND)
-    reach = max(1, round(0.5 * _PLANE_STEP * SECOND / usual))
+    reach = max(1, round(0.5 * GEOMETRY_LIMITS.plane_step * SECOND / usual))
     return np.maximum(rows - reach, 0), np.minimum(rows + reach, stamps.size - 1), 1.5 * 2 * reach * usual
 
 
@@ -417,7 +426,7 @@ def _normals(
     normal = np.cross(place.inertial[before], place.inertial[after])
     with np.errstate(invalid="ignore", divide="ignore"):
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # Across a gap the two may be half an orbit apart and tell the opposite plane.
+    # Across a gap the two may be half an orbit apart and give the opposite plane.
     close = place.tt2000[after] - place.tt2000[before] <= longest
     return normal, np.asarray(np.isfinite(normal).all(axis=1) & close)
 
@@ -428,7 +437,7 @@ def _orbit_normal(place: _Place) -> Floats:
     From two positions around each sample, a minute apart or one sample either way; where one is
     missing, from the nearest places that have both.
     """
-    normal, known = _normals(place, *_beside(place.tt2000, np.arange(len(place.inertial))))
+    normal, known = _normals(place, *_neighbours(place.tt2000, np.arange(len(place.inertial))))
     if not known.any():
         return np.full_like(normal, np.nan)
     stamps = place.tt2000 - place.tt2000[0]
@@ -468,9 +477,6 @@ FRAMES = ("gse", "gsm", "gei", "gcrf", "itrf")
 
 #: km.
 ASTRONOMICAL_UNIT = 149_597_870.7
-
-#: With the Sun nearer to the spin axis than this its projection tells no direction; sine of 5 degrees.
-_LEAST_PROJECTION = 0.087
 
 #: Days from 1970 to J2000.
 _J2000 = 10_957.5
@@ -579,7 +585,7 @@ def payload_to_gse(field: Floats, axis: Floats, towards: Floats) -> Floats:
         up = axis / np.linalg.norm(axis, axis=1, keepdims=True)
         across = towards - np.einsum("ta,ta->t", towards, up)[:, None] * up
         size = np.linalg.norm(across, axis=1, keepdims=True)
-        ahead = across / np.where(size > _LEAST_PROJECTION, size, np.nan)
+        ahead = across / np.where(size > GEOMETRY_LIMITS.least_projection, size, np.nan)
     side = np.cross(up, ahead)
     return np.asarray(field[:, :1] * ahead + field[:, 1:2] * side + field[:, 2:] * up)
 

@@ -97,7 +97,7 @@ class Strict(BaseModel):
 
 
 class Channel(Strict):
-    """One measured series: where it stands in a file, and what it is.
+    """One measured series: its place in a file, and what it is.
 
     `variable` names one variable (of shape (time,) or, with `axes`, (time, axis)); `variables` names
     one variable an axis.
@@ -105,10 +105,10 @@ class Channel(Strict):
 
     variable: str | None = None
     variables: list[str] | None = None
-    #: Position of this channel in a variable with several columns, when only one is wanted.
+    #: Position of this channel in a variable with several columns, when only one is used.
     column: int | None = None
     unit: Unit
-    #: Unit of the numbers in the file, where the file does not say it or says it wrongly.
+    #: Unit of the numbers in the file, where the file states none or a wrong one.
     file_unit: Unit | None = None
     axes: list[str] | None = None
     kind: Kind = "other"
@@ -117,8 +117,8 @@ class Channel(Strict):
     resolution: Annotated[float, Field(gt=0)] | None = None
     #: The field follows its channel by this much; negative when it leads.
     lag: Duration = 0
-    #: Readings are averaged over this long, centred: what changes slowly is known better than one reading
-    #: tells, and noise in a channel makes its coefficient too small.
+    #: Readings are averaged over this long, centred: the mean of a slow channel has less noise than one
+    #: reading, and noise in a channel makes its coefficient too small.
     smooth: Duration = 0
     #: Readings outside [low, high] are flagged OUT_OF_RANGE and not used.
     range: tuple[float, float] | None = None

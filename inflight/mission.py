@@ -1,11 +1,8 @@
-"""Mission YAML.
-
-A mission: instruments, channels, files, known periods and events, as one YAML a person writes.
+"""A mission: instruments, channels, files, known periods, comparisons and events, as one YAML.
 
 `Mission.parse` validates a text and names line and key of whatever is wrong. It opens no file; the
-catalog reads the text. See ``missions/template.yaml`` for every key with a comment.
-
-A sensor as the physics sees it: a place, an orientation, a role.
+catalog reads the text. ``missions/template.yaml`` shows every key with a comment. `Sensor` is a magnetometer
+of a comparison as the physics needs it: a role, a place, an orientation.
 """
 
 from __future__ import annotations
@@ -116,10 +113,10 @@ class DualComparison(Strict):
     kind: Literal["dual"]
     inboard: str
     outboard: str
-    #: Instrument that tells the ambient field in spacecraft axes for some of the time, such as a model or a
+    #: Instrument that gives the ambient field in spacecraft axes for some of the time, such as a model or a
     #: spacecraft nearby: then the part of the stray field that never changes is known, too.
     ambient: str | None = None
-    #: Where the units stand: geometry then tells what of the difference the outboard sensor sees.
+    #: Where the units are mounted: geometry then gives the outboard sensor's part of the difference.
     body: Body | None = None
     base: str | None = None
     preflight: str | None = None
@@ -238,24 +235,23 @@ class Mission(Strict):
                 if instrument_name not in self.instruments:
                     raise ValueError(f"comparisons.{name}.{role}: there is no instrument {instrument_name!r}")
             for role in ("vector", "scalar"):
-                wanted = comparison.instruments().get(role)
-                if wanted and self.instruments[wanted].role != role:
-                    raise ValueError(
-                        f"comparisons.{name}.{role}: {wanted!r} has role {self.instruments[wanted].role!r}"
-                    )
+                sensor = comparison.instruments().get(role)
+                if sensor and self.instruments[sensor].role != role:
+                    has = self.instruments[sensor].role
+                    raise ValueError(f"comparisons.{name}.{role}: {sensor!r} has role {has!r}")
         return self
 
     def _check_ambient(self, comparison: str, instrument: str) -> None:
-        """Raise ValueError unless an instrument can tell the ambient field of a comparison."""
-        told = self.instruments.get(instrument)
-        if told is None or told.role != "vector":
+        """Raise ValueError unless an instrument can give the ambient field of a comparison."""
+        found = self.instruments.get(instrument)
+        if found is None or found.role != "vector":
             raise ValueError(
                 f"comparisons.{comparison}.ambient: there is no instrument {instrument!r} of role 'vector'"
             )
-        if told.channels["field"].frame not in (None, "sensor", "spacecraft"):
+        if found.channels["field"].frame not in (None, "sensor", "spacecraft"):
             raise ValueError(
                 f"comparisons.{comparison}.ambient: the field of {instrument!r} is in"
-                f" {told.channels['field'].frame!r}, and is needed in the spacecraft's axes"
+                f" {found.channels['field'].frame!r}, and is needed in the spacecraft's axes"
             )
 
     @classmethod
@@ -298,7 +294,7 @@ class Mission(Strict):
 
     @property
     def companions(self) -> list[str]:
-        """Files the mission names beside itself: pre-flight models and effects."""
+        """Further files the mission names: pre-flight models and effects."""
         models = [self.preflight, *(comparison.preflight for comparison in self.comparisons.values())]
         return list(dict.fromkeys([*filter(None, models), *self.effects]))
 

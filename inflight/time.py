@@ -1,15 +1,13 @@
-"""TT2000, UTC, days, MJD2000.
+"""Time: TT2000, UTC, days, and days since 2000 (MJD2000).
 
-TT2000: integer nanoseconds since 2000-01-01T12:00:00 TT, the one time of stores and mathematics.
-
-TT2000 counts SI seconds, so leap seconds are ordinary seconds in it. UTC is what people see: as
+TT2000 is integer nanoseconds since 2000-01-01T12:00:00 TT, the one time of stores and mathematics. It
+counts SI seconds, so leap seconds are ordinary seconds in it. UTC is what people see: as
 ``datetime64[ns]``, which has no stamp for an inserted second; such a sample carries the stamp of
 the second before it and the flag ``LEAP_SECOND``. A *day* is a UTC day and has 86 401 s when it
-ends with a leap second. All intervals are half-open.
+ends with a leap second. MJD2000 is the thesis' day number: 0 is 2000-01-01T00:00 UTC. All intervals are
+half-open.
 
 Leap-second dates: IERS Bulletin C (TAI - UTC since 1972); CDF's TT2000 definition: TT = TAI + 32.184 s.
-
-The thesis' day number (MJD 0 is 2000-01-01T00:00 UTC) and back.
 """
 
 from __future__ import annotations
@@ -155,8 +153,7 @@ def day_of(tt2000: npt.ArrayLike) -> Datetimes:
 def usual_step(stamps: Int64, alone: int = 1) -> int:
     """Return the median distance of neighbouring stamps, ns; `alone` for fewer than two.
 
-    Steps are nearly all alike, which is what a partition is slowest at: the one that most stamps have is
-    looked at first.
+    Steps are nearly all alike, the slowest case of a partition: the commonest one is tried first.
     """
     if stamps.size < 2:
         return alone
@@ -217,12 +214,12 @@ _EPOCH = np.datetime64("2000-01-01T00:00:00", "ns")
 _DAY_NS = 86_400_000_000_000
 
 
-def mjd_of(tt2000: npt.ArrayLike) -> Floats:
+def mjd2000(tt2000: npt.ArrayLike) -> Floats:
     """Return days of UTC since 2000-01-01T00:00 of TT2000 times, as Yin (2010) counts them; same shape."""
     return np.asarray((to_utc(tt2000) - _EPOCH) / np.timedelta64(1, "D"), dtype=np.float64)
 
 
-def tt2000_of(mjd: npt.ArrayLike) -> Int64:
+def from_mjd2000(mjd: npt.ArrayLike) -> Int64:
     """Return the TT2000 of day numbers since 2000-01-01T00:00 UTC; same shape."""
     ticks = np.rint(np.asarray(mjd, dtype=np.float64) * _DAY_NS).astype(np.int64)
     return to_tt2000(_EPOCH + ticks.astype("timedelta64[ns]"))

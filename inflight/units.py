@@ -1,7 +1,7 @@
 """Units: one registry for the project, and the conversions of channels to the units the physics uses.
 
-Delivered files spell units in many ways; `parse_unit` and `factor_and_offset` are the only places
-that judge them.
+Delivered files spell units in many ways; `parse_unit` and `factor_and_offset` alone interpret them.
+`product_factor` converts coefficients per unit of a channel.
 """
 
 from __future__ import annotations
@@ -72,3 +72,40 @@ def factor_and_offset(source: str, target: str) -> tuple[float, float]:
     zero = REGISTRY.Quantity(0.0, start).to(goal).magnitude
     one = REGISTRY.Quantity(1.0, start).to(goal).magnitude
     return float(one - zero), float(zero)
+
+
+#: A coefficient per degree counts differences: scales with a zero of their own count like kelvins.
+_OFFSET_UNIT = re.compile(r"(?<!delta_)\bdegree_(Celsius|Fahrenheit)\b")
+
+
+@lru_cache(maxsize=256)
+def product_factor(stated: str, channel: str, power: int, target: str) -> float:
+    """Return the factor that makes ``value [stated] * channel ** power`` a value in `target`.
+
+    Parameters
+    ----------
+    stated, channel, target : str
+        Units, such as ``nT/A``, ``mA`` and ``nT``.
+    power : int
+        Power of the channel.
+
+    Raises
+    ------
+    ValueError
+        When the product measures something else.
+    """
+    units = [parse_unit(text) for text in (stated, channel, target)]
+    product = units[0].dimensionality * units[1].dimensionality ** power
+    if product != units[2].dimensionality:
+        times = f"{channel}^{power}" if power > 1 else channel
+        raise ValueError(f"{stated} times {times} is not {target}")
+    of_stated, of_channel, of_target = (_size(str(unit)) for unit in units)
+    return float(of_stated * of_channel**power / of_target)
+
+
+def _size(unit: str) -> float:
+    """Return how many base units one unit is; zeros of temperature scales do not count."""
+    plain = _OFFSET_UNIT.sub(r"delta_degree_\1", unit)
+    if plain == "dimensionless":  # pint parses it to a unit without a name, which it then does not find
+        return 1.0
+    return factor_and_offset(plain, str(REGISTRY.get_base_units(plain)[1]))[0]

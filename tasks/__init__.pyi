@@ -11,7 +11,16 @@ from .archive import ingest, simulate, simulate_dual, simulate_spinning
 from .models import Versions, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release
-from .report import Progress, RunReport, as_settings_error, place_of, print_report, to_json, told_error
+from .report import (
+    Progress,
+    RunReport,
+    as_settings_error,
+    place_of,
+    print_report,
+    to_json,
+    told_error,
+    write_page,
+)
 
 __all__ = [
     "DiagnoseSettings",
@@ -40,4 +49,5 @@ __all__ = [
     "simulate_spinning",
     "to_json",
     "told_error",
+    "write_page",
 ]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from inflight.errors import InflightError, SettingsError
@@ -236,3 +237,11 @@ def place_of(fields: Mapping[str, str]) -> str:
     channel = f"channel '{fields['channel']}'" if fields.get("channel") else ""
     named = ", ".join(part for part in (day, channel) if part)
     return ": ".join(part for part in (fields.get("file", ""), named) if part)
+
+
+def write_page(output: Path, page: str) -> None:
+    """Write a page whole, by one rename."""
+    output.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = output.with_name(f".{output.name}.part")
+    unfinished.write_text(page, encoding="utf-8")
+    unfinished.replace(output)

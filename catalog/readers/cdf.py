@@ -38,10 +38,9 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
 
 
 def _require_whole(path: Path) -> None:
-    """Compare the file's length with what its own records say (CDF internal format, CDR, GDR, CCR, CPR).
+    """Compare the file's length with what its own records state (CDF internal format, CDR, GDR, CCR, CPR).
 
-    cdflib reads what is left of a truncated file without a word, and follows a damaged count of variables
-    for hours.
+    cdflib reads a truncated file without an error, and follows a damaged count of variables for hours.
     """
     with path.open("rb") as stream:
         head = stream.read(28)

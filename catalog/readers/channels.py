@@ -29,7 +29,7 @@ def read_channel(source: Source, name: str, channel: Channel, shape: tuple[int, 
     name : str
         The channel's name, for errors.
     channel : Channel
-        What the YAML says.
+        Its description in the mission YAML.
     shape : tuple of int
         Shape of the file's times: (row,) or (report, sample).
 
@@ -46,11 +46,11 @@ def read_channel(source: Source, name: str, channel: Channel, shape: tuple[int, 
     ContentError
         Naming file, channel, and what was found.
     """
-    wanted = _Wanted(source, name, channel, shape)
+    request = _Request(source, name, channel, shape)
     if channel.variables is not None:
-        values = np.stack([_series(wanted, variable, 0) for variable in channel.variables], axis=-1)
+        values = np.stack([_series(request, variable, 0) for variable in channel.variables], axis=-1)
     else:
-        values = _series(wanted, channel.variable or "", len(channel.axis_names))
+        values = _series(request, channel.variable or "", len(channel.axis_names))
     outside = np.zeros(values.shape, dtype=bool)
     if channel.range is not None:
         with np.errstate(invalid="ignore"):
@@ -79,7 +79,7 @@ def read_for_expression(source: Source, name: str, shape: tuple[int, ...]) -> Ar
 
 
 @dataclass(frozen=True)
-class _Wanted:
+class _Request:
     """A channel to be read, and the shape of the times it belongs to."""
 
     source: Source
@@ -91,30 +91,30 @@ class _Wanted:
         return ContentError(message, remedy=remedy, file=str(self.source.path), channel=self.name)
 
 
-def _series(wanted: _Wanted, variable_name: str, axes: int) -> Float:
+def _series(request: _Request, variable_name: str, axes: int) -> Float:
     """Read one variable: shape of the times, and axes when there are any."""
-    variable = wanted.source.read(variable_name, wanted.name)
-    picked = _pick(wanted, variable, variable_name, axes)
+    variable = request.source.read(variable_name, request.name)
+    picked = _pick(request, variable, variable_name, axes)
     # The YAML's fill values are the file's numbers, before any scaling.
-    missing = missing_where(picked.values, tuple(wanted.channel.fill or ()))
+    missing = missing_where(picked.values, tuple(request.channel.fill or ()))
     try:
         values = numbers(picked)
     except ValueError as error:
-        raise wanted.error(
+        raise request.error(
             f"variable {variable_name!r} holds text where numbers belong ({error})",
             "correct the channel in the mission YAML or repair the file",
         ) from None
     values[missing] = np.nan
-    return _converted(wanted, values, variable.unit)
+    return _converted(request, values, variable.unit)
 
 
-def _pick(wanted: _Wanted, variable: Variable, variable_name: str, axes: int) -> Variable:
-    """Return the variable cut to the shape the YAML promises, or say what is wrong with it."""
-    values, shape, column = variable.values, wanted.shape, wanted.channel.column
+def _pick(request: _Request, variable: Variable, variable_name: str, axes: int) -> Variable:
+    """Return the variable in the shape the YAML promises; raise `ContentError` when it has another."""
+    values, shape, column = variable.values, request.shape, request.channel.column
     goal = (*shape, axes) if axes else shape
     found = f"variable {variable_name!r} has shape {values.shape}, {goal} is expected"
     if values.shape[: len(shape)] != shape:
-        raise wanted.error(
+        raise request.error(
             f"{found} for times {shape}",
             "correct 'variable' or 'time'; 'flatten: true' joins (report, sample)",
         )
@@ -124,21 +124,21 @@ def _pick(wanted: _Wanted, variable: Variable, variable_name: str, axes: int) ->
         elif not axes and values.shape[-1] == 1:
             values = values[..., 0]
     if values.shape != goal:
-        named = f" for axes {', '.join(wanted.channel.axis_names)}" if axes else ""
-        raise wanted.error(f"{found}{named}", "correct 'axes', or choose one column with 'column'")
+        named = f" for axes {', '.join(request.channel.axis_names)}" if axes else ""
+        raise request.error(f"{found}{named}", "correct 'axes', or choose one column with 'column'")
     return Variable(values, variable.unit, variable.fill, variable.scale)
 
 
-def _converted(wanted: _Wanted, values: Float, stated: str | None) -> Float:
-    """Convert from the unit the YAML says the file has, else the one the file states."""
-    goal = wanted.channel.unit
-    unit = wanted.channel.file_unit or stated
+def _converted(request: _Request, values: Float, stated: str | None) -> Float:
+    """Convert from `file_unit` of the YAML, else from the unit the file states."""
+    goal = request.channel.unit
+    unit = request.channel.file_unit or stated
     if unit is None:
         return values
     try:
         factor, offset = factor_and_offset(unit, goal)
     except ValueError as error:
-        raise wanted.error(
+        raise request.error(
             f"the file's unit is {unit!r}, the mission YAML's {goal!r} ({error})",
             "correct 'unit', or state the file's true unit in 'file_unit'",
         ) from None

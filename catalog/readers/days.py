@@ -7,7 +7,7 @@ The rule for one day:
 * two different values for one time refuse the day (`ClashError`);
 * a file whose clock stepped back covers a span twice. Where the repeated rows agree they are merged and
   flagged CLOCK_REPAIRED. Where they do not, the day is refused with the place, except for an excursion:
-  a clock that went elsewhere and came back, leaving a hole of exactly as many rows as it took. Those
+  a clock that jumped away and back, with a gap of exactly as many rows as it was away. Those
   rows have no known time; they are dropped and reported.
 """
 
@@ -28,11 +28,25 @@ from inflight.flags import Flag
 from inflight.instruments import Channel, Instrument
 from inflight.time import GAP, Int64, day_bounds, day_of, in_leap_second, to_utc
 
-#: Rows this near in cadences, out of two passes of one clock, cover one span twice: of two interleaved
-#: series some rows lie half a cadence apart or less, and stamps jitter.
-NEAR = 0.6
-#: Gaps listed one by one in a report; the number and the missing samples always cover all.
-LISTED_GAPS = 200
+
+@dataclass(frozen=True, kw_only=True)
+class DayAssemblySettings:
+    """How the rows of a day are put in order.
+
+    Attributes
+    ----------
+    near : float
+        Rows of two passes of one clock that are this near, in cadences, cover one span twice. Derived: of two
+        interleaved series some rows lie half a cadence apart or less, and stamps jitter.
+    listed_gaps : int
+        Gaps listed one by one in a report; the number and the missing samples always cover all.
+    """
+
+    near: float = 0.6
+    listed_gaps: int = 200
+
+
+DAY_ASSEMBLY = DayAssemblySettings()
 
 
 @dataclass(frozen=True)
@@ -98,7 +112,8 @@ def assemble_day(
     files = [part.file for part in parts]
     _refuse_backwards(rows, files, day, instrument.cadence)
     merged, repeated = _merge_repeats(rows, files, day)
-    flag = merged.flag | _missing_flags(merged.channels, instrument) | _leap_flags(merged.times)
+    leap = np.where(in_leap_second(merged.times), Flag.LEAP_SECOND, 0).astype(np.uint32)
+    flag = merged.flag | _missing_flags(merged.channels, instrument) | leap
     dataset = _dataset(merged, flag, name, instrument)
     report = {
         "rows": int(merged.times.size),
@@ -143,12 +158,8 @@ def coverage(times: Int64, day: np.datetime64, cadence: int) -> dict[str, Any]:
     at = np.flatnonzero(spacing > GAP * cadence)
     missing = np.rint(spacing[at] / cadence).astype(np.int64) - 1
     begins, ends = to_utc(fence[at] + cadence), to_utc(fence[at + 1])
-    listed = [
-        [str(begin), str(stop), int(count)]
-        for begin, stop, count in zip(
-            begins[:LISTED_GAPS], ends[:LISTED_GAPS], missing[:LISTED_GAPS], strict=True
-        )
-    ]
+    gaps = list(zip(begins, ends, missing, strict=True))[: DAY_ASSEMBLY.listed_gaps]
+    listed = [[str(begin), str(stop), int(count)] for begin, stop, count in gaps]
     return {
         "valid": int(times.size),
         "expected": expected,
@@ -160,10 +171,11 @@ def coverage(times: Int64, day: np.datetime64, cadence: int) -> dict[str, Any]:
 
 
 def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
-    """Drop the rows of a clock that went elsewhere and came back (see the module's rule)."""
+    """Drop the rows of a clock that jumped away and back (see the module's rule)."""
     times = part.times
     descents = np.flatnonzero(np.diff(times) < 0) + 1
-    if not descents.size or not _crowded(times, cadence).any():
+    crowded = np.less_equal(np.diff(np.sort(times)), DAY_ASSEMBLY.near * cadence)
+    if not descents.size or not crowded.any():
         return part, 0
     keep = np.ones(times.size, dtype=bool)
     for begin in descents:
@@ -171,23 +183,19 @@ def _without_excursions(part: RawTable, cadence: int) -> tuple[RawTable, int]:
         if not later.size:
             continue
         stop = begin + int(later[0])
-        hole = int(times[stop] - times[begin - 1]) - (stop - begin + 1) * cadence
+        missing = int(times[stop] - times[begin - 1]) - (stop - begin + 1) * cadence
         others = np.sort(np.delete(times, slice(begin, stop)))
-        if abs(hole) < 0.75 * cadence and _all_near(times[begin:stop], others, cadence):
+        if abs(missing) < 0.75 * cadence and _all_near(times[begin:stop], others, cadence):
             keep[begin:stop] = False
     return part.take(keep), int((~keep).sum())
 
 
-def _crowded(times: Int64, cadence: int) -> npt.NDArray[np.bool_]:
-    return np.asarray(np.less_equal(np.diff(np.sort(times)), NEAR * cadence))
-
-
 def _all_near(times: Int64, others: Int64, cadence: int) -> bool:
-    """Return True when each time lies within `NEAR` cadences of another row."""
+    """Return True when each time lies within `DAY_ASSEMBLY.near` cadences of another row."""
     after = np.clip(np.searchsorted(others, times), 0, others.size - 1)
     before = np.clip(after - 1, 0, None)
     distance = np.minimum(np.abs(others[after] - times), np.abs(others[before] - times))
-    return bool((distance <= NEAR * cadence).all())
+    return bool((distance <= DAY_ASSEMBLY.near * cadence).all())
 
 
 def _concatenate(parts: Sequence[RawTable]) -> tuple[_Rows, int]:
@@ -209,7 +217,7 @@ def _concatenate(parts: Sequence[RawTable]) -> tuple[_Rows, int]:
 
 def _refuse_backwards(rows: _Rows, files: Sequence[str], day: np.datetime64, cadence: int) -> None:
     spacing = np.diff(rows.times)
-    twice = (spacing > 0) & (spacing <= NEAR * cadence) & _same_file_other_run(rows)
+    twice = (spacing > 0) & (spacing <= DAY_ASSEMBLY.near * cadence) & _same_file_other_run(rows)
     if not twice.any():
         return
     at = int(np.flatnonzero(twice)[0])
@@ -271,14 +279,14 @@ def _clash(rows: _Rows, name: str, start: int, files: Sequence[str], day: np.dat
         ),
         int(members[-1]),
     )
-    told = " and ".join(
+    both = " and ".join(
         f"{values[index].tolist()} ({files[rows.part[index]]}, row {rows.row[index]})"
         for index in (first, other)
     )
     backwards = rows.part[first] == rows.part[other] and rows.run[first] != rows.run[other]
     return ClashError(
         f"{'the clock ran backwards and gives ' if backwards else ''}two different values for "
-        f"{to_utc(rows.times[start])}: {told}",
+        f"{to_utc(rows.times[start])}: {both}",
         remedy="remove the wrong delivery, or name the right one as a later version of the same file",
         file=files[rows.part[other]],
         channel=name,
@@ -297,14 +305,10 @@ def _missing_flags(channels: dict[str, Float], instrument: Instrument) -> Flags:
     return np.asarray(np.bitwise_or.reduce(bits))
 
 
-def _leap_flags(times: Int64) -> Flags:
-    return np.where(in_leap_second(times), Flag.LEAP_SECOND, 0).astype(np.uint32)
-
-
 def _refuse_all_fill(
     report: dict[str, Any], instrument: Instrument, day: np.datetime64, files: Sequence[str]
 ) -> None:
-    valid = {name: told["valid"] for name, told in report["channels"].items()}
+    valid = {name: summary["valid"] for name, summary in report["channels"].items()}
     needed = ["field"] if instrument.role in ("vector", "scalar") else []
     empty = [name for name in needed if not valid[name]] or ([] if any(valid.values()) else list(valid))
     if empty:

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 
 from inflight.catalog.readers.source import Source, Variable, open_text, reading, require_content
@@ -27,6 +26,8 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
     """Open an IAGA-2002 file; its variables are the four columns, named as in its header, and ``time``."""
     require_content(path)
     with reading(path):
+        with path.open("rb") as stream:
+            packed = stream.read(2) == b"\x1f\x8b"
         names, lines = _header(path, files.encoding)
         table = pd.read_csv(
             path,
@@ -37,21 +38,32 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
             skiprows=lines,
             encoding=files.encoding,
             dtype={"DATE": str, "TIME": str, "DOY": str},
-            compression="gzip" if _packed(path) else None,
+            compression="gzip" if packed else None,
         )
+    _require_whole_stamps(table, path)
 
     def read(name: str) -> Variable:
         if name == "time":
-            return Variable(_stamps(table))
+            dates, times = (table[key].to_numpy().astype(np.str_) for key in ("DATE", "TIME"))
+            return Variable(np.strings.add(np.strings.add(dates, "T"), times))
         unit = _ANGLES.get(name[-1:], "nT")
         return Variable(table[name].to_numpy(), unit=unit, fill=_FILL)
 
     yield Source(path, ("time", *names[3:]), read, tuple(files.drop))
 
 
-def _packed(path: Path) -> bool:
-    with path.open("rb") as stream:
-        return stream.read(2) == b"\x1f\x8b"
+def _require_whole_stamps(table: pd.DataFrame, path: Path) -> None:
+    """Refuse a row whose date or time is shorter than the first one's: the file was cut within it."""
+    lengths = table[["DATE", "TIME"]].apply(lambda column: column.str.len())
+    unlike = np.flatnonzero((lengths != lengths.head(1).squeeze()).any(axis=1).to_numpy())
+    if unlike.size:
+        row = int(unlike[0])
+        date, time = table[["DATE", "TIME"]].iloc[row]
+        raise ReadError(
+            f"row {row + 1} has the date {date!r} and the time {time!r}, unlike the first row",
+            remedy="it is cut or damaged; fetch it again",
+            file=str(path),
+        )
 
 
 def _header(path: Path, encoding: str) -> tuple[list[str], int]:
@@ -67,8 +79,3 @@ def _header(path: Path, encoding: str) -> tuple[list[str], int]:
         remedy="fetch it again or correct 'reader'",
         file=str(path),
     )
-
-
-def _stamps(table: pd.DataFrame) -> npt.NDArray[np.str_]:
-    dates = table["DATE"].to_numpy().astype(np.str_)
-    return np.strings.add(np.strings.add(dates, "T"), table["TIME"].to_numpy().astype(np.str_))

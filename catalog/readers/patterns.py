@@ -1,4 +1,4 @@
-"""Finding delivered files by the patterns of a mission YAML, and what their names say.
+"""Delivered files by the patterns of a mission YAML, and the dates and versions in their names.
 
 A pattern is a path below the data folder with ``*`` and ``?`` (within one folder level) and date fields
 ``{day:%Y%m%d}``, ``{start:...}``, ``{end:...}``; upper and lower case are the same. A wildcard behind
@@ -42,7 +42,7 @@ _LENGTH = {"H": 3600 * SECOND, "M": 60 * SECOND, "S": SECOND}
 
 @dataclass(frozen=True)
 class NameSpan:
-    """The half-open TT2000 span a file's name states; None where it does not say."""
+    """The half-open TT2000 span a file's name states; None where it states none."""
 
     start: int | None = None
     end: int | None = None
@@ -56,7 +56,7 @@ class NameSpan:
 
 @dataclass(frozen=True)
 class Delivered:
-    """One delivered file: its path below the data folder, and what the name says."""
+    """One delivered file: its path below the data folder, and what its name states."""
 
     name: str
     span: NameSpan
@@ -169,8 +169,12 @@ def newest(found: Iterable[Delivered]) -> tuple[list[Delivered], dict[str, str]]
         old, new = sorted((other, file), key=lambda one: (one.version, one.name))
         superseded = {name: new.name if by == old.name else by for name, by in superseded.items()}
         superseded[old.name], kept[key] = new.name, new
-    order = sorted(kept.values(), key=lambda one: (_first(one.span), natural(one.name)))
-    return order, superseded
+
+    def place(one: Delivered) -> tuple[int, tuple[tuple[int, int, str], ...]]:
+        stated = [at for at in (one.span.start, one.span.end) if at is not None]
+        return stated[0] if stated else -(2**63), natural(one.name)
+
+    return sorted(kept.values(), key=place), superseded
 
 
 def natural(text: str) -> tuple[tuple[int, int, str], ...]:
@@ -180,10 +184,6 @@ def natural(text: str) -> tuple[tuple[int, int, str], ...]:
         for part in re.split(r"(\d+)", text)
         if part
     )
-
-
-def _first(span: NameSpan) -> int:
-    return span.start if span.start is not None else span.end if span.end is not None else -(2**63)
 
 
 def _walk(data: Path, files: Files) -> Iterator[str]:

@@ -5,7 +5,7 @@ Every format passes through here, so the options of `Files` and `Channel` mean t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from inflight.time import TT2000_FILL, Int64
 Open = Callable[[Path, Files], AbstractContextManager[Source]]
 Flags = npt.NDArray[np.uint32]
 
-FORMATS: Mapping[str, Open] = {
+FORMATS: dict[str, Open] = {
     "cdf": cdf.open_source,
     "netcdf": netcdf.open_source,
     "iaga2002": iaga2002.open_source,
@@ -38,7 +38,7 @@ FORMATS: Mapping[str, Open] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RawTable:
     """Rows of one instrument in one file, in the order of the file.
 
@@ -80,7 +80,7 @@ def read_file(
     instrument : Instrument
         Its channels and cadence.
     span : NameSpan, optional
-        What the file's name says about time.
+        The span the file's name states.
     name : str
         How errors and reports call the file; its path when empty.
 
@@ -89,7 +89,7 @@ def read_file(
     ReadError
         When the file is empty, truncated, damaged or of another format.
     ContentError
-        When a variable, unit, shape or text is not what the YAML says.
+        When a variable, unit, shape or text is not as the YAML states.
     """
     span = span or NameSpan()
     with _open(path, files) as source:
@@ -106,7 +106,15 @@ def read_file(
             good = _good(source, files, times.shape)
             flag |= np.where(good, 0, Flag.INSTRUMENT_FLAG).astype(np.uint32)
     rows = np.arange(1, times.size + 1)
-    whole = RawTable(name or str(path), times.ravel(), channels, flag.ravel(), rows, dropped, tuple(notes))
+    whole = RawTable(
+        file=name or str(path),
+        times=times.ravel(),
+        channels=channels,
+        flag=flag.ravel(),
+        rows=rows,
+        dropped=dropped,
+        notes=tuple(notes),
+    )
     return whole.take(kept) if dropped else whole
 
 
@@ -128,7 +136,8 @@ def _times(
 ) -> tuple[Int64, npt.NDArray[np.bool_], dict[str, int]]:
     """Return times (row,) or (report, sample), which rows are kept, and why the others are not."""
     if files.time_start is not None:
-        rows = _count_rows(source, instrument)
+        name, channel = next(iter(instrument.channels.items()))
+        rows = len(source.read(channel.sources[0], name).values)
         times = files.time_start + np.arange(rows, dtype=np.int64) * instrument.cadence
     else:
         times = _series(decode_times(source, files, span), source, files)
@@ -168,11 +177,6 @@ def _series(times: Int64, source: Source, files: Files) -> Int64:
         remedy="set 'flatten: true' for (report, sample), or choose one with 'time_column'",
         file=str(source.path),
     )
-
-
-def _count_rows(source: Source, instrument: Instrument) -> int:
-    name, channel = next(iter(instrument.channels.items()))
-    return len(source.read(channel.sources[0], name).values)
 
 
 def _good(source: Source, files: Files, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:

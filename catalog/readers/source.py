@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,15 +37,16 @@ _DAMAGE = (
     MemoryError,
     struct.error,
     zlib.error,
+    zipfile.BadZipFile,
 )
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable as it stands in a file, rows first.
+    """One variable as the file holds it, rows first.
 
     `values` are numbers or text before any scaling; ``value = scale[0] * number + scale[1]``. `times`
-    is set (TT2000, same shape) when the format itself says that the variable is a time.
+    is set (TT2000, same shape) when the format itself marks the variable as a time.
     """
 
     values: Array
@@ -61,7 +63,7 @@ class Source:
     path: Path
     names: tuple[str, ...]
     get: Callable[[str], Variable]
-    #: Variables the mission YAML says are never read.
+    #: Variables that are never read (``drop`` of the mission YAML).
     dropped: tuple[str, ...] = ()
 
     def read(self, name: str, channel: str = "") -> Variable:
@@ -119,7 +121,7 @@ def require_content(path: Path) -> None:
 
 
 def require_bytes(path: Path, needed: int) -> None:
-    """Raise `ReadError` when a file is shorter than its own header says."""
+    """Raise `ReadError` when a file is shorter than its own header states."""
     size = path.stat().st_size
     if size < needed:
         raise ReadError(
@@ -169,13 +171,10 @@ def missing_where(values: Array, fill: tuple[float, ...]) -> npt.NDArray[np.bool
     for value in fill:
         if np.isnan(value):
             continue
-        if values.dtype.kind in "iu" and not _fits(value, values.dtype):
-            continue
+        if values.dtype.kind in "iu":
+            limits = np.iinfo(values.dtype)
+            if not (float(value).is_integer() and limits.min <= value <= limits.max):
+                continue
         with np.errstate(over="ignore"):
             missing |= values == values.dtype.type(value)
     return missing
-
-
-def _fits(value: float, dtype: np.dtype[Any]) -> bool:
-    limits = np.iinfo(dtype)
-    return float(value).is_integer() and limits.min <= value <= limits.max

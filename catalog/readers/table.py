@@ -31,7 +31,7 @@ def open_source(path: Path, files: Files) -> Iterator[Source]:
 
 
 def _table(stream: TextIO, files: Files, path: Path) -> pd.DataFrame:
-    """Read the table; columns without a name are let go only when a closing delimiter makes them."""
+    """Read the table; unnamed columns are dropped only when a closing delimiter makes them."""
     options = _options(files)
     with warnings.catch_warnings():
         # pandas drops such columns and only warns, so that `1,5` could become 1.

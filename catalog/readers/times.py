@@ -1,4 +1,4 @@
-"""Times of a file as TT2000, exact to the nanosecond of what the file says.
+"""Times of a file as TT2000, exact to the nanosecond.
 
 Numbers count a CF unit since an epoch without leap seconds ("seconds since 2000-01-01 12:00:00", CF
 conventions 1.10, section 4.4) or are TT2000 themselves; text follows ISO 8601 or a strptime layout.
@@ -91,7 +91,7 @@ def decode_times(source: Source, files: Files, span: NameSpan) -> Int64:
     files : Files
         The time options of the mission YAML.
     span : NameSpan
-        What the file's name says; it completes times without a date.
+        The span of the file's name; it completes times without a date.
 
     Returns
     -------
@@ -125,7 +125,8 @@ def _from_variable(variable: Variable, files: Files, span: NameSpan, source: Sou
         ticks = values.astype(np.int64)
         return np.where(ticks <= TT2000_PAD, TT2000_FILL, ticks)
     if files.time_unit is not None:
-        return from_cf(_as_numbers(values), files.time_unit, variable.fill)
+        numbers = values.astype(np.float64) if values.dtype.kind in "OUST" else values
+        return from_cf(numbers, files.time_unit, variable.fill)
     if variable.times is not None:
         return variable.times
     if values.dtype.kind == "M":
@@ -137,10 +138,6 @@ def _from_variable(variable: Variable, files: Files, span: NameSpan, source: Sou
         "the times are plain numbers",
         "say in 'time_unit' what they count, as in 'seconds since 2000-01-01 12:00:00'",
     )
-
-
-def _as_numbers(values: Array) -> Array:
-    return values.astype(np.float64) if values.dtype.kind in "OUST" else values
 
 
 def _from_text(columns: list[Array], files: Files, span: NameSpan, source: Source) -> Int64:

@@ -17,7 +17,7 @@ from inflight.figures import (
     plain_figure,
 )
 from inflight.spin import FarrellFit, SpinFits, SpinPhase, ZeroDrift
-from inflight.time import mjd_of
+from inflight.time import mjd2000
 
 #: More points than this are drawn as every n-th.
 _MOST = 4000
@@ -73,7 +73,7 @@ def phasor_figure(fits: SpinFits, found: FarrellFit) -> figure:
 def zero_figure(drift: ZeroDrift) -> figure:
     """Draw the zero levels of both spin-plane sensors over time, less those from before the flight."""
     plot = plain_figure("Zero levels since before the flight", "MJD (2000-01-01)", "nT", width=560)
-    time = mjd_of(drift.levels.time)
+    time = mjd2000(drift.levels.time)
     for k in range(2):
         name = f"sensor {k + 1}"
         if np.isfinite(drift.rate[k]):
@@ -90,14 +90,14 @@ def phase_figure(found: SpinPhase) -> figure:
     marks = found.marks
     plot = plain_figure("Spin period", "MJD (2000-01-01)", "less the median (ms)", width=560)
     part = _few(marks.time.size)
-    time = mjd_of(marks.time)
+    time = mjd2000(marks.time)
     period = 1e3 * (marks.period - found.period)
     sigma = 1e3 * marks.sigma * found.period * np.ones(period.size)
     band(plot, time[part], period[part], sigma[part], AFTER)
     plot.line(time[part], period[part], color=AFTER, legend_label=f"period, median {found.period:.6g} s")
     for chosen, colour, name in (
         (marks.jumped, NEW, "jump of the phase"),
-        (marks.uncounted, BEFORE, "turns not counted"),
+        (marks.uncountable, BEFORE, "turns not counted"),
     ):
         place = np.flatnonzero(chosen)
         if place.size:

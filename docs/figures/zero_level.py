@@ -20,14 +20,15 @@ from inflight.figures import (
     log_ticks,
     plain_figure,
 )
+from inflight.scorecard.zero_level_studies import PUBLISHED, OffsetSets, ScatterWithHours
 from inflight.time import DAY
-from inflight.zero_level import ALFVENIC, AXES, COMPRESSIONAL, PUBLISHED, Combined, Kinds, Scatter, Sets
+from inflight.zero_level import AXES, KINDS, CombinedEstimate, IntervalKinds
 
 #: Distance of an axis' mark from the method's place.
 _APART = 0.18
 
 
-def methods_figure(found: Combined) -> figure:
+def methods_figure(found: CombinedEstimate) -> figure:
     """Draw the offset of every method and of all, with errors of one sigma, axis by axis."""
     estimates = [*found.methods, found.estimate]
     names = [*(one.method for one in found.methods), "combined"]
@@ -47,9 +48,9 @@ def methods_figure(found: Combined) -> figure:
     return plot
 
 
-def kinds_figure(kinds: Kinds) -> figure:
+def kinds_figure(kinds: IntervalKinds) -> figure:
     """Draw turning against compression of every interval, with the limits of the kinds."""
-    plot = plain_figure(kinds.told(), "compression / variance", "turning (rad)", width=470)
+    plot = plain_figure(kinds.summary(), "compression / variance", "turning (rad)", width=470)
     parts = (
         (kinds.alfvenic, AFTER, "Alfvenic"),
         (kinds.compressional, BEFORE, "compressional"),
@@ -58,13 +59,13 @@ def kinds_figure(kinds: Kinds) -> figure:
     for chosen, colour, label in parts:
         x, y = kinds.compression[chosen], kinds.rotation[chosen]
         plot.scatter(x, y, color=colour, size=5, alpha=0.7, legend_label=label)
-    for limit in (ALFVENIC, COMPRESSIONAL):
+    for limit in (KINDS.alfvenic, KINDS.compressional):
         plot.add_layout(Span(location=limit, dimension="height", line_color=REFERENCE, line_dash="dashed"))
     legend_below(plot)
     return plot
 
 
-def scatter_figure(found: Sequence[Scatter]) -> figure:
+def scatter_figure(found: Sequence[ScatterWithHours]) -> figure:
     """Draw how the scatter falls with hours, root mean square of three axes, beside published figures."""
     plot = plain_figure(
         "Scatter of the recovered zero level", "hours", "nT", width=470, x_axis_type="log", y_axis_type="log"
@@ -72,7 +73,7 @@ def scatter_figure(found: Sequence[Scatter]) -> figure:
     shown: list[Floats] = []
     for one, colour in zip(found, COMPONENTS, strict=False):
         size = np.sqrt(np.mean(one.scatter**2, axis=1))
-        told = one.told >= 0.5
+        told = one.determined_part >= 0.5
         plot.line(one.hours[told], size[told], color=colour, line_width=2, legend_label=one.method)
         plot.scatter(one.hours[told], size[told], color=colour, size=5)
         shown.append(size[told])
@@ -91,14 +92,20 @@ def _ticks(plot: figure, vertical: list[Floats], horizontal: list[Floats]) -> No
             axis.major_label_overrides = {tick: f"{tick:g}" for tick in ticks.ticks}
 
 
-def sets_figure(sets: Sets) -> figure:
+def sets_figure(sets: OffsetSets) -> figure:
     """Draw the corrections of sets of averages and the line through each axis'."""
     trend = sets.trend()
     plot = plain_figure(f"{trend.sets} sets, c = a t + b", "days from the middle", "nT", width=560)
     days = ((sets.start // 2 + sets.end // 2) - trend.middle) / DAY
     for place, (axis, colour) in enumerate(zip(AXES, COMPONENTS, strict=True)):
         label = f"{axis}: a {trend.slope[place]:.4f} +- {trend.sigma_slope[place]:.4f} nT/day"
-        plot.scatter(days[sets.told], sets.value[sets.told, place], color=colour, size=4, legend_label=label)
+        plot.scatter(
+            days[sets.determined],
+            sets.value[sets.determined, place],
+            color=colour,
+            size=4,
+            legend_label=label,
+        )
         line = trend.level[place] + trend.slope[place] * days
         plot.line(days, line, color=colour, line_width=2)
     legend_below(plot)

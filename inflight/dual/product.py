@@ -13,7 +13,7 @@ from inflight.dual.correction import Correction
 from inflight.dual.readings import Readings, white_covariance
 from inflight.errors import SamplesError
 from inflight.flags import UNUSABLE, Flag, meanings
-from inflight.model import Layout, Model
+from inflight.model import Model
 
 _VECTOR, _SCALAR = ("time", "axis"), ("time",)
 
@@ -41,7 +41,7 @@ def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArra
     SamplesError
         When no sample has both readings.
     """
-    layout = Layout.of_model(model)
+    layout = model.known_layout
     kept = tuple(one for one in model.effects if not (one.is_additive and one.sensor.role == "inboard"))
     corrected = cast("xr.Dataset", replace(model, effects=kept, layout=layout).corrected(samples))
     flag = np.asarray(samples["flag"].values, dtype=np.uint32)

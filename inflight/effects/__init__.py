@@ -1,7 +1,9 @@
-"""Effects: one physical cause of disagreement each. A file with one class is a plug-in.
+"""Effects: one physical cause of disagreement between sensors each, a class in a file.
 
-An effect states what it *adds to the reading* of a sensor. Time dependence belongs to the model,
-never to an effect.
+In go samples (`inflight.samples`), values of the effect's parameters, and a sensor; out comes the field the
+cause adds there, nT, or a reading with or without it. An effect knows no time dependence: that is the
+model's. Open `base` first (`Effect`, `Parameter`), then any effect; `registry` finds classes by name,
+`sources` reads a user's own files, `check_effect` (`conformance`) holds a class to all this.
 """
 
 import lazy_loader

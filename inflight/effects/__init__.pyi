@@ -10,8 +10,9 @@ from .base import (
     strength,
     with_field,
 )
+from .conformance import ConformanceSettings, check_effect
 from .environment import DayNight, DayNightSeries, of_orders
-from .families import NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of, product_factor
+from .families import NO_CAUSE, channel_unit, channels_of, coefficient_unit, family_of
 from .registry import effect_class, known_effects
 from .sensors import ANGLES, Affine, ScalarBias, TimeShift, VectorSensor
 from .sources import EffectSource
@@ -27,6 +28,7 @@ __all__ = [
     "SIDES",
     "TOP",
     "Affine",
+    "ConformanceSettings",
     "DayNight",
     "DayNightSeries",
     "Effect",
@@ -39,6 +41,7 @@ __all__ = [
     "VectorSensor",
     "channel_unit",
     "channels_of",
+    "check_effect",
     "coefficient_unit",
     "coupling",
     "did_you_mean",
@@ -51,7 +54,6 @@ __all__ = [
     "multiply",
     "of_orders",
     "package_to_spin",
-    "product_factor",
     "schedule",
     "sensor_axes",
     "slope",

@@ -1,12 +1,9 @@
-"""Effect, Parameter, units of coefficients.
+"""What an effect is: a class with parameters, the channels it needs, and the field it adds at a sensor.
 
-Names people write: registered names of classes, names of slowed channels, and what was perhaps meant.
-
-A number of an effect, with its unit and what is known of it beforehand.
-
-What an effect is: parameters with units, the channels it needs, the field it adds at a sensor.
-
-Rates of change of sampled series, gaps respected.
+`Effect.field` gives nT in the orthogonal axes of the vector sensor; `disturb` adds it to a reading and
+`correct` takes it off, exact inverses of each other. Of a scalar sensor both act on the projection on the
+field's direction. Where the field is made from the reading itself (`follows_field`), `disturb` solves
+``reading = truth + field(reading)`` by repetition. `slope` gives rates of change with gaps respected.
 """
 
 from __future__ import annotations
@@ -15,7 +12,7 @@ import difflib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,16 +20,14 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects.families import product_factor
 from inflight.errors import ModelError, SamplesError
 from inflight.frames import direction_of
 from inflight.mission import Sensor
 from inflight.samples import parse
 from inflight.time import GAP, SECOND, parse_duration, parse_utc, to_tt2000, to_utc, usual_step
-from inflight.units import factor_and_offset
+from inflight.units import factor_and_offset, product_factor
 
 if TYPE_CHECKING:
-    from inflight.effects.sources import EffectSource
     from inflight.mission import Mission
 
 
@@ -100,7 +95,7 @@ class Parameter:
     step : float
         Typical size, the unit of finite differences and of scaled columns.
     linear : bool
-        False when the residual bends within a typical step.
+        False when the correction is not linear over a typical step.
     bank : tuple of float, optional
         Grid of a parameter that is searched, not solved for (a lag, a width).
     per_channel : int
@@ -150,12 +145,42 @@ AXES = ("x", "y", "z")
 #: Options of every effect with a channel: which one, and its slow response or play.
 CHANNEL_OPTIONS = ("channel", "lag", "width")
 
-#: An effect that follows the field is solved for at a vector sensor until nothing larger than this moves.
-_SETTLED_NT = 1e-9
 
-_MOST_STEPS = 80
+@dataclass(frozen=True, kw_only=True)
+class RepetitionSettings:
+    """How the reading is found from the field where an effect follows the reading (`Effect.disturb`).
 
-_RUN_AWAY_NT = 1e9
+    Attributes
+    ----------
+    settled : float
+        nT; it ends when no sample moves by more, and no less than the step before: rounding (derived).
+    most_steps : int
+        Steps after which it is refused (assumed; effects below a tenth of the field need less than 20).
+    diverged : float
+        nT; a change beyond this is refused at once.
+    """
+
+    settled: float = 1e-9
+    most_steps: int = 80
+    diverged: float = 1e9
+
+
+REPETITION = RepetitionSettings()
+
+
+class EffectOrigin(Protocol):
+    """The file a user's effect comes from: see `inflight.effects.sources.EffectSource`."""
+
+    @property
+    def path(self) -> str:
+        """The file, as the mission YAML names it."""
+
+    @property
+    def sha(self) -> str:
+        """Hash of its text."""
+
+    def classes(self) -> dict[str, type[Effect]]:
+        """Return the effects it defines, by name."""
 
 
 class _ParametersOf:
@@ -206,12 +231,12 @@ class Effect:
     acts_on: ClassVar[tuple[str, ...]] = ("vector", "inboard", "outboard", "scalar")
     #: Names in the samples; an option ``channel`` replaces the first one.
     channels: tuple[str, ...] = ()
-    #: Options the YAML may give beside parameters.
+    #: Options the YAML may give in addition to parameters.
     options: ClassVar[tuple[str, ...]] = CHANNEL_OPTIONS
     #: True when the field it adds is made from the field at the sensor.
     follows_field: ClassVar[bool] = False
     #: The user's file the class comes from; None for the library and for packages.
-    source: ClassVar[EffectSource | None] = None
+    source: ClassVar[EffectOrigin | None] = None
     #: Parameters of the class, by name; of an effect, those its options make of them.
     parameters = _ParametersOf()
 
@@ -347,13 +372,13 @@ class Effect:
     def _solved(self, truth: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading from which `correct` takes exactly what leaves the truth; (time, axis) nT."""
         reading, last = truth, np.inf
-        for _ in range(_MOST_STEPS):
+        for _ in range(REPETITION.most_steps):
             following = truth + self.field(with_field(samples, reading), values, sensor)
             moved = float(np.nanmax(np.abs(following - reading), initial=0.0))
             reading = following
-            if moved == 0.0 or last <= moved < _SETTLED_NT:
+            if moved == 0.0 or last <= moved < REPETITION.settled:
                 return reading
-            if moved > _RUN_AWAY_NT:
+            if moved > REPETITION.diverged:
                 break
             last = moved
         raise ModelError(
@@ -362,7 +387,7 @@ class Effect:
         )
 
     def _at(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the field as the sensor sees it: a vector, or its projection on the field direction."""
+        """Return what the field adds to the reading: itself, or its projection on the field direction."""
         field = self.field(samples, values, sensor)
         if not sensor.is_scalar:
             return field
@@ -440,7 +465,7 @@ class Effect:
         return np.asarray(series.values, dtype=np.float64) * factor + offset
 
 
-def _rebuild(kind: type[Effect] | tuple[EffectSource, str], state: dict[str, Any]) -> Effect:
+def _rebuild(kind: type[Effect] | tuple[EffectOrigin, str], state: dict[str, Any]) -> Effect:
     if isinstance(kind, tuple):
         source, label = kind
         kind = source.classes()[label]
@@ -455,7 +480,7 @@ def best_field(samples: xr.Dataset) -> Floats:
     Raises
     ------
     SamplesError
-        When there is none yet: an effect that needs the field stands where the field is being made.
+        When there is none yet: the effect stands among those that make it.
     """
     if "field" not in samples:
         raise SamplesError(

@@ -1,16 +1,16 @@
-"""Fields and rates of channels, of the field itself.
+"""Fields that follow housekeeping channels, and fields made by the field itself.
 
-Fields that follow housekeeping channels: the generic effects, for what nobody named.
+The generic effects, for causes without an equation of their own: proportional to a channel, its square, its
+rate, its play, a spline of it, or of two. A coefficient is per unit of the channel: a model may state the
+whole unit (``unit: nT/A``), which is converted when the channel comes in another; with plain ``unit: nT`` it
+is per unit of the channel as the mission YAML states it.
 
-A coefficient is per unit of the channel. A model may state the whole unit (``unit: nT/A``): it is
-converted when the channel comes in another; with plain ``unit: nT`` it is per unit of the channel as
-the mission YAML states it.
-
-Fields made by the field itself: soft magnetic parts, eddy currents, cross-talk between axes.
+From the field: soft magnetic parts and eddy currents (Tolles and Lawson; Leliak 1961), and cross-talk.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -177,11 +177,12 @@ class FunctionOfChannel(Effect):
     def prepare(self) -> None:
         """Give every knot three components."""
         self._knots = knots_of(self, "knots")
-        self.sized = {"value": _at_knots(self._knots.size)}
+        axes = tuple(f"{axis}{knot}" for knot in range(self._knots.size) for axis in AXES)
+        self.sized = {"value": replace(self.value, axes=axes)}
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the spline's value; (time, axis) nT."""
-        return weigh(spline_basis(self.series(samples), self._knots), values["value"])
+        return weighted_vectors(spline_basis(self.series(samples), self._knots), values["value"])
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -219,7 +220,7 @@ class FunctionOfTwo(Effect):
         """Return the surface's value; (time, axis) nT."""
         first, second = (spline_basis(self.series(samples, i), knots) for i, knots in enumerate(self._knots))
         basis = np.einsum("ti,tk->tik", first, second).reshape(len(first), -1)
-        return weigh(basis, values["value"])
+        return weighted_vectors(basis, values["value"])
 
 
 def knots_of(effect: Effect, key: str) -> Floats:
@@ -243,17 +244,13 @@ def knots_of(effect: Effect, key: str) -> Floats:
     return knots
 
 
-def _at_knots(count: int) -> Parameter:
-    return Parameter("nT", tuple(f"{axis}{knot}" for knot in range(count) for axis in AXES), sigma=10.0)
-
-
 def spline_basis(values: Floats, knots: Floats) -> Floats:
     """Return natural cubic splines that are 1 at one knot and 0 at the others; (time, knot)."""
     held = np.clip(values, knots[0], knots[-1])
     return np.asarray(CubicSpline(knots, np.eye(knots.size), bc_type="natural")(held))
 
 
-def weigh(basis: Floats, vectors: Floats) -> Floats:
+def weighted_vectors(basis: Floats, vectors: Floats) -> Floats:
     """Return a sum of vectors, each weighted by a function of time; (time, 3).
 
     Parameters
@@ -272,7 +269,10 @@ SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 class Induced(Effect):
-    """Field proportional to the ambient one an axis: soft magnetic material, cross-talk of a sensor."""
+    """Field proportional to the ambient one, axis by axis: ``diagonal * B`` (Yin 2010, section 2.5).
+
+    Soft magnetic material, or a scale factor of one sensor alone.
+    """
 
     family = "induced"
     acts_on = ("scalar", "vector", "inboard", "outboard")
@@ -306,7 +306,7 @@ class SoftIron(Induced):
 class Eddy(Effect):
     """Field of eddy currents an axis, in seconds: ``diagonal * dB/dt``.
 
-    The sensor sees the field late by `diagonal`; on the boom axis and across it differently.
+    The field at the sensor is late by `diagonal`, along the boom and across it differently.
     """
 
     family = "eddy"
@@ -314,7 +314,7 @@ class Eddy(Effect):
     diagonal = Parameter("s", AXES, step=1e-2, sigma=0.3)
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return ``diagonal * dB/dt``; (time, axis) nT, NaN where no neighbour tells the rate."""
+        """Return ``diagonal * dB/dt``; (time, axis) nT, NaN where a sample has no neighbour."""
         diagonal = values["diagonal"]
         return np.where(diagonal == 0.0, 0.0, _field_rate(samples) * diagonal)
 
@@ -351,7 +351,7 @@ class TollesLawson(Effect):
 
 
 class CrossTalk(Effect):
-    """Each axis reads some of the others: ``reading = (1 + C) E`` with six numbers beside the diagonal.
+    """Each axis reads some of the others: ``reading = (1 + C) E`` with six numbers off the diagonal.
 
     Components are named by what reads and what is read: xy is what axis x reads of y. It acts on the
     reading as the electronics pass it on, offsets included.
@@ -370,7 +370,7 @@ class CrossTalk(Effect):
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
-        """Return the one candidate there is: a field strength alone tells it not from the nine."""
+        """Return the one candidate there is: a field strength alone cannot separate it from the nine."""
         return [{}] if _compares(mission, "dual") else []
 
 

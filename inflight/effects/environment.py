@@ -1,8 +1,7 @@
-"""Sun, eclipse, periodic fields.
+"""Fields that come with the Sun, and fields that repeat.
 
-Fields that come with the Sun: by day and by night, and by the direction it shines from.
-
-Fields that come back: with the orbit, with the Sun, with local time, or at a period of their own.
+By day and night and by the direction the Sun shines from (Yin 2010, chapter 4); Fourier series of the orbit
+phase, the Sun's phase, local time, or a fixed period.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values
-from inflight.effects.channels import weigh
+from inflight.effects.channels import weighted_vectors
 from inflight.effects.families import channels_of_kind, knows_orbit, knows_sun, options_of_channels
 from inflight.mission import Mission, Sensor
 
@@ -24,7 +23,7 @@ class DayNight(Effect):
     """A field that is there by day and not by night: ``vector * sunlit`` (Yin 2010, chapter 4).
 
     `sunlit` is 1 in the Sun and 0 in the shadow, of the orbit's geometry, or any channel of kind
-    sunlight. Where no night falls it is a constant and not told from an offset.
+    sunlight. Without nights it is a constant and cannot be separated from an offset.
     """
 
     family = "day_night"
@@ -68,7 +67,7 @@ class SunDirectionField(Effect):
         self._degree = self.whole("degree", 1, 2)
         self.sized = {"amplitude": replace(self.amplitude, axes=_of_harmonics(self._degree))}
         if "channel" in self.given:
-            # A direction that is delivered says by itself, as NaN or 0, where there is no Sun.
+            # A delivered direction is NaN or 0 where there is no Sun.
             self.channels = self.channels[:1]
 
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
@@ -77,7 +76,7 @@ class SunDirectionField(Effect):
         if len(self.channels) > 1:
             lit = self.series(samples, 1)[:, None]
             basis = np.where(lit == 0.0, 0.0, basis * lit)
-        return weigh(basis, values["amplitude"])
+        return weighted_vectors(basis, values["amplitude"])
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -102,7 +101,7 @@ def harmonics(direction: Floats, degree: int) -> Floats:
     return np.stack(found, axis=1)
 
 
-#: Highest order of a series; above it a shape is better told by its own channel.
+#: Highest order of a series; above it the shape is better taken from a channel.
 MOST_ORDER = 12
 
 
@@ -115,8 +114,8 @@ def of_orders(order: int, sines: bool) -> tuple[str, ...]:
 class Periodic(Effect):
     """A Fourier series of an angle with a vector for each cosine and sine, up to option ``order``.
 
-    ``sum over k of c_k cos(k angle) + s_k sin(k angle)``; a constant is the sensor's offset. What the
-    angle is, subclasses say. Components of `amplitude` are named cx1, cy1, cz1, sx1, ...
+    ``sum over k of c_k cos(k angle) + s_k sin(k angle)``; a constant is the sensor's offset. Subclasses
+    define the angle. Components of `amplitude` are named cx1, cy1, cz1, sx1, ...
     """
 
     options: ClassVar[tuple[str, ...]] = ("order",)
@@ -139,11 +138,14 @@ class Periodic(Effect):
         """Return the series; (time, axis) nT."""
         angles = self.angle(samples)[:, None] * np.arange(1, self._order + 1)
         parts = [np.cos(angles), np.sin(angles)] if self.sines else [np.cos(angles)]
-        return weigh(np.stack(parts, axis=2).reshape(len(angles), -1), values["amplitude"])
+        return weighted_vectors(np.stack(parts, axis=2).reshape(len(angles), -1), values["amplitude"])
 
 
 class OrbitPeriodic(Periodic):
-    """A field that repeats with the orbit: series of `orbit_phase`, 0 at the ascending node."""
+    """A field that repeats with the orbit: ``sum over k of c_k cos(k u) + s_k sin(k u)``.
+
+    u is `orbit_phase`, the argument of latitude, 0 at the ascending node.
+    """
 
     channels = ("orbit_phase",)
 
@@ -158,7 +160,10 @@ class OrbitPeriodic(Periodic):
 
 
 class SunPeriodic(OrbitPeriodic):
-    """A field that repeats with the Sun's place along the orbit: series of `sun_phase`, 0 nearest the Sun."""
+    """A field that repeats with the Sun's place along the orbit: ``sum of c_k cos(k p) + s_k sin(k p)``.
+
+    p is `sun_phase`, 0 where the orbit is nearest the Sun.
+    """
 
     family = "day_night"
     channels = ("sun_phase",)
@@ -168,7 +173,7 @@ class DayNightSeries(SunPeriodic):
     """The day/night field without a flag: cosines of `sun_phase` (Yin 2010, chapter 4).
 
     ``sum of a_k cos(2 pi k (t - t0) / T)`` with t0 nearest the Sun and T the orbit; the first k of a
-    square wave of any duty. Its constant part is not told from an offset.
+    square wave of any duty. Its constant part cannot be separated from an offset.
     """
 
     sines = False
@@ -177,7 +182,10 @@ class DayNightSeries(SunPeriodic):
 
 
 class LocalTimePeriodic(Periodic):
-    """A field that repeats with local time: series of `local_time`, 24 h a turn, 0 at midnight."""
+    """A field that repeats with local time: ``sum over k of c_k cos(k h) + s_k sin(k h)``.
+
+    h is `local_time`, 24 h a turn, 0 at midnight.
+    """
 
     family = "sun_angle"
     channels = ("local_time",)
@@ -193,7 +201,7 @@ class LocalTimePeriodic(Periodic):
 
 
 class Tone(Periodic):
-    """A field of one fixed period that no channel tells: option ``period``, a duration.
+    """A field of one fixed period without a channel: option ``period``, a duration.
 
     Phases count from 2000-01-01T12:00:00 TT, in SI seconds, so that a tone runs on over days and gaps.
     Option ``order`` adds harmonics; 1 when left out.
@@ -211,7 +219,7 @@ class Tone(Periodic):
 
     def angle(self, samples: xr.Dataset) -> Floats:
         """Return the phase since the epoch; (time,) rad."""
-        # The remainder is taken of integers: a float of 26 years has no room left for the phase.
+        # The remainder is taken of integers: a float of 26 years is too coarse for the phase.
         passed = samples["tt2000"].values % self._period
         return np.asarray(2.0 * np.pi * passed / self._period)
 

@@ -1,8 +1,8 @@
-"""What happened once: steps and episodes of an offset, a scale, an angle, a bias, or a clock.
+"""Steps and episodes of an offset, a scale factor, an angle, a bias, or a clock.
 
-A step holds from option ``at`` on, an episode from ``from`` until ``to``; UTC, half-open. Any parameter
-of any effect may also change at events, by ``time: event`` in the model; these are for the search, and
-for what changes once and stands alone.
+A step holds from option ``at`` on, an episode from ``from`` until ``to``; UTC, half-open. Any parameter of
+any effect may also change at events, by ``time: event`` in the model; these classes are for the search, and
+for a single change.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class _Dated(Effect):
 
 
 class OffsetEpisode(_Dated):
-    """A constant field for a while."""
+    """A constant field for a while: ``vector`` where ``from <= t < to``, else 0."""
 
     family = "offset_step"
     options: ClassVar[tuple[str, ...]] = ("from", "to")
@@ -69,7 +69,10 @@ class OffsetEpisode(_Dated):
 
 
 class OffsetStep(OffsetEpisode):
-    """A constant field from one moment on: a reset, a switch, a part that was magnetised."""
+    """A constant field from one moment on: ``vector`` where ``t >= at``, else 0.
+
+    A reset, a switch, a part that was magnetised.
+    """
 
     options = ("at",)
 
@@ -87,19 +90,19 @@ class _DatedReading(_Dated):
 
 
 class ClockEpisode(_DatedReading, TimeShift):
-    """A scalar instrument's time shift for a while: `time_shift` within the span only."""
+    """A scalar instrument's time shift for a while: ``F + seconds dF/dt`` in the span, as `time_shift`."""
 
     options: ClassVar[tuple[str, ...]] = ("from", "to")
 
 
 class ClockStep(ClockEpisode):
-    """A scalar instrument's time shift from one moment on."""
+    """A scalar instrument's time shift from one moment on: ``F + seconds dF/dt`` from then."""
 
     options = ("at",)
 
 
 class BiasStep(_DatedReading, ScalarBias):
-    """A scalar instrument's bias from one moment on: `scalar_bias` from then."""
+    """A scalar instrument's bias from one moment on: corrected ``F - bias`` where ``t >= at``."""
 
     options: ClassVar[tuple[str, ...]] = ("at",)
 

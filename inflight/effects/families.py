@@ -1,23 +1,22 @@
-"""Families and kinds of channels.
+"""Families of causes, channels by their kind, and units of coefficients per channel.
 
-Families: by what cause a missing effect is reported, and which channels of a mission may make it.
-
-Units of coefficients: what a number per unit of a channel is worth when the channel comes in another.
+A *family* is what a search reports a missing effect by. The kind of a channel in the mission YAML decides
+it, never its name. `channels_of_kind` and `options_of_channels` make candidates; `coefficient_unit` gives
+the unit of a parameter that is per unit of a channel.
 """
 
 from __future__ import annotations
 
 import re
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from inflight.effects.base import Effect, Parameter
 from inflight.errors import ModelError
 from inflight.frames import GEOMETRY
 from inflight.samples import parse
-from inflight.units import REGISTRY, factor_and_offset, parse_unit
+from inflight.units import parse_unit
 
 if TYPE_CHECKING:
-    from inflight.effects.base import Effect, Parameter
     from inflight.instruments import Channel
     from inflight.mission import Mission
 
@@ -46,7 +45,7 @@ FAMILIES = (
     "unknown",
 )
 
-#: Which family a channel's kind speaks for; all others are currents of some kind.
+#: Family of a channel's kind; all others are currents of some kind.
 FAMILY_OF_KIND = {
     "temperature": "temperature",
     "solar_current": "solar",
@@ -60,7 +59,7 @@ FAMILY_OF_KIND = {
     "position": "unknown",
 }
 
-#: Kinds of channels that tell where and how the spacecraft is, and are no cause themselves.
+#: Kinds of channels that give place and attitude of the spacecraft, and are no cause themselves.
 NO_CAUSE = ("attitude", "position", "sun_pulse", "spin_phase", "spin_axis")
 
 #: The same of what `inflight.frames.add_geometry` works out.
@@ -139,43 +138,6 @@ def family_of(effect: Effect, mission: Mission) -> str:
     if name not in known:
         return FAMILY_OF_GEOMETRY.get(name, "current")
     return FAMILY_OF_KIND.get(known[name].kind, "current")
-
-
-#: A coefficient per degree counts differences: scales with a zero of their own count like kelvins.
-_OFFSET_UNIT = re.compile(r"(?<!delta_)\bdegree_(Celsius|Fahrenheit)\b")
-
-
-@lru_cache(maxsize=256)
-def product_factor(stated: str, channel: str, power: int, wanted: str) -> float:
-    """Return the factor that makes ``value [stated] * channel ** power`` a value in `wanted`.
-
-    Parameters
-    ----------
-    stated, channel, wanted : str
-        Units, such as ``nT/A``, ``mA`` and ``nT``.
-    power : int
-        Power of the channel.
-
-    Raises
-    ------
-    ValueError
-        When the product measures something else.
-    """
-    units = [parse_unit(text) for text in (stated, channel, wanted)]
-    product = units[0].dimensionality * units[1].dimensionality ** power
-    if product != units[2].dimensionality:
-        times = f"{channel}^{power}" if power > 1 else channel
-        raise ValueError(f"{stated} times {times} is not {wanted}")
-    of_stated, of_channel, of_wanted = (_size(str(unit)) for unit in units)
-    return float(of_stated * of_channel**power / of_wanted)
-
-
-def _size(unit: str) -> float:
-    """Return how many base units one unit is; zeros of temperature scales do not count."""
-    plain = _OFFSET_UNIT.sub(r"delta_degree_\1", unit)
-    if plain == "dimensionless":  # pint parses it to a unit without a name, which it then does not find
-        return 1.0
-    return factor_and_offset(plain, str(REGISTRY.get_base_units(plain)[1]))[0]
 
 
 def channel_unit(mission: Mission, name: str) -> str | None:

@@ -1,7 +1,7 @@
 """Which effects exist: the library's own, those of installed packages, and a user's own classes.
 
-A package offers effects through the entry point group ``inflight.effects``; a mission names files with
-its own; in a notebook `register` makes a class known.
+A package adds effects through the entry point group ``inflight.effects``; a mission names files with its
+own (`inflight.effects.sources`); in a notebook `register` makes a class known.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def register(effect: type[Effect]) -> type[Effect]:
 
 
 @lru_cache(maxsize=1)
-def _offered() -> dict[str, type[Effect]]:
+def _from_packages() -> dict[str, type[Effect]]:
     return {point.name: point.load() for point in entry_points(group="inflight.effects")}
 
 
@@ -102,7 +102,7 @@ def known_effects(own: Iterable[EffectSource] = ()) -> dict[str, type[Effect]]:
         When one of the files is wrong.
     """
     library = {effect.label(): effect for effect in _LIBRARY}
-    return library | _offered() | _registered | own_effects(own)
+    return library | _from_packages() | _registered | own_effects(own)
 
 
 def effect_class(name: str, own: Iterable[EffectSource] = ()) -> type[Effect]:

@@ -1,10 +1,8 @@
-"""Vector and scalar sensor equations.
+"""The equations of vector and scalar magnetometers.
 
-The equation of a vector magnetometer: scale factors, misalignment angles, offsets, and its finer terms.
-
-The equation of an absolute scalar magnetometer: clock, oscillator, bias and its own heading error.
-
-Parameters of a vector sensor that follow a channel: scale factors, angles, electronics.
+Vector: scale factors, misalignment angles, offsets (Yin 2010, eq. 2.5), non-linearity, temperature, and
+parameters that follow a channel. Scalar: time shift, response, oscillator, bias, heading error (Yin 2010,
+section 2.5). `correct` gives the reading of a perfect sensor, `disturb` the raw one.
 """
 
 from __future__ import annotations
@@ -118,7 +116,7 @@ class Nonlinearity(Effect):
         return np.asarray(reading + e * e * (values["quadratic"] + values["cubic"] * e))
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
-        """Return the bent reading: the root of the cubic next to the linear one, by Newton's method.
+        """Return the raw reading: the root of the cubic next to the linear one, by Newton's method.
 
         Raises
         ------
@@ -144,7 +142,7 @@ class Nonlinearity(Effect):
 class ScaledReading(Effect):
     """An effect that multiplies the reading less `about`, the nominal offset, by a factor near 1.
 
-    Whoever derives from it states `about`, a parameter in nT an axis, and says what the factor is.
+    A subclass states `about`, a parameter in nT an axis, and the factor.
     """
 
     acts_on = VECTOR_ROLES
@@ -230,11 +228,11 @@ class TimeShift(Effect):
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the early reading; (time,) nT."""
-        return np.asarray(reading - _shifted(values, samples))
+        return np.asarray(reading - _shift_effect(values, samples))
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading at the vector sensor's time; (time,) nT."""
-        return np.asarray(reading + _shifted(values, samples))
+        return np.asarray(reading + _shift_effect(values, samples))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -256,11 +254,11 @@ class ScalarResponse(Effect):
 
     def disturb(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of a slow instrument; (time,) nT."""
-        return np.asarray(reading + _bent(values, samples))
+        return np.asarray(reading + _mean_effect(values, samples))
 
     def correct(self, reading: Floats, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return the reading of an instrument without delay or mean; (time,) nT."""
-        return np.asarray(reading - _bent(values, samples))
+        return np.asarray(reading - _mean_effect(values, samples))
 
     @classmethod
     def candidates(cls, mission: Mission) -> list[dict[str, Any]]:
@@ -327,26 +325,26 @@ class Heading(Effect):
         return [{}]
 
 
-#: Seconds between the two rates that tell how a rate changes.
-_BEND_STEP = 20.0
+#: Seconds between the two rates whose difference is the second rate of change (assumed: a minute in all).
+_CURVATURE_STEP = 20.0
 
 
-def _bent(values: Values, samples: xr.Dataset) -> Floats:
-    """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where nothing tells it."""
+def _mean_effect(values: Values, samples: xr.Dataset) -> Floats:
+    """Return ``half_variance d2F/dt2`` of the field in the samples; (time,) nT, 0 where it is not known."""
     size, stamps = strength(samples), np.asarray(samples["tt2000"].values, dtype=np.int64)
     usual = usual_step(stamps, SECOND) / SECOND
-    reach = max(1, round(_BEND_STEP / usual))
+    reach = max(1, round(_CURVATURE_STEP / usual))
     out = np.zeros_like(size)
     if size.size > 2 * reach:
         before, here, after = size[: -2 * reach], size[reach:-reach], size[2 * reach :]
         span = (stamps[2 * reach :] - stamps[: -2 * reach]) / (2.0 * SECOND)
-        bend = (before - 2.0 * here + after) / span**2
-        whole = np.isfinite(bend) & (np.abs(span - reach * usual) < 0.5 * usual)
-        out[reach:-reach] = np.where(whole, bend, 0.0)
+        curvature = (before - 2.0 * here + after) / span**2
+        whole = np.isfinite(curvature) & (np.abs(span - reach * usual) < 0.5 * usual)
+        out[reach:-reach] = np.where(whole, curvature, 0.0)
     return np.asarray(np.broadcast_to(values["half_variance"][..., 0], size.size) * out)
 
 
-def _shifted(values: Values, samples: xr.Dataset) -> Floats:
+def _shift_effect(values: Values, samples: xr.Dataset) -> Floats:
     """Return the change of the field within the shift; (time,) nT, 0 without a shift."""
     seconds = np.broadcast_to(values["seconds"][..., 0], samples.sizes["time"])
     return np.where(seconds == 0.0, 0.0, seconds * rate(samples))

@@ -1,8 +1,8 @@
 """A user's own effects: Python files that the mission YAML names under ``effects:``.
 
-The core opens no file; who reads them makes an `EffectSource` of path and text. Its classes are made
-once a process for each text, so that two workspaces never share a class unnoticed and a changed file
-means a new one. Workers make them from the text that travels with the effects.
+The core opens no file: the caller makes an `EffectSource` of path and text. Its classes are made once a
+process for each text, so that two workspaces never share a class unnoticed and a changed file means a new
+one. Workers make them from the text that travels with the pickled effects.
 """
 
 from __future__ import annotations
@@ -73,29 +73,9 @@ class EffectSource:
                 remedy="write a class that inherits inflight.Effect; its name is the effect's",
             )
         for kind in kinds:
-            self._check(kind)
+            require_sound_class(kind, self.path)
             kind.source = self
         return {kind.label(): kind for kind in kinds}
-
-    def _check(self, kind: type[Effect]) -> None:
-        if kind.field is Effect.field and kind.is_plain_field():
-            raise ModelError(
-                f"class {kind.__name__} says nothing of what it does",
-                file=self.path,
-                remedy="give it a method field(self, samples, values, sensor), or 'correct' and 'disturb'",
-            )
-        if (kind.correct is Effect.correct) != (kind.disturb is Effect.disturb):
-            raise ModelError(
-                f"class {kind.__name__} has only one of 'correct' and 'disturb'",
-                file=self.path,
-                remedy="write both: each must undo the other exactly",
-            )
-        if taken := (_RESERVED | set(dir(Effect))) & set(kind.parameters()):
-            raise ModelError(
-                f"class {kind.__name__} calls a parameter {', '.join(sorted(taken))}",
-                file=self.path,
-                remedy="choose another name: every effect has that one already",
-            )
 
     def _run(self) -> ModuleType:
         name = f"inflight_effects_{hashlib.sha256(self.path.encode()).hexdigest()[:8]}_{self.sha}"
@@ -119,6 +99,35 @@ class EffectSource:
                 remedy="the file must run without an error when it is imported",
             ) from error
         return module
+
+
+def require_sound_class(kind: type[Effect], file: str) -> None:
+    """Refuse a class that cannot be an effect.
+
+    Raises
+    ------
+    ModelError
+        Naming `file`, when it neither adds a field nor corrects, has only one of two inverses, or calls a
+        parameter as every effect calls something else.
+    """
+    if kind.field is Effect.field and kind.is_plain_field():
+        raise ModelError(
+            f"class {kind.__name__} says nothing of what it does",
+            file=file,
+            remedy="give it a method field(self, samples, values, sensor), or 'correct' and 'disturb'",
+        )
+    if (kind.correct is Effect.correct) != (kind.disturb is Effect.disturb):
+        raise ModelError(
+            f"class {kind.__name__} has only one of 'correct' and 'disturb'",
+            file=file,
+            remedy="write both: each must undo the other exactly",
+        )
+    if taken := (_RESERVED | set(dir(Effect))) & set(kind.parameters()):
+        raise ModelError(
+            f"class {kind.__name__} calls a parameter {', '.join(sorted(taken))}",
+            file=file,
+            remedy="choose another name: every effect has that one already",
+        )
 
 
 def _line_in(error: Exception, path: str) -> int | str:

@@ -1,8 +1,7 @@
-"""Fields of the spacecraft, lit panels.
+"""Fields the spacecraft makes at a sensor: torquers, magnetised parts, the solar array.
 
-Which solar panels are lit: by the local time of the orbit, or by the Sun's direction.
-
-Fields the spacecraft itself makes at a sensor.
+`light_on` and `schedule` say which solar panels are lit: by the Sun's direction, or by the local time of the
+orbit (Yin 2010, section 3.4.1).
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.effects.base import AXES, Effect, Parameter, Values, multiply
-from inflight.effects.channels import MATRIX, weigh
+from inflight.effects.channels import MATRIX, weighted_vectors
 from inflight.effects.families import channels_of_kind, options_of_channels
 from inflight.errors import ModelError
 from inflight.mission import Mission, Sensor
@@ -77,12 +76,14 @@ def light_on(sun: Floats, normals: npt.ArrayLike, areas: npt.ArrayLike | None = 
     normals : array_like, shape (panel, 3)
     areas : array_like, shape (panel,), optional
         Currents at normal incidence relative to each other; equal when absent.
+
+    Where the direction is NaN, so are the shares.
     """
     rows = np.asarray(normals, dtype=np.float64)
     size = np.ones(len(rows)) if areas is None else np.asarray(areas, dtype=np.float64)
     light = np.clip(sun @ rows.T, 0.0, None) * size
     total = light.sum(axis=1, keepdims=True)
-    return np.asarray(np.divide(light, total, out=np.zeros_like(light), where=total > 0))
+    return np.asarray(np.divide(light, total, out=np.zeros_like(light), where=total != 0))
 
 
 def _of_panels(count: int) -> tuple[str, ...]:
@@ -139,7 +140,7 @@ class Torquer(Effect):
 
 
 class Remanent(Effect):
-    """Constant field of the spacecraft's magnetised parts at one sensor."""
+    """Constant field of the spacecraft's magnetised parts at one sensor: ``vector``."""
 
     family = "remanent"
     vector = Parameter("nT", AXES, sigma=1.0)
@@ -200,4 +201,4 @@ class SolarArray(Effect):
     def field(self, samples: xr.Dataset, values: Values, sensor: Sensor) -> Floats:
         """Return ``current * sum of light * panel``; (time, axis) nT."""
         current = self.channel(samples, "A")
-        return current[:, None] * weigh(self._light(samples), values["panels"])
+        return current[:, None] * weighted_vectors(self._light(samples), values["panels"])

@@ -1,8 +1,7 @@
-"""The equation of a spinning sensor.
+"""The equation of a vector magnetometer on a spinning spacecraft (Plaschke et al. 2019, eq. 9).
 
-From twelve parameters to the matrix of the calibration equation, at one time or at many.
-
-The equation of a vector magnetometer on a spinning spacecraft, in parameters that the spin tells apart.
+Twelve parameters chosen so that the spin separates them: gains, sensor directions, spin axis, offsets.
+`coupling` makes the matrix of the equation from them, at one time or at many.
 """
 
 from __future__ import annotations
@@ -100,7 +99,7 @@ def coupling(
 _SENSORS = ("1", "2", "3")
 
 
-def _steady(value: Floats) -> Floats:
+def _constant_rows(value: Floats) -> Floats:
     """Return values (component,) where those at all times (time, component) are the same."""
     if value.ndim == 2 and len(value) and np.array_equal(value, np.broadcast_to(value[:1], value.shape)):
         return np.asarray(value[0])
@@ -113,7 +112,7 @@ class SpinningSensor(Effect):
     B is in axes that turn with the spacecraft, z along the spin axis (Plaschke et al. 2019, eq. 9). Angles
     count from their nominal values: `elevation` of sensors 1 and 2 from 90 deg to sensor 3, `azimuth` from
     90 deg between their projections, `spin_axis` in the sensor package, `rotation` about it. Gains that
-    follow a temperature are the effect `temperature`, which stands before.
+    follow a temperature are the effect `temperature`, listed before it.
     """
 
     family = "sensor"
@@ -149,11 +148,11 @@ class SpinningSensor(Effect):
     @staticmethod
     def _matrices(values: Values) -> tuple[Floats, Floats]:
         """Return the coupling matrix and its inverse, row by row; (9,) or (time, 9)."""
-        told = {key: _steady(value) for key, value in values.items() if key != "offset"}
-        alone = ("gain_ratio", "spin_plane_gain", "axial_gain", "azimuth", "rotation")
-        shape = max((value.shape[:-1] for value in told.values()), key=len)
-        wide = {key: np.broadcast_to(value, (*shape, value.shape[-1])) for key, value in told.items()}
-        found = coupling(**{key: value[..., 0] if key in alone else value for key, value in wide.items()})
+        steady = {key: _constant_rows(value) for key, value in values.items() if key != "offset"}
+        single = ("gain_ratio", "spin_plane_gain", "axial_gain", "azimuth", "rotation")
+        shape = max((value.shape[:-1] for value in steady.values()), key=len)
+        wide = {key: np.broadcast_to(value, (*shape, value.shape[-1])) for key, value in steady.items()}
+        found = coupling(**{key: value[..., 0] if key in single else value for key, value in wide.items()})
         return found[0].reshape(*found[0].shape[:-2], 9), found[1].reshape(*found[1].shape[:-2], 9)
 
     @classmethod

@@ -61,7 +61,6 @@ from .page import (
     paragraph,
     render,
     text_style,
-    write_page,
 )
 from .parameters import (
     clock_figure,
@@ -207,7 +206,6 @@ __all__ = [
     "wander_figure",
     "wandering_figure",
     "waterfall_figure",
-    "write_page",
     "zero_drift_figure",
     "zero_methods_figure",
 ]

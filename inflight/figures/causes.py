@@ -50,7 +50,7 @@ from inflight.mission_fit import (
     TemperatureChoice,
 )
 from inflight.residual import CurrentSteps
-from inflight.time import Int64, mjd_of, to_utc
+from inflight.time import Int64, mjd2000, to_utc
 
 
 def scale_curves_figure(fit: CoilFit, temperatures: Floats) -> figure:
@@ -342,7 +342,7 @@ def offsets_figure(found: OffsetsFromSpread) -> figure:
     plot = plain_figure(
         f"Offset along {found.axis} from the spread of dB", "MJD (2000-01-01)", "nT", width=560
     )
-    middle = mjd_of(found.start // 2 + found.end // 2)
+    middle = mjd2000(found.start // 2 + found.end // 2)
     error_bars(plot, middle, found.value, found.sigma, AFTER, 0.4)
     fill = np.where(found.seen, 1.0, 0.0)
     plot.scatter(middle, found.value, color=AFTER, fill_alpha=fill, size=5, legend_label="spread")
@@ -437,7 +437,7 @@ def continuous_figure(daily: xr.Dataset, table: xr.Dataset, title: str, factor: 
 def band_level_figure(start: np.ndarray, before: Floats, after: Floats) -> figure:
     """Draw what the residual has in the torquers' band each day, before and after the fitted matrix; nT."""
     plot = plain_figure("Residual in the torquers' band", "MJD (2000-01-01)", "nT", width=_WIDE)
-    when = mjd_of(start)
+    when = mjd2000(start)
     for values, colour, label in ((before, BEFORE, "before"), (after, AFTER, "after")):
         plot.scatter(when, values, color=colour, size=5, legend_label=label)
         plot.line(when, values, color=colour, alpha=0.4)
@@ -456,4 +456,4 @@ def temperature_figure(temperature: Floats, value: Floats, sigma: Floats, title:
 
 
 def _middles(table: xr.Dataset) -> Floats:
-    return mjd_of(table["start"].values // 2 + table["end"].values // 2)
+    return mjd2000(table["start"].values // 2 + table["end"].values // 2)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from bokeh.embed import components
@@ -117,11 +116,3 @@ def bullet_list(items: Iterable[str], *, kind: str = "", before: str = "") -> Ma
 def facts_table(facts: Mapping[str, Any], *, code: bool = False) -> Markup:
     """Return names and values as a table without a head; empty values are left out."""
     return render("facts.html", facts=facts, code=code)
-
-
-def write_page(output: Path, page: str) -> None:
-    """Write a page whole, by one rename."""
-    output.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = output.with_name(f".{output.name}.part")
-    unfinished.write_text(page, encoding="utf-8")
-    unfinished.replace(output)

@@ -52,7 +52,7 @@ from inflight.mission_fit import (
     TrendFit,
 )
 from inflight.residual import Wander
-from inflight.time import mjd_of, to_utc
+from inflight.time import mjd2000, to_utc
 
 #: How parts of the nine parameters are called; others by their own name.
 _TITLES = {"scale_factor": "Scale factors", "misalignment": "Misalignment angles", "offset": "Offsets"}
@@ -305,7 +305,7 @@ def trend_figure(fit: TrendFit, table: xr.Dataset, parameters: list[str], factor
     plot = plain_figure(f"Continuous parameters: {title}", "MJD (2000-01-01)", unit, width=560)
     times = np.linspace(*fit.span, _POINTS).astype(np.int64)
     value, sigma = fit.at(times)
-    middle = mjd_of(table["start"].values // 2 + table["end"].values // 2)
+    middle = mjd2000(table["start"].values // 2 + table["end"].values // 2)
     thin = slice(None, None, max(1, middle.size // _BARS))
     for name, colour in zip(parameters, COMPONENTS, strict=False):
         index = list(fit.trends).index(name)
@@ -316,9 +316,13 @@ def trend_figure(fit: TrendFit, table: xr.Dataset, parameters: list[str], factor
         plot.scatter(middle, shown, color=colour, size=3, alpha=0.4)
         label = f"{name.rsplit('[', maxsplit=1)[-1].rstrip(']')}: {fit.trends[name].time}"
         curve = (value[:, index] - base) * factor
-        band(plot, mjd_of(times), curve, sigma[:, index] * factor, colour)
+        band(plot, mjd2000(times), curve, sigma[:, index] * factor, colour)
         plot.line(
-            mjd_of(times), curve, color=colour, line_width=2, legend_label=f"{label}: {fit.trends[name].time}"
+            mjd2000(times),
+            curve,
+            color=colour,
+            line_width=2,
+            legend_label=f"{label}: {fit.trends[name].time}",
         )
     legend_below(plot)
     return plot
@@ -341,9 +345,9 @@ def jumps_figure(table: Jumps, trend: Jumps) -> figure:
     """Draw the steps of |B| at the boundaries of a table, and those of continuous parameters."""
     title = f"Steps at boundaries in {table.strength:.0f} nT, rms over directions"
     plot = plain_figure(title, "MJD (2000-01-01)", "nT", width=560)
-    plot.scatter(mjd_of(table.at), table.rms, color=BEFORE, size=4, legend_label="intervals")
-    plot.line(mjd_of(table.at), np.abs(table.mean), color=BEFORE, alpha=0.6, legend_label="|mean|")
-    plot.line(mjd_of(trend.at), trend.rms, color=AFTER, line_width=2, legend_label="continuous")
+    plot.scatter(mjd2000(table.at), table.rms, color=BEFORE, size=4, legend_label="intervals")
+    plot.line(mjd2000(table.at), np.abs(table.mean), color=BEFORE, alpha=0.6, legend_label="|mean|")
+    plot.line(mjd2000(trend.at), trend.rms, color=AFTER, line_width=2, legend_label="continuous")
     legend_below(plot)
     return plot
 

@@ -1,10 +1,8 @@
-"""Spin.
+"""Figures of a spinning sensor: its parameters over days, its estimates, and the tones of its residual.
 
-Figures of a turning sensor's tables: parameters over days, the axial offset by method, correlations.
-
-Figures of the eight spin-related parameters: estimates against uncertainty, and uncertainty over time.
-
-Figures of what of a residual goes with the spin: tones over time, the mean turn, what tones follow.
+Takes: tables of `inflight.tasks.pipelines.spin.tables`, selected estimates (`Cloud`), and the tones and what
+they depend on of `inflight.spin.residual`. Makes: bokeh figures. `estimates_figure` and `uncertainty_figure`
+are figures 3 and 2 (c to f) of Plaschke et al. (2019).
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ from inflight.samples import Complex
 from inflight.spin import ROWS, SPIN_RELATED, TONES, UNITS, Bools, Selection, ToneDependence, Tones
 from inflight.time import Int64, to_utc
 
-#: Parts of an interval by which marks of different kinds stand apart.
+#: Distance of markers of different kinds, in intervals.
 _APART = 0.12
 
 #: A pre-flight value farther off than this many times the values' own range is not drawn.
@@ -106,9 +104,9 @@ def zero_drift_figure(table: xr.Dataset, rate: dict[str, tuple[float, float]]) -
         row = table.isel(parameter=names.index(name))
         change, sigma = row["own"].values - float(row["prior"]), row["own_sigma"].values
         known = np.isfinite(sigma)
-        told = f": {rate[name][0]:+.3g} +- {rate[name][1]:.1g} nT a day" if name in rate else ""
+        drift = f": {rate[name][0]:+.3g} +- {rate[name][1]:.1g} nT a day" if name in rate else ""
         error_bars(plot, middle[known], change[known], sigma[known], colour, 0.5)
-        plot.scatter(middle[known], change[known], color=colour, size=6, legend_label=f"{name}{told}")
+        plot.scatter(middle[known], change[known], color=colour, size=6, legend_label=f"{name}{drift}")
     legend_below(plot)
     if plot.legend:
         plot.legend[0].orientation = "vertical"
@@ -122,24 +120,25 @@ def zero_methods_figure(zero: xr.Dataset) -> figure:
     colours = (*COMPONENTS, "#8a5ca8")
     for place, (name, colour) in enumerate(zip(zero["method_name"].values, colours, strict=True)):
         value, sigma = (zero[one].values[:, place] for one in ("method_value", "method_sigma"))
-        _marks(plot, (start, end), (value, sigma), colour, (str(name), _APART * (place - 2)))
+        _markers(plot, (start, end), (value, sigma), colour, (str(name), _APART * (place - 2)))
     known = np.where(np.isfinite(zero["sigma"].values), zero["value"].values, np.nan)
-    _marks(plot, (start, end), (known, zero["sigma"].values), NEW, ("combined", 2 * _APART))
-    # Half a window to either side: of a single one the axis would tell seconds.
+    _markers(plot, (start, end), (known, zero["sigma"].values), NEW, ("combined", 2 * _APART))
+    # Half a window to either side: of a single one the axis would be labelled in seconds.
     ends = (to_utc(np.array([start[0], end[-1]])).astype("datetime64[ms]")).astype(np.int64)
     plot.x_range = Range1d(int(ends[0]), int(ends[1]))
     legend_below(plot)
     return plot
 
 
-def _marks(
-    plot: figure, span: tuple[Any, Any], told: tuple[Floats, Floats], colour: str, what: tuple[str, float]
+def _markers(
+    plot: figure, span: tuple[Any, Any], values: tuple[Floats, Floats], colour: str, label: tuple[str, float]
 ) -> None:
-    known = np.isfinite(told[0]) & np.isfinite(told[1])
-    middle = span[0] // 2 + span[1] // 2 + (what[1] * (span[1] - span[0])).astype(np.int64)
+    """Draw values with their errors; `label` is the name and the distance from the middle in intervals."""
+    known = np.isfinite(values[0]) & np.isfinite(values[1])
+    middle = span[0] // 2 + span[1] // 2 + (label[1] * (span[1] - span[0])).astype(np.int64)
     when = to_utc(middle)[known]
-    error_bars(plot, when, told[0][known], told[1][known], colour)
-    plot.scatter(when, told[0][known], color=colour, size=6, legend_label=what[0])
+    error_bars(plot, when, values[0][known], values[1][known], colour)
+    plot.scatter(when, values[0][known], color=colour, size=6, legend_label=label[0])
 
 
 def correlation_figure(correlation: Floats) -> figure:
@@ -171,7 +170,7 @@ def correlation_figure(correlation: Floats) -> figure:
 
 
 def moved_figure(table: xr.Dataset) -> figure:
-    """Draw by how many sigma each of the eight moved from the first interval that tells it to the last.
+    """Draw by how many sigma each of the eight moved from the first to the last interval that determines it.
 
     A change of the spin axis touches its two parameters alone (Plaschke et al. 2019, section 2).
     """
@@ -179,18 +178,20 @@ def moved_figure(table: xr.Dataset) -> figure:
     plot = plain_figure(
         "What moved from the first to the last", "", "sigma", x_range=list(SPIN_RELATED), width=470
     )
-    pulls = []
+    changes = []
     for name in SPIN_RELATED:
         row = table.isel(parameter=names.index(name))
-        told = np.flatnonzero(np.isfinite(row["own_sigma"].values))
-        first, last = (told[0], told[-1]) if told.size else (0, 0)
+        known = np.flatnonzero(np.isfinite(row["own_sigma"].values))
+        first, last = (known[0], known[-1]) if known.size else (0, 0)
         value, sigma = row["own"].values, row["own_sigma"].values
-        pulls.append(
+        changes.append(
             float((value[last] - value[first]) / np.hypot(sigma[first], sigma[last]))
-            if told.size > 1
+            if known.size > 1
             else 0.0
         )
-    plot.vbar(list(SPIN_RELATED), 0.6, pulls, color=[NEW if abs(one) > _MOVED else AFTER for one in pulls])
+    plot.vbar(
+        list(SPIN_RELATED), 0.6, changes, color=[NEW if abs(one) > _MOVED else AFTER for one in changes]
+    )
     for limit in (-_MOVED, _MOVED):
         plot.add_layout(Span(location=limit, dimension="width", line_color=REFERENCE, line_dash="dashed"))
     plot.xaxis.major_label_orientation = 0.8
@@ -212,7 +213,7 @@ _ORDER = (
 #: The height of a panel is this many standard deviations of the chosen estimates to either side.
 _TALL = 12.0
 
-#: And it ends at this many times the threshold: the poorest estimates say nothing.
+#: And it ends at this many times the threshold: the poorest estimates hold no information.
 _WIDE = 3e3
 
 
@@ -347,7 +348,7 @@ _STATES = (("pre-flight model", BEFORE), ("calibrated", AFTER))
 
 
 def tone_name(tone: int) -> str:
-    """Return what people call a tone: its row, and how often it comes a turn."""
+    """Return the name of a tone: its row, and how often it comes a turn."""
     row, harmonic = TONES[tone]
     return f"{('along axis', 'modulus')[row]}, {harmonic} a turn"
 
@@ -367,7 +368,7 @@ def tones_over_time_figure(time: Int64, before: Tones, after: Tones, tone: int) 
 
 
 def _medians(time: Int64, values: Floats) -> tuple[Any, Floats]:
-    """Return UTC and medians of groups of intervals, such as a browser can draw."""
+    """Return UTC and medians of groups of intervals, so many as a browser can draw."""
     known = np.flatnonzero(np.isfinite(values) & (values > 0.0))
     each = max(1, -(-known.size // _POINTS))
     groups = [known[at : at + each] for at in range(0, known.size, each)]

@@ -34,7 +34,7 @@ from inflight.mission_fit.trends import (
     with_origin,
 )
 from inflight.model import Dependence
-from inflight.time import Int64, mjd_of, tt2000_of
+from inflight.time import Int64, from_mjd2000, mjd2000
 
 #: 95 % of a chi square with one degree of freedom.
 _LIMIT = 3.841
@@ -109,11 +109,11 @@ class _Profile:
     @property
     def first(self) -> float:
         """MJD of the middle of the first block."""
-        return float(mjd_of(middles(self.equations)[0]))
+        return float(mjd2000(middles(self.equations)[0]))
 
     def grid(self) -> Floats:
         """Distances of the first search, days."""
-        span = float(mjd_of(middles(self.equations)[-1])) - self.first
+        span = float(mjd2000(middles(self.equations)[-1])) - self.first
         most = min(_SPANS * span, _FARTHEST)
         return np.geomspace(_NEAREST, most, int(_PER_DECADE * np.log10(most / _NEAREST)) + 2)
 
@@ -122,7 +122,7 @@ class _Profile:
         if np.isinf(distance):
             line = make_trend("linear", middles(self.equations))
             return self.trends | dict.fromkeys(self.logs, line)
-        t0 = int(tt2000_of(self.first - distance))
+        t0 = int(from_mjd2000(self.first - distance))
         return self.trends | {name: replace(self.trends[name], t0=t0) for name in self.logs}
 
     def total(self, distance: float) -> float:

@@ -25,7 +25,7 @@ from inflight.effects import Parameter
 from inflight.errors import CalibrationError
 from inflight.lsq import BlockSums, long_run_covariance, residual_sum, robust_sigma, solve
 from inflight.model import Dependence, TimedValue, component_names
-from inflight.time import DAY, Int64, mjd_of
+from inflight.time import DAY, Int64, mjd2000
 
 TREND_KINDS = ("constant", "linear", "parabola", "log", "spline")
 
@@ -476,7 +476,7 @@ class TrendFit:
     def by_origin(self, name: str, times: Int64) -> Floats:
         """Return the change of a parameter that follows a logarithm for one day of its origin; (time,)."""
         trend = self.trends[name]
-        return np.asarray(-self.value[self.place(name)][1] / (mjd_of(times) - float(mjd_of(trend.t0))))
+        return np.asarray(-self.value[self.place(name)][1] / (mjd2000(times) - float(mjd2000(trend.t0))))
 
     def table(self) -> xr.Dataset:
         """Return the coefficients: dims parameter (one a coefficient), other; valid from `start` to `end`.
@@ -527,10 +527,10 @@ class TrendFit:
             raise CalibrationError(f"components of '{key}' follow different trends", remedy="fit one for all")
         places = [self.place(name) for name in names]
         return TimedValue(
-            parameter,
-            first.time,
-            np.array([self.value[place] for place in places]),
-            np.array([self.sigma[place] for place in places]),
+            parameter=parameter,
+            time=first.time,
+            value=np.array([self.value[place] for place in places]),
+            sigma=np.array([self.sigma[place] for place in places]),
             free=free,
             t0=first.t0,
             per=first.per,

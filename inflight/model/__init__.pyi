@@ -1,6 +1,6 @@
-from .apply import corrected
+from .apply import ModelEffect, corrected
 from .diff import changes, tree_of
-from .model import Model, ModelEffect, make_effect
+from .model import Model, make_effect
 from .rows import Band, Layout, ResidualRows, RowFilter, filter_rows, folding_of, rows_of, turn_residual
 from .substitution import Substituted, Treated, Typical, missing_rows, substitute
 from .time_dependence import Dependence, TimedValue, component_names

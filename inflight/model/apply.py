@@ -1,34 +1,86 @@
-"""A model applied to samples: readings corrected in the model's order, disturbed in the opposite one.
+"""One effect of a model, and effects applied to samples: corrected in the model's order, disturbed backwards.
 
-Vector sensors first: their corrected field gives the direction along which a scalar sensor sees the
+Vector sensors come first: their corrected field gives the direction along which a scalar sensor sees the
 fields of the spacecraft. Of two vector sensors each is corrected in its own axes, and the outboard one,
-which is farther from the spacecraft, gives the field that is kept.
+which is farther from the spacecraft, gives `field`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, cast
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects import with_field
+from inflight.effects import Effect, with_field
 from inflight.errors import SamplesError
+from inflight.mission import Sensor
+from inflight.model.time_dependence import TimedValue
 from inflight.samples import PlainSamples
-
-if TYPE_CHECKING:
-    from inflight.model.model import ModelEffect
-
-
-Effects = Sequence["ModelEffect"]
 
 #: Roles that read a vector, in the order of correction: the field of the last one present is kept.
 VECTOR_ROLES = ("vector", "inboard", "outboard")
 
 #: What a correction makes of the vector reading.
 _STALE = ["field", "field_direction"]
+
+
+@dataclass(frozen=True)
+class ModelEffect:
+    """One effect of a model: the cause, the sensor it acts on, and its values."""
+
+    effect: Effect
+    sensor: Sensor
+    parameters: Mapping[str, TimedValue]
+
+    @property
+    def name(self) -> str:
+        """Name in the model."""
+        return self.effect.name
+
+    @property
+    def is_additive(self) -> bool:
+        """True when at its sensor it only adds a field that does not depend on the sensor's reading."""
+        follows = self.effect.follows_field and type(self.effect).correct is Effect.correct
+        return self.effect.is_additive or (follows and self.sensor.is_scalar)
+
+    def values(self, tt2000: npt.ArrayLike) -> dict[str, Floats]:
+        """Return every parameter's value at a time, or at times."""
+        return {name: timed.at(tt2000) for name, timed in self.parameters.items()}
+
+    def with_parameters(self, parameters: Mapping[str, TimedValue]) -> ModelEffect:
+        """Return a copy with other values."""
+        return replace(self, parameters=dict(parameters))
+
+    def with_columns(self, value: Mapping[str, float], sigma: Mapping[str, float]) -> ModelEffect:
+        """Return a copy with new values of named columns; itself when none of them is here."""
+        named = value.keys() | sigma.keys()
+        if not any(named & set(timed.columns) for timed in self.parameters.values()):
+            return self
+        return self.with_parameters(
+            {key: timed.with_columns(value, sigma) for key, timed in self.parameters.items()}
+        )
+
+    def as_yaml(self) -> dict[str, Any]:
+        """Return the entry of the model YAML."""
+        entry: dict[str, Any] = {"effect": self.effect.label()}
+        if self.effect.source is not None:
+            entry["source"] = self.effect.source.sha
+        if self.effect.name != self.effect.label():
+            entry["name"] = self.effect.name
+        return (
+            entry
+            | self.effect.given
+            | {"sensor": self.sensor.name}
+            | {name: timed.as_yaml() for name, timed in self.parameters.items()}
+        )
+
+
+Effects = Sequence[ModelEffect]
 
 
 def correct(effects: Effects, samples: xr.Dataset) -> xr.Dataset:

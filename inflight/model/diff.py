@@ -1,4 +1,4 @@
-"""What differs between two models, for a program and for a person; works on their texts alone."""
+"""What differs between two models, for a program and for a person; it needs their texts alone."""
 
 from __future__ import annotations
 
@@ -57,12 +57,13 @@ def changes(before: Sequence[Entry], after: Sequence[Entry]) -> list[dict[str, A
         down to what differs), ``from`` and ``to`` (None where there is none) and ``sentence``.
     """
     mine, theirs = ({name_of(entry): entry for entry in entries} for entries in (before, after))
-    found = [_told("added", name, to=dict(theirs[name])) for name in theirs if name not in mine]
-    found += [_told("dropped", name, was=dict(mine[name])) for name in mine if name not in theirs]
+    found = [_change("added", name, to=dict(theirs[name])) for name in theirs if name not in mine]
+    found += [_change("dropped", name, was=dict(mine[name])) for name in mine if name not in theirs]
     for name in mine:
         if name in theirs:
             found += [
-                _told("changed", name, key, was, to) for key, was, to in _differing(mine[name], theirs[name])
+                _change("changed", name, key, was, to)
+                for key, was, to in _differing(mine[name], theirs[name])
             ]
     return found + _moved(list(mine), list(theirs))
 
@@ -85,13 +86,13 @@ def _moved(before: list[str], after: list[str]) -> list[dict[str, Any]]:
     """Effects that both have, in another order: the order is that of correction."""
     kept, now = [one for one in before if one in after], [one for one in after if one in before]
     return [
-        _told("moved", name, was=kept.index(name) + 1, to=place + 1)
+        _change("moved", name, was=kept.index(name) + 1, to=place + 1)
         for place, name in enumerate(now)
         if kept != now and kept[place] != name
     ]
 
 
-def _told(change: str, effect: str, key: str = "", was: Any = None, to: Any = None) -> dict[str, Any]:
+def _change(change: str, effect: str, key: str = "", was: Any = None, to: Any = None) -> dict[str, Any]:
     sentences = {
         "added": f"added {effect}",
         "dropped": f"dropped {effect}",

@@ -1,8 +1,7 @@
-"""Immutable model.
+"""The model as a value: read from YAML, immutable, hashed; effects are added and dropped by copies.
 
-One effect in a model: the cause, the sensor it acts on, and its values.
-
-The model as a value: read from YAML, immutable, hashed; effects are added and dropped by copies.
+`Model.parse` makes effects from the entries of the YAML (`make_effect`): class, sensor, options, and the
+values of parameters with their time dependence. `Model.text` is the YAML again, whose sha256 names a model.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy.typing as npt
 import xarray as xr
 from ruamel.yaml import YAML
 
@@ -29,69 +27,18 @@ from inflight.effects import (
     did_you_mean,
     effect_class,
     family_of,
-    product_factor,
 )
 from inflight.errors import InflightError, ModelError
 from inflight.mission import Sensor, sensors_of
-from inflight.model import apply as chain
+from inflight.model.apply import ModelEffect, correct, corrected, correction_terms, disturb
 from inflight.model.diff import changes, tree_of
 from inflight.model.rows import Layout, rows_of
 from inflight.model.time_dependence import TimedValue, parse_timed
 from inflight.samples import PlainSamples
+from inflight.units import product_factor
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
-
-
-@dataclass(frozen=True)
-class ModelEffect:
-    """One effect of a model: the cause, the sensor it acts on, and its values."""
-
-    effect: Effect
-    sensor: Sensor
-    parameters: Mapping[str, TimedValue]
-
-    @property
-    def name(self) -> str:
-        """Name in the model."""
-        return self.effect.name
-
-    @property
-    def is_additive(self) -> bool:
-        """True when at its sensor it only adds a field that does not depend on the sensor's reading."""
-        follows = self.effect.follows_field and type(self.effect).correct is Effect.correct
-        return self.effect.is_additive or (follows and self.sensor.is_scalar)
-
-    def values(self, tt2000: npt.ArrayLike) -> dict[str, Floats]:
-        """Return every parameter's value at a time, or at times."""
-        return {name: timed.at(tt2000) for name, timed in self.parameters.items()}
-
-    def with_parameters(self, parameters: Mapping[str, TimedValue]) -> ModelEffect:
-        """Return a copy with other values."""
-        return replace(self, parameters=dict(parameters))
-
-    def with_columns(self, value: Mapping[str, float], sigma: Mapping[str, float]) -> ModelEffect:
-        """Return a copy with new values of named columns; itself when none of them is here."""
-        named = value.keys() | sigma.keys()
-        if not any(named & set(timed.columns) for timed in self.parameters.values()):
-            return self
-        return self.with_parameters(
-            {key: timed.with_columns(value, sigma) for key, timed in self.parameters.items()}
-        )
-
-    def as_yaml(self) -> dict[str, Any]:
-        """Return the entry of the model YAML."""
-        entry: dict[str, Any] = {"effect": self.effect.label()}
-        if self.effect.source is not None:
-            entry["source"] = self.effect.source.sha
-        if self.effect.name != self.effect.label():
-            entry["name"] = self.effect.name
-        return (
-            entry
-            | self.effect.given
-            | {"sensor": self.sensor.name}
-            | {name: timed.as_yaml() for name, timed in self.parameters.items()}
-        )
 
 
 def make_effect(
@@ -102,7 +49,7 @@ def make_effect(
 ) -> ModelEffect:
     """Make an effect from one entry of the model YAML.
 
-    A key ``source`` is what `ModelEffect.as_yaml` wrote of the user's file; it is not looked at, since
+    A key ``source`` is what `ModelEffect.as_yaml` wrote of the user's file; it is not read, since
     the class is that of the file as it is now.
 
     Parameters
@@ -367,17 +314,22 @@ class Model:
             ),
         )
 
+    @property
+    def known_layout(self) -> Layout:
+        """The layout; of a model without one, from the sensors of its effects."""
+        return self.layout or Layout.of_sensors(entry.sensor for entry in self.effects)
+
     def correct(self, samples: xr.Dataset) -> xr.Dataset:
         """Take the effects out of the readings: see `inflight.model.apply.correct`."""
-        return chain.correct(self.effects, samples)
+        return correct(self.effects, samples)
 
     def corrected(self, samples: xr.Dataset | PlainSamples) -> PlainSamples:
         """Take the effects out of the readings, as plain variables: see `inflight.model.apply.corrected`."""
-        return chain.corrected(self.effects, samples)
+        return corrected(self.effects, samples)
 
     def disturb(self, samples: xr.Dataset) -> xr.Dataset:
         """Put the effects into true fields: the exact inverse of `correct`."""
-        return chain.disturb(self.effects, samples)
+        return disturb(self.effects, samples)
 
     def residual(self, samples: xr.Dataset) -> Floats:
         """Return the residual of the corrected samples, (time, row) nT: see `inflight.model.rows.rows_of`."""
@@ -385,7 +337,7 @@ class Model:
 
     def correction_terms(self, samples: xr.Dataset) -> dict[str, Floats]:
         """Return what each additive effect takes out: see `inflight.model.apply.correction_terms`."""
-        return chain.correction_terms(self.effects, samples)
+        return correction_terms(self.effects, samples)
 
     def changes(self, other: Model) -> list[dict[str, Any]]:
         """Return what `other` changes of this model: see `inflight.model.diff.changes`."""

@@ -1,4 +1,4 @@
-"""What is held against what: from corrected sensors to the rows of a residual.
+"""What a comparison compares: from corrected sensors to the rows of a residual, nT.
 
 A comparison of kind
 
@@ -12,12 +12,12 @@ spin
     two rows of folded samples (`inflight.samples.spin_folding`), the field along the spin axis and the
     modulus of the field across it, each less its interval's mean: what turns with the spin.
 
-All rows are nT. A new kind is one more function from corrected samples to rows.
+A new kind is one more function from corrected samples to rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
@@ -36,14 +36,26 @@ from inflight.time import SECOND, Int64, usual_step
 
 if TYPE_CHECKING:
     from inflight.mission import Mission
-    from inflight.model.model import Model
 
 
-#: Order of the band's Butterworth filter; it runs forwards and backwards, which doubles it.
-_ORDER = 4
+@dataclass(frozen=True, kw_only=True)
+class BandFilterSettings:
+    """The filter of a band of frequencies.
 
-#: A run of samples is filtered when it is longer than this many periods of the band's lower edge.
-_SHORTEST_PERIODS = 1.0
+    Attributes
+    ----------
+    order : int
+        Of the Butterworth filter, which runs forwards and backwards; that doubles it (assumed).
+    shortest_periods : float
+        A run of samples is filtered when it is longer than this many periods of the band's lower edge
+        (assumed).
+    """
+
+    order: int = 4
+    shortest_periods: float = 1.0
+
+
+BAND_FILTER = BandFilterSettings()
 
 
 class RowFilter(Protocol):
@@ -67,7 +79,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """A comparison as the physics sees it.
+    """Kind, sensors and filter of a comparison.
 
     Attributes
     ----------
@@ -101,14 +113,12 @@ class Layout:
         return cls(entry.kind, sensors, band, folding_of(mission, comparison))
 
     @classmethod
-    def of_model(cls, model: Model) -> Layout:
-        """Return a model's layout; without one, what the sensors of its effects tell."""
-        if model.layout is not None:
-            return model.layout
-        sensors = {entry.sensor.role: entry.sensor for entry in model.effects}
-        dual = bool({"inboard", "outboard"} & set(sensors))
+    def of_sensors(cls, sensors: Iterable[Sensor]) -> Layout:
+        """Return the layout of a dual or scalar comparison that knows only some of its sensors."""
+        by_role = {sensor.role: sensor for sensor in sensors}
+        dual = bool({"inboard", "outboard"} & set(by_role))
         roles = ("inboard", "outboard") if dual else ("vector", "scalar")
-        known = {role: sensors.get(role, Sensor(role, role)) for role in roles}
+        known = {role: by_role.get(role, Sensor(role, role)) for role in roles}
         return cls("dual" if dual else "scalar", known)
 
     def sensor(self, role: str) -> Sensor:
@@ -116,7 +126,7 @@ class Layout:
         return self.sensors[role]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ResidualRows:
     """Residual of a comparison and how a field at each of its sensors changes it.
 
@@ -148,7 +158,22 @@ class ResidualRows:
     kept: RowFilter | None = None
 
 
-def rows_of(model: Model, samples: xr.Dataset) -> ResidualRows:
+class Correction(Protocol):
+    """What `rows_of` needs of a model: its comparison, the comparison's layout, and the correction."""
+
+    @property
+    def comparison(self) -> str:
+        """Name of the comparison, for errors."""
+
+    @property
+    def known_layout(self) -> Layout:
+        """Kind and sensors of the comparison."""
+
+    def corrected(self, samples: xr.Dataset) -> Mapping[str, xr.Variable]:
+        """Return the corrected readings, and `field`, by name."""
+
+
+def rows_of(model: Correction, samples: xr.Dataset) -> ResidualRows:
     """Return the rows of a model's comparison.
 
     Parameters
@@ -165,7 +190,7 @@ def rows_of(model: Model, samples: xr.Dataset) -> ResidualRows:
     SamplesError
         When a reading is missing.
     """
-    layout = Layout.of_model(model)
+    layout = model.known_layout
     if layout.kind not in _KINDS:
         raise ModelError(
             f"comparison '{model.comparison}' is of kind '{layout.kind}', which has no rows a sample",
@@ -210,10 +235,10 @@ def filter_rows(
     finite = np.asarray(np.isfinite(wide).all(axis=1))
     usable = finite if good is None else finite & good
     if band.high_hz >= 0.5 / step_s:
-        sections = signal.butter(_ORDER, band.low_hz, "highpass", fs=1.0 / step_s, output="sos")
+        sections = signal.butter(BAND_FILTER.order, band.low_hz, "highpass", fs=1.0 / step_s, output="sos")
     else:
-        sections = signal.butter(_ORDER, tuple(band), "bandpass", fs=1.0 / step_s, output="sos")
-    shortest = int(_SHORTEST_PERIODS / (band.low_hz * step_s))
+        sections = signal.butter(BAND_FILTER.order, tuple(band), "bandpass", fs=1.0 / step_s, output="sos")
+    shortest = int(BAND_FILTER.shortest_periods / (band.low_hz * step_s))
     out = np.full(wide.shape, np.nan)
     for first, last in _runs(usable):
         if last - first > shortest:
@@ -234,12 +259,12 @@ def _scalar(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     vector, scalar = layout.sensor("vector").name, layout.sensor("scalar").name
     residual = (np.linalg.norm(field, axis=1) - total)[:, None]
     return ResidualRows(
-        residual,
-        {vector: along, scalar: -along},
-        {vector: field, scalar: field},
-        field,
-        _good(corrected, residual) & (total > 0),
-        _step(corrected),
+        residual=residual,
+        directions={vector: along, scalar: -along},
+        fields={vector: field, scalar: field},
+        field=field,
+        good=_good(corrected, residual) & (total > 0),
+        step_s=_step(corrected),
     )
 
 
@@ -253,12 +278,12 @@ def _dual(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
         outboard.name: np.broadcast_to(-outboard.rotation.as_matrix(), shape),
     }
     return ResidualRows(
-        residual,
-        directions,
-        fields,
-        fields[outboard.name],
-        _good(corrected, residual),
-        _step(corrected),
+        residual=residual,
+        directions=directions,
+        fields=fields,
+        field=fields[outboard.name],
+        good=_good(corrected, residual),
+        step_s=_step(corrected),
     )
 
 
@@ -271,13 +296,13 @@ def _platform(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     good = _good(corrected, np.column_stack([total, field])) & (total > 0)
     residual = filter_rows(total[:, None], step, layout.band, good)
     return ResidualRows(
-        residual,
-        {vector: np.zeros_like(along), scalar: along},
-        {vector: field, scalar: field},
-        field,
-        good & np.isfinite(residual[:, 0]),
-        step,
-        layout.band,
+        residual=residual,
+        directions={vector: np.zeros_like(along), scalar: along},
+        fields={vector: field, scalar: field},
+        field=field,
+        good=good & np.isfinite(residual[:, 0]),
+        step_s=step,
+        kept=layout.band,
     )
 
 
@@ -301,13 +326,13 @@ def _spin(layout: Layout, corrected: xr.Dataset) -> ResidualRows:
     with np.errstate(invalid="ignore", divide="ignore"):
         directions[:, 1, :2] = steady[:, :2] / np.hypot(steady[:, 0], steady[:, 1])[:, None]
     return ResidualRows(
-        residual,
-        {sensor: directions},
-        {sensor: steady},
-        steady,
-        good & np.isfinite(residual).all(axis=1),
-        _step(corrected),
-        layout.folding,
+        residual=residual,
+        directions={sensor: directions},
+        fields={sensor: steady},
+        field=steady,
+        good=good & np.isfinite(residual).all(axis=1),
+        step_s=_step(corrected),
+        kept=layout.folding,
     )
 
 
@@ -342,7 +367,7 @@ _KINDS = {"scalar": _scalar, "dual": _dual, "platform": _platform, "spin": _spin
 def folding_of(mission: Mission, comparison: str = "main") -> Folding | None:
     """Return how a comparison's samples are folded; None of a kind that folds nothing.
 
-    None, too, where the mission does not say how fast it spins: `rows_of` asks for it.
+    None, too, where the mission states no spin period: `rows_of` then refuses.
     """
     entry = mission.comparisons[comparison]
     if entry.kind != "spin" or "spin" not in mission.periods:

@@ -1,10 +1,10 @@
-"""What stands in for a missing channel, so that a day gets its product, and how much that may be wrong.
+"""Typical values for missing channels, and how uncertain they make the fields.
 
-Where a channel is missing, its typical value (mean over known samples) is taken: the effect is
-corrected as it usually is, and the field is uncertain by what the effect does when the channel deviates
-by its own spread. Where no value of the channel is known, effects made from it are left out, and the
-uncertainty holds their whole size: over the channel's possible range, or NaN where none is stated.
-Samples so treated carry the flag CHANNEL_MISSING, which takes them out of every fit.
+Where a channel is missing, its typical value (the mean of known samples) is taken: the effect is corrected
+as usual, and the field is uncertain by what the effect does when the channel deviates by its own scatter.
+Where no value of the channel is known, effects made from it are left out, and the uncertainty is their whole
+size: over the channel's possible range, or NaN where none is stated. These samples carry the flag
+CHANNEL_MISSING, which takes them out of every fit.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from inflight.arrays import Floats
 from inflight.effects import Effect, Values
 from inflight.flags import Flag
 from inflight.mission import Sensor
-from inflight.model.model import Model, ModelEffect
+from inflight.model.apply import ModelEffect
+from inflight.model.model import Model
 from inflight.samples import parse, product
 from inflight.time import GAP, SECOND, Int64
 
 Rows = npt.NDArray[np.bool_]
 
-#: Possible values of what geometry tells, in its units.
+#: Possible values of geometry, in its units.
 GEOMETRY_RANGES: dict[str, tuple[float, float]] = {
     "latitude": (-90.0, 90.0),
     "longitude": (-180.0, 180.0),
@@ -36,17 +37,32 @@ GEOMETRY_RANGES: dict[str, tuple[float, float]] = {
     "sunlit": (0.0, 1.0),
 }
 
-#: Values of a range that are tried, in the middles of as many equal parts: both ends of a circle are one.
-_PARTS = 8
-
 #: What is tried instead: light and shadow, the Sun on and against each axis.
-_TRIED = {"sunlit": np.array([0.0, 1.0]), "sun_direction": np.concatenate([np.eye(3), -np.eye(3)])}
+_TRIED_VALUES = {"sunlit": np.array([0.0, 1.0]), "sun_direction": np.concatenate([np.eye(3), -np.eye(3)])}
 
-#: Samples kept beside the missing ones: rates of change are made from neighbours.
-_BESIDE = 8
 
-#: A direction of spread smaller than this part of the largest one is rounding.
-_FLAT = 1e-12
+@dataclass(frozen=True, kw_only=True)
+class SubstitutionSettings:
+    """How the uncertainty of a substituted channel is worked out.
+
+    Attributes
+    ----------
+    margin : int
+        Samples on either side of the missing ones that are computed with them: effects take rates of change
+        over at most some samples (derived).
+    parts : int
+        Values of a channel's range that are tried, in the middles of as many equal parts, so that both ends
+        of a circle count once (assumed).
+    flat : float
+        A direction of the covariance with less than this part of the largest one is rounding (derived).
+    """
+
+    margin: int = 8
+    parts: int = 8
+    flat: float = 1e-12
+
+
+SUBSTITUTION = SubstitutionSettings()
 
 
 @dataclass(frozen=True)
@@ -80,7 +96,7 @@ class Typical:
             return None
         covariance = np.atleast_2d(np.cov(known, rowvar=False, bias=True))
         own, vectors = np.linalg.eigh(covariance)
-        used = own > _FLAT * max(float(own[-1]), 1e-300)
+        used = own > SUBSTITUTION.flat * max(float(own[-1]), 1e-300)
         modes = (vectors[:, used] * np.sqrt(own[used])).T
         steps = np.diff(seconds)
         near = steps <= GAP * np.median(steps)
@@ -135,7 +151,9 @@ class Substituted:
         return replace(
             model,
             effects=tuple(
-                replace(entry, effect=_LeftOut(entry)) if unknown & _factors(entry, self.samples) else entry
+                replace(entry, effect=_WithoutUnknown(entry))
+                if unknown & _factors(entry, self.samples)
+                else entry
                 for entry in model.effects
             ),
         )
@@ -148,8 +166,8 @@ class Substituted:
             if names:
                 rows = np.logical_or.reduce([_any(self.rows[name]) for name in names])
                 instead = {self.typical[name].source if name in self.typical else "" for name in names}
-                told = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
-                out[entry.name] = Treated(int(rows.sum()), tuple(names), told)
+                replaced_by = f"mean of {' and '.join(sorted(instead))}" if "" not in instead else "left out"
+                out[entry.name] = Treated(int(rows.sum()), tuple(names), replaced_by)
         return out
 
     def variance(self, model: Model) -> tuple[Floats, Floats]:
@@ -173,12 +191,16 @@ class Substituted:
         vector, scalar = np.zeros((count, 3)), np.zeros(count)
         for name, rows in self.rows.items():
             users = [entry for entry in model.effects if name in _factors(entry, self.samples)]
-            missing, near = _any(rows), _near(_any(rows))
+            missing = _any(rows)
+            near = np.convolve(missing, np.ones(2 * SUBSTITUTION.margin + 1), mode="same") > 0
             part = self.samples.isel(time=near)
             known = self.model(model)
             before = _fields(known, part)
             inside, of_vector = missing[near], any(entry.sensor.role == "vector" for entry in users)
-            changes = [*self._waves(name, part, rows[near]), *self._possible(name, part, rows[near])]
+            changes = [
+                *self._deviations(name, part, rows[near]),
+                *self._possible_values(name, part, rows[near]),
+            ]
             weight = 1.0 if name in self.typical else 1.0 / max(len(changes), 1)
             for changed in changes:
                 after = _fields(known, changed)
@@ -190,18 +212,18 @@ class Substituted:
                 vector[missing] = np.nan if of_vector else vector[missing]
         return vector, scalar
 
-    def _possible(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+    def _possible_values(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
         """Yield samples in which a channel without a typical value has one of its possible ones."""
         if name in self.typical:
             return
-        places = _TRIED.get(name, np.empty(0))
+        places = _TRIED_VALUES.get(name, np.empty(0))
         if not len(places) and name in self.ranges:
             low, high = self.ranges[name]
-            places = low + (high - low) * (np.arange(_PARTS) + 0.5) / _PARTS
+            places = low + (high - low) * (np.arange(SUBSTITUTION.parts) + 0.5) / SUBSTITUTION.parts
         for place in places:
             yield _assigned(part, name, np.where(rows, place, np.asarray(part[name].values)))
 
-    def _waves(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
+    def _deviations(self, name: str, part: xr.Dataset, rows: Rows) -> Iterator[xr.Dataset]:
         """Yield samples in which a channel deviates by each of its modes where it was missing.
 
         Sine and cosine together are one sigma at every time, and change as fast as the channel does:
@@ -229,13 +251,13 @@ def substitute(
     Parameters
     ----------
     model : Model
-        Its effects say which channels count.
+        Its effects name the channels.
     samples : xarray.Dataset
         Aligned raw samples.
     typical : mapping of str to Typical
         By name in the samples; of a derived channel, that of the series it is made from.
     ranges : mapping of str to (float, float), optional
-        Possible values of channels, beside `GEOMETRY_RANGES`.
+        Possible values of channels, in addition to `GEOMETRY_RANGES`.
     missing : mapping of str to ndarray of bool, optional
         As `missing_rows` returns it; looked for when absent.
 
@@ -257,8 +279,10 @@ def substitute(
     flag[np.logical_or.reduce([_any(one) for one in rows.values()])] |= np.uint32(Flag.CHANNEL_MISSING)
     out = out.assign(flag=("time", flag, samples["flag"].attrs))
     used = {name: one for name, one in typical.items() if name in rows}
-    possible = {name: _range_of(name) for name in rows} | dict(ranges or {})
-    return Substituted(out, rows, used, {name: pair for name, pair in possible.items() if pair is not None})
+    # A slow response or a play of geometry stays within its possible values; a product does not.
+    single = {name: parts[0].channel for name in rows if len(parts := parse(name).parts) == 1}
+    possible = {name: GEOMETRY_RANGES[base] for name, base in single.items() if base in GEOMETRY_RANGES}
+    return Substituted(out, rows, used, possible | dict(ranges or {}))
 
 
 def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
@@ -275,19 +299,17 @@ def missing_rows(model: Model, samples: xr.Dataset) -> dict[str, Rows]:
         unknown = ~np.isfinite(np.asarray(samples[name].values, dtype=np.float64))
         if not unknown.any():
             continue
-        read = np.logical_or.reduce([_is_read(samples, role) for role in users[name]])
+        readings = [np.asarray(samples[role].values, dtype=np.float64) for role in users[name]]
+        read = np.logical_or.reduce(
+            [np.isfinite(one if one.ndim == 1 else one.sum(axis=1)) for one in readings]
+        )
         lost = unknown & (read if unknown.ndim == 1 else read[:, None])
         if lost.any():
             found[name] = lost
     return found
 
 
-def _is_read(samples: xr.Dataset, role: str) -> Rows:
-    reading = np.asarray(samples[role].values, dtype=np.float64)
-    return np.asarray(np.isfinite(reading if reading.ndim == 1 else reading.sum(axis=1)))
-
-
-class _LeftOut(Effect):
+class _WithoutUnknown(Effect):
     """An effect that is not there where one of its channels is unknown."""
 
     def __init__(self, entry: ModelEffect) -> None:
@@ -347,14 +369,3 @@ def _fields(model: Model, samples: xr.Dataset) -> tuple[Floats, Floats]:
 
 def _any(rows: Rows) -> Rows:
     return rows if rows.ndim == 1 else np.asarray(rows.any(axis=1))
-
-
-def _near(rows: Rows) -> Rows:
-    """Return the rows and some beside each."""
-    return np.asarray(np.convolve(rows, np.ones(2 * _BESIDE + 1), mode="same") > 0)
-
-
-def _range_of(name: str) -> tuple[float, float] | None:
-    """Return the possible values of what geometry tells; its slow responses and plays stay within."""
-    parts = parse(name).parts
-    return GEOMETRY_RANGES.get(parts[0].channel) if len(parts) == 1 else None

@@ -1,6 +1,4 @@
-"""Constant, trend, block parameters.
-
-How a value may depend on time: the functions of time its coefficients multiply.
+"""Values in time: constant, trends, events, splines, and blocks held in a calibration table.
 
 ``constant``: one; ``linear``: ``a + b (t - t0)/per``; ``parabola``: ``a + b x + c x^2`` with
 ``x = (t - t0)/per``; ``log``: ``a + b ln((t - t0)/per)`` (Yin 2010, section 3.2); ``event``: one value
@@ -8,7 +6,8 @@ for each interval between the times ``at``; ``spline``: values at the times ``at
 cubic between them, and the outer ones held beyond; ``block``: one value a calibration interval, held in a
 table.
 
-Values in time: how a parameter depends on time is the model's business, never an effect's.
+`Dependence` holds the functions of time, `TimedValue` the coefficients that multiply them. Time dependence
+belongs to the model, never to an effect.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ TRENDS = ("linear", "parabola", "log")
 
 INTERPOLATIONS = ("cubic", "linear")
 
-#: Keys of a parameter's entry that say how it depends on time.
+#: Keys of a parameter's entry that describe its time dependence.
 KEYS = ("t0", "per", "at", "events", "interpolation")
 
 
@@ -129,7 +128,7 @@ class Dependence:
         return np.asarray(CubicSpline(knots, unit, bc_type="natural")(x))
 
     def as_yaml(self) -> dict[str, Any]:
-        """Return the keys of a parameter's entry that say it."""
+        """Return the keys of a parameter's entry that describe it."""
         found: dict[str, Any] = {"time": self.time}
         if self.is_trend:
             found |= {"t0": f"{to_utc(self.t0)}Z", "per": f"{self.per} ns"}
@@ -164,9 +163,9 @@ def parse_dependence(key: str, entry: Mapping[str, Any], events: Sequence[Event]
             f"'{key}': time {time!r} is unknown{did_you_mean(time, TIMES)}",
             remedy=f"one of {', '.join(TIMES)}",
         )
-    wanted = dict.fromkeys(TRENDS, ("t0", "per"))
-    wanted |= {"event": ("at", "events"), "spline": ("at", "interpolation")}
-    if stray := [name for name in KEYS if name in entry and name not in wanted.get(time, ())]:
+    allowed = dict.fromkeys(TRENDS, ("t0", "per"))
+    allowed |= {"event": ("at", "events"), "spline": ("at", "interpolation")}
+    if stray := [name for name in KEYS if name in entry and name not in allowed.get(time, ())]:
         raise ModelError(
             f"'{key}' has time '{time}', which has no '{stray[0]}'", remedy="take it out, or change 'time'"
         )
@@ -223,14 +222,14 @@ def _events_of(key: str, kind: str, events: Sequence[Event]) -> list[Any]:
     return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TimedValue:
     """A parameter of a model: its coefficients, what is known of them, and how they depend on time.
 
     Attributes
     ----------
     parameter : Parameter
-        What the effect says of it, in the unit the model states.
+        Its definition by the effect, in the unit the model states.
     time : str
         constant, linear, parabola, log, block, event or spline: see `inflight.model.time_dependence`.
     value, sigma : ndarray, shape (component, coefficient)
@@ -244,7 +243,7 @@ class TimedValue:
     key : str
         ``effect.parameter``, the name in tables.
     table_name : str
-        What the model YAML says of the table its values lie in; kept, for a reader.
+        Name of the table its values lie in, as the model YAML states it; information only.
     moments : tuple of int
         TT2000 of the events between intervals, or of a spline's knots.
     interpolation : str
@@ -378,13 +377,13 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
     stated = entry.get("sigma") is not None
     free = bool(entry.get("free", dependence.time == "block" or stated))
     return TimedValue(
-        parameter,
-        dependence.time,
-        value,
-        sigma,
-        free,
-        dependence.t0,
-        dependence.per,
+        parameter=parameter,
+        time=dependence.time,
+        value=value,
+        sigma=sigma,
+        free=free,
+        t0=dependence.t0,
+        per=dependence.per,
         key=key,
         table_name=str(entry.get("table", "")),
         moments=dependence.at,

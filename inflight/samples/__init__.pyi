@@ -1,5 +1,5 @@
 from .alignment import FIELD_ROLES, PlainSamples, align
-from .derived import Derived, Part, base_channels, parse, product, respond
+from .derived import Derived, Part, base_channels, derive, parse, product, respond
 from .spin_folding import FOLDING_VERSION, ORDER, Complex, Folding, fold, fold_series
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "PlainSamples",
     "align",
     "base_channels",
+    "derive",
     "fold",
     "fold_series",
     "parse",

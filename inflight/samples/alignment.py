@@ -1,6 +1,4 @@
-"""Channels on one time base.
-
-Channels of unequal cadence on one time base, without inventing data across gaps.
+"""`align`: channels of unequal cadence on one time base, without inventing data across gaps.
 
 Each channel is carried to the base by one of three stated methods (attribute ``resampling``):
 
@@ -13,14 +11,14 @@ band_limited
 linear
     Everything else: between two samples no further apart than one and a half cadences.
 
-A target without the samples it needs is NaN.
-
-Samples as plain variables: what an effect reads of a Dataset, without the cost of its indexing.
+A target without the samples it needs is NaN. `PlainSamples` holds samples as plain variables, for code that
+reads thousands of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numba
@@ -36,22 +34,37 @@ from inflight.time import GAP, Int64, in_leap_second, to_utc
 #: Roles that hold fields: they are carried band-limited, the rest linearly.
 FIELD_ROLES = ("vector", "scalar", "inboard", "outboard")
 
-#: Half-width of the sinc window in lobes, and its Kaiser parameter: stop band below -100 dB.
-_LOBES = 16
 
-_KAISER_BETA = 10.0
+@dataclass(frozen=True, kw_only=True)
+class AlignmentSettings:
+    """How channels are carried to a base.
 
-#: Stamps closer than this part of a cadence are the same stamp: at 1 s and 40 nT/s, less than a picotesla.
-_SAME_STAMP = 2e-5
+    Attributes
+    ----------
+    lobes : float
+        Half-width of the sinc window in lobes; with `kaiser_beta` the stop band lies below -100 dB (derived).
+    kaiser_beta : float
+        Parameter of the Kaiser window.
+    same_stamp : float
+        Stamps closer than this part of a cadence are the same stamp: at 1 s and 40 nT/s, the fastest field of
+        a low orbit, an error of less than a picotesla (derived).
+    same_cadence : float
+        Cadences that differ by less than this part are the same cadence (assumed).
+    probe : int
+        Targets that are tried first, for speed: one that lies between stamps decides.
+    usual_step_of : int
+        Stamps the usual distance is taken from, for speed.
+    """
 
-#: Cadences that differ by less than this part are the same cadence.
-_SAME_CADENCE = 1e-3
+    lobes: float = 16
+    kaiser_beta: float = 10.0
+    same_stamp: float = 2e-5
+    same_cadence: float = 1e-3
+    probe: int = 64
+    usual_step_of: int = 2001
 
-#: Targets that are looked at first: one that lies between stamps decides.
-_GLANCE = 64
 
-#: Stamps the usual distance is taken from.
-_TELLING = 2001
+ALIGNMENT = AlignmentSettings()
 
 _REJECTED = Flag.INSTRUMENT_FLAG | Flag.OUT_OF_RANGE
 
@@ -153,7 +166,7 @@ def _between(
     own_flags: npt.NDArray[np.uint32] | None = None,
 ) -> tuple[Floats, str]:
     """Carry values from stamps to targets by the method that fits name and cadence."""
-    same = _stretch_of(stamps, target)
+    same = _slice_of(stamps, target)
     if same is not None:
         return values[same], "exact"
     shape = (target.size, *values.shape[1:])
@@ -163,7 +176,7 @@ def _between(
     base_step = _usual_step(target)
     is_field = name in FIELD_ROLES
     # A faster field is low-passed even where stamps coincide: picking would fold its noise into the band.
-    faster = is_field and target.size > 1 and cadence < base_step * (1 - _SAME_CADENCE)
+    faster = is_field and target.size > 1 and cadence < base_step * (1 - ALIGNMENT.same_cadence)
     picked = None if faster else _pick(stamps, target, cadence)
     if picked is not None:
         index, there = picked
@@ -174,18 +187,19 @@ def _between(
     if own_flags is not None:
         # A reading its own instrument rejects would spread under the window to good ones.
         wide = np.where((own_flags & np.uint32(_REJECTED) != 0)[:, None], np.nan, wide)
-    if is_field and cadence <= base_step * (1 + _SAME_CADENCE):
+    if is_field and cadence <= base_step * (1 + ALIGNMENT.same_cadence):
         cutoff = min(1.0, cadence / base_step)
-        return _sinc(stamps, wide, target, float(cadence), cutoff).reshape(shape), "band_limited"
+        carried = _sinc(stamps, wide, target, float(cadence), cutoff, ALIGNMENT.lobes, ALIGNMENT.kaiser_beta)
+        return carried.reshape(shape), "band_limited"
     return _linear(stamps, wide, target, GAP * cadence).reshape(shape), "linear"
 
 
 def _usual_step(stamps: Int64) -> int:
-    """Return the median distance of neighbours, from as many as tell it: gaps are rare."""
-    return int(np.median(np.diff(stamps[:_TELLING]))) if stamps.size > 1 else 1
+    """Return the median distance of neighbours, of the first ones: gaps are rare."""
+    return int(np.median(np.diff(stamps[: ALIGNMENT.usual_step_of]))) if stamps.size > 1 else 1
 
 
-def _stretch_of(stamps: Int64, target: Int64) -> slice | None:
+def _slice_of(stamps: Int64, target: Int64) -> slice | None:
     """Return where the targets are among the stamps when they are a stretch of them, else None."""
     first = int(np.searchsorted(stamps, target[0])) if target.size else 0
     stretch = slice(first, first + target.size)
@@ -194,16 +208,19 @@ def _stretch_of(stamps: Int64, target: Int64) -> slice | None:
 
 def _pick(stamps: Int64, target: Int64, cadence: int) -> tuple[Int64, npt.NDArray[np.bool_]] | None:
     """Return where the targets are among the stamps, or None when they run between them."""
-    if target.size > _GLANCE and _pick(stamps, target[:: target.size // _GLANCE][:_GLANCE], cadence) is None:
+    if (
+        target.size > ALIGNMENT.probe
+        and _pick(stamps, target[:: target.size // ALIGNMENT.probe][: ALIGNMENT.probe], cadence) is None
+    ):
         return None
     right = np.clip(np.searchsorted(stamps, target), 1, max(stamps.size - 1, 1))
     left = right - 1
     right = np.minimum(right, stamps.size - 1)
     nearest = np.where(np.abs(stamps[right] - target) < np.abs(target - stamps[left]), right, left)
     off = np.abs(stamps[nearest] - target)
-    there = off <= _SAME_STAMP * cadence
-    # A target in a gap of the channel has no stamp near it: it says nothing about the phase.
-    between = (off > _SAME_STAMP * cadence) & (off < 0.5 * cadence * (1 + _SAME_CADENCE))
+    there = off <= ALIGNMENT.same_stamp * cadence
+    # A target in a gap of the channel has no stamp near it and cannot decide.
+    between = (off > ALIGNMENT.same_stamp * cadence) & (off < 0.5 * cadence * (1 + ALIGNMENT.same_cadence))
     return None if between.any() else (nearest.astype(np.int64), there)
 
 
@@ -215,13 +232,13 @@ def _carried_flags(series: xr.DataArray, target: Int64) -> npt.NDArray[np.uint32
         return out
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     cadence = int(series.attrs.get("cadence_ns", 0)) or _usual_step(stamps)
-    same = int(_SAME_STAMP * cadence)
+    same = int(ALIGNMENT.same_stamp * cadence)
     left = np.searchsorted(stamps, target + same, side="right") - 1
     on_stamp = (left >= 0) & (target - stamps[np.clip(left, 0, None)] <= same)
     for index in (left, np.where(on_stamp, left, left + 1)):
         near = np.clip(index, 0, stamps.size - 1)
-        beside = (near == index) & (np.abs(stamps[near] - target) < GAP * cadence)
-        out[beside] |= own[near[beside]]
+        near_enough = (near == index) & (np.abs(stamps[near] - target) < GAP * cadence)
+        out[near_enough] |= own[near[near_enough]]
     return out
 
 
@@ -278,7 +295,13 @@ def _whole(
 
 @numba.njit(cache=True, nogil=True)
 def _sinc(
-    stamps: Int64, values: Floats, target: Int64, cadence: float, cutoff: float
+    stamps: Int64,
+    values: Floats,
+    target: Int64,
+    cadence: float,
+    cutoff: float,
+    lobes: float,
+    kaiser_beta: float,
 ) -> Floats:  # pragma: no cover
     """Windowed-sinc interpolation at each target.
 
@@ -286,8 +309,8 @@ def _sinc(
     off and put back, so that the main field's slope along the orbit leaves no error.
     """
     out = np.full((target.size, values.shape[1]), np.nan)
-    half = _LOBES / cutoff
-    peak = _bessel_i0(_KAISER_BETA)
+    half = lobes / cutoff
+    peak = _bessel_i0(kaiser_beta)
     middle = np.searchsorted(stamps, target)
     for i in range(target.size):
         first, last = middle[i], middle[i] - 1
@@ -305,7 +328,7 @@ def _sinc(
         sums = np.zeros(values.shape[1])
         for j in range(first, last + 1):
             x = (target[i] - stamps[j]) / cadence
-            window = _bessel_i0(_KAISER_BETA * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / peak
+            window = _bessel_i0(kaiser_beta * np.sqrt(max(0.0, 1.0 - (x / half) ** 2))) / peak
             weight = np.sinc(cutoff * x) * window
             total += weight
             sums += weight * (values[j] - values[first] - slope * float(stamps[j] - stamps[first]))
@@ -328,8 +351,8 @@ class PlainSamples(dict[str, xr.Variable]):
 
     def assign(self, variables: dict[str, Any] | None = None, **more: Any) -> PlainSamples:
         """Return the samples with some variables added: (dims, values, attributes) each."""
-        told = (variables or {}) | more
-        return PlainSamples(self | {name: xr.Variable(*one) for name, one in told.items()})
+        added = (variables or {}) | more
+        return PlainSamples(self | {name: xr.Variable(*one) for name, one in added.items()})
 
     def drop_vars(self, names: list[str], errors: str = "raise") -> PlainSamples:
         """Return the samples without some variables."""

@@ -27,14 +27,28 @@ from inflight.arrays import Floats
 from inflight.errors import ModelError
 from inflight.time import DAY, GAP, SECOND, parse_duration
 
-#: Earlier data that a response needs, in time constants: what came before counts for 0.03 %.
-HISTORY_LAGS = 8.0
 
-#: A gap longer than this many time constants makes a response start anew.
-_LONG_GAP = 3.0
+@dataclass(frozen=True, kw_only=True)
+class ResponseSettings:
+    """How slow responses are made.
 
-#: Steps the usual one is taken from.
-_TELLING = 2000
+    Attributes
+    ----------
+    history : float
+        Earlier data that a response needs, in time constants: ``exp(-8)``, what came before counts for 0.03 %
+        (derived).
+    long_gap : float
+        A gap longer than this many time constants makes a response start anew (assumed).
+    usual_step_of : int
+        Steps the usual one is taken from, for speed.
+    """
+
+    history: float = 8.0
+    long_gap: float = 3.0
+    usual_step_of: int = 2000
+
+
+RESPONSE = ResponseSettings()
 
 _PART = re.compile(r"^(?P<channel>[^@~*]+)(?P<options>(?:@\w+=[^@~*]+)*)(?:~(?P<placebo>[1-9]\d*))?$")
 
@@ -69,7 +83,7 @@ class Part:
 
     @property
     def name(self) -> str:
-        """Name as written, or the shortest one that says the same."""
+        """Name as written, or the shortest equal one."""
         if self.text:
             return self.text
         lag = f"@lag={self.lag_s:.12g}s" if self.lag_s else ""
@@ -84,7 +98,7 @@ class Part:
     @property
     def history_s(self) -> float:
         """Seconds of earlier data it needs: eight lags, and a day for a play."""
-        return HISTORY_LAGS * self.lag_s + (DAY / SECOND if self.width else 0.0)
+        return RESPONSE.history * self.lag_s + (DAY / SECOND if self.width else 0.0)
 
     def of(self, values: Floats, step_s: float | Floats) -> Floats:
         """Return response and play of a channel; (time,) or (time, axis), in its unit.
@@ -256,8 +270,8 @@ def respond(values: Floats, step_s: float | Floats, lag_s: float) -> Floats:
     count = max(values.shape[0] - 1, 0)
     steps = np.broadcast_to(np.asarray(step_s, dtype=np.float64), (count,))
     series = np.ascontiguousarray(np.asarray(values, dtype=np.float64).reshape(values.shape[0], -1))
-    usual = float(np.median(steps[:_TELLING])) if count else 0.0
-    longest = max(_LONG_GAP * lag_s, GAP * usual)
+    usual = float(np.median(steps[: RESPONSE.usual_step_of])) if count else 0.0
+    longest = max(RESPONSE.long_gap * lag_s, GAP * usual)
     found = _respond(series, np.ascontiguousarray(steps), float(lag_s), longest)
     return np.asarray(found).reshape(values.shape)
 

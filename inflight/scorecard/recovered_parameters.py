@@ -43,7 +43,7 @@ from inflight.scorecard.scalar_calibration import (
     champ_parameters,
 )
 from inflight.scorecard.scene import DAYS, Scene
-from inflight.time import SECOND, tt2000_of
+from inflight.time import SECOND, from_mjd2000
 
 #: Times each injection is repeated, and noise of a sample every 30 s, nT.
 SEEDS, NOISE = 4, 0.1
@@ -75,7 +75,7 @@ def day_equations(scene: Scene, mjd: float, number: int, seed: int) -> NormalEqu
     good = np.ones(day.strength.size, dtype=bool)
     reference = Reference(champ_parameters(1500.0), _PRIOR)
     fit = fit_block(reading, np.zeros((1, 3)), day.strength + noise, good, reference, sub_blocks=24)
-    start, end = (int(edge) for edge in tt2000_of(np.array([mjd - 0.5, mjd + 0.5])))
+    start, end = (int(edge) for edge in from_mjd2000(np.array([mjd - 0.5, mjd + 0.5])))
     attributes = {"comparison": "main", "model": "m", "filter": "raw"}
     return NormalEquations.from_fit(fit, reference, (start, end), attributes)
 
@@ -87,8 +87,8 @@ def _mission(scene: Scene, seed: int) -> NormalEquations:
 def _trend(scene: Scene, seed: int, origin: float, search: bool) -> TrendFit:
     """Fit the logarithm to the summed equations of a mission's days, angles and offsets constant."""
     equations = scene.once(_mission, seed)
-    t0 = int(tt2000_of(np.array([origin]))[0])
-    times = tt2000_of(_MISSION)
+    t0 = int(from_mjd2000(np.array([origin]))[0])
+    times = from_mjd2000(_MISSION)
     trends = {name: make_trend("log", times, t0) for name in equations.columns[:3]}
     return (fit_origin if search else fit_trends)(equations, trends, _PRIOR)
 
@@ -117,7 +117,7 @@ def origin_of_law(scene: Scene) -> float:
 def _jump_of_intervals(scene: Scene, boundary: int) -> float:
     """Return the mean step of |B| between two calibrations of 15 days, mean over seeds, nT."""
     steps = []
-    edges = tt2000_of(np.array([boundary - 15.0, boundary, boundary + 15.0])).tolist()
+    edges = from_mjd2000(np.array([boundary - 15.0, boundary, boundary + 15.0])).tolist()
     for seed in range(SEEDS):
         days = np.arange(boundary - 15, boundary + 15) + 0.5
         both = joined([day_equations(scene, mjd, round(mjd), seed) for mjd in days])
@@ -135,7 +135,7 @@ def _jump_of_intervals(scene: Scene, boundary: int) -> float:
 
 def _jump_of_law(scene: Scene) -> tuple[float, ...]:
     fit = scene.once(_trend, 0, float(SCALE_ORIGIN), False)
-    found = trend_jumps(lambda times: fit.at(times)[0], tt2000_of(np.array(_BOUNDARIES, dtype=np.float64)))
+    found = trend_jumps(lambda times: fit.at(times)[0], from_mjd2000(np.array(_BOUNDARIES, dtype=np.float64)))
     return tuple(found.rms)
 
 
@@ -153,7 +153,7 @@ def regression(scene: Scene) -> tuple[float, float]:
         for number, one in enumerate(offset):
             day = scene.day(DAYS[number % len(DAYS)])
             noise = generator.normal(0.0, np.sqrt(_REGRESSION_NOISE), day.strength.size)
-            start = int(tt2000_of(np.array([1000.0 + number]))[0])
+            start = int(from_mjd2000(np.array([1000.0 + number]))[0])
             parts.append(day_statistics(one * day.direction[:, 2] + noise, day.direction, start, start + 1))
         told = offset + generator.normal(0.0, _OFFSET_ERROR, offset.size)
         statistics = xr.concat(parts, "interval", join="exact")

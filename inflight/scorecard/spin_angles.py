@@ -9,7 +9,7 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
-from inflight.spin import SensorAngles, farrell, phase_between, respin, spin_fits
+from inflight.spin import SensorAngles, azimuth_between, calibrate_farrell, fit_spins, respin
 from inflight.time import SECOND
 
 SECTION = "spin"
@@ -85,11 +85,11 @@ def signs_of_phases(scene: Scene) -> tuple[float, ...]:
     sensors = replace(_sensors(), azimuth=np.array([0.02, -0.03]))
     phase, field = _turned()
     stamps = (np.arange(phase.size) * (SECOND // 4)).astype(np.int64)
-    fits = spin_fits(stamps, sensors.disturb(field), phase)
+    fits = fit_spins(stamps, sensors.disturb(field), phase)
     tone = np.arctan2(fits.value[..., 1], fits.value[..., 2])
     third = _wrapped(tone[:, 2] - tone[:, 0]).mean() / (sensors.tilt_azimuth - sensors.azimuth[0])
     second = _wrapped(tone[:, 1] - tone[:, 0]).mean() / (0.5 * np.pi - 0.05)
-    right = phase_between(fits, 0, 2).mean() / (sensors.tilt_azimuth - sensors.azimuth[0])
+    right = azimuth_between(fits, 0, 2).mean() / (sensors.tilt_azimuth - sensors.azimuth[0])
     return tuple(float(np.round(one, 2)) for one in (third, second, right))
 
 
@@ -104,8 +104,8 @@ def angles_of_fits(scene: Scene) -> tuple[float, ...]:
     steps = rng.normal(size=(_SPINS // 20, 3)) @ np.diag([0.2, 0.2, 0.5]) + [0.6, 0.8, 0.2]
     field = respin(1e3 * np.repeat(steps, 20 * _READINGS, axis=0), phase)
     stamps = (np.arange(phase.size) * (SECOND // 4)).astype(np.int64)
-    fits = spin_fits(stamps, _sensors().disturb(field), phase)
-    return tuple(farrell(fits, spin_axis_zero=(0.0, 0.0)).value[:5])
+    fits = fit_spins(stamps, _sensors().disturb(field), phase)
+    return tuple(calibrate_farrell(fits, spin_axis_zero=(0.0, 0.0)).value[:5])
 
 
 _SOURCE = "Farrell et al. 1995"

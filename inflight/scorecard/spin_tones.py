@@ -10,12 +10,12 @@ from inflight.scorecard.scene import Scene
 from inflight.scorecard.themis_orbit import CADENCE, HOURS, SPIN, piece
 from inflight.spin import (
     SPIN_RELATED,
+    CalibrationParameters,
     SpinEstimates,
-    TwelveParameters,
+    cut_into_blocks,
+    estimate_jointly,
     estimate_pairs,
-    joint_estimate,
-    lay_out,
-    spin_tones,
+    measure_tones,
 )
 from inflight.time import SECOND
 
@@ -37,16 +37,16 @@ _AXIAL, _RANGE = 1000.0, 500.0
 _PLANE = 1e4
 
 
-def _put_in() -> TwelveParameters:
-    return TwelveParameters().changed(dict(zip(SPIN_RELATED, THEMIS_C, strict=True)))
+def _put_in() -> CalibrationParameters:
+    return CalibrationParameters().changed(dict(zip(SPIN_RELATED, THEMIS_C, strict=True)))
 
 
 def estimates_of(scene: Scene, region: str) -> tuple[SpinEstimates, Floats]:
     """Return the estimates of a region's sub-intervals and their distances (sub,), Earth radii."""
     found = piece(region, 1)
     readings = _put_in().disturb(found.field)
-    layout = lay_out(readings, found.phase, found.stamps)
-    tones = spin_tones(readings, found.phase, found.stamps, layout, _put_in())
+    layout = cut_into_blocks(readings, found.phase, found.stamps)
+    tones = measure_tones(readings, found.phase, found.stamps, layout, _put_in())
     middle = np.searchsorted(found.stamps, tones.start // 2 + tones.end // 2)
     return estimate_pairs(tones, _HELD), found.distance[middle]
 
@@ -74,8 +74,8 @@ def themis_c(scene: Scene) -> tuple[float, ...]:
     later = wind.stamps[-1] - near.stamps[0] + round(CADENCE * SECOND)
     stamps = np.concatenate([wind.stamps, near.stamps + later])
     readings = _put_in().disturb(np.concatenate([wind.field, near.field]))
-    layout = lay_out(readings, phase, stamps)
-    return tuple(joint_estimate(readings, phase, stamps, layout, TwelveParameters()).value)
+    layout = cut_into_blocks(readings, phase, stamps)
+    return tuple(estimate_jointly(readings, phase, stamps, layout, CalibrationParameters()).value)
 
 
 def _steady(hours: float) -> tuple[Floats, Floats]:
@@ -90,8 +90,8 @@ def over_white_noise(scene: Scene) -> float:
     field = np.column_stack([across * np.cos(phase), -across * np.sin(phase), np.full(phase.size, along)])
     readings = field + _WHITE * np.random.default_rng(5).normal(size=field.shape)
     stamps = (seconds * SECOND).astype(np.int64)
-    layout = lay_out(readings, phase, stamps)
-    estimates = estimate_pairs(spin_tones(readings, phase, stamps, layout, TwelveParameters()), _HELD)
+    layout = cut_into_blocks(readings, phase, stamps)
+    estimates = estimate_pairs(measure_tones(readings, phase, stamps, layout, CalibrationParameters()), _HELD)
     columns = [SPIN_RELATED.index(name) for name in ("gain_ratio", "azimuth", "spin_axis[x]", "spin_axis[y]")]
     size = np.sqrt(np.mean(estimates.uncertainty[:, columns] ** 2, axis=0))
     return float(np.mean(size / estimates.value[:, columns].std(axis=0)))
@@ -104,8 +104,8 @@ def offset_and_elevation(scene: Scene) -> float:
     field = np.column_stack([_PLANE * np.cos(phase), -_PLANE * np.sin(phase), axial])
     readings = field + _WHITE * np.random.default_rng(6).normal(size=field.shape)
     stamps = (seconds * SECOND).astype(np.int64)
-    layout = lay_out(readings, phase, stamps)
-    found = joint_estimate(readings, phase, stamps, layout, TwelveParameters())
+    layout = cut_into_blocks(readings, phase, stamps)
+    found = estimate_jointly(readings, phase, stamps, layout, CalibrationParameters())
     return found.correlation("offset[1]", "elevation[1]")
 
 

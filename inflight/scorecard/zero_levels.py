@@ -9,19 +9,16 @@ import numpy as np
 from inflight.arrays import Floats
 from inflight.scorecard.figure import Figure, Within, recovered
 from inflight.scorecard.scene import Scene
+from inflight.scorecard.zero_level_studies import PUBLISHED, SET, average_spans, largest_leak
 from inflight.simulate.spinning import CRAFT, wind
 from inflight.time import DAY, SECOND
 from inflight.zero_level import (
-    PUBLISHED,
-    SET,
     Intervals,
-    averages,
-    correlation,
     davis_smith,
-    largest_leak,
     minimum_correlation,
     pairs_within,
-    separate,
+    separate_flipped,
+    size_angle_covariance,
 )
 
 SECTION = "zero-level"
@@ -62,7 +59,7 @@ def _errors(scene: Scene, averaging: float) -> Floats:
         field = (_FIELD * (1.0 + 0.1 * generator.normal(size=(SET, 1))) * direction)[window]
         turned = complex(*_TURNING) * np.exp(2j * np.pi * time)
         field += np.array(_FIXED) + np.stack([turned.real, turned.imag, 0.0 * time], axis=1)
-        times, mean = averages((time * SECOND).astype(np.int64), field, averaging, coverage=0.7)
+        times, mean = average_spans((time * SECOND).astype(np.int64), field, averaging, coverage=0.7)
         intervals = Intervals.of(times, mean, 48.0 * averaging)
         found.append(minimum_correlation(intervals).solution - np.array(_FIXED))
     return np.array(found)
@@ -80,7 +77,7 @@ def set_span(scene: Scene) -> float:
 
 def flipped(along_z: tuple[float, float], along_x: tuple[float, float]) -> tuple[float, ...]:
     """Return C1, C3, S_x, S_z, nT."""
-    return tuple(separate(along_z, along_x, np.eye(4)).value)
+    return tuple(separate_flipped(along_z, along_x, np.eye(4)).value)
 
 
 def law_of_covariance(scene: Scene) -> float:
@@ -91,7 +88,7 @@ def law_of_covariance(scene: Scene) -> float:
     size = _FIELD * (1.0 + 0.02 * generator.normal(size=angle.size))
     field = size[:, None] * np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1)
     pairs = pairs_within(field, 2, np.ones(angle.size - 1, dtype=bool))
-    here, there = correlation(field, 2, np.array([0.0, -step]), pairs)
+    here, there = size_angle_covariance(field, 2, np.array([0.0, -step]), pairs)
     part = np.mean(np.diff(size) ** 2) / _FIELD**2 - np.mean(np.diff(angle) ** 2)
     return float((there - here) / (step * np.sin(mean) * part))
 

@@ -256,7 +256,7 @@ class _Scene:
         )
 
     def truth(self) -> xr.Dataset:
-        """What nobody who processes the deliveries may see."""
+        """The truth, which no processing of the deliveries may read."""
         field = self.field(self.times)
         truth = _delivery(
             self.times,

@@ -12,7 +12,7 @@ import numpy as np
 from ppigrf.ppigrf import RE, get_legendre, read_shc
 
 from inflight.simulate.grid import Float, Grid, Int64
-from inflight.simulate.randomness import wander
+from inflight.simulate.randomness import drift
 from inflight.time import day_bounds
 
 
@@ -92,4 +92,4 @@ def dipole_pole(days: float) -> tuple[float, float]:
 
 def external_field(grid: Grid, seed: int, rms: float) -> Float:
     """Return a field both sensors see, nT in itrf on the nodes, with waves of 250 s to 3000 s."""
-    return wander(grid.seconds, seed, "external field", (rms, rms, rms), periods=(250.0, 3000.0), waves=16)
+    return drift(grid.seconds, seed, "external field", (rms, rms, rms), periods=(250.0, 3000.0), waves=16)

@@ -9,7 +9,7 @@ import numpy as np
 from inflight.simulate.grid import Float
 from inflight.simulate.orbit import mjd
 from inflight.simulate.parameters import Parameters
-from inflight.simulate.randomness import generator, wander
+from inflight.simulate.randomness import drift, generator
 
 
 def scale_factors(seconds: Float, parameters: Parameters, effects: Collection[str]) -> Float:
@@ -98,9 +98,9 @@ def reading(
         y = y - yz * z
         x = x - xy * y - xz * z
     cold = np.column_stack([x, y, z]) / factor
-    bent = "nonlinearity" in effects
-    quadratic = np.array(parameters.quadratic) * bent
-    cubic = np.array(parameters.cubic) * bent
+    nonlinear = "nonlinearity" in effects
+    quadratic = np.array(parameters.quadratic) * nonlinear
+    cubic = np.array(parameters.cubic) * nonlinear
     return solve_reading(cold, scale, quadratic, cubic) + offset
 
 
@@ -115,7 +115,7 @@ def offsets(
         offset += play(coil, parameters.hysteresis_width)[:, None] * parameters.hysteresis_field
     if "offset_drift" in effects:
         rms = (parameters.offset_drift_rms,) * 3
-        slow = wander(seconds[::60], seed, "offset drift", rms, periods=(5 * 86400.0, 60 * 86400.0))
+        slow = drift(seconds[::60], seed, "offset drift", rms, periods=(5 * 86400.0, 60 * 86400.0))
         offset += slow.repeat(60, axis=0)[: seconds.size]
     if "offset_steps" in effects:
         # Resets came on Wednesdays, MJD mod 7 = 4, here at 10:00 UTC.

@@ -25,7 +25,7 @@ _BEFORE = _TAPS // 2 - 1
 
 @dataclass(frozen=True)
 class Grid:
-    """`count` nodes from node number `first`; node k stands at TT2000 = k * STEP."""
+    """`count` nodes from node number `first`; node k lies at TT2000 = k * STEP."""
 
     first: int
     count: int

@@ -17,7 +17,7 @@ from inflight.errors import SettingsError
 
 @dataclass(frozen=True)
 class SimulatedDay:
-    """Deliveries and truth of one day; the function that simulates it says which variables they have.
+    """Deliveries and truth of one day; the function that simulates it documents their variables.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class MissionParameters:
 class MissionSettings(BaseModel):
     """A simulated mission; the same settings always give the same files.
 
-    An effect named in `hide` is in the data, but only the truth tells of it. One named in `without`
+    An effect named in `hide` is in the data, but only the truth names it. One named in `without`
     is not in the data at all, and one of `include` is added to the standard ones.
     """
 
@@ -97,7 +97,7 @@ class MissionSettings(BaseModel):
                 raise ValueError(f"{key}: no effect {unknown}; there are {', '.join(known)}")
         if both := sorted(set(self.without) & {*self.hide, *self.include}):
             raise ValueError(f"{both} cannot be both in the data and without")
-        # The numbers are made where they are read, so an override that does not fit is told here.
+        # The numbers are made where they are read, so that an override that does not fit is refused here.
         _ = self.parameters
         return self
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from inflight.simulate.grid import Float, Grid
 from inflight.simulate.parameters import Parameters
-from inflight.simulate.randomness import wander
+from inflight.simulate.randomness import drift
 
 EARTH_RADIUS = 6371.2
 _GM = 398600.4418
@@ -25,7 +25,7 @@ _SUN_RADIUS = np.radians(0.2666)
 
 @dataclass(frozen=True)
 class Geometry:
-    """Where the spacecraft is and how it stands, on the nodes of `grid`.
+    """Position and attitude of the spacecraft, on the nodes of `grid`.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def geometry(grid: Grid, parameters: Parameters, seed: int) -> Geometry:
     node = np.radians(mean_sun + 15.0 * (node_local_time(seconds, parameters) - 12.0) - sidereal)
     ahead, up, left = _orbit_axes(node, argument_of_latitude(seconds, parameters), parameters)
     radius = EARTH_RADIUS + parameters.altitude - parameters.altitude_decay * (mjd(seconds) - _LAUNCH_MJD)
-    angles = np.radians(wander(seconds, seed, "attitude", parameters.attitude_rms, periods=(600.0, 20000.0)))
+    angles = np.radians(drift(seconds, seed, "attitude", parameters.attitude_rms, periods=(600.0, 20000.0)))
     small = Rotation.from_euler("xyz", angles).as_matrix()
     axes = small @ np.stack([ahead, -left, -up], axis=1)
     sun = sun_direction(days, sidereal)

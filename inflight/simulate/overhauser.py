@@ -9,7 +9,7 @@ import numpy as np
 from inflight.simulate.grid import Float
 from inflight.simulate.orbit import mjd
 from inflight.simulate.parameters import Parameters
-from inflight.simulate.randomness import wander
+from inflight.simulate.randomness import drift
 
 
 def sampling_delay(seconds: float, parameters: Parameters, effects: Collection[str]) -> float:
@@ -27,7 +27,7 @@ def oscillator_ratio(
     """Return f_ovm / f_ref, shape (time,); 1 when the effect is absent."""
     if "oscillator" not in effects:
         return np.ones_like(seconds)
-    slow = wander(seconds[::60], seed, "oscillator", (parameters.oscillator_wander,), periods=(86400.0, 6e6))
+    slow = drift(seconds[::60], seed, "oscillator", (parameters.oscillator_wander,), periods=(86400.0, 6e6))
     slow = slow.repeat(60, axis=0)[: seconds.size, 0]
     warm = parameters.oscillator_temperature * (electronics - 20.0)
     return np.asarray(1.0 + parameters.oscillator_offset + slow + warm)

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from inflight.simulate.grid import Float
 from inflight.simulate.parameters import Parameters
-from inflight.simulate.randomness import wander
+from inflight.simulate.randomness import drift
 
 #: Normals of the panels in spacecraft axes: two sides leaning 45 degrees, and the top.
 PANEL_NORMALS = np.array(
@@ -65,7 +65,7 @@ def currents(
     heater = parameters.heater_current * switched(seconds, parameters.heater_period, parameters.heater_duty)
     camera = parameters.camera_current + parameters.camera_sunlit_current * _dazzle(sun) * light
     load = parameters.load + heater + camera
-    load += wander(seconds[::30], seed, "load", (0.08,), periods=(1200.0, 9000.0)).repeat(30, axis=0)[
+    load += drift(seconds[::30], seed, "load", (0.08,), periods=(1200.0, 9000.0)).repeat(30, axis=0)[
         : load.size, 0
     ]
     offered = np.clip(sun @ PANEL_NORMALS.T, 0.0, None) * light[:, None] * parameters.panel_peaks

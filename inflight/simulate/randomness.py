@@ -14,7 +14,7 @@ def generator(seed: int, stream: str, day: int = 0) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64([seed, day + 1_000_000, zlib.crc32(stream.encode())]))
 
 
-def wander(
+def drift(
     seconds: Float,
     seed: int,
     stream: str,

@@ -32,7 +32,7 @@ def second_effects(effects: Collection[str]) -> frozenset[str]:
 
 
 def as_second(parameters: Parameters) -> Parameters:
-    """Return parameters in which the second fluxgate stands for the first.
+    """Return parameters in which the second fluxgate takes the place of the first.
 
     Its place decides what each dipole makes there (Yin 2010, after eq. 3.1); torquers are taken as
     dipoles at the origin of the boom's axis, where only their distance counts.

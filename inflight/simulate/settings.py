@@ -54,7 +54,7 @@ def effect_names() -> tuple[str, ...]:
 
 
 class SimulationSettings(MissionSettings):
-    """A simulated CHAMP; the pre-flight model written beside the deliveries names no effect of `hide`."""
+    """A simulated CHAMP; the pre-flight model written with the deliveries names no effect of `hide`."""
 
     standard_effects = STANDARD_EFFECTS
     extra_effects = EXTRA_EFFECTS

@@ -7,7 +7,7 @@ import numpy as np
 from inflight.simulate.grid import Float, Int64, Sampling
 from inflight.simulate.orbit import argument_of_latitude, mjd
 from inflight.simulate.parameters import Parameters
-from inflight.simulate.randomness import generator, wander
+from inflight.simulate.randomness import drift, generator
 from inflight.time import SECOND
 
 #: Seconds between commands, so an alternating command has the 20 s period of Yin 3.4.3.
@@ -55,7 +55,7 @@ def _commands(number: Int64, parameters: Parameters, seed: int, day: int) -> Flo
     seconds = np.asarray(number * float(COMMAND), dtype=np.float64)
     angle = argument_of_latitude(seconds, parameters)
     orbital = np.column_stack([np.sin(angle), np.cos(2.0 * angle), np.cos(angle)])
-    swing = wander(seconds[::6], seed, "torquer", (0.4, 0.4, 0.4), periods=(900.0, 40000.0)).repeat(6, axis=0)
+    swing = drift(seconds[::6], seed, "torquer", (0.4, 0.4, 0.4), periods=(900.0, 40000.0)).repeat(6, axis=0)
     swing = (1.0 + swing[: number.size]) * np.where(number % 2, -1.0, 1.0)[:, None]
     noise = generator(seed, "torquer", day).standard_normal((number.size, 3))
     varying = (

@@ -1,23 +1,30 @@
-from .equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from .equation import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
 from .estimate import (
-    UNKNOWN,
+    UNCALIBRATED_SIGMA,
     JointEstimate,
     Selection,
     SpinEstimates,
     calibrate_by_selection,
-    choose,
+    choose_estimates,
+    estimate_jointly,
     estimate_pairs,
-    fit_spin,
-    joint_estimate,
+    fit_folded_samples,
     spin_equations,
-    spinning_entry,
-    spread_of,
+    spinning_sensor_of,
+    uncertainty_of_pairs,
 )
-from .farrell_1995 import FarrellFit, SensorAngles, ZeroDrift, boom_bending, farrell, phase_between
-from .fits import SpinFits, despin, respin, spin_fits
-from .intervals import Bools, Exclusion, Layout, SubIntervals, lay_out
+from .farrell import (
+    FarrellFit,
+    SensorAngles,
+    ZeroDrift,
+    azimuth_between,
+    calibrate_farrell,
+    measure_boom_bending,
+)
+from .fits import SpinFits, despin, fit_spins, respin
+from .intervals import BlockLayout, Bools, Exclusion, SubIntervals, cut_into_blocks
 from .phase import Fault, PeriodCheck, SpinPhase, check_period, phase_from_angle, phase_from_pulses
-from .product import Attitude, spin_level2
+from .product import Attitude, make_spin_product
 from .residual import (
     ROWS,
     TONES,
@@ -28,8 +35,18 @@ from .residual import (
     tone_dependence,
     tones_of,
 )
-from .tones import spin_tones
-from .update import GROUND, SPIN, Decision, InUse, Known, OneInUse, TwelveTable, along_axial, join_twelve
+from .tones import measure_tones
+from .update import (
+    GROUND,
+    SPIN,
+    Decision,
+    ExternalValue,
+    ParameterTable,
+    ValueInUse,
+    ValuesInUse,
+    axial_offset_slope,
+    join_parameters,
+)
 
 __all__ = [
     "GROUND",
@@ -38,19 +55,19 @@ __all__ = [
     "SPIN",
     "SPIN_RELATED",
     "TONES",
+    "UNCALIBRATED_SIGMA",
     "UNITS",
-    "UNKNOWN",
     "Attitude",
+    "BlockLayout",
     "Bools",
+    "CalibrationParameters",
     "Decision",
     "Exclusion",
+    "ExternalValue",
     "FarrellFit",
     "Fault",
-    "InUse",
     "JointEstimate",
-    "Known",
-    "Layout",
-    "OneInUse",
+    "ParameterTable",
     "PeriodCheck",
     "Selection",
     "SensorAngles",
@@ -61,32 +78,32 @@ __all__ = [
     "ToneCoordinate",
     "ToneDependence",
     "Tones",
-    "TwelveParameters",
-    "TwelveTable",
+    "ValueInUse",
+    "ValuesInUse",
     "ZeroDrift",
-    "along_axial",
-    "boom_bending",
+    "axial_offset_slope",
+    "azimuth_between",
     "calibrate_by_selection",
+    "calibrate_farrell",
     "check_period",
-    "choose",
+    "choose_estimates",
+    "cut_into_blocks",
     "despin",
+    "estimate_jointly",
     "estimate_pairs",
-    "farrell",
     "find_tone_failures",
-    "fit_spin",
-    "join_twelve",
-    "joint_estimate",
-    "lay_out",
-    "phase_between",
+    "fit_folded_samples",
+    "fit_spins",
+    "join_parameters",
+    "make_spin_product",
+    "measure_boom_bending",
+    "measure_tones",
     "phase_from_angle",
     "phase_from_pulses",
     "respin",
     "spin_equations",
-    "spin_fits",
-    "spin_level2",
-    "spin_tones",
-    "spinning_entry",
-    "spread_of",
+    "spinning_sensor_of",
     "tone_dependence",
     "tones_of",
+    "uncertainty_of_pairs",
 ]

@@ -1,9 +1,18 @@
 """The calibration equation of a magnetometer on a spinning spacecraft (Plaschke et al. 2019, eq. 9).
 
-``B = Phi Sigma Gamma G (G_T B_S - O)``: readings `B_S` become the field `B` in axes that turn with the
-spacecraft, z along the spin axis. The sensor's own angles (Gamma), the place of the spin axis in the sensor
-package (Sigma), the turn about it (Phi) and the gains (G) are parameters of their own, so that a manoeuvre,
-which moves the spin axis in the spacecraft, touches two of them only.
+Takes: readings along the sensor axes, and temperatures. Makes: the field in axes that turn with the
+spacecraft, z along the spin axis, and back (`CalibrationParameters.correct`, `disturb`); eq. (8) is
+`TemperatureGains`.
+
+``B = Phi Sigma Gamma G (G_T B_S - O)``; O stands outside G. The sensor's own angles (Gamma), the direction of
+the spin axis in the sensor package (Sigma), the rotation about it (Phi) and the gains (G) are separate
+parameters, so that a manoeuvre, which moves the spin axis in the spacecraft, changes two of them only::
+
+    rows of Gamma^-1: [sin th1, 0, cos th1], [cos ph12 sin th2, sin ph12 sin th2, cos th2], [0, 0, 1]
+    Sigma = [c 0 -s; 0 1 0; s 0 c](sPx) [1 0 0; 0 c -s; 0 s c](sPy),   G = diag(g Gp, Gp / g, Ga)
+
+`spin_related` gives the eight parameters that disturb the field at the spin frequency or at twice it (eq.
+21).
 """
 
 from __future__ import annotations
@@ -54,7 +63,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class TwelveParameters:
+class CalibrationParameters:
     """Parameters of the calibration equation; the default is a perfect sensor.
 
     Attributes
@@ -85,7 +94,7 @@ class TwelveParameters:
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @classmethod
-    def of_values(cls, values: npt.ArrayLike) -> TwelveParameters:
+    def of_values(cls, values: npt.ArrayLike) -> CalibrationParameters:
         """Return parameters from twelve numbers in the order of `NAMES`."""
         one = [float(value) for value in np.asarray(values, dtype=np.float64)]
         if len(one) != len(NAMES):
@@ -123,7 +132,7 @@ class TwelveParameters:
         """Return the eight numbers in the order of `SPIN_RELATED`; shape (8,)."""
         return self.values()[[NAMES.index(name) for name in SPIN_RELATED]]
 
-    def changed(self, new: Mapping[str, float]) -> TwelveParameters:
+    def changed(self, new: Mapping[str, float]) -> CalibrationParameters:
         """Return the same parameters but for those named."""
         unknown = sorted(set(new) - set(NAMES))
         if unknown:
@@ -131,7 +140,7 @@ class TwelveParameters:
         values = self.values()
         for name, value in new.items():
             values[NAMES.index(name)] = value
-        return TwelveParameters.of_values(values)
+        return CalibrationParameters.of_values(values)
 
     def factors(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return Phi, Sigma, Gamma and G (eqs. 4 to 7), each of shape (3, 3)."""
@@ -163,7 +172,7 @@ class TwelveParameters:
         return np.asarray((readings - np.array(self.offset)) @ self.matrix().T)
 
     def disturb(self, fields: Floats) -> Floats:
-        """Return what the sensor reads in a field: the exact inverse of `correct`; shapes alike."""
+        """Return the readings in a field: the exact inverse of `correct`; same shapes."""
         return np.asarray(fields @ np.linalg.inv(self.matrix()).T + np.array(self.offset))
 
 
@@ -202,7 +211,7 @@ class TemperatureGains:
 
 
 @dataclass(frozen=True)
-class SensorAngles:
+class AxisAngles:
     """Angles of the three sensor axes in spin-aligned axes, and gains (Kepko et al. 1996; Plaschke eq. 2).
 
     Attributes
@@ -217,7 +226,7 @@ class SensorAngles:
     gain: Floats
 
     @classmethod
-    def of_matrix(cls, matrix: Floats) -> SensorAngles:
+    def of_matrix(cls, matrix: Floats) -> AxisAngles:
         """Return angles and gains of a coupling matrix ``C``: row i of its inverse is ``s_i / gain_i``."""
         rows = np.linalg.inv(matrix)
         length = np.linalg.norm(rows, axis=1)

@@ -1,25 +1,27 @@
-"""Eight parameters: each, selected, joint.
+"""The eight spin-related parameters (Plaschke et al. 2019): from each sub-interval, selected, joint, refined.
 
-The eight spin-related parameters from each sub-interval alone, each with its own uncertainty.
+Takes: readings, spin phase, times and blocks of a record, with the parameters in use. Makes:
 
-Four pairs follow one after the other (Plaschke et al. 2019, section 5): the spin axis from the spin tone of
-Bz; gain ratio and azimuth from the modulus at twice the spin; and from the modulus at the spin either the
-spin-plane offsets or the elevation angles. That tone is `O + Ba (sP - dth)`: the axial field Ba says which
-of the two a sub-interval is good for, and the uncertainties say it in numbers.
+- `estimate_pairs`: `SpinEstimates`, every sub-interval's own estimates with their uncertainties. Four pairs
+  follow one after the other (section 5): the spin axis from the spin tone of Bz; gain ratio and azimuth from
+  the modulus at twice the spin; from the modulus at the spin either the spin-plane offsets or the elevations.
+  That tone is ``O + Ba (sP - dth)`` (eq. 21, which needs ``By = -Bp sin wt``): the axial field Ba decides
+  which of the two a sub-interval determines.
+- `calibrate_by_selection`: `Selection`, the paper's way: estimates below a threshold of uncertainty are
+  averaged (sections 5.2 to 5.5), pair by pair; what a pair changes is passed on to the next by the
+  derivatives of its estimates; then the record is corrected anew and all is estimated again, until nothing
+  moves.
+- `estimate_jointly`: `JointEstimate`, all eight from all sub-intervals at once, each weighted by its own
+noise.
+  Sub-intervals of different Ba separate offsets from elevations in one linear system; what they cannot
+  separate is in the covariance. Nothing is selected; outlying tones are down-weighted.
+- `fit_folded_samples`: `SpinFit`, the same parameters of a `Model`, fitted to folded samples by robust
+weighted
+  least squares with everything else of the model held.
 
-The paper's way to one set of parameters: the most accurate estimates, averaged, until nothing moves.
-
-Estimates below a threshold of uncertainty are averaged (Plaschke et al. 2019, sections 5.2 to 5.5), pair by
-pair: spin axis, gain ratio and azimuth, offsets, elevations. What a pair changes is passed on to the next by
-the derivatives of its estimates; then the record is corrected anew and all is estimated again.
-
-All eight parameters from all sub-intervals at once, each weighted by its own noise.
-
-Offsets and elevations share one tone, ``O + Ba (sP - dth)``; sub-intervals of different axial field Ba tell
-them apart in one linear system, with the correlation that is left in the covariance. Nothing is selected: a
-sub-interval counts by the noise its own neighbouring frequencies show, and gross ones lose their say.
-
-The parameters that the spin tells apart, fitted to folded samples; all else of a model stays in place.
+The uncertainties are those of table 2, with the *least* modulus for gain ratio and azimuth, the *largest*
+size of Bz for the offsets and the *least* for the elevations; in white noise they are 1.7 standard
+deviations.
 """
 
 from __future__ import annotations
@@ -38,10 +40,10 @@ from inflight.effects import SpinningSensor
 from inflight.errors import CalibrationError
 from inflight.lsq import biweight, biweight_slope, long_run_covariance, sigma_of_mean
 from inflight.model import Model, ModelEffect, rows_of
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
-from inflight.spin.intervals import Bools, Layout
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
+from inflight.spin.intervals import BlockLayout, Bools
 from inflight.spin.kernels import SERIES
-from inflight.spin.tones import SpinTones, first_tones, next_tones
+from inflight.spin.tones import SpinTones, initial_tones, updated_tones
 from inflight.time import Int64
 
 #: The pairs in the order they are determined in, and for each which tones show it.
@@ -65,7 +67,7 @@ _STEP = 1e-6
 
 @dataclass(frozen=True)
 class SpinEquations:
-    """What the tones of every sub-interval demand: ``residual + design @ change = 0``.
+    """Linear equations of the tones of every sub-interval: ``residual + design @ change = 0``.
 
     Attributes
     ----------
@@ -82,7 +84,7 @@ class SpinEquations:
     noise: Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpinEstimates:
     """Estimates of the eight parameters from single sub-intervals.
 
@@ -100,7 +102,7 @@ class SpinEstimates:
     sensitivity : ndarray, shape (sub, 8, 8)
         By how much an estimate moves where a parameter held is raised by 1; 0 within a pair.
     usable : ndarray of bool, shape (sub,)
-    parameters : TwelveParameters
+    parameters : CalibrationParameters
         Held while these were made.
     spread : mapping of str to float
         Uncertainty of spin axis, offsets and elevations that went into `uncertainty`.
@@ -115,7 +117,7 @@ class SpinEstimates:
     uncertainty: Floats
     sensitivity: Floats
     usable: Bools
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     spread: Mapping[str, float]
     blocks: int
 
@@ -158,7 +160,7 @@ def spin_equations(tones: SpinTones) -> SpinEquations:
     return SpinEquations(residual, design, np.repeat(tones.noise, 2, axis=1))
 
 
-def _derivatives(parameters: TwelveParameters) -> tuple[Floats, Floats]:
+def _derivatives(parameters: CalibrationParameters) -> tuple[Floats, Floats]:
     """Return derivatives of Bz and of the modulus as sums of `SERIES`; both (8, series)."""
     at = {name: index for index, name in enumerate(SERIES)}
     axial, plane = (np.zeros((len(SPIN_RELATED), len(SERIES))) for _ in range(2))
@@ -181,7 +183,7 @@ def _derivatives(parameters: TwelveParameters) -> tuple[Floats, Floats]:
 
 
 def estimate_pairs(tones: SpinTones, spread: Mapping[str, float]) -> SpinEstimates:
-    """Return what each sub-interval says of each pair, the others held.
+    """Return the estimates of each pair from each sub-interval, the others held.
 
     Parameters
     ----------
@@ -205,16 +207,16 @@ def estimate_pairs(tones: SpinTones, spread: Mapping[str, float]) -> SpinEstimat
     lost = ~tones.usable
     value[lost], sigma[lost] = np.nan, np.nan
     return SpinEstimates(
-        tones.start,
-        tones.end,
-        value,
-        sigma,
-        published_uncertainty(tones, spread),
-        sensitivity,
-        tones.usable & np.isfinite(value).all(axis=1),
-        tones.parameters,
-        MappingProxyType(dict(spread)),
-        tones.blocks,
+        start=tones.start,
+        end=tones.end,
+        value=value,
+        sigma=sigma,
+        uncertainty=published_uncertainty(tones, spread),
+        sensitivity=sensitivity,
+        usable=tones.usable & np.isfinite(value).all(axis=1),
+        parameters=tones.parameters,
+        spread=MappingProxyType(dict(spread)),
+        blocks=tones.blocks,
     )
 
 
@@ -256,20 +258,37 @@ def published_uncertainty(tones: SpinTones, spread: Mapping[str, float]) -> Floa
 Statistic = Literal["mean", "median"]
 
 #: Uncertainties of a sensor never calibrated in flight: gains to 0.1 %, angles to 1 deg (Plaschke et al.
-#: 2019, section 7), offsets unknown beside any field the sensor is flown for.
-UNKNOWN: Mapping[str, float] = {
+#: 2019, section 7), offsets unknown against any field the sensor is flown for.
+UNCALIBRATED_SIGMA: Mapping[str, float] = {
     name: 1e-3 if "gain" in name else 100.0 if UNITS[name] == "nT" else np.deg2rad(1.0)
     for name in SPIN_RELATED
 }
 
-#: A mean is made of at least this many estimates.
-FEWEST = 5
 
-#: Passes over the record, rounds over the pairs within one, and the change that ends them, in sigmas.
-_SELECTION_PASSES, _SELECTION_ROUNDS, _SELECTION_SETTLED = 8, 20, 0.1
+@dataclass(frozen=True, kw_only=True)
+class SelectionSettings:
+    """Numbers of the selection of estimates.
+
+    Attributes
+    ----------
+    fewest : int
+        A mean is made of at least this many estimates. Assumed.
+    passes, rounds : int
+        Most passes over the record, and rounds over the pairs within one. Assumed.
+    settled : float
+        A pass that changes every value by less than this many sigmas is the last. Assumed.
+    """
+
+    fewest: int = 5
+    passes: int = 8
+    rounds: int = 20
+    settled: float = 0.1
 
 
-@dataclass(frozen=True)
+SELECTION = SelectionSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Selection:
     """One value of each of the eight parameters from selected estimates.
 
@@ -277,18 +296,18 @@ class Selection:
     ----------
     value, sigma : ndarray, shape (8,)
         Means in the order of `SPIN_RELATED`, the present value where nothing was selected. Sigma is theirs:
-        natural fluctuations, overlap and memory of the estimates, uncertainty of the pairs held; infinite
-        where nothing was selected.
+        natural fluctuations, overlap and correlation in time of the estimates, uncertainty of the pairs held;
+        infinite where nothing was selected.
     scatter : ndarray, shape (8,)
         Standard deviation of the selected estimates, the paper's "error".
     threshold : ndarray, shape (8,)
         Largest uncertainty selected.
     chosen : ndarray of bool, shape (sub, 8)
-    how : tuple of 8 str
+    reasons : tuple of 8 str
         How the threshold came about, or why nothing was selected.
     estimates : SpinEstimates
         Of the last pass.
-    parameters : TwelveParameters
+    parameters : CalibrationParameters
         With the values put in that are known better than the present ones.
     passes : int
     settled : bool
@@ -300,15 +319,15 @@ class Selection:
     scatter: Floats
     threshold: Floats
     chosen: Bools
-    how: tuple[str, ...]
+    reasons: tuple[str, ...]
     estimates: SpinEstimates
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     passes: int
     settled: bool
 
     @property
     def determined(self) -> Bools:
-        """Which parameters the record told; (8,)."""
+        """Parameters that the record determines; (8,)."""
         return np.isfinite(self.sigma)
 
     def table(self) -> xr.Dataset:
@@ -322,21 +341,23 @@ class Selection:
                 "threshold": (one, self.threshold),
                 "count": (one, self.chosen.sum(axis=0)),
                 "determined": (one, self.determined),
-                "how": (one, list(self.how)),
+                "how": (one, list(self.reasons)),
             },
             coords={one: list(SPIN_RELATED), "units": (one, [UNITS[name] for name in SPIN_RELATED])},
             attrs={"passes": self.passes, "settled": int(self.settled)},
         )
 
 
-def choose(uncertainty: Floats, wanted: float | None = None, fewest: int = FEWEST) -> tuple[Bools, str]:
+def choose_estimates(
+    uncertainty: Floats, accuracy: float | None = None, fewest: int = SELECTION.fewest
+) -> tuple[Bools, str]:
     """Choose the estimates to average.
 
     Parameters
     ----------
     uncertainty : ndarray, shape (sub,)
         NaN for none.
-    wanted : float, optional
+    accuracy : float, optional
         Estimates below it are chosen. When absent, as many of the best as make the expected error of their
         mean, ``sqrt(sum u^2) / k``, smallest.
     fewest : int
@@ -354,14 +375,14 @@ def choose(uncertainty: Floats, wanted: float | None = None, fewest: int = FEWES
     none = np.zeros(known.size, dtype=np.bool_)
     if count < fewest:
         return none, f"{count} estimates, at least {fewest} needed"
-    if wanted is not None:
-        chosen = known < wanted
+    if accuracy is not None:
+        chosen = known < accuracy
         if chosen.sum() < fewest:
             return (
                 none,
-                f"{int(chosen.sum())} below {wanted:.3g}, at least {fewest} needed; best {ranked[0]:.2g}",
+                f"{int(chosen.sum())} below {accuracy:.3g}, at least {fewest} needed; best {ranked[0]:.2g}",
             )
-        return chosen, f"{int(chosen.sum())} below the accuracy wanted, {wanted:.3g}"
+        return chosen, f"{int(chosen.sum())} below the accuracy wanted, {accuracy:.3g}"
     expected = np.sqrt(np.cumsum(ranked[:count] ** 2)) / np.arange(1, count + 1)
     best = fewest + int(np.argmin(expected[fewest - 1 :]))
     none[order[:best]] = True
@@ -372,11 +393,11 @@ def calibrate_by_selection(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
-    layout: Layout,
-    present: TwelveParameters,
+    layout: BlockLayout,
+    present: CalibrationParameters,
     present_sigma: Mapping[str, float] | None = None,
     *,
-    wanted: Mapping[str, float] | None = None,
+    accuracy: Mapping[str, float] | None = None,
     statistic: Statistic = "mean",
 ) -> Selection:
     """Determine the eight parameters by selected estimates, corrected and estimated again until settled.
@@ -385,13 +406,13 @@ def calibrate_by_selection(
     ----------
     readings, phase, stamps, layout
         As for `spin_tones`.
-    present : TwelveParameters
+    present : CalibrationParameters
         Where to begin; what is not determined keeps its value.
     present_sigma : mapping of str to float, optional
-        Uncertainties of the present values by name; `UNKNOWN` where absent. A parameter moves only where the
-        selected estimates know it better.
-    wanted : mapping of str to float, optional
-        Accuracy of an estimate by name; automatic where absent (see `choose`).
+        Uncertainties of the present values by name; `UNCALIBRATED_SIGMA` where absent. A parameter moves only
+        where the selected estimates know it better.
+    accuracy : mapping of str to float, optional
+        Accuracy of an estimate by name; automatic where absent (see `choose_estimates`).
     statistic : {"mean", "median"}
 
     Raises
@@ -399,44 +420,44 @@ def calibrate_by_selection(
     CalibrationError
         Nothing usable, or the field does not turn with the phase.
     """
-    known = np.array([{**UNKNOWN, **(present_sigma or {})}[name] for name in SPIN_RELATED])
+    known = np.array([{**UNCALIBRATED_SIGMA, **(present_sigma or {})}[name] for name in SPIN_RELATED])
     if statistic not in ("mean", "median"):
         raise CalibrationError(f"no statistic is called '{statistic}'", remedy="take 'mean' or 'median'")
     held, scatter, parameters = known.copy(), known.copy(), present
-    tones = first_tones(readings, phase, stamps, layout, present)
+    tones = initial_tones(readings, phase, stamps, layout, present)
     settled, passes = False, 0
-    while not settled and passes < _SELECTION_PASSES:
+    while not settled and passes < SELECTION.passes:
         if passes:
-            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+            tones = updated_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
-        estimates = estimate_pairs(tones, spread_of(scatter))
-        found = _Rounds(estimates, known, held, scatter, wanted or {}, statistic)
+        estimates = estimate_pairs(tones, uncertainty_of_pairs(scatter))
+        found = _PairwiseAverages(estimates, known, held, scatter, accuracy or {}, statistic)
         found.run()
-        parameters, held, scatter = found.put_in(), found.held, found.scatter
+        parameters, held, scatter = found.parameters(), found.held, found.scatter
         moved = parameters.spin_related() - tones.parameters.spin_related()
-        settled = bool(np.all(np.abs(moved) <= _SELECTION_SETTLED * found.sigma))
+        settled = bool(np.all(np.abs(moved) <= SELECTION.settled * found.sigma))
     return Selection(
-        found.mean,
-        found.sigma,
-        found.spread,
-        found.threshold,
-        found.chosen,
-        tuple(found.how),
-        estimates,
-        parameters,
-        passes,
-        settled,
+        value=found.mean,
+        sigma=found.sigma,
+        scatter=found.spread,
+        threshold=found.threshold,
+        chosen=found.chosen,
+        reasons=tuple(found.reasons),
+        estimates=estimates,
+        parameters=parameters,
+        passes=passes,
+        settled=settled,
     )
 
 
-def spread_of(scatter: Floats) -> dict[str, float]:
+def uncertainty_of_pairs(scatter: Floats) -> dict[str, float]:
     """Return the uncertainty of the pairs held that the published uncertainties need."""
     return {
         pair: float(max(scatter[SPIN_RELATED.index(name)] for name in names)) for pair, names in PAIRS.items()
     }
 
 
-class _Rounds:
+class _PairwiseAverages:
     """Rounds over the pairs on the estimates of one pass, the parameters moving by their derivatives."""
 
     def __init__(
@@ -445,10 +466,10 @@ class _Rounds:
         known: Floats,
         held: Floats,
         scatter: Floats,
-        wanted: Mapping[str, float],
+        accuracy: Mapping[str, float],
         statistic: Statistic,
     ) -> None:
-        self.estimates, self.known, self.wanted, self.statistic = estimates, known, wanted, statistic
+        self.estimates, self.known, self.accuracy, self.statistic = estimates, known, accuracy, statistic
         self.held, self.scatter = held.copy(), scatter.copy()
         self.begin = estimates.parameters.spin_related()
         self.value = self.begin.copy()
@@ -457,16 +478,16 @@ class _Rounds:
         self.spread = np.full(self.value.size, np.nan)
         self.threshold = np.full(self.value.size, np.nan)
         self.chosen = np.zeros(estimates.value.shape, dtype=np.bool_)
-        self.how = [""] * self.value.size
+        self.reasons = [""] * self.value.size
         for at, name in enumerate(SPIN_RELATED):
-            chosen, self.how[at] = choose(estimates.uncertainty[:, at], wanted.get(name))
+            chosen, self.reasons[at] = choose_estimates(estimates.uncertainty[:, at], accuracy.get(name))
             self.chosen[:, at] = chosen & estimates.usable
             if chosen.any():
                 self.threshold[at] = float(estimates.uncertainty[chosen, at].max())
 
     def run(self) -> None:
-        """Go round until no pair moves another."""
-        for _ in range(_SELECTION_ROUNDS):
+        """Average pair after pair until no pair moves another."""
+        for _ in range(SELECTION.rounds):
             before = self.value.copy()
             for names in PAIRS.values():
                 for at in [SPIN_RELATED.index(name) for name in names]:
@@ -491,7 +512,7 @@ class _Rounds:
             self.scatter[at] = max(self.spread[at], sigma)
 
     def _own_sigma(self, where: npt.NDArray[np.intp], at: int, values: Floats) -> float:
-        """Return the sigma of the mean by fluctuations: of sub-intervals that overlap and may remember."""
+        """Return the sigma of the mean by fluctuations; sub-intervals overlap and may be correlated."""
         own = np.zeros(len(self.chosen))
         own[where] = self.estimates.sigma[where, at]
         total = float(np.sum(own**2))
@@ -501,43 +522,61 @@ class _Rounds:
         # The median of Gaussian numbers scatters by more than their mean.
         return float(sigma * (np.sqrt(0.5 * np.pi) if self.statistic == "median" else 1.0))
 
-    def put_in(self) -> TwelveParameters:
+    def parameters(self) -> CalibrationParameters:
         """Return the parameters with the values found."""
         return self.estimates.parameters.changed(
             {name: float(self.value[at]) for at, name in enumerate(SPIN_RELATED)}
         )
 
 
-#: Passes over the record, rounds of weights, and the change that ends both, in sigmas.
-_JOINT_PASSES, _TURNS, _JOINT_SETTLED = 8, 30, 0.1
-
 #: The three tones of a sub-interval: each is one pair of rows.
 _PAIR = 2
 
-#: The median of the length of two Gaussian numbers of sigma 1.
+#: The median of the length of two Gaussian numbers of sigma 1: sqrt(2 ln 2).
 _MEDIAN_LENGTH = 1.1774100225154747
 
-#: Directions that the data tell less than this part of the best are not determined.
-_SINGULAR = 1e-12
+
+@dataclass(frozen=True, kw_only=True)
+class JointSettings:
+    """Numbers of the joint estimate.
+
+    Attributes
+    ----------
+    passes, rounds : int
+        Most passes over the record, and rounds of weights within one. Assumed.
+    settled : float
+        A pass that changes every value by less than this many sigmas is the last. Assumed.
+    singular : float
+        Directions with less than this part of the information of the best one are not determined. Derived:
+        the resolution of the arithmetic, with room.
+    """
+
+    passes: int = 8
+    rounds: int = 30
+    settled: float = 0.1
+    singular: float = 1e-12
 
 
-@dataclass(frozen=True)
+JOINT = JointSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class JointEstimate:
     """The eight parameters and their covariance from all sub-intervals.
 
     Attributes
     ----------
     value, sigma : ndarray, shape (8,)
-        In the order of `SPIN_RELATED`; sigma is infinite where the record tells nothing.
+        In the order of `SPIN_RELATED`; sigma is infinite where the record determines nothing.
     covariance : ndarray, shape (8, 8)
         Rows and columns of what is not determined are NaN.
-    say : ndarray, shape (sub, 3)
+    robust_weight : ndarray, shape (sub, 3)
         1 for a tone (Bz, modulus, modulus at twice the spin) that counts wholly, 0 for one that does not.
     excess : ndarray, shape (3,)
-        Size of the tones left over their own noise: 1 where natural fluctuations explain them.
+        Residual tones over their own noise: 1 where natural fluctuations explain them.
     tones : SpinTones
         Of the last pass.
-    parameters : TwelveParameters
+    parameters : CalibrationParameters
         With the values put in.
     passes : int
     settled : bool
@@ -547,16 +586,16 @@ class JointEstimate:
     value: Floats
     sigma: Floats
     covariance: Floats
-    say: Floats
+    robust_weight: Floats
     excess: Floats
     tones: SpinTones
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     passes: int
     settled: bool
 
     @property
     def determined(self) -> Bools:
-        """Which parameters the record told; (8,)."""
+        """Parameters that the record determines; (8,)."""
         return np.isfinite(self.sigma)
 
     def correlation(self, one: str, other: str) -> float:
@@ -582,18 +621,18 @@ class JointEstimate:
             attrs={
                 "passes": self.passes,
                 "settled": int(self.settled),
-                "sub_intervals": self.tones.told(),
+                "sub_intervals": self.tones.summary(),
                 "excess": self.excess.tolist(),
             },
         )
 
 
-def joint_estimate(
+def estimate_jointly(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
-    layout: Layout,
-    present: TwelveParameters,
+    layout: BlockLayout,
+    present: CalibrationParameters,
     present_sigma: Mapping[str, float] | None = None,
 ) -> JointEstimate:
     """Determine the eight parameters from all sub-intervals together.
@@ -602,8 +641,8 @@ def joint_estimate(
     ----------
     readings, phase, stamps, layout
         As for `spin_tones`.
-    present : TwelveParameters
-        Where to begin; also the values of what the record does not tell.
+    present : CalibrationParameters
+        Where to begin; also the values of what the record does not determine.
     present_sigma : mapping of str to float, optional
         Knowledge that is put in as one more measurement of the parameters named.
 
@@ -612,33 +651,37 @@ def joint_estimate(
     CalibrationError
         Nothing usable, or the field does not turn with the phase.
     """
-    tones = first_tones(readings, phase, stamps, layout, present)
-    known = _Known.of(present, present_sigma or {})
+    tones = initial_tones(readings, phase, stamps, layout, present)
+    given = np.array([(present_sigma or {}).get(name, np.inf) for name in SPIN_RELATED], dtype=np.float64)
+    prior = _Prior(present.spin_related(), 1.0 / given**2)
     parameters, settled, passes = tones.parameters, False, 0
-    while not settled and passes < _JOINT_PASSES:
+    while not settled and passes < JOINT.passes:
         if passes:
-            tones = next_tones(readings, phase, stamps, layout, tones, parameters)
+            tones = updated_tones(readings, phase, stamps, layout, tones, parameters)
         passes += 1
-        fit = _fit(spin_equations(tones), tones, known)
+        fit = _fit_tones(spin_equations(tones), tones, prior)
         new = tones.parameters.spin_related() + fit.change
         parameters = tones.parameters.changed(dict(zip(SPIN_RELATED, new.tolist(), strict=True)))
-        settled = bool(np.all(np.abs(fit.change) <= _JOINT_SETTLED * fit.sigma))
+        settled = bool(np.all(np.abs(fit.change) <= JOINT.settled * fit.sigma))
     return JointEstimate(
-        new, fit.sigma, fit.covariance, fit.say, fit.excess, tones, parameters, passes, settled
+        value=new,
+        sigma=fit.sigma,
+        covariance=fit.covariance,
+        robust_weight=fit.robust_weight,
+        excess=fit.excess,
+        tones=tones,
+        parameters=parameters,
+        passes=passes,
+        settled=settled,
     )
 
 
 @dataclass(frozen=True)
-class _Known:
+class _Prior:
     """Knowledge beforehand: values and inverse variances (8,), 0 for none."""
 
     value: Floats
     weight: Floats
-
-    @classmethod
-    def of(cls, present: TwelveParameters, sigma: Mapping[str, float]) -> _Known:
-        given = np.array([sigma.get(name, np.inf) for name in SPIN_RELATED], dtype=np.float64)
-        return cls(present.spin_related(), 1.0 / given**2)
 
 
 @dataclass(frozen=True)
@@ -646,11 +689,11 @@ class _Fit:
     change: Floats
     sigma: Floats
     covariance: Floats
-    say: Floats
+    robust_weight: Floats
     excess: Floats
 
 
-def _fit(equations: SpinEquations, tones: SpinTones, known: _Known) -> _Fit:
+def _fit_tones(equations: SpinEquations, tones: SpinTones, prior: _Prior) -> _Fit:
     """Solve the whitened system with robust weights."""
     usable = tones.usable & np.isfinite(equations.residual).all(axis=1)
     size = np.maximum(np.abs(tones.least_modulus), 1.0)[:, None]
@@ -658,26 +701,28 @@ def _fit(equations: SpinEquations, tones: SpinTones, known: _Known) -> _Fit:
     use = usable[:, None]
     design = np.where(use[..., None], equations.design / noise[..., None], 0.0)
     target = np.where(use, -equations.residual / noise, 0.0)
-    unit = np.sqrt(np.maximum((design**2).sum(axis=(0, 1)) + known.weight, 1e-300))
+    unit = np.sqrt(np.maximum((design**2).sum(axis=(0, 1)) + prior.weight, 1e-300))
     design = design / unit
-    prior = known.weight / unit**2
-    shift = prior * (known.value - tones.parameters.spin_related()) * unit
-    say = np.ones((len(target), target.shape[1] // _PAIR))
+    information = prior.weight / unit**2
+    shift = information * (prior.value - tones.parameters.spin_related()) * unit
+    robust_weight = np.ones((len(target), target.shape[1] // _PAIR))
     change = np.zeros(unit.size)
-    for _ in range(_TURNS):
-        weight = np.repeat(say, _PAIR, axis=1)
-        inverse, told = _inverse(_crossed(design, design * weight[..., None]) + np.diag(prior))
+    for _ in range(JOINT.rounds):
+        weight = np.repeat(robust_weight, _PAIR, axis=1)
+        normal = _crossed(design, design * weight[..., None]) + np.diag(information)
+        inverse, determined = _inverse(normal)
         new = inverse @ (_flat(design).T @ (weight * target).ravel() + shift)
         moved, change = float(np.abs(new - change).max()), new
-        left = target - design @ change
-        say, excess, pull = _weights(left, usable)
+        residual = target - design @ change
+        robust_weight, excess, scaled = _robust_weights(residual, usable)
         if moved < 1e-3 * float(np.sqrt(np.max(np.diag(inverse)))):
             break
-    covariance = _covariance(design, left, np.repeat(say, _PAIR, axis=1), pull, prior, excess, tones.blocks)
+    weight = np.repeat(robust_weight, _PAIR, axis=1)
+    covariance = _covariance(design, residual, weight, scaled, information, excess, tones.blocks)
     covariance = covariance / np.outer(unit, unit)
-    covariance[~told, :], covariance[:, ~told] = np.nan, np.nan
-    sigma = np.sqrt(np.where(told, np.diag(covariance), np.inf))
-    return _Fit(np.where(told, change / unit, 0.0), sigma, covariance, say, excess)
+    covariance[~determined, :], covariance[:, ~determined] = np.nan, np.nan
+    sigma = np.sqrt(np.where(determined, np.diag(covariance), np.inf))
+    return _Fit(np.where(determined, change / unit, 0.0), sigma, covariance, robust_weight, excess)
 
 
 def _flat(rows: Floats) -> Floats:
@@ -691,23 +736,23 @@ def _crossed(one: Floats, other: Floats) -> Floats:
 
 
 def _inverse(normal: Floats) -> tuple[Floats, Bools]:
-    """Return the inverse over what is told, and which parameters lie wholly in it."""
-    size, turn = np.linalg.eigh(normal)
-    kept = size > _SINGULAR * max(float(size.max()), 1e-300)
-    inverse = (turn[:, kept] / size[kept]) @ turn[:, kept].T
-    return inverse, (turn[:, ~kept] ** 2).sum(axis=1) < 1e-6
+    """Return the inverse in the determined directions, and which parameters lie wholly in them."""
+    size, vectors = np.linalg.eigh(normal)
+    kept = size > JOINT.singular * max(float(size.max()), 1e-300)
+    inverse = (vectors[:, kept] / size[kept]) @ vectors[:, kept].T
+    return inverse, (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
 
 
-def _weights(left: Floats, usable: Bools) -> tuple[Floats, Floats, Floats]:
-    """Return the say of each tone (sub, 3), the excess over its noise (3,), and its pull."""
-    length = np.hypot(left[:, 0::2], left[:, 1::2])
+def _robust_weights(residual: Floats, usable: Bools) -> tuple[Floats, Floats, Floats]:
+    """Return each tone's weight (sub, 3), the excess over the noise (3,), and standardised lengths."""
+    length = np.hypot(residual[:, 0::2], residual[:, 1::2])
     excess = np.median(length[usable], axis=0) / _MEDIAN_LENGTH
-    pull = length / _widened(excess, int(usable.sum()))
-    return np.where(usable[:, None], biweight(pull), 0.0), excess, pull
+    scaled = length / _noise_factor(excess, int(usable.sum()))
+    return np.where(usable[:, None], biweight(scaled), 0.0), excess, scaled
 
 
-def _widened(excess: Floats, count: int) -> Floats:
-    """Return by how much the noise stated is too small, beyond what chance makes of `count` tones; (3,).
+def _noise_factor(excess: Floats, count: int) -> Floats:
+    """Return by what factor the stated noise is too small, beyond chance in `count` tones; (3,).
 
     The median of n lengths of two Gaussian numbers has a relative error of ``0.61 / sqrt(n)``; half of them
     overlap.
@@ -717,35 +762,35 @@ def _widened(excess: Floats, count: int) -> Floats:
 
 def _covariance(
     design: Floats,
-    left: Floats,
+    residual: Floats,
     weight: Floats,
-    pull: Floats,
+    scaled: Floats,
     prior: Floats,
     excess: Floats,
     blocks: int,
 ) -> Floats:
-    """Return the covariance by the noise stated and by the scores themselves, whichever is larger.
+    """Return the covariance by the stated noise and by the scores themselves, whichever is larger.
 
-    Sub-intervals that share a part of their blocks share that part of their noise. Scores know what the
-    noise stated does not: lines at the spin, fluctuations that keep their phase.
+    Sub-intervals that share a part of their blocks share that part of their noise. Scores show what the
+    stated noise does not: lines at the spin, fluctuations that keep their phase.
     """
-    # A tone gives way by the slope along its length and by the weight across it.
-    slope = 0.5 * (np.maximum(biweight_slope(pull), 0.0) + biweight(pull))
+    # A tone's influence changes by the slope along its length and by the weight across it.
+    slope = 0.5 * (np.maximum(biweight_slope(scaled), 0.0) + biweight(scaled))
     slope = np.repeat(slope, _PAIR, axis=1) * (weight > 0.0)
     bread = np.linalg.pinv(_crossed(design, design * slope[..., None]) + np.diag(prior), hermitian=True)
-    wide = _widened(excess, int((weight.max(axis=1) > 0.0).sum()))
-    pushed = design * (weight * np.repeat(wide, _PAIR))[..., None]
-    stated = _crossed(pushed, pushed) + np.diag(prior)
-    for apart in range(1, min(blocks, len(pushed))):
-        shared = _crossed(pushed[apart:], pushed[:-apart])
+    wide = _noise_factor(excess, int((weight.max(axis=1) > 0.0).sum()))
+    noisy = design * (weight * np.repeat(wide, _PAIR))[..., None]
+    stated = _crossed(noisy, noisy) + np.diag(prior)
+    for apart in range(1, min(blocks, len(noisy))):
+        shared = _crossed(noisy[apart:], noisy[:-apart])
         stated += (1.0 - apart / blocks) * (shared + shared.T)
-    scores = (design * (weight * left)[..., None]).sum(axis=1)
+    scores = (design * (weight * residual)[..., None]).sum(axis=1)
     seen = long_run_covariance(scores) + np.diag(prior)
-    lever = ((pushed @ bread) * design).sum(axis=(1, 2))
-    # The kernel of the long-run covariance reaches over twice the overlap, and sees so many fewer scores.
-    alike = float(lever.sum()) ** 2 / max(float(np.sum(lever**2)), 1e-300) / (2.0 * blocks)
+    leverage = ((noisy @ bread) * design).sum(axis=(1, 2))
+    # The kernel of the long-run covariance reaches over twice the overlap: so many fewer independent scores.
+    independent = float(leverage.sum()) ** 2 / max(float(np.sum(leverage**2)), 1e-300) / (2.0 * blocks)
     # The largest eigenvalue that covariances of so few scores have by chance (Marchenko and Pastur 1967).
-    chance = (1.0 + np.sqrt(len(prior) / max(alike, 1.0))) ** 2
+    chance = (1.0 + np.sqrt(len(prior) / max(independent, 1.0))) ** 2
     return np.asarray(bread @ _larger(stated, seen, chance) @ bread)
 
 
@@ -754,16 +799,31 @@ def _larger(one: Floats, other: Floats, chance: float) -> Floats:
     own, vectors = np.linalg.eigh(one)
     kept = own > 1e-12 * own.max()
     root, inverse = vectors[:, kept] * np.sqrt(own[kept]), vectors[:, kept] / np.sqrt(own[kept])
-    ratio, turn = np.linalg.eigh(inverse.T @ other @ inverse)
-    spread = root @ turn
+    ratio, basis = np.linalg.eigh(inverse.T @ other @ inverse)
+    spread = root @ basis
     return np.asarray((spread * np.where(ratio > chance, ratio, 1.0)) @ spread.T)
 
 
-#: Rounds of linearisation and reweighting, and the change, in sigmas, that ends them.
-_ROUNDS, _SETTLED = 8, 0.05
+@dataclass(frozen=True, kw_only=True)
+class FoldedFitSettings:
+    """Numbers of the fit to folded samples.
+
+    Attributes
+    ----------
+    rounds : int
+        Most rounds of linearisation and weights. Assumed.
+    settled : float
+        A round that changes every value by less than this many sigmas is the last. Assumed.
+    """
+
+    rounds: int = 8
+    settled: float = 0.05
 
 
-@dataclass(frozen=True)
+FOLDED_FIT = FoldedFitSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class SpinFit:
     """Fitted values of a spinning sensor.
 
@@ -789,13 +849,13 @@ class SpinFit:
     after: float
 
 
-def spinning_entry(model: Model) -> ModelEffect | None:
+def spinning_sensor_of(model: Model) -> ModelEffect | None:
     """Return the model's spinning sensor; None when it has none."""
     return next((entry for entry in model.effects if isinstance(entry.effect, SpinningSensor)), None)
 
 
-def free_of(entry: ModelEffect) -> tuple[tuple[str, int], ...]:
-    """Return parameters and components of a spinning sensor that are free and show in the spin's tones."""
+def free_parameters(entry: ModelEffect) -> tuple[tuple[str, int], ...]:
+    """Return names and components of the free parameters that show in the spin's tones."""
     return tuple(
         (name, index)
         for name, indices in SpinningSensor.SPIN_RELATED.items()
@@ -804,18 +864,20 @@ def free_of(entry: ModelEffect) -> tuple[tuple[str, int], ...]:
     )
 
 
-def at_values(model: Model, entry: ModelEffect, names: Sequence[tuple[str, int]], value: Floats) -> Model:
+def with_constant_values(
+    model: Model, entry: ModelEffect, names: Sequence[tuple[str, int]], value: Floats
+) -> Model:
     """Return a model whose spinning sensor has values, constant in time."""
     parameters = dict(entry.parameters)
     for (name, index), number in zip(names, value, strict=True):
-        told = parameters[name]
-        numbers = told.value[:, :1].copy() if told.table is None else told.at(0)[:, None]
+        old = parameters[name]
+        numbers = old.value[:, :1].copy() if old.table is None else old.at(0)[:, None]
         numbers[index] = number
-        parameters[name] = replace(told, time="constant", value=numbers, sigma=told.sigma[:, :1], table=None)
+        parameters[name] = replace(old, time="constant", value=numbers, sigma=old.sigma[:, :1], table=None)
     return model.replace(replace(entry, parameters=parameters))
 
 
-def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
+def fit_folded_samples(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     """Fit the free ones of the eight parameters to folded samples by robust weighted least squares.
 
     Parameters
@@ -830,46 +892,48 @@ def fit_spin(model: Model, samples: Sequence[xr.Dataset]) -> SpinFit:
     CalibrationError
         When there is nothing to fit to.
     """
-    entry = spinning_entry(model)
+    entry = spinning_sensor_of(model)
     if entry is None:
         raise CalibrationError("the model has no spinning_sensor", remedy="add one to the model")
-    names = free_of(entry)
+    names = free_parameters(entry)
     kinds = SpinningSensor.parameters()
     middle = int(np.median(np.concatenate([one["tt2000"].values for one in samples])))
     start = np.array([entry.parameters[name].at(middle)[index] for name, index in names])
-    sigma = np.array([_prior(entry, name, index) for name, index in names])
+    stated = np.array([float(entry.parameters[name].sigma[index, 0]) for name, index in names])
+    sigma = np.where(np.isfinite(stated), stated, [kinds[name].sigma for name, _ in names])
     steps = np.array([kinds[name].step for name, _ in names])
     value, weight, before = start.copy(), None, np.nan
-    for _ in range(_ROUNDS):
-        now = at_values(model, entry, names, value)
+    for _ in range(FOLDED_FIT.rounds):
+        now = with_constant_values(model, entry, names, value)
         residual, base, interval = _rows(now, samples)
         if weight is None:
             weight, before = base, _rms(residual, base)
         columns = np.stack(
             [
                 (
-                    _rows(at_values(model, entry, names, value + step), samples)[0]
-                    - _rows(at_values(model, entry, names, value - step), samples)[0]
+                    _rows(with_constant_values(model, entry, names, value + step), samples)[0]
+                    - _rows(with_constant_values(model, entry, names, value - step), samples)[0]
                 )
                 for step in np.diag(steps)
             ],
             axis=1,
         ) / (2.0 * steps)
-        weight = base * _say(residual, base, interval)
-        change, covariance = _solved(columns, residual, weight, interval, (start - value), sigma)
+        weight = base * _interval_weights(residual, base, interval)
+        change, covariance = _solve_robustly(columns, residual, weight, interval, (start - value), sigma)
         value = value + change
-        if np.all(np.abs(change) <= _SETTLED * np.sqrt(np.diag(covariance))):
+        if np.all(np.abs(change) <= FOLDED_FIT.settled * np.sqrt(np.diag(covariance))):
             break
-    fitted = at_values(model, entry, names, value)
+    fitted = with_constant_values(model, entry, names, value)
     residual, base, _ = _rows(fitted, samples)
     return SpinFit(
-        names, value, np.sqrt(np.diag(covariance)), covariance, fitted, before, _rms(residual, base)
+        names=names,
+        value=value,
+        sigma=np.sqrt(np.diag(covariance)),
+        covariance=covariance,
+        model=fitted,
+        before=before,
+        after=_rms(residual, base),
     )
-
-
-def _prior(entry: ModelEffect, name: str, index: int) -> float:
-    stated = float(entry.parameters[name].sigma[index, 0])
-    return stated if np.isfinite(stated) else SpinningSensor.parameters()[name].sigma
 
 
 def _rows(model: Model, samples: Sequence[xr.Dataset]) -> tuple[Floats, Floats, Floats]:
@@ -897,19 +961,19 @@ def _rms(residual: Floats, weight: Floats) -> float:
     return float(np.sqrt(np.sum(weight * residual**2) / max(np.sum(weight), 1e-300)))
 
 
-def _say(residual: Floats, weight: Floats, interval: Floats) -> Floats:
-    """Return how much each row counts: intervals whose tones stand out of the others lose their say."""
+def _interval_weights(residual: Floats, weight: Floats, interval: Floats) -> Floats:
+    """Return the robust weight of each row: intervals whose tones stand out are down-weighted."""
     own, place = np.unique(interval, return_inverse=True)
     square = np.bincount(place, weight * residual**2, own.size)
     total = np.bincount(place, weight > 0, own.size)
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.sqrt(square / total)
     usual = np.nanmedian(size[total > 0])
-    pull = np.where(np.isfinite(size), size / max(float(usual), 1e-12), 0.0)
-    return np.asarray(biweight(pull)[place])
+    scaled = np.where(np.isfinite(size), size / max(float(usual), 1e-12), 0.0)
+    return np.asarray(biweight(scaled)[place])
 
 
-def _solved(
+def _solve_robustly(
     columns: Floats, residual: Floats, weight: Floats, interval: Floats, from_prior: Floats, sigma: Floats
 ) -> tuple[Floats, Floats]:
     """Return the change of the values and their covariance, by the scores of the intervals."""
@@ -918,9 +982,9 @@ def _solved(
     prior = np.diag(scale / sigma**2)
     bread = np.linalg.inv(gram + prior)
     change = bread @ (-(columns * weight[:, None]).T @ residual + prior @ from_prior)
-    left = residual + columns @ change
+    after = residual + columns @ change
     own, place = np.unique(interval, return_inverse=True)
     scores = np.zeros((own.size, columns.shape[1]))
-    np.add.at(scores, place, columns * (weight * left)[:, None])
+    np.add.at(scores, place, columns * (weight * after)[:, None])
     meat = scores.T @ scores * own.size / max(own.size - columns.shape[1], 1) + scale * prior
     return change, bread @ meat @ bread

@@ -1,12 +1,13 @@
-"""Sine fits per spin, despin.
+"""Spin fits: C0 + C1 sin + C2 cos over one or several spins; despun fields and the tone they keep.
 
-Spin fits: C0 + C1 sin + C2 cos over one or several spins, all fits of a record at once.
+Takes: times, readings of any components and the spin phase. Makes (`fit_spins`): `SpinFits`, the coefficients
+of Farrell et al. (1995), eq. (22), of every whole number of turns, against the phase instead of the time, so
+that neither a spin rate that changes nor uneven samples do harm; all fits of a record at once. Normal
+equations of three (with twice the spin five) unknowns are summed in one pass; a fit with an outlying reading
+is made again with Huber's and then biweight weights.
 
-Farrell et al. (1995), eq. (22), against the spin phase instead of the time, so that a spin rate that changes
-and samples that are uneven do no harm. Normal equations of three (with twice the spin five) unknowns are
-summed in one pass; a fit with a wild reading is made again with weights.
-
-From axes that spin to axes that do not (Farrell et al. 1995, eq. 1), and the tone that is left.
+`despin` turns axes that spin into axes that do not (eq. 1), `respin` back. `measure_steady_tones` gives the
+steady tones at the spin period and at half of it.
 """
 
 from __future__ import annotations
@@ -30,22 +31,38 @@ TURN = 2.0 * np.pi
 #: Names of the coefficients; those of twice the spin come last.
 COEFFICIENTS = ("C0", "C1", "C2", "S2", "D2")
 
-#: A fit is determined when the determinant of its normal equations is this part of that of evenly spread
-#: phases: readings of half a turn have 0.1, of three quarters 0.65 (without twice the spin).
-LEAST_SPREAD = 0.1
 
-#: A fit is made again when a reading is this many sigmas off: one in 16 000 of Gaussian noise.
-_WILD = 4.0
+@dataclass(frozen=True, kw_only=True)
+class SpinFitSettings:
+    """When a spin fit is determined, and when it is made again with weights.
 
-#: When more than this part of a fit's readings would be left out, the field has changed: all are kept.
-_MOST_OUT = 0.25
+    Attributes
+    ----------
+    least_spread : float
+        A fit is determined when the determinant of its normal equations is this part of that of evenly spread
+        phases. Derived: readings of half a turn have 0.1, of three quarters 0.65 (without twice the spin).
+    outlier : float
+        A fit is made again when a reading is this many sigmas off. Level of significance: one in 16 000.
+    most_out : float
+        When more than this part of a fit's readings would be down-weighted, the field has changed and all are
+        kept. Assumed.
+    around : int
+        The usual residual of a fit is that of the group of this many fits it is in. Assumed.
+    quartile : float
+        Percentile of their rms that is taken. Derived: outliers in two thirds of the fits do not raise it.
+    """
 
-#: The scale of a fit is that of the group of this many fits it is in, by the lower quartile of their rms, so
-#: that outliers in two thirds of the fits do not raise it.
-_AROUND, _QUARTILE = 31, 25.0
+    least_spread: float = 0.1
+    outlier: float = 4.0
+    most_out: float = 0.25
+    around: int = 31
+    quartile: float = 25.0
 
 
-@dataclass(frozen=True)
+SPIN_FITS = SpinFitSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class SpinFits:
     """Spin fits in order of time.
 
@@ -56,18 +73,18 @@ class SpinFits:
     turn : ndarray of int64, shape (fit,)
         Number of the first turn since phase zero.
     value : ndarray, shape (fit, component, coefficient)
-        C0, C1, C2 and, where asked for, S2 and D2 (sin and cos of twice the phase), in the field's unit; NaN
-        where the readings do not determine them.
+        C0, C1, C2 and, with two harmonics, S2 and D2 (sin and cos of twice the phase), in the field's unit;
+        NaN where the readings do not determine them.
     covariance : ndarray, shape (fit, component, coefficient, coefficient)
         From the fit's own residual, taken as white: it holds for the instrument's noise. Fluctuations of the
-        field are larger near the spin than far above it; `inflight.spin.farrell_1995` takes them from the
+        field are larger near the spin than far above it; `inflight.spin.farrell` takes them from the
         scatter between fits.
     rms : ndarray, shape (fit, component)
         Residual per degree of freedom.
     count, outliers : ndarray of int64, shape (fit, component)
         Readings, and those of them that have less than half their weight.
     changing : ndarray of bool, shape (fit, component)
-        The field changed too much for outliers to be told: every reading counts.
+        The field changed too much for outliers to be found: every reading counts.
     spins : int
         Turns of one fit.
     unit : str
@@ -156,8 +173,8 @@ class SpinFits:
             attrs={"spins": self.spins},
         )
 
-    def told(self) -> str:
-        """Say in a sentence what was fitted and what was not."""
+    def summary(self) -> str:
+        """Return in one sentence what was fitted and what was not."""
         whole = int(self.determined.all(axis=1).sum())
         text = f"{len(self)} fits of {self.spins} spin{'s' if self.spins > 1 else ''}, {whole} of them whole"
         text += f", {int(self.outliers.sum())} outlying readings left out"
@@ -165,7 +182,7 @@ class SpinFits:
         return text + (f", {changing} fits while the field changed" if changing else "")
 
 
-def spin_fits(
+def fit_spins(
     stamps: Int64,
     field: Floats,
     phase: Floats,
@@ -193,7 +210,7 @@ def spin_fits(
     harmonics : int
         1, or 2 for sin and cos of twice the phase too.
     robust : bool
-        Weigh wild readings down; False is plain least squares.
+        Down-weight outlying readings; False is plain least squares.
     unit : str
 
     Returns
@@ -207,7 +224,15 @@ def spin_fits(
     CalibrationError
         When no fit at all is determined.
     """
-    _check(stamps, field, phase, spins, harmonics)
+    if field.ndim != 2 or stamps.shape != phase.shape or field.shape[:1] != stamps.shape:
+        raise SamplesError(
+            f"times have shape {stamps.shape}, the phase {phase.shape}, the field {field.shape}",
+            remedy="give (time,), (time,) and (time, component)",
+        )
+    if spins < 1 or harmonics not in {1, 2}:
+        raise SamplesError(
+            f"fits of {spins} spins with {harmonics} harmonics asked for", remedy="at least 1 spin; 1 or 2"
+        )
     kept = np.isfinite(phase) if good is None else np.isfinite(phase) & good
     if not kept.all():
         stamps, field, phase = stamps[kept], field[kept], phase[kept]
@@ -222,27 +247,17 @@ def spin_fits(
     sine, cosine = np.empty(phase.size), np.empty(phase.size)
     fill_sine_cosine(np.asarray(phase, dtype=np.float64), sine, cosine)
     samples = sine, cosine, np.ascontiguousarray(field, dtype=np.float64)
-    sums = _fit_all(*samples, edges, 2 * harmonics + 1)
+    sums = _Sums.of_shape(edges.size - 1, field.shape[1], 2 * harmonics + 1)
+    out = (sums.value, sums.inverse, sums.variance, sums.count, sums.largest, sums.spread)
+    fit_plain(samples[0], samples[1], samples[2], edges, *out)
     if robust:
-        _again(sums, samples, edges)
+        _refit_outliers(sums, samples, edges)
     return _result(stamps, turn * spins, edges, sums, spins, unit)
 
 
-def _check(stamps: Int64, field: Floats, phase: Floats, spins: int, harmonics: int) -> None:
-    if field.ndim != 2 or stamps.shape != phase.shape or field.shape[:1] != stamps.shape:
-        raise SamplesError(
-            f"times have shape {stamps.shape}, the phase {phase.shape}, the field {field.shape}",
-            remedy="give (time,), (time,) and (time, component)",
-        )
-    if spins < 1 or harmonics not in {1, 2}:
-        raise SamplesError(
-            f"fits of {spins} spins with {harmonics} harmonics asked for", remedy="at least 1 spin; 1 or 2"
-        )
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Sums:
-    """What the pass over all samples gives; the first two dims are fit, component."""
+    """Results of the pass over all samples; the first two dims are fit, component."""
 
     value: Floats
     inverse: Floats
@@ -253,29 +268,27 @@ class _Sums:
     outliers: Int64
     changing: npt.NDArray[np.bool_]
 
-
-def _fit_all(sine: Floats, cosine: Floats, field: Floats, edges: Int64, unknowns: int) -> _Sums:
-    fits, components = edges.size - 1, field.shape[1]
-    sums = _Sums(
-        np.empty((fits, components, unknowns)),
-        np.empty((fits, components, unknowns, unknowns)),
-        np.empty((fits, components)),
-        np.empty((fits, components), dtype=np.int64),
-        np.empty((fits, components)),
-        np.empty((fits, components)),
-        np.zeros((fits, components), dtype=np.int64),
-        np.zeros((fits, components), dtype=np.bool_),
-    )
-    out = (sums.value, sums.inverse, sums.variance, sums.count, sums.largest, sums.spread)
-    fit_plain(sine, cosine, field, edges, *out)
-    return sums
+    @classmethod
+    def of_shape(cls, fits: int, components: int, unknowns: int) -> _Sums:
+        """Return arrays to be filled."""
+        shape = (fits, components)
+        return cls(
+            value=np.empty((*shape, unknowns)),
+            inverse=np.empty((*shape, unknowns, unknowns)),
+            variance=np.empty(shape),
+            count=np.empty(shape, dtype=np.int64),
+            largest=np.empty(shape),
+            spread=np.empty(shape),
+            outliers=np.zeros(shape, dtype=np.int64),
+            changing=np.zeros(shape, dtype=np.bool_),
+        )
 
 
-def _again(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: Int64) -> None:
-    """Fit those again that hold a wild reading, with weights."""
+def _refit_outliers(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: Int64) -> None:
+    """Fit those again that hold an outlying reading, with weights; in place."""
     scale = _scale_around(sums.variance, sums.count - sums.value.shape[-1])
-    wild = (sums.largest > _WILD * scale) & (sums.spread >= LEAST_SPREAD)
-    places = np.argwhere(wild)
+    outlying = (sums.largest > SPIN_FITS.outlier * scale) & (sums.spread >= SPIN_FITS.least_spread)
+    places = np.argwhere(outlying)
     if not places.size:
         return
     sine, cosine, field = samples
@@ -283,12 +296,13 @@ def _again(sums: _Sums, samples: tuple[Floats, Floats, Floats], edges: Int64) ->
     size = now.shape[1]
     spread, total, kept, out = found.T
     f, k = places.T
-    told = (spread >= LEAST_SPREAD) & (out <= _MOST_OUT * sums.count[f, k]) & (kept > size + 1.0)
-    sums.changing[f[~told], k[~told]] = True
-    f, k = f[told], k[told]
-    sums.value[f, k], sums.inverse[f, k], sums.spread[f, k] = now[told], inverse[told], spread[told]
-    sums.outliers[f, k] = out[told].astype(np.int64)
-    sums.variance[f, k] = total[told] / (kept[told] - size) / WEIGHTED_RMS**2
+    taken = (spread >= SPIN_FITS.least_spread) & (out <= SPIN_FITS.most_out * sums.count[f, k])
+    taken &= kept > size + 1.0
+    sums.changing[f[~taken], k[~taken]] = True
+    f, k = f[taken], k[taken]
+    sums.value[f, k], sums.inverse[f, k], sums.spread[f, k] = now[taken], inverse[taken], spread[taken]
+    sums.outliers[f, k] = out[taken].astype(np.int64)
+    sums.variance[f, k] = total[taken] / (kept[taken] - size) / WEIGHTED_RMS**2
 
 
 def _scale_around(variance: Floats, freedom: Int64) -> Floats:
@@ -302,25 +316,25 @@ def _scale_around(variance: Floats, freedom: Int64) -> Floats:
             out[:, k] = np.inf
             continue
         usual = float(np.median(freedom[own, k]))
-        level = np.sqrt(stats.chi2.ppf(_QUARTILE / 100.0, usual) / usual)
-        # Fits that are not known take their neighbours'; they are not asked for.
+        level = np.sqrt(stats.chi2.ppf(SPIN_FITS.quartile / 100.0, usual) / usual)
+        # Fits that are not known take their neighbours'; nobody uses them.
         filled = np.interp(np.arange(rms.shape[0]), np.flatnonzero(own), rms[own, k])
-        quiet = _quartile_around(filled)
-        out[:, k] = quiet / level
+        out[:, k] = _quartile_around(filled) / level
     return out
 
 
 def _quartile_around(values: Floats) -> Floats:
-    """Return the lower quartile of the group of `_AROUND` that each value is in."""
-    groups = max(values.size // _AROUND, 1)
-    low = [np.percentile(values[: groups * _AROUND].reshape(groups, -1), _QUARTILE, axis=1)]
-    if values.size > groups * _AROUND:
-        low.append(np.percentile(values[-_AROUND:], [_QUARTILE]))
-    return np.repeat(np.concatenate(low), _AROUND)[: values.size]
+    """Return the lower quartile of the group of `SpinFitSettings.around` that each value is in."""
+    around = SPIN_FITS.around
+    groups = max(values.size // around, 1)
+    low = [np.percentile(values[: groups * around].reshape(groups, -1), SPIN_FITS.quartile, axis=1)]
+    if values.size > groups * around:
+        low.append(np.percentile(values[-around:], [SPIN_FITS.quartile]))
+    return np.repeat(np.concatenate(low), around)[: values.size]
 
 
 def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, unit: str) -> SpinFits:
-    known = (sums.spread >= LEAST_SPREAD) & (sums.count > sums.value.shape[-1])
+    known = (sums.spread >= SPIN_FITS.least_spread) & (sums.count > sums.value.shape[-1])
     if not known.any():
         raise CalibrationError(
             f"none of {known.shape[0]} spins from {utc_text(int(stamps[0]))} has readings spread over"
@@ -333,18 +347,18 @@ def _result(stamps: Int64, turn: Int64, edges: Int64, sums: _Sums, spins: int, u
     start, end = stamps[edges[:-1]], stamps[edges[1:] - 1]
     rms = np.where(known, np.sqrt(sums.variance), np.nan)
     return SpinFits(
-        start + (end - start) // 2,
-        start,
-        end,
-        turn[edges[:-1]],
-        value,
-        covariance,
-        rms,
-        sums.count,
-        sums.outliers,
-        sums.changing,
-        spins,
-        unit,
+        time=start + (end - start) // 2,
+        start=start,
+        end=end,
+        turn=turn[edges[:-1]],
+        value=value,
+        covariance=covariance,
+        rms=rms,
+        count=sums.count,
+        outliers=sums.outliers,
+        changing=sums.changing,
+        spins=spins,
+        unit=unit,
     )
 
 
@@ -363,15 +377,16 @@ def despin(field: Floats, phase: Floats) -> Floats:
     ndarray, shape (time, 3)
         nT, payload axes.
     """
-    return _turned(field, phase)
+    return _rotated(field, phase)
 
 
 def respin(field: Floats, phase: Floats) -> Floats:
     """Turn payload vectors (time, 3) into apparent axes: the inverse of `despin`."""
-    return _turned(field, -phase)
+    return _rotated(field, -phase)
 
 
-def _turned(field: Floats, angle: Floats) -> Floats:
+def _rotated(field: Floats, angle: Floats) -> Floats:
+    """Return vectors (time, 3) rotated about the third axis."""
     if field.ndim != 2 or field.shape[1] != 3 or angle.shape != field.shape[:1]:
         raise SamplesError(
             f"a field of shape {field.shape} and a phase of shape {angle.shape} found",
@@ -386,13 +401,13 @@ def _turned(field: Floats, angle: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class SpinTones:
-    """Tones that are left at the spin period and at half of it, nT; arrays of shape (component,).
+class SteadyTones:
+    """Steady tones at the spin period and at half of it, nT; arrays of shape (component,).
 
     Attributes
     ----------
     once, twice : ndarray
-        Steady amplitude: the mean phasor, which fluctuations of nature do not add up in.
+        Steady amplitude: the mean phasor, in which fluctuations of the field cancel.
     once_sigma, twice_sigma : ndarray
         Standard deviation of either part of the mean phasor, from the scatter between fits.
     fits : int
@@ -420,7 +435,7 @@ class SpinTones:
         )
 
 
-def spin_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -> SpinTones:
+def measure_steady_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -> SteadyTones:
     """Measure the steady tone at the spin period in a field that should have none.
 
     Parameters
@@ -434,10 +449,13 @@ def spin_tones(stamps: Int64, field: Floats, phase: Floats, *, spins: int = 1) -
     spins : int
         Turns of one fit.
     """
-    fits = spin_fits(stamps, field, phase, spins=spins, harmonics=2)
+    fits = fit_spins(stamps, field, phase, spins=spins, harmonics=2)
     whole = fits.whole
-    means, sigmas = [], []
-    for each in (whole.phasor, whole.double):
-        means.append(np.abs(each.mean(axis=0)))
-        sigmas.append(np.sqrt(0.5 * np.mean(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / len(whole)))
-    return SpinTones(means[0], means[1], sigmas[0], sigmas[1], len(whole))
+    (once, once_sigma), (twice, twice_sigma) = (
+        (
+            np.abs(each.mean(axis=0)),
+            np.sqrt(0.5 * np.mean(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / len(whole)),
+        )
+        for each in (whole.phasor, whole.double)
+    )
+    return SteadyTones(once, twice, once_sigma, twice_sigma, len(whole))

@@ -1,7 +1,9 @@
-"""Where the sub-intervals of a record lie, and which of them are left out, and why.
+"""Sub-intervals of a record: blocks of whole spins, and which are left out and why.
 
-A record is cut along the spin phase into blocks of whole spins; a sub-interval is a run of blocks, so that
-neighbours overlap by whole blocks and sums over blocks are made once (Plaschke et al. 2019, section 5.2).
+Takes: readings, unwrapped spin phase and times of a record, with the spans that no estimate may use. Makes
+(`cut_into_blocks`): `BlockLayout`, the samples of every block, the good ones, and the reasons for what is
+left out. A sub-interval is a run of blocks, so that neighbours overlap by whole blocks and sums over blocks
+are made once (Plaschke et al. 2019, section 5.2).
 """
 
 from __future__ import annotations
@@ -19,14 +21,14 @@ from inflight.time import Int64
 
 Bools = npt.NDArray[np.bool_]
 
-#: Samples further apart than this leave the tone at twice the spin unseen between them, rad.
+#: Samples further apart than this do not show the tone at twice the spin between them, rad.
 WIDEST_STEP = 0.5 * np.pi
 
-#: A phase that leaves a steady turn by more than this between two samples has jumped, rad: a twentieth of a
-#: turn costs one part in twenty of the second harmonic.
+#: A phase that leaves a steady turn by more than this between two samples has jumped, rad. Derived: a
+#: twentieth of a turn costs one part in twenty of the second harmonic.
 _JUMP = 0.1 * np.pi
 
-#: At least this many whole spins make a block: neighbouring frequencies must keep apart.
+#: At least this many whole spins make a block: neighbouring frequencies must keep apart. Assumed.
 _FEWEST_SPINS = 10
 
 
@@ -41,18 +43,19 @@ class Exclusion:
 
 @dataclass(frozen=True)
 class SubIntervals:
-    """How a record is cut and what a sub-interval must have.
+    """Settings of the sub-intervals: how a record is cut and what a sub-interval must have.
 
     Attributes
     ----------
     spins : int
         Spins of a sub-interval; 100 in Plaschke et al. (2019).
     overlap : float
-        Part shared with the next one: 0, 1/2, 2/3, 3/4, ...
+        Part shared with the next one: 0, 1/2, 2/3, 3/4, ... Assumed; the paper's sub-intervals overlap, too.
     filled : float
-        Least part of the spins that good samples cover.
+        Least part of the spins that good samples cover. Assumed.
     saturation : float
-        A sub-interval with a reading beyond this is left out, nT; the instrument's range.
+        A sub-interval with a reading beyond this is left out, nT; the instrument's range (2e4 nT for THEMIS,
+        Plaschke et al. 2019, section 5).
     neighbours : tuple of 2 floats
         Distances from the tones, in spin frequencies, at which natural fluctuations are measured: over whole
         sub-intervals (85, 115, 185, 215 % as published) and in each block alone.
@@ -97,7 +100,7 @@ class SubIntervals:
 
 
 @dataclass(frozen=True)
-class Layout:
+class BlockLayout:
     """Blocks of a record as ranges of samples, and samples and blocks that are of no use.
 
     Attributes
@@ -118,7 +121,7 @@ class Layout:
 
     @property
     def count(self) -> int:
-        """How many sub-intervals."""
+        """Number of sub-intervals."""
         return max(self.start.size - self.settings.blocks + 1, 0)
 
     def excluded(self) -> tuple[tuple[str, Bools], ...]:
@@ -131,14 +134,14 @@ class Layout:
         return np.moveaxis(view, -1, 1)
 
 
-def lay_out(
+def cut_into_blocks(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
     good: Bools | None = None,
     settings: SubIntervals | None = None,
     exclusions: Sequence[Exclusion] = (),
-) -> Layout:
+) -> BlockLayout:
     """Cut a record into blocks of whole spins.
 
     Parameters
@@ -162,7 +165,13 @@ def lay_out(
         Less than one sub-interval of usable phase.
     """
     settings = settings or SubIntervals()
-    _check_shapes(readings, phase, stamps)
+    if readings.shape != (stamps.size, 3) or phase.shape != stamps.shape:
+        raise SamplesError(
+            f"readings have shape {readings.shape}, phase {phase.shape}, times {stamps.shape}",
+            remedy="give (time, 3), (time,) and (time,)",
+        )
+    if stamps.size > 1 and np.any(stamps[1:] <= stamps[:-1]):
+        raise SamplesError("times do not rise", remedy="sort them and drop duplicates")
     usable = np.isfinite(phase)
     for axis in range(3):
         usable &= np.isfinite(readings[:, axis])
@@ -172,28 +181,21 @@ def lay_out(
     edges = _edges(known, settings)
     # Samples before the first known phase lie before the first block.
     known = np.where(np.isnan(known), -np.inf, known)
-    cut = np.searchsorted(np.maximum.accumulate(known), edges)
-    start, stop = cut[:-1].astype(np.int64), cut[1:].astype(np.int64)
+    bounds = np.searchsorted(np.maximum.accumulate(known), edges)
+    start, stop = bounds[:-1].astype(np.int64), bounds[1:].astype(np.int64)
     beyond = (readings > settings.saturation) | (readings < -settings.saturation)
     within = np.flatnonzero(beyond.any(axis=1)) if beyond.any() else np.empty(0, dtype=np.int64)
     reasons = [
-        ("saturated", _hit(within, cut)),
-        ("phase jump", _hit(_jumps(phase, stamps), cut)),
+        ("saturated", _blocks_of(within, bounds)),
+        ("phase jump", _blocks_of(_jumps(phase, stamps), bounds)),
     ]
     for one in exclusions:
         low, high = np.searchsorted(stamps, [one.start, one.end])
         reasons.append((one.reason, (start < high) & (stop > low)))
-    return Layout(start, stop, usable, tuple(_joined(reasons)), settings)
-
-
-def _check_shapes(readings: Floats, phase: Floats, stamps: Int64) -> None:
-    if readings.shape != (stamps.size, 3) or phase.shape != stamps.shape:
-        raise SamplesError(
-            f"readings have shape {readings.shape}, phase {phase.shape}, times {stamps.shape}",
-            remedy="give (time, 3), (time,) and (time,)",
-        )
-    if stamps.size > 1 and np.any(stamps[1:] <= stamps[:-1]):
-        raise SamplesError("times do not rise", remedy="sort them and drop duplicates")
+    together: dict[str, Bools] = {}
+    for name, hit in reasons:
+        together[name] = together.get(name, np.zeros_like(hit)) | hit
+    return BlockLayout(start, stop, usable, tuple(together.items()), settings)
 
 
 def _edges(phase: Floats, settings: SubIntervals) -> Floats:
@@ -220,23 +222,15 @@ def _jumps(phase: Floats, stamps: Int64) -> Int64:
     passed = np.diff(stamps if whole else stamps[at]).astype(np.float64)
     part = slice(None, None, max(1, turned.size // 20_000))
     rate = float(np.median(turned[part] / passed[part]))
-    # Over a gap the rate itself is not known well enough; a gap is judged by what it leaves unfilled.
+    # Over a gap the rate itself is not known well enough; a gap is judged by how much it leaves unfilled.
     jumped = (np.abs(turned - rate * passed) > _JUMP) & (passed * rate < 2.0 * np.pi)
     return np.asarray(at[1:][jumped], dtype=np.int64)
 
 
-def _hit(samples: npt.NDArray[np.integer], cut: npt.NDArray[np.integer]) -> Bools:
+def _blocks_of(samples: npt.NDArray[np.integer], bounds: npt.NDArray[np.integer]) -> Bools:
     """Return which blocks hold any of some samples; a jump at an edge hits both sides."""
-    hit = np.zeros(cut.size - 1, dtype=np.bool_)
-    for beside in (samples, samples - 1):
-        block = np.searchsorted(cut, beside, side="right") - 1
+    hit = np.zeros(bounds.size - 1, dtype=np.bool_)
+    for sides in (samples, samples - 1):
+        block = np.searchsorted(bounds, sides, side="right") - 1
         hit[block[(block >= 0) & (block < hit.size)]] = True
     return hit
-
-
-def _joined(reasons: list[tuple[str, Bools]]) -> list[tuple[str, Bools]]:
-    """Return one entry a reason."""
-    together: dict[str, Bools] = {}
-    for name, hit in reasons:
-        together[name] = together.get(name, np.zeros_like(hit)) | hit
-    return list(together.items())

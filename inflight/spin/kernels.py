@@ -1,19 +1,17 @@
-"""Numba loops.
+"""Compiled loops of the tones and of the spin fits.
 
-Sine and cosine of many angles at once, for compiled loops.
+Takes: readings, phase, and the blocks or spans they are cut into. Makes: sums of products over blocks of
+spins (`sum_blocks`, `sum_tones`), from which `inflight.spin.tones` has tones, their noise and their
+derivatives (Plaschke et al. 2019, section 5.3), and the least-squares fits of every span (`fit_plain`,
+`fit_weighted`) of eq. (22) of Farrell et al. (1995). One pass over the samples each.
 
-Compiled loops call a library for them one by one; Taylor's series of a quarter of the angle, doubled twice,
-is as good to a few units of the last place and makes several at once: ten times faster.
+Sine and cosine (`sine_cosine`): compiled loops call a library for them one by one. Taylor's series of a
+quarter of the angle, doubled twice, is good to a few units of the last place and makes several at once: ten
+times faster.
 
-The compiled loops of the tones: field, tones and their products over blocks of spins, in one pass.
-
-Samples go through buffers that stay in the cache, a row a column of the sums; those of no use are left
-behind.
-
-The compiled loops of the spin fits: every span of samples on its own, plainly or with weights.
-
-Functions are 1, sin, cos and, where five unknowns are asked for, sin and cos of twice the phase. A reading
-that is NaN is none.
+Samples of the tones go through buffers that stay in the cache, a row a column of the sums; samples that are
+not good are skipped. The functions of a spin fit are 1, sin, cos and, with five unknowns, sin and cos of
+twice the phase; a reading that is NaN is none.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ def fill_sine_cosine(angle: Floats, sine: Floats, cosine: Floats) -> None:  # pr
 #: Lines of a block, and tones: cos and sin at the spin and at twice the spin.
 LINES, TONES = 2, 4
 
-#: Frequencies beside the tones: of two tones at two distances below and above, cos and sin.
+#: Columns of the neighbouring frequencies: of two tones at two distances below and above, cos and sin.
 NEIGHBOURS = 16
 
 #: Columns of sums: the field, its spin-plane modulus m, u = Bx/m, v = By/m and their products with the field.
@@ -68,13 +66,13 @@ SERIES = ("x", "y", "z", "m", "u", "v", "xu", "xv", "zu", "zv")
 
 Z, M, U, V = (SERIES.index(name) for name in ("z", "m", "u", "v"))
 
-#: Samples in the buffers at once.
+#: Samples in the buffers at once: some tens of kB, so that they stay in the cache. Assumed.
 _PIECE = 128
 
 #: Columns of `sum_blocks` and of `sum_tones`.
-_BESIDE, _FIELD = LINES + TONES, LINES + TONES + NEIGHBOURS
+_NEIGHBOURS_AT, _FIELD_AT = LINES + TONES, LINES + TONES + NEIGHBOURS
 
-_COLUMNS = _FIELD + len(SERIES)
+_COLUMNS = _FIELD_AT + len(SERIES)
 
 _FEW = LINES + TONES + 2
 
@@ -88,7 +86,7 @@ def sum_blocks(
     readings: Floats,
     phase: Floats,
     good: Bools,
-    cut: tuple[Int64, Int64, float],
+    blocks: tuple[Int64, Int64, float],
     correction: tuple[Floats, Floats],
     distances: tuple[float, float],
     sums: tuple[Floats, Floats, Floats],
@@ -101,7 +99,7 @@ def sum_blocks(
     phase : ndarray, shape (time,)
         rad.
     good : ndarray of bool, shape (time,)
-    cut : two ndarrays of int64, shape (block,), and a float
+    blocks : two ndarrays of int64, shape (block,), and a float
         First sample and end of each block, and the phase of a block.
     correction : ndarrays of shape (3, 3) and (3,)
         Coupling matrix and offset.
@@ -112,31 +110,31 @@ def sum_blocks(
         least modulus, least and largest size of Bz. The line is the phase from the middle of the block,
         1 at its end.
     """
-    inner, beside, levels = sums
+    inner, neighbours, levels = sums
     columns, angle = np.empty((_COLUMNS, _PIECE)), np.empty(_PIECE)
     turned = np.empty((2, _PIECE))
     columns[0] = 1.0
-    inner[:], beside[:] = 0.0, 0.0
-    for b in range(cut[0].size):
+    inner[:], neighbours[:] = 0.0, 0.0
+    for b in range(blocks[0].size):
         levels[b, 0], levels[b, 1], levels[b, 2], levels[b, 3], levels[b, 4] = 0.0, 0.0, np.inf, np.inf, 0.0
-        at, stop = cut[0][b], cut[1][b]
-        middle = phase[at] + 0.5 * cut[2] if at < stop else 0.0
+        at, stop = blocks[0][b], blocks[1][b]
+        middle = phase[at] + 0.5 * blocks[2] if at < stop else 0.0
         last = np.nan
         while at < stop:
-            field = columns[_FIELD:]
-            at, many = _take(readings, phase, good, at, stop, correction, angle, field)
-            last = _cover(angle, many, last, levels[b])
-            _fill_tones(angle, many, middle, 2.0 / cut[2], columns)
+            field = columns[_FIELD_AT:]
+            at, many = _load(readings, phase, good, at, stop, correction, angle, field)
+            last = _covered_phase(angle, many, last, levels[b])
+            _fill_tones(angle, many, middle, 2.0 / blocks[2], columns)
             _fill_modulus(field, field[M], many)
             _fill_series(field, many, levels[b])
             for place in range(2):
                 _fill_turned(angle, many, distances[place], turned)
                 for tone in range(2):
-                    row = _BESIDE + 8 * tone + 4 * place
+                    row = _NEIGHBOURS_AT + 8 * tone + 4 * place
                     _fill_neighbours(turned, many, columns[2 + 2 * tone :], columns[row:])
             _add_products(columns, many, inner[b])
             for row in range(NEIGHBOURS):
-                _add_two(columns[_BESIDE + row], field[Z], field[M], many, beside[b, row])
+                _add_two(columns[_NEIGHBOURS_AT + row], field[Z], field[M], many, neighbours[b, row])
     _mirror(inner)
 
 
@@ -145,7 +143,7 @@ def sum_tones(
     readings: Floats,
     phase: Floats,
     good: Bools,
-    cut: tuple[Int64, Int64, float],
+    blocks: tuple[Int64, Int64, float],
     correction: tuple[Floats, Floats],
     inner: Floats,
 ) -> None:  # pragma: no cover
@@ -154,12 +152,12 @@ def sum_tones(
     field = np.empty((3, _PIECE))
     columns[0] = 1.0
     inner[:] = 0.0
-    for b in range(cut[0].size):
-        at, stop = cut[0][b], cut[1][b]
-        middle = phase[at] + 0.5 * cut[2] if at < stop else 0.0
+    for b in range(blocks[0].size):
+        at, stop = blocks[0][b], blocks[1][b]
+        middle = phase[at] + 0.5 * blocks[2] if at < stop else 0.0
         while at < stop:
-            at, many = _take(readings, phase, good, at, stop, correction, angle, field)
-            _fill_tones(angle, many, middle, 2.0 / cut[2], columns)
+            at, many = _load(readings, phase, good, at, stop, correction, angle, field)
+            _fill_tones(angle, many, middle, 2.0 / blocks[2], columns)
             _fill_modulus(field, columns[_FEW - 1], many)
             columns[_FEW - 2] = field[2]
             _add_products(columns, many, inner[b])
@@ -167,7 +165,7 @@ def sum_tones(
 
 
 @_compiled_fast
-def _take(
+def _load(
     readings: Floats,
     phase: Floats,
     good: Bools,
@@ -177,7 +175,7 @@ def _take(
     angle: Floats,
     field: Floats,
 ) -> tuple[int, int]:  # pragma: no cover
-    """Copy samples of use into the buffers, the readings corrected; return the next sample, and how many."""
+    """Copy good samples into the buffers, the readings corrected; return the next sample, and how many."""
     many = 0
     while at < stop and many < angle.size:
         if good[at]:
@@ -186,12 +184,13 @@ def _take(
                 field[axis, many] = readings[at, axis] - correction[1][axis]
             many += 1
         at += 1
-    _turn(correction[0], field[0], field[1], field[2], many)
+    _rotate(correction[0], field[0], field[1], field[2], many)
     return at, many
 
 
 @_compiled_fast
-def _turn(matrix: Floats, x: Floats, y: Floats, z: Floats, many: int) -> None:  # pragma: no cover
+def _rotate(matrix: Floats, x: Floats, y: Floats, z: Floats, many: int) -> None:  # pragma: no cover
+    """Multiply the vectors of a buffer by the coupling matrix, in place."""
     xx, xy, xz = matrix[0]
     yx, yy, yz = matrix[1]
     zx, zy, zz = matrix[2]
@@ -203,7 +202,7 @@ def _turn(matrix: Floats, x: Floats, y: Floats, z: Floats, many: int) -> None:  
 
 
 @_compiled_fast
-def _cover(angle: Floats, many: int, last: float, levels: Floats) -> float:  # pragma: no cover
+def _covered_phase(angle: Floats, many: int, last: float, levels: Floats) -> float:  # pragma: no cover
     """Count samples and the phase between those that are near each other; return the last phase."""
     levels[0] += many
     covered = 0.0
@@ -232,7 +231,7 @@ def _fill_tones(
 
 @_compiled_fast
 def _fill_turned(angle: Floats, many: int, distance: float, turned: Floats) -> None:  # pragma: no cover
-    """Fill in cos and sin of the part of the phase by which neighbours differ from tones."""
+    """Fill in cos and sin of the part of the phase by which the neighbours differ from the tones."""
     cosine, sine = turned[0], turned[1]
     for i in range(many):
         sine[i], cosine[i] = sine_cosine(distance * angle[i])
@@ -353,7 +352,7 @@ def fit_plain(
         for k in range(field.shape[1]):
             low, high = edges[f], edges[f + 1]
             gram, now = inverse[f, k], value[f, k]
-            first = _first(field[:, k], low, high)
+            first = _first_reading(field[:, k], low, high)
             if right.size == 3:
                 many = _sum_three(sine, cosine, field[:, k], low, high, first, gram, right)
                 spread[f, k] = _invert_three(gram)
@@ -365,7 +364,7 @@ def fit_plain(
                 for q in range(right.size):
                     now[p] += gram[p, q] * right[q]
             now[0] += first
-            total, largest[f, k] = _left_over(sine, cosine, field[:, k], low, high, now)
+            total, largest[f, k] = _residual_sums(sine, cosine, field[:, k], low, high, now)
             variance[f, k] = total / max(many - right.size, 1)
             count[f, k] = many
 
@@ -421,7 +420,7 @@ def fit_weighted(
 
 
 @_compiled
-def _first(reading: Floats, low: int, high: int) -> float:  # pragma: no cover
+def _first_reading(reading: Floats, low: int, high: int) -> float:  # pragma: no cover
     for i in range(low, high):
         if np.isfinite(reading[i]):
             return float(reading[i])
@@ -478,7 +477,7 @@ def _invert_three(gram: Floats) -> float:  # pragma: no cover
 
 
 @_compiled
-def _fill(row: Floats, s: float, c: float) -> None:  # pragma: no cover
+def _fill_row(row: Floats, s: float, c: float) -> None:  # pragma: no cover
     row[0], row[1], row[2] = 1.0, s, c
     if row.size > 3:
         row[3], row[4] = 2.0 * s * c, 1.0 - 2.0 * s * s
@@ -501,7 +500,7 @@ def _sum_five(
         y = reading[i] - first
         if y == y:  # noqa: PLR0124
             many += 1
-            _fill(row, sine[i], cosine[i])
+            _fill_row(row, sine[i], cosine[i])
             _add(gram, right, row, y, 1.0)
     return many
 
@@ -532,17 +531,17 @@ def _sum_weighted(
     for i in range(span[0], span[1]):
         y = reading[i]
         if y == y:  # noqa: PLR0124
-            _fill(row, sine[i], cosine[i])
-            left = y - np.dot(row, now)
-            pull = abs(left) / rule[0]
+            _fill_row(row, sine[i], cosine[i])
+            residual = y - np.dot(row, now)
+            scaled = abs(residual) / rule[0]
             if rule[1]:
-                weight = max(1.0 - (pull / BIWEIGHT_WIDTH) ** 2, 0.0) ** 2
+                weight = max(1.0 - (scaled / BIWEIGHT_WIDTH) ** 2, 0.0) ** 2
             else:
-                weight = min(1.0, _HUBER / max(pull, 1e-300))
+                weight = min(1.0, _HUBER / max(scaled, 1e-300))
             out += weight < 0.5
-            total += weight * left * left
+            total += weight * residual * residual
             kept += weight
-            _add(gram, right, row, left, weight)
+            _add(gram, right, row, residual, weight)
     return total, kept, out
 
 
@@ -576,17 +575,17 @@ def _eliminate(gram: Floats, r: int, p: int, pivot: float) -> None:  # pragma: n
 
 
 @_compiled
-def _left_over(
+def _residual_sums(
     sine: Floats, cosine: Floats, reading: Floats, low: int, high: int, value: Floats
 ) -> tuple[float, float]:  # pragma: no cover
     """Return the sum of the squared residuals and the largest residual."""
     total, far = 0.0, 0.0
     a, b, c, double = value[0], value[1], value[2], value.size > 3
     for i in range(low, high):
-        left = reading[i] - a - b * sine[i] - c * cosine[i]
+        residual = reading[i] - a - b * sine[i] - c * cosine[i]
         if double:
-            left -= value[3] * 2.0 * sine[i] * cosine[i] + value[4] * (1.0 - 2.0 * sine[i] * sine[i])
-        if left == left:  # noqa: PLR0124
-            total += left * left
-            far = max(far, abs(left))
+            residual -= value[3] * 2.0 * sine[i] * cosine[i] + value[4] * (1.0 - 2.0 * sine[i] * sine[i])
+        if residual == residual:  # noqa: PLR0124
+            total += residual * residual
+            far = max(far, abs(residual))
     return total, far

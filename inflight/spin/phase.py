@@ -1,21 +1,26 @@
-"""Spin phase from pulses and marks.
-
-An angle read many times a turn: its period, and the few readings a turn that count its turns.
-
-Marks of the spin: which of them to believe, and how many turns lie between them.
-
-The spin period that the field itself shows, as a check of the phase that is used.
-
-The spin-plane field seen from a spinning sensor, ``BX + i BY = Bsp exp(-i (w t - psi))``, is one tone of
-negative frequency; a zero level is one at zero. The top of the tone is found in the spectrum, then sharpened
-by how its phase moves from one stretch of the record to the next.
-
-Spin phase at sample times: from Sun pulses, from a delivered angle, or from a constant period.
+"""The spin phase at sample times, from Sun pulses, from a delivered angle or from a constant period.
 
 The phase is the angle of XA from XP, the projection of the Sun into the spin plane, towards YP: ``w t`` in
-eq. (1) of Farrell et al. (1995). A Sun pulse, or an angle read now and then, is a *mark*: a time with a known
-part of a turn. Marks that lie whole turns from their neighbours are believed; the turns between two marks are
-counted where the spin rate is known well enough to leave no other count.
+eq. (1) of Farrell et al. (1995). It grows with time.
+
+Takes: times of Sun pulses, or an angle and its times, TT2000; sample times. Makes: `SpinPhase`, the phase in
+radians with its standard deviation, flags and what was wrong (`phase_from_pulses`, `phase_from_angle`); the
+phase of a constant spin (`phase_from_period`); and, as a check, the spin period that the field itself shows
+(`check_period`).
+
+A pulse, or one reading of the angle, is a *mark*: a time with a known part of a turn. The steps are
+
+1. The usual period (`find_period`): the one most intervals between marks agree with. An angle that is read
+   many times a turn shows it by itself (`period_of_fine_angle`).
+2. Marks that lie whole turns from their neighbours are kept (`are_consistent`).
+3. A finely read angle is thinned to about three readings a turn (`thin_readings`).
+4. Turns between marks are counted where the rate is known well enough to leave no other count
+   (`count_turns`); jumps that come back are corrected (`correct_jumps`).
+5. The phase is interpolated to the samples, with a cubic across turns without a mark.
+
+The check of the period: the spin-plane field in turning axes, ``BX + i BY = Bsp exp(-i (w t - psi))`` (eq.
+8), is one tone of negative frequency. The top of the spectrum gives the frequency, the phases of stretches of
+the record make it sharp. No paper stands behind the counting of turns and its limits: they are derived here.
 """
 
 from __future__ import annotations
@@ -36,22 +41,79 @@ from inflight.lsq import TO_SIGMA, robust_sigma
 from inflight.residual import SIGNIFICANCE
 from inflight.time import SECOND, Int64, utc_text
 
-#: Turns between readings below which an angle is finely read: more than four and a half readings a turn.
-FINE = 0.22
 
-#: What is left of a fine angle: readings about this part of a turn apart, far from both 0 and a whole turn.
-_APART = 1.0 / 3.0
+@dataclass(frozen=True, kw_only=True)
+class ThinningSettings:
+    """When an angle is read finely, and how far apart the readings are that count its turns.
 
-#: Turns without a reading that end a stretch of fine ones.
-_BREAK = 0.5
+    Attributes
+    ----------
+    fine : float
+        An angle is finely read where its readings are less than this part of a turn apart: more than four
+        and a half a turn. Assumed.
+    apart : float
+        Distance of the readings that are kept, turns. Derived: a third is far from both 0 and a whole turn.
+    stretch_gap : float
+        Turns without a reading that end a stretch of fine readings. Assumed.
+    around : int
+        Intervals around a reading that decide whether it is one of many. Assumed.
+    percentile : int
+        Percentile of their lengths that must be below `fine`. Derived: more than two in three must be short,
+        as two in three are where slow readings come three times.
+    """
 
-#: Intervals around each reading that say whether it is one of many, and the percentage of them that must be
-#: short: more than two in three, as they are where slow readings come three times.
-_READINGS_AROUND, _MOST = 21, 75
+    fine: float = 0.22
+    apart: float = 1.0 / 3.0
+    stretch_gap: float = 0.5
+    around: int = 21
+    percentile: int = 75
 
 
-def finely_read(apart: Floats, turns: Floats, advance: Floats) -> bool:
-    """Return whether most readings are of an angle that moves on by less than `FINE` from one to the next.
+THINNING = ThinningSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarkSettings:
+    """Which marks agree with each other, and when turns between them are counted.
+
+    Attributes
+    ----------
+    finest, coarsest : float
+        A mark may be off whole turns by this part of a turn: at least `finest` (0.04 degrees; a finer limit
+        would see variations of the spin rate as faults), at most `coarsest` (beyond it chance agrees too
+        often). Assumed.
+    near : float
+        A stated period is right when the median interval is within this part of a turn of whole turns; marks
+        nearer than this repeat one another. Assumed.
+    single : float
+        ... and this part of the intervals is of a single turn; else pulses are not missing but never came.
+        Assumed.
+    lags : int
+        Neighbours on each side that a mark is compared with. Assumed.
+    agreement : float
+        Part of them it must agree with. Derived: the majority.
+    around : int
+        Intervals whose median gives the local period. Assumed.
+    count_sigmas : float
+        Standard deviations of a predicted count that must fit into half a turn, and beyond which a residual
+        is a jump. Level of significance: 0.3 %.
+    """
+
+    finest: float = 1e-4
+    coarsest: float = 0.1
+    near: float = 0.1
+    single: float = 0.05
+    lags: int = 4
+    agreement: float = 0.5
+    around: int = 21
+    count_sigmas: float = 3.0
+
+
+MARKS = MarkSettings()
+
+
+def is_finely_sampled(apart: Floats, turns: Floats, advance: Floats) -> bool:
+    """Return whether most readings of an angle are less than `ThinningSettings.fine` of a turn apart.
 
     Parameters
     ----------
@@ -61,11 +123,11 @@ def finely_read(apart: Floats, turns: Floats, advance: Floats) -> bool:
         Parts of a turn in [0, 1); pulses, all of them 0, are never fine.
     """
     usual = float(np.median(apart))
-    moved = abs(float(np.median(advance))) * float(np.percentile(apart, _MOST)) / usual
-    return bool(np.any(turns > 0)) and moved < FINE
+    moved = abs(float(np.median(advance))) * float(np.percentile(apart, THINNING.percentile)) / usual
+    return bool(np.any(turns > 0)) and moved < THINNING.fine
 
 
-def fine_period(seconds: Floats, turns: Floats, nominal: float) -> float | None:
+def period_of_fine_angle(seconds: Floats, turns: Floats, nominal: float) -> float | None:
     """Return the period that a finely read angle shows, s; None where it is not finely read.
 
     From one reading to the next the angle may move less than it scatters. The lag is doubled until it moves
@@ -76,7 +138,7 @@ def fine_period(seconds: Floats, turns: Floats, nominal: float) -> float | None:
     seconds, turns : ndarray, shape (reading,)
         Times in order, and parts of a turn in [0, 1).
     nominal : float
-        Stated period, s, above 0; it says how many whole turns lie between neighbouring readings.
+        Stated period, s, above 0; from it the whole turns are counted that lie between neighbouring readings.
 
     Returns
     -------
@@ -86,19 +148,19 @@ def fine_period(seconds: Floats, turns: Floats, nominal: float) -> float | None:
     apart, part = np.diff(seconds), np.diff(turns)
     if not np.median(apart) < 0.5 * nominal:
         return None
-    if not finely_read(apart, turns, np.rint(apart / nominal - part) + part):
+    if not is_finely_sampled(apart, turns, np.rint(apart / nominal - part) + part):
         return None
     lag, rate = 1, 1.0 / nominal
     while True:
         ahead, part = seconds[lag:] - seconds[:-lag], turns[lag:] - turns[:-lag]
         moved = float(np.median(np.rint(ahead * rate - part) + part))
         rate = moved / float(np.median(ahead))
-        if abs(moved) >= _APART or 2 * lag >= seconds.size:
+        if abs(moved) >= THINNING.apart or 2 * lag >= seconds.size:
             return 1.0 / rate if rate else float("inf")
         lag *= 2
 
 
-def thinned(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
+def thin_readings(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
     """Return which readings to count turns with: of finely read stretches about three a turn, all others.
 
     They are chosen by their times, not by their angles, which scatter. Both ends of a fine stretch are kept,
@@ -107,24 +169,23 @@ def thinned(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.boo
     Parameters
     ----------
     seconds, turns : ndarray, shape (reading,)
-        Times in order, and parts of a turn in [0, 1), of readings that are believed; two at least.
+        Times in order, and parts of a turn in [0, 1), of readings that agree with each other; at least two.
     period : float
         Usual period, s.
     """
-    everything = np.ones(seconds.size, dtype=bool)
     if not np.any(turns > 0):
-        return everything
+        return np.ones(seconds.size, dtype=bool)
     ahead = seconds / period
     step = np.diff(ahead)
-    usual = percentile_filter(step, _MOST, _READINGS_AROUND, mode="nearest")
+    usual = percentile_filter(step, THINNING.percentile, THINNING.around, mode="nearest")
     usual = np.concatenate([usual[:1], usual])
-    fine = usual < FINE
+    fine = usual < THINNING.fine
     fine[0] = False
     if not fine.any():
-        return everything
+        return np.ones(seconds.size, dtype=bool)
     place = np.arange(seconds.size)
     # The reading nearest to a third of a turn on, or the next that is none of many.
-    following = np.searchsorted(ahead, ahead + _APART - 0.5 * np.minimum(usual, FINE))
+    following = np.searchsorted(ahead, ahead + THINNING.apart - 0.5 * np.minimum(usual, THINNING.fine))
     alone = np.append(np.flatnonzero(~fine), seconds.size)
     following = np.minimum(following, alone[np.searchsorted(alone, place, side="right")]).tolist()
     kept = np.zeros(seconds.size, dtype=bool)
@@ -132,37 +193,18 @@ def thinned(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.boo
     while at < seconds.size:
         kept[at] = True
         at = following[at]
-    first = np.concatenate([[True], step > _BREAK])
+    first = np.concatenate([[True], step > THINNING.stretch_gap])
+    last_kept, moved_to = np.maximum.accumulate(np.where(kept, place, -1)), -1
     for end in np.flatnonzero(np.append(first[1:], True) & ~kept):
-        before = int(np.flatnonzero(kept[:end])[-1])
+        before = max(int(last_kept[end]), moved_to)
         if fine[before] and not first[before]:
-            kept[before], kept[end] = False, True
+            kept[before], kept[end], moved_to = False, True, int(end)
     return kept
 
 
-#: Marks are within a turn's part of whole turns: at least this (0.04 degrees: a finer mark would see the
-#: spin's own wander as a fault), at most a tenth, beyond which chance meets it too often.
-_FINEST, _COARSEST = 1e-4, 0.1
-
-#: A period is stated rightly when the median interval is within this part of a turn of whole turns.
-_NEAR = 0.1
-
-#: ... and this part of the intervals is of a single turn. Else pulses are not missing but never came.
-_SINGLE = 0.05
-
-#: Neighbours on each side whose votes a mark needs, and the part of them it needs.
-_LAGS, _VOTES = 4, 0.5
-
-#: Intervals around each mark that tell the local period, on either side.
-_AROUND = 21
-
-#: Standard deviations of a count of turns that must fit into half a turn, and of a jump that is one.
-_SURE = 3.0
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Believed marks in order of time.
+    """Marks that agree with their neighbours, in order of time.
 
     Attributes
     ----------
@@ -172,32 +214,33 @@ class Marks:
         Turns since the first mark's whole turn; whole for pulses.
     rate : ndarray, shape (mark,)
         Local spin rate, turns a second.
-    left : ndarray, shape (mark - 1,)
-        What lies between the turns counted to the next mark and the nearest possible, turns.
-    unsure : ndarray, shape (mark - 1,)
-        Standard deviation of the turns predicted across the interval.
-    jumped, uncounted, gap : ndarray of bool, shape (mark - 1,)
+    residual : ndarray, shape (mark - 1,)
+        Turns predicted to the next mark, less those counted.
+    predicted_sigma : ndarray, shape (mark - 1,)
+        Standard deviation of the turns predicted to the next mark.
+    jumped, uncountable, gap : ndarray of bool, shape (mark - 1,)
         The turns do not fit; cannot be counted; are more than one and were counted.
-    moved, doubtful : ndarray of bool, shape (mark,)
-        The mark's turn is taken back by the size of a jump; a jump leaves it in doubt. See `steadied`.
+    shifted, ambiguous : ndarray of bool, shape (mark,)
+        The mark's turn was corrected by the size of a jump; a jump leaves its turn ambiguous. See
+        `correct_jumps`.
     sigma : float
         Scatter of a mark, turns.
-    dropped : int
+    repeated : int
         Marks dropped because they repeat another's turn.
     """
 
     time: Int64
     turn: Floats
     rate: Floats
-    left: Floats
-    unsure: Floats
+    residual: Floats
+    predicted_sigma: Floats
     jumped: npt.NDArray[np.bool_]
-    uncounted: npt.NDArray[np.bool_]
+    uncountable: npt.NDArray[np.bool_]
     gap: npt.NDArray[np.bool_]
-    moved: npt.NDArray[np.bool_]
-    doubtful: npt.NDArray[np.bool_]
+    shifted: npt.NDArray[np.bool_]
+    ambiguous: npt.NDArray[np.bool_]
     sigma: float
-    dropped: int
+    repeated: int
 
     @property
     def period(self) -> Floats:
@@ -207,32 +250,31 @@ class Marks:
     @property
     def missing(self) -> int:
         """Number of whole turns without a mark, where they could be counted."""
-        return int(self.lacking.sum())
+        return int(self.missing_turns.sum())
 
     @property
-    def lacking(self) -> Int64:
+    def missing_turns(self) -> Int64:
         """Whole turns without a mark in each interval, 0 where they cannot be counted; (mark - 1,)."""
-        lacking = np.maximum(np.rint(np.diff(self.turn)) - 1, 0)
-        return np.where(self.uncounted, 0, lacking).astype(np.int64)
+        missing = np.maximum(np.rint(np.diff(self.turn)) - 1, 0)
+        return np.where(self.uncountable, 0, missing).astype(np.int64)
 
     def table(self) -> xr.Dataset:
         """Return `value` (the local period) and `sigma` along ``mark``."""
-        last = [False]
         return xr.Dataset(
             {
                 "time": ("mark", self.time, {"scale": "TT2000"}),
                 "turn": ("mark", self.turn, {"units": "1"}),
                 "value": ("mark", self.period, {"units": "s"}),
-                "sigma": ("mark", self.sigma * self.period * np.sqrt(2.0 / _AROUND), {"units": "s"}),
-                "jump_behind": ("mark", np.append(np.where(self.jumped, 360.0 * self.left, 0.0), 0.0)),
-                "bridged_behind": ("mark", np.append(self.gap, last)),
-                "uncounted_behind": ("mark", np.append(self.uncounted, last)),
+                "sigma": ("mark", self.sigma * self.period * np.sqrt(2.0 / MARKS.around), {"units": "s"}),
+                "jump_behind": ("mark", np.append(np.where(self.jumped, 360.0 * self.residual, 0.0), 0.0)),
+                "bridged_behind": ("mark", np.append(self.gap, False)),
+                "uncounted_behind": ("mark", np.append(self.uncountable, False)),
             },
             attrs={"scatter_deg": 360.0 * self.sigma, "missing": self.missing},
         )
 
 
-def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float:
+def find_period(seconds: Floats, turns: Floats, nominal: float | None) -> float:
     """Return the period that most intervals show, s.
 
     Parameters
@@ -240,13 +282,13 @@ def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float
     seconds, turns : ndarray, shape (mark,)
         Times, and parts of a turn in [0, 1); 0 for pulses.
     nominal : float, optional
-        Stated period, s; it says only how many turns an interval may have.
+        Stated period, s; it only bounds how many turns an interval may have.
 
     Raises
     ------
     CalibrationError
-        When the angle is read too slowly to say anything against a stated period that does not fit, when it
-        falls or stands still, or when none is stated for it.
+        When the angle is read too slowly to show a period and the stated one does not fit, when it falls or
+        stands still, or when none is stated for it.
     """
     apart, part = np.diff(seconds), np.diff(turns)
     angle = bool(np.any(turns > 0))
@@ -256,7 +298,7 @@ def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float
             remedy="state the spin period to better than a tenth of a turn between readings",
         )
     if angle and nominal is not None:
-        fine = fine_period(seconds, turns, nominal)
+        fine = period_of_fine_angle(seconds, turns, nominal)
         if fine is not None and 0.0 < fine < np.inf:
             return fine
         if fine is not None:
@@ -266,11 +308,10 @@ def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float
             )
     if nominal is not None and nominal > 0:
         advance = np.rint(apart / nominal - part) + part
-        left = apart / nominal - advance
-        counted = advance > 0.25
-        single = np.mean((advance < 1.5) & (np.abs(left) < _NEAR))
-        near = counted & (np.abs(left) < _NEAR)
-        if near.any() and np.median(np.abs(left)) < _NEAR and (angle or single > _SINGLE):
+        residual = apart / nominal - advance
+        near = (advance > 0.25) & (np.abs(residual) < MARKS.near)
+        single = np.mean((advance < 1.5) & (np.abs(residual) < MARKS.near))
+        if near.any() and np.median(np.abs(residual)) < MARKS.near and (angle or single > MARKS.single):
             return float(np.median(apart[near] / advance[near]))
     if not angle:
         return float(np.median(apart))
@@ -284,30 +325,30 @@ def usual_period(seconds: Floats, turns: Floats, nominal: float | None) -> float
     return float(np.median(apart[step > 0] / step[step > 0]))
 
 
-def believed(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
+def are_consistent(seconds: Floats, turns: Floats, period: float) -> npt.NDArray[np.bool_]:
     """Return which marks are whole turns from at least half of their neighbours before, or of those after.
 
     One side is enough: after a jump of the phase the marks agree among themselves.
     """
     rate = _local_rate(seconds, turns, period)
     tolerance = _tolerance(_scatter(seconds, turns, rate))
-    votes, asked = np.zeros((2, seconds.size)), np.zeros((2, seconds.size))
-    for lag in range(1, min(_LAGS, seconds.size - 1) + 1):
+    agreeing, compared = np.zeros((2, seconds.size)), np.zeros((2, seconds.size))
+    for lag in range(1, min(MARKS.lags, seconds.size - 1) + 1):
         ahead = (seconds[lag:] - seconds[:-lag]) * 0.5 * (rate[lag:] + rate[:-lag])
-        left = ahead - (turns[lag:] - turns[:-lag])
-        near = np.abs(left - np.rint(left)) < tolerance
+        residual = ahead - (turns[lag:] - turns[:-lag])
+        near = np.abs(residual - np.rint(residual)) < tolerance
         for side, part in enumerate((slice(lag, None), slice(None, -lag))):
-            votes[side, part] += near
-            asked[side, part] += 1
-    return np.asarray(np.any((votes >= _VOTES * asked) & (asked > 0), axis=0))
+            agreeing[side, part] += near
+            compared[side, part] += 1
+    return np.asarray(np.any((agreeing >= MARKS.agreement * compared) & (compared > 0), axis=0))
 
 
 def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
     """Return the marks with their turns counted, and where these do not fit.
 
     Across an interval the rate is the mean of those before and after it; half their difference and the
-    scatter of the marks say how sure the count is. A finely read angle must be thinned before: marks
-    nearer than a tenth of a turn repeat one another.
+    scatter of the marks give the standard deviation of the count. A finely read angle must be thinned before:
+    marks nearer than a tenth of a turn repeat one another.
 
     Raises
     ------
@@ -318,126 +359,152 @@ def count_turns(times: Int64, turns: Floats, period: float) -> Marks:
         raise CalibrationError("all marks are of one turn", remedy="take a longer span")
     seconds = (times - times[0]) / SECOND
     rate = _local_rate(seconds, turns, period)
-    advance = _advance(seconds, turns, rate)
-    repeated = np.concatenate([[False], advance < _NEAR])
+    # The rate before and after each interval is from medians that do not reach over it.
+    reach, place = MARKS.around // 2, np.arange(rate.size - 1)
+    before = rate[np.maximum(place - reach, 0)]
+    after = rate[np.minimum(place + 1 + reach, rate.size - 1)]
+    apart, part = np.diff(seconds), np.diff(turns)
+    advance = np.asarray(np.rint(0.5 * (before + after) * apart - part) + part)
+    repeated = np.concatenate([[False], advance < MARKS.near])
     if repeated.any():
         rest = count_turns(times[~repeated], turns[~repeated], period)
-        return Marks(**(rest.__dict__ | {"dropped": rest.dropped + int(repeated.sum())}))
-    apart = np.diff(seconds)
-    before, after = _sides(rate)
+        return replace(rest, repeated=rest.repeated + int(repeated.sum()))
     sigma = _scatter(seconds, turns, rate)
-    error = np.hypot(0.5 * np.abs(after - before), sigma * rate.mean() * np.sqrt(2.0 / _AROUND))
-    unsure = error * apart
-    left = 0.5 * (before + after) * apart - advance
-    uncounted = _SURE * unsure > 0.5
-    jumped = ~uncounted & (np.abs(left) > _tolerance(sigma) + _SURE * unsure)
+    rate_error = np.hypot(0.5 * np.abs(after - before), sigma * rate.mean() * np.sqrt(2.0 / MARKS.around))
+    predicted_sigma = rate_error * apart
+    residual = 0.5 * (before + after) * apart - advance
+    uncountable = MARKS.count_sigmas * predicted_sigma > 0.5
+    jumped = ~uncountable & (np.abs(residual) > _tolerance(sigma) + MARKS.count_sigmas * predicted_sigma)
     turn = turns[0] + np.concatenate([[0.0], np.cumsum(advance)])
     ends = np.stack([np.append(before, after[-1]), np.append(before[0], after)])
-    gap = (advance > 1.5) & ~jumped & ~uncounted
     none = np.zeros(turn.size, dtype=bool)
-    return Marks(times, turn, ends.mean(axis=0), left, unsure, jumped, uncounted, gap, none, none, sigma, 0)
+    return Marks(
+        time=times,
+        turn=turn,
+        rate=ends.mean(axis=0),
+        residual=residual,
+        predicted_sigma=predicted_sigma,
+        jumped=jumped,
+        uncountable=uncountable,
+        gap=(advance > 1.5) & ~jumped & ~uncountable,
+        shifted=none,
+        ambiguous=none,
+        sigma=sigma,
+        repeated=0,
+    )
 
 
-def steadied(marks: Marks) -> Marks:
-    """Return marks of a turn without jumps, as far as they tell which of them to believe.
+def correct_jumps(marks: Marks) -> Marks:
+    """Return the marks with jumps of their phase taken out, where it is clear which marks are right.
 
-    A body that spins goes on turning as it did: what jumps is the clock of its marks, or the mark. Marks
-    between jumps that come back to where they were are taken back by the size of the jumps. Where they do
-    not come back, nothing tells which side is right: all marks of the stretch are in doubt. Stretches end
-    where turns cannot be counted.
+    The spin of a body does not jump: the clock of its marks does, or single marks do. Marks between jumps
+    that cancel are corrected by the size of the jumps. Where the jumps of a stretch do not cancel, nothing
+    shows which side is right: all its marks are ambiguous. Stretches end where turns cannot be counted.
     """
     if not marks.jumped.any():
         return marks
-    turn, moved, doubtful = marks.turn.copy(), marks.moved.copy(), marks.doubtful.copy()
-    starts = np.concatenate([[0], np.flatnonzero(marks.uncounted) + 1])
+    turn, shifted, ambiguous = marks.turn.copy(), marks.shifted.copy(), marks.ambiguous.copy()
+    starts = np.concatenate([[0], np.flatnonzero(marks.uncountable) + 1])
     for first, last in zip(starts, [*starts[1:], turn.size], strict=True):
         inside = slice(first, last - 1)
         jumped = marks.jumped[inside]
-        off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.left[inside], 0.0))])
-        error = np.hypot.reduce(np.where(jumped, marks.unsure[inside], 0.0))
-        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + _SURE * error
+        off = np.concatenate([[0.0], np.cumsum(np.where(jumped, marks.residual[inside], 0.0))])
+        error = np.hypot.reduce(np.where(jumped, marks.predicted_sigma[inside], 0.0))
+        near = _tolerance(marks.sigma) * np.sqrt(max(jumped.sum(), 1)) + MARKS.count_sigmas * error
         away = np.abs(off - np.rint(off)) > near
         if away.size and away[-1]:
-            doubtful[first:last] = True
+            ambiguous[first:last] = True
         else:
             turn[first:last] += off
-            moved[first:last] = away
-    return replace(marks, turn=turn, moved=moved, doubtful=doubtful)
-
-
-def _advance(seconds: Floats, turns: Floats, rate: Floats) -> Floats:
-    """Return the turns from each mark to the next; (mark - 1,)."""
-    before, after = _sides(rate)
-    part = np.diff(turns)
-    return np.asarray(np.rint(0.5 * (before + after) * np.diff(seconds) - part) + part)
+            shifted[first:last] = away
+    return replace(marks, turn=turn, shifted=shifted, ambiguous=ambiguous)
 
 
 def _local_rate(seconds: Floats, turns: Floats, period: float) -> Floats:
     """Return the rate around each mark by the median of the intervals of few turns; turns a second.
 
-    The short intervals of a fine angle tell none: those of them above a quarter turn are misread.
+    A finely read angle has the usual rate: its intervals are too short, and those above a quarter turn
+    misread.
     """
     apart, part = np.diff(seconds), np.diff(turns)
     advance = np.rint(apart / period - part) + part
     usual = max(float(np.median(advance)), 1.0)
-    near = (advance > 0.25) & (advance < 3.0 * usual) & (np.abs(apart / period - advance) < _COARSEST)
-    if not near.any() or finely_read(apart, turns, advance):
+    near = (advance > 0.25) & (advance < 3.0 * usual) & (np.abs(apart / period - advance) < MARKS.coarsest)
+    if not near.any() or is_finely_sampled(apart, turns, advance):
         return np.full(seconds.size, 1.0 / period)
     middle = 0.5 * (seconds[1:] + seconds[:-1])[near]
-    rates = median_filter(advance[near] / apart[near], min(_AROUND, int(near.sum())), mode="nearest")
+    rates = median_filter(advance[near] / apart[near], min(MARKS.around, int(near.sum())), mode="nearest")
     return np.asarray(np.interp(seconds, middle, rates))
-
-
-def _sides(rate: Floats) -> tuple[Floats, Floats]:
-    """Return the rate before and after each interval, from medians that do not reach over it; (mark - 1,)."""
-    reach = _AROUND // 2
-    place = np.arange(rate.size - 1)
-    return rate[np.maximum(place - reach, 0)], rate[np.minimum(place + 1 + reach, rate.size - 1)]
 
 
 def _scatter(seconds: Floats, turns: Floats, rate: Floats) -> float:
     """Return the scatter of a mark, turns, from the intervals between neighbours."""
-    left = np.diff(seconds) * 0.5 * (rate[1:] + rate[:-1]) - np.diff(turns)
-    left -= np.rint(left)
-    close = np.abs(left) < _COARSEST
-    return robust_sigma(left[close]) / np.sqrt(2.0) if close.any() else _COARSEST
+    residual = np.diff(seconds) * 0.5 * (rate[1:] + rate[:-1]) - np.diff(turns)
+    residual -= np.rint(residual)
+    close = np.abs(residual) < MARKS.coarsest
+    return robust_sigma(residual[close]) / np.sqrt(2.0) if close.any() else MARKS.coarsest
 
 
 def _tolerance(sigma: float) -> float:
-    return float(np.clip(SIGNIFICANCE * np.sqrt(2.0) * sigma, _FINEST, _COARSEST))
+    """Return by how much of a turn marks of a scatter may be off whole turns from each other."""
+    return float(np.clip(SIGNIFICANCE * np.sqrt(2.0) * sigma, MARKS.finest, MARKS.coarsest))
 
 
-#: A phase is in doubt when its period is this many sigmas from the field's.
-_DOUBT = 5.0
+@dataclass(frozen=True, kw_only=True)
+class PeriodSettings:
+    """When the field shows a spin period, and when that of a phase contradicts it.
 
-#: The tone must stand this much above the median of the spectrum (power); noise alone reaches the logarithm
-#: of the number of frequencies, less than 20.
-_STANDS_OUT = 50.0
+    Attributes
+    ----------
+    contradiction : float
+        Standard deviations between the two periods from which on the phase is wrong. Level of significance:
+        6e-7.
+    tone_power : float
+        The tone must stand this many times above the median of the power spectrum. Derived: noise alone
+        reaches the logarithm of the number of frequencies, less than 20.
+    stretches, fewest : int
+        Most and fewest stretches of the record whose phases are compared. Assumed.
+    shortest : float
+        Turns of the shortest stretch. Assumed.
+    readings : int
+        Fewest readings of a record. Assumed.
+    empty : float
+        Largest part of the even grid without a reading. Assumed.
+    limit : float
+        Readings are pulled in to this many times the usual size: one outlier is white, and may stand above
+        any tone. Assumed.
+    """
 
-#: Stretches of the record whose phases are compared, at most and at least; turns of the shortest.
-_STRETCHES, _FEWEST, _SHORTEST = 40, 4, 4.0
+    contradiction: float = 5.0
+    tone_power: float = 50.0
+    stretches: int = 40
+    fewest: int = 4
+    shortest: float = 4.0
+    readings: int = 64
+    empty: float = 0.75
+    limit: float = 6.0
 
-#: Readings fewer than this a record give no spectrum; empty places of the grid fill at most this part.
-_LEAST, _MOST_EMPTY = 64, 0.75
+
+PERIOD_CHECK = PeriodSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PeriodCheck:
     """Spin period by the field and by the phase, s.
 
     Attributes
     ----------
     period, sigma : float
-        By the field. The sigma takes the direction of the field to walk; where it comes back, it is an upper
-        bound.
+        By the field. The sigma holds for a field direction that changes as a random walk; it is an upper
+        bound where the direction comes back.
     used : float
         Mean period of the phase that is used; NaN when none was given.
     tone : float
         Amplitude of the tone, nT.
     agrees : bool
-        False when the two differ by more than five sigmas; True where the field cannot tell.
+        False when the two differ by more than five sigmas; True where the field shows no period.
     aliased : bool
-        The readings are slower than twice a turn of the used period: the field cannot tell.
+        The readings are slower than twice a turn of the used period: the field shows no period.
     """
 
     period: float
@@ -452,11 +519,11 @@ class PeriodCheck:
         numbers = {"value": self.period, "sigma": self.sigma, "used": self.used}
         return xr.Dataset(
             {name: ((), number, {"units": "s"}) for name, number in numbers.items()},
-            attrs={"agrees": int(self.agrees), "tone_nT": self.tone, "told": self.told()},
+            attrs={"agrees": int(self.agrees), "tone_nT": self.tone, "told": self.summary()},
         )
 
-    def told(self) -> str:
-        """Say it in a sentence."""
+    def summary(self) -> str:
+        """Return one sentence."""
         if self.aliased:
             return f"readings are too slow to tell a spin of {self.used:.6g} s"
         text = f"the field turns once in {self.period:.7g} +- {self.sigma:.2g} s"
@@ -495,24 +562,26 @@ def check_period(
         raise SamplesError(f"a field of shape {field.shape} found", remedy="give (time, 2 or 3)")
     kept = np.isfinite(field[:, :2]).all(axis=1)
     kept &= True if good is None else good
-    if np.count_nonzero(kept) < _LEAST:
+    if np.count_nonzero(kept) < PERIOD_CHECK.readings:
         raise CalibrationError(
-            f"{np.count_nonzero(kept)} readings found, at least {_LEAST} needed", remedy="take a longer span"
+            f"{np.count_nonzero(kept)} readings found, at least {PERIOD_CHECK.readings} needed",
+            remedy="take a longer span",
         )
     seconds = (stamps[kept] - stamps[kept][0]) / SECOND
     plane = field[kept, 0] + 1j * field[kept, 1]
-    # Saturated or wild readings are pulled in: one of them is white, and may stand above any tone.
-    plane = _limited(plane - np.median(plane.real) - 1j * np.median(plane.imag))
+    plane = plane - np.median(plane.real) - 1j * np.median(plane.imag)
+    size = np.abs(plane)
+    most = PERIOD_CHECK.limit * TO_SIGMA * float(np.median(size))
+    plane = np.asarray(plane * np.minimum(1.0, most / np.maximum(size, 1e-300)))
     cadence = float(np.median(np.diff(seconds)))
     used = _mean_period(stamps, phase)
     if used < 2.0 * cadence:
         nan = float("nan")
-        return PeriodCheck(nan, nan, used, nan, agrees=True, aliased=True)
-    coarse = _top(seconds, plane, cadence)
-    rate, sigma, tone = _sharpened(seconds, plane, coarse)
+        return PeriodCheck(period=nan, sigma=nan, used=used, tone=nan, agrees=True, aliased=True)
+    rate, sigma, tone = _refined_frequency(seconds, plane, _top_frequency(seconds, plane, cadence))
     period, error = 1.0 / rate, sigma / rate**2
-    agrees = np.isnan(used) or abs(used - period) <= _DOUBT * error
-    return PeriodCheck(period, error, used, tone, bool(agrees), aliased=False)
+    agrees = bool(np.isnan(used) or abs(used - period) <= PERIOD_CHECK.contradiction * error)
+    return PeriodCheck(period=period, sigma=error, used=used, tone=tone, agrees=agrees, aliased=False)
 
 
 def _mean_period(stamps: Int64, phase: Floats | None) -> float:
@@ -523,18 +592,11 @@ def _mean_period(stamps: Int64, phase: Floats | None) -> float:
     return float((stamps[known[-1]] - stamps[known[0]]) / SECOND / turns) if turns > 0 else float("nan")
 
 
-def _limited(plane: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-    """Pull far readings in to six times the usual size."""
-    size = np.abs(plane)
-    most = 6.0 * TO_SIGMA * float(np.median(size))
-    return np.asarray(plane * np.minimum(1.0, most / np.maximum(size, 1e-300)))
-
-
-def _top(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: float) -> float:
+def _top_frequency(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: float) -> float:
     """Return the frequency of the highest tone of negative frequency, Hz, on a grid four times as fine."""
     place = np.rint(seconds / cadence).astype(np.int64)
     span = int(place[-1]) + 1
-    if place.size < (1.0 - _MOST_EMPTY) * span:
+    if place.size < (1.0 - PERIOD_CHECK.empty) * span:
         raise CalibrationError(
             f"{100 * (1 - place.size / span):.0f} % of the record is gaps", remedy="take a span with fewer"
         )
@@ -546,7 +608,7 @@ def _top(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: float) -> 
     falling = power[: size // 2 : -1]
     least = max(2 * size // span, 1)
     best = least + int(np.argmax(falling[least:]))
-    if falling[best] < _STANDS_OUT * float(np.median(power)):
+    if falling[best] < PERIOD_CHECK.tone_power * float(np.median(power)):
         raise CalibrationError(
             "no tone stands out of the spin-plane field",
             remedy="see whether the field spins, which axis is the spin axis, and the sense of the spin",
@@ -554,13 +616,16 @@ def _top(seconds: Floats, plane: npt.NDArray[np.complex128], cadence: float) -> 
     return (best + 1) / (size * cadence)
 
 
-def _sharpened(seconds: Floats, plane: npt.NDArray[np.complex128], rate: float) -> tuple[float, float, float]:
+def _refined_frequency(
+    seconds: Floats, plane: npt.NDArray[np.complex128], rate: float
+) -> tuple[float, float, float]:
     """Return frequency and its sigma, Hz, and amplitude, from the phases of stretches of the record."""
-    length = max(seconds[-1] / _STRETCHES, _SHORTEST / rate)
+    length = max(seconds[-1] / PERIOD_CHECK.stretches, PERIOD_CHECK.shortest / rate)
     number = int(seconds[-1] // length)
-    if number < _FEWEST:
+    if number < PERIOD_CHECK.fewest:
         raise CalibrationError(
-            f"{seconds[-1] * rate:.1f} turns found, at least {_FEWEST * _SHORTEST:.0f} needed",
+            f"{seconds[-1] * rate:.1f} turns found,"
+            f" at least {PERIOD_CHECK.fewest * PERIOD_CHECK.shortest:.0f} needed",
             remedy="take a longer span",
         )
     stretch = np.minimum((seconds / length).astype(np.int64), number - 1)
@@ -573,32 +638,50 @@ def _sharpened(seconds: Floats, plane: npt.NDArray[np.complex128], rate: float) 
     turned = np.unwrap(np.angle(mean)) / TURN
     apart, step = np.diff(middle), np.diff(turned)
     slope = (turned[-1] - turned[0]) / (middle[-1] - middle[0])
-    left = step - slope * apart
-    # A direction that wanders walks: the ends' difference is the sum of the steps.
-    sigma = float(np.sqrt(np.sum(left**2) * left.size / max(left.size - 1, 1))) / (middle[-1] - middle[0])
-    # Even without any wander, the phases have the resolution of the arithmetic.
+    residual = step - slope * apart
+    # The field's direction is taken as a random walk: the ends' difference is the sum of the steps.
+    sigma = float(np.sqrt(np.sum(residual**2) * residual.size / max(residual.size - 1, 1)))
+    sigma = sigma / (middle[-1] - middle[0])
+    # A field of one direction leaves the resolution of the arithmetic.
     return rate - slope, max(sigma, 1e-12 * rate), float(np.mean(np.abs(mean)))
 
 
 TURN = 2.0 * np.pi
 
-#: A phase less certain than this (1 degree) is none: it leaves 2 % of the spin-plane field turning.
-LEAST_CERTAIN = float(np.deg2rad(1.0))
 
-#: Missions state their spin period to a percent; a stated one further off is called wrong.
-_NOMINAL = 0.01
+@dataclass(frozen=True, kw_only=True)
+class PhaseSettings:
+    """From marks to samples.
 
-#: Before the first and after the last mark the phase is carried on for this many turns.
-_CARRIED = 1.0
+    Attributes
+    ----------
+    max_sigma : float
+        A phase with a larger standard deviation is none, rad. Derived: 1 degree leaves 2 % of the spin-plane
+        field turning.
+    nominal : float
+        A stated period is called wrong when the marks' differs by more than this part. Assumed: missions
+        state their spin period to a percent.
+    carried : float
+        Turns for which the phase is extrapolated before the first and after the last mark. Assumed.
+    cubic_error : float
+        An error of the rate at both ends of a gap makes at most this part of it, times the gap, in the
+        middle. Derived: Hermite's cubic through both ends.
+    """
 
-#: Hermite's cubic through both ends: an error of the rate at both ends makes at most this part of it, times
-#: the gap, in the middle.
-_BENT = 0.15
+    max_sigma: float = float(np.deg2rad(1.0))
+    nominal: float = 0.01
+    carried: float = 1.0
+    cubic_error: float = 0.15
+
+
+PHASE = PhaseSettings()
 
 #: What becomes of samples where the phase jumps, and where marks are missing.
-_MOVED = "marks between jumps that come back are taken back by their size, samples there carry phase_jump"
+_CORRECTED_JUMP = (
+    "marks between jumps that come back are taken back by their size, samples there carry phase_jump"
+)
 
-_DOUBTFUL = "nothing tells which side of it is right, and samples on both carry the flag phase_jump"
+_AMBIGUOUS_JUMP = "nothing tells which side of it is right, and samples on both carry the flag phase_jump"
 
 _BRIDGED = "samples between carry the flag phase_bridged, or no_phase where that is not sure enough"
 
@@ -612,7 +695,7 @@ class Fault(NamedTuple):
     remedy: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpinPhase:
     """Phase at samples and how it was found.
 
@@ -661,11 +744,15 @@ class SpinPhase:
     def table(self) -> xr.Dataset:
         """Return the spin period at the marks with its sigma, and what lies behind each, along ``mark``."""
         table = self.marks.table()
-        table.attrs |= {"nominal_period_s": self.nominal, "reports": list(self.reports), "told": self.told()}
+        table.attrs |= {
+            "nominal_period_s": self.nominal,
+            "reports": list(self.reports),
+            "told": self.summary(),
+        }
         return table
 
-    def told(self) -> str:
-        """Say it in a sentence or more."""
+    def summary(self) -> str:
+        """Return one or more sentences: the period, the part of samples with a phase, and the faults."""
         known = 100.0 * float(self.good.mean()) if self.good.size else 0.0
         text = f"spin period {self.period:.6g} s, phase known for {known:.1f} % of {self.stamps.size} samples"
         return "; ".join((text, *self.reports))
@@ -677,7 +764,7 @@ def phase_from_pulses(
     *,
     nominal_period: float | None = None,
     mark_phase: float = 0.0,
-    certain: float = LEAST_CERTAIN,
+    max_sigma: float = PHASE.max_sigma,
 ) -> SpinPhase:
     """Return the spin phase from the times of Sun pulses.
 
@@ -692,8 +779,8 @@ def phase_from_pulses(
         interval shows is reported and not used.
     mark_phase : float
         Phase at a pulse, radians: minus the azimuth of the Sun sensor from XA.
-    certain : float
-        Samples whose phase is less certain have none, radians.
+    max_sigma : float
+        Samples whose phase has a larger standard deviation have none, radians.
 
     Returns
     -------
@@ -705,7 +792,9 @@ def phase_from_pulses(
         With fewer than three pulses, or when they show no period.
     """
     marks = np.asarray(pulses, dtype=np.int64)
-    return _from_marks(marks, np.zeros(marks.size), stamps, nominal_period, mark_phase, certain, "Sun pulse")
+    return _from_marks(
+        marks, np.zeros(marks.size), stamps, nominal_period, mark_phase, max_sigma, "Sun pulse"
+    )
 
 
 def phase_from_angle(
@@ -715,7 +804,7 @@ def phase_from_angle(
     *,
     nominal_period: float,
     sense: int = 1,
-    certain: float = LEAST_CERTAIN,
+    max_sigma: float = PHASE.max_sigma,
 ) -> SpinPhase:
     """Return the spin phase from a delivered angle, read fast or slowly, wrapped or not.
 
@@ -730,11 +819,11 @@ def phase_from_angle(
     stamps : ndarray of int64, shape (time,)
         TT2000 of the samples.
     nominal_period : float
-        Stated spin period, s. Readings alone do not tell it: an angle read every 10 s that moves on by a
+        Stated spin period, s. Readings alone do not show it: an angle read every 10 s that moves on by a
         tenth of a turn may have made any number of turns besides.
     sense : int
         1 when the angle grows with time; -1 for one counted from XA to XP.
-    certain : float
+    max_sigma : float
         As for `phase_from_pulses`.
 
     Raises
@@ -750,7 +839,7 @@ def phase_from_angle(
         )
     known = np.isfinite(angle)
     turns = (sense * angle[known] / 360.0) % 1.0
-    return _from_marks(times[known], turns, stamps, nominal_period, 0.0, certain, "angle")
+    return _from_marks(times[known], turns, stamps, nominal_period, 0.0, max_sigma, "angle")
 
 
 def phase_from_period(stamps: Int64, period: float, epoch: int, phase: float = 0.0) -> Floats:
@@ -766,7 +855,7 @@ def _from_marks(
     stamps: Int64,
     nominal: float | None,
     offset: float,
-    certain: float,
+    max_sigma: float,
     kind: str,
 ) -> SpinPhase:
     order = np.argsort(times, kind="stable")
@@ -783,34 +872,36 @@ def _from_marks(
             remedy="take a longer span, or state a period and an epoch",
         )
     seconds = (times - times[0]) / SECOND
-    period = usual_period(seconds, turns, nominal)
-    kept = believed(seconds, turns, period)
+    period = find_period(seconds, turns, nominal)
+    kept = are_consistent(seconds, turns, period)
     if np.count_nonzero(kept) < 3:
         raise CalibrationError(
             f"{times.size} {kind}s found, none of them whole turns of {period:.6g} s from its neighbours",
             remedy="see whether the times are those of one Sun sensor",
         )
-    few = np.flatnonzero(kept)
-    some = thinned(seconds[few], turns[few], period)
-    spared, few = times[few[~some]], few[some]
-    if spared.size and few.size > 2:
-        # Neighbours of a fine angle hardly move: that readings agree over a turn they show only now.
-        few = few[believed(seconds[few], turns[few], period)]
-    if few.size < 3:
+    chosen = np.flatnonzero(kept)
+    some = thin_readings(seconds[chosen], turns[chosen], period)
+    thinned_out, chosen = times[chosen[~some]], chosen[some]
+    if thinned_out.size and chosen.size > 2:
+        # Neighbours of a fine angle hardly move: only now is it seen whether readings agree over a turn.
+        chosen = chosen[are_consistent(seconds[chosen], turns[chosen], period)]
+    if chosen.size < 3:
         raise CalibrationError(
             f"{times.size} {kind}s found, of {seconds[-1] / period:.2g} turns or not {period:.6g} s a turn",
             remedy="take a span of several turns",
         )
-    counted = count_turns(times[few], turns[few], period)
-    marks = steadied(counted)
-    wrong = np.setdiff1d(times, np.concatenate([marks.time, spared]))
+    counted = count_turns(times[chosen], turns[chosen], period)
+    marks = correct_jumps(counted)
+    used = np.zeros(times.size, dtype=bool)
+    used[np.searchsorted(times, np.concatenate([marks.time, thinned_out]))] = True
+    wrong = times[~used]
     spurious = int(np.count_nonzero((wrong >= stamps.min()) & (wrong <= stamps.max()))) if stamps.size else 0
     if spurious:
         found = f"{spurious} spurious {kind}s dropped"
         faults.append(Fault(found, "see what else the Sun sensor saw; the rest tells the phase without them"))
-    held = _turns_between(marks, stamps)
-    faults += _faults(counted, held, nominal, kind) + _jumps(marks, held)
-    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, certain, nominal, kind, faults)
+    covered = _turns_between(marks, stamps)
+    faults += _mark_faults(counted, covered, nominal, kind) + _jump_faults(marks, covered)
+    return _at_samples(marks, np.asarray(stamps, dtype=np.int64), offset, max_sigma, nominal, kind, faults)
 
 
 def _turns_between(marks: Marks, stamps: Int64) -> Floats:
@@ -828,23 +919,17 @@ def _turns_between(marks: Marks, stamps: Int64) -> Floats:
     return np.where(there, (ordered[last] - ordered[first]) / SECOND * marks.rate[:-1], -1.0)
 
 
-def _faults(marks: Marks, held: Floats, nominal: float | None, kind: str) -> list[Fault]:
-    """Say what the marks about the samples show that should not be.
-
-    Parameters
-    ----------
-    held : ndarray, shape (mark - 1,)
-        See `_turns_between`.
-    """
+def _mark_faults(marks: Marks, covered: Floats, nominal: float | None, kind: str) -> list[Fault]:
+    """Return what is wrong with the marks around the samples; `covered` is of `_turns_between`."""
     faults = []
     usual = float(np.median(marks.period))
-    if nominal is not None and abs(usual / nominal - 1.0) > _NOMINAL:
+    if nominal is not None and abs(usual / nominal - 1.0) > PHASE.nominal:
         found = f"the stated spin period of {nominal:.6g} s is wrong: {usual:.6g} s seen"
         faults.append(Fault(found, f"state 'spin: {usual:.6g} s' under the mission's periods"))
-    missing = int(np.minimum(marks.lacking, np.floor(np.maximum(held, 0.0))).sum())
+    missing = int(np.minimum(marks.missing_turns, np.floor(np.maximum(covered, 0.0))).sum())
     if kind == "Sun pulse" and missing:
         faults.append(Fault(f"{missing} Sun pulses missing", f"deliver them; {_BRIDGED}"))
-    lost = np.flatnonzero(marks.uncounted & (held > 2.0 * _CARRIED))
+    lost = np.flatnonzero(marks.uncountable & (covered > 2.0 * PHASE.carried))
     if lost.size:
         longest = float((np.diff(marks.time)[lost] / SECOND).max())
         found = f"{lost.size} gap(s) too long to count turns, the longest {longest:.0f} s"
@@ -852,17 +937,17 @@ def _faults(marks: Marks, held: Floats, nominal: float | None, kind: str) -> lis
     return faults
 
 
-def _jumps(marks: Marks, held: Floats) -> list[Fault]:
-    """Say where the phase jumps: the first ten places, and how many more there are."""
-    places = np.flatnonzero(marks.jumped & (held >= 0.0))
-    touched = marks.moved | marks.doubtful
-    if not places.size and not np.any((touched[1:] | touched[:-1]) & (held >= 0.0)):
+def _jump_faults(marks: Marks, covered: Floats) -> list[Fault]:
+    """Return where the phase jumps: the first ten places, and how many more there are."""
+    places = np.flatnonzero(marks.jumped & (covered >= 0.0))
+    touched = marks.shifted | marks.ambiguous
+    if not places.size and not np.any((touched[1:] | touched[:-1]) & (covered >= 0.0)):
         return []
     remedy = "see the Sun sensor and its clock; "
-    remedy += _DOUBTFUL if marks.doubtful.any() else _MOVED
+    remedy += _AMBIGUOUS_JUMP if marks.ambiguous.any() else _CORRECTED_JUMP
     found = []
     for place in places[:10]:
-        size, when = 360.0 * marks.left[place], utc_text(int(marks.time[place]))
+        size, when = 360.0 * marks.residual[place], utc_text(int(marks.time[place]))
         found.append(Fault(f"the phase jumps by {size:+.2f} degrees after {when}", remedy))
     if not found:
         found.append(Fault("the phase jumps before or after the samples", remedy))
@@ -873,12 +958,12 @@ def _at_samples(
     marks: Marks,
     stamps: Int64,
     offset: float,
-    certain: float,
+    max_sigma: float,
     nominal: float | None,
     kind: str,
     faults: list[Fault],
 ) -> SpinPhase:
-    """Carry the phase from the marks to the samples."""
+    """Interpolate the phase from the marks to the samples."""
     place = np.clip(np.searchsorted(marks.time, stamps, side="right") - 1, 0, marks.time.size - 2)
     apart = np.diff(marks.time) / SECOND
     share = ((stamps - marks.time[place]) / SECOND) / apart[place]
@@ -888,23 +973,27 @@ def _at_samples(
     sigma = np.full(stamps.size, marks.sigma)
     bridged = (marks.gap[place]) & (share > 0) & (share < 1)
     at = place[bridged]
-    phase[bridged] += _bend(share[bridged], apart[at], marks.rate[at], marks.rate[at + 1], advance[bridged])
-    sigma[bridged] = np.hypot(sigma[bridged], _BENT * marks.unsure[at])
+    # What a cubic with the rates at both ends has above the straight line.
+    before = marks.rate[at] * apart[at] - advance[bridged]
+    after = marks.rate[at + 1] * apart[at] - advance[bridged]
+    inside = share[bridged]
+    phase[bridged] += inside * (1.0 - inside) * ((1.0 - inside) * before - inside * after)
+    sigma[bridged] = np.hypot(sigma[bridged], PHASE.cubic_error * marks.predicted_sigma[at])
     flag[bridged] |= np.uint32(Flag.PHASE_BRIDGED)
-    # In a gap whose turns cannot be counted the phase is carried on as before the first and after the last.
-    outside = (share < 0) | (share > 1) | (marks.uncounted[place] & (share > 0) & (share < 1))
+    # In a gap whose turns cannot be counted the phase is extrapolated as before the first and after the last.
+    outside = (share < 0) | (share > 1) | (marks.uncountable[place] & (share > 0) & (share < 1))
     end = np.where(share < 0.5, place, place + 1)
     since = (stamps - marks.time[end]) / SECOND * marks.rate[end]
     phase = np.where(outside, marks.turn[end] + since, phase)
     flag[outside] |= np.uint32(Flag.PHASE_BRIDGED)
     jump = marks.jumped[place] & (share > 0) & (share < 1)
-    touched = marks.moved | marks.doubtful
+    touched = marks.shifted | marks.ambiguous
     flag[jump] |= np.uint32(Flag.PHASE_JUMP)
     flag[touched[place] | (touched[place + 1] & (share >= 1))] |= np.uint32(Flag.PHASE_JUMP)
-    sigma[marks.moved[place]] = np.hypot(
-        sigma[marks.moved[place]], np.hypot.reduce(marks.unsure[marks.jumped])
+    sigma[marks.shifted[place]] = np.hypot(
+        sigma[marks.shifted[place]], np.hypot.reduce(marks.predicted_sigma[marks.jumped])
     )
-    bad = jump | (outside & (np.abs(since) > _CARRIED)) | (TURN * sigma > certain)
+    bad = jump | (outside & (np.abs(since) > PHASE.carried)) | (TURN * sigma > max_sigma)
     flag[bad] &= ~np.uint32(Flag.PHASE_BRIDGED)
     flag[bad] |= np.uint32(Flag.NO_PHASE)
     beyond = int(np.count_nonzero(bad & (stamps < marks.time[0]) | bad & (stamps > marks.time[-1])))
@@ -916,10 +1005,12 @@ def _at_samples(
         found = f"no sample has a phase; marks scatter by {360 * marks.sigma:.2g} degrees"
         faults.append(Fault(found, f"see whether the times are those of one Sun sensor; {_UNKNOWN}"))
     stated = float("nan") if nominal is None else float(nominal)
-    return SpinPhase(stamps, phase, TURN * sigma, flag, marks, stated, tuple(faults))
-
-
-def _bend(share: Floats, apart: Floats, first: Floats, last: Floats, advance: Floats) -> Floats:
-    """Return what a cubic with the rates at both ends has above the straight line; turns."""
-    before, after = first * apart - advance, last * apart - advance
-    return np.asarray(share * (1.0 - share) * ((1.0 - share) * before - share * after))
+    return SpinPhase(
+        stamps=stamps,
+        phase=phase,
+        sigma=TURN * sigma,
+        flag=flag,
+        marks=marks,
+        nominal=stated,
+        faults=tuple(faults),
+    )

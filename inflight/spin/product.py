@@ -1,4 +1,10 @@
-"""Level-2 of a turning sensor: the field in turning and in payload axes, with uncertainty and quality."""
+"""The level-2 product of a spinning sensor: the field in turning, payload, GSE and GSM axes.
+
+Takes: samples that the model has corrected, the readings of the sensor's own equation, the twelve parameters
+with their covariance, and the attitude. Makes (`make_spin_product`): the product with its uncertainty, what
+each effect took out, and quality flags. Despinning is eq. (1) of Farrell et al. (1995); the uncertainty is
+that of the parameters of eq. (9) of Plaschke et al. (2019), to first order.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +14,10 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.effects import coupling
 from inflight.flags import UNUSABLE, Flag, meanings
 from inflight.frames import gse_to_gsm, payload_to_gse
 from inflight.model import Model
-from inflight.spin.equation import NAMES, TwelveParameters
+from inflight.spin.equation import NAMES, CalibrationParameters
 from inflight.spin.fits import despin
 from inflight.time import Int64
 
@@ -30,19 +35,19 @@ class Attitude:
     ----------
     axis : ndarray, shape (time, 3)
         Of the rotation, right-handed; NaN where it is not known.
-    towards : ndarray, shape (time, 3)
+    sunward : ndarray, shape (time, 3)
         To the Sun as the spacecraft sees it.
     """
 
     axis: Floats
-    towards: Floats
+    sunward: Floats
 
 
-def spin_level2(
+def make_spin_product(
     model: Model,
     corrected: xr.Dataset,
     readings: Floats,
-    twelve: TwelveParameters,
+    parameters: CalibrationParameters,
     covariance: Floats,
     attitude: Attitude | None = None,
 ) -> xr.Dataset:
@@ -55,9 +60,9 @@ def spin_level2(
     corrected : xarray.Dataset
         Samples as measured, not folded, with `spin_phase`, that the model has corrected.
     readings : ndarray, shape (time, axis)
-        Of the sensor's equation alone, nT: everything else is taken out.
-    twelve : TwelveParameters
-        That hold for the day.
+        Of the sensor's equation alone, nT: all other effects are taken out.
+    parameters : CalibrationParameters
+        Those of the day.
     covariance : ndarray, shape (12, 12)
     attitude : Attitude, optional
         Without one there are no `field_gse` and `field_gsm`.
@@ -66,9 +71,9 @@ def spin_level2(
     -------
     xarray.Dataset
         `field_sensor` (time, axis) nT in axes that turn with the spacecraft, z along the spin axis;
-        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `uncertainty`
+        `field_payload` despun; `spin_phase` (time) rad; ``correction_<effect>`` nT; `field_uncertainty`
         (time, axis) nT, one sigma of the parameters, turning axes; `flag` (time) uint32. Without a phase
-        `field_payload` is NaN and the flag says so. With an attitude `field_gse`, `field_gsm` (time, axis)
+        `field_payload` is NaN and the flag is set. With an attitude `field_gse`, `field_gsm` (time, axis)
         nT; samples without one carry ``NO_ATTITUDE``.
     """
     flipped = np.asarray(corrected["flag"].values & np.uint32(Flag.FLIPPED)) > 0
@@ -78,10 +83,10 @@ def spin_level2(
     flag[~np.isfinite(phase)] |= np.uint32(Flag.NO_PHASE)
     lost = ~np.isfinite(field).all(axis=1)
     flag[lost & (flag & np.uint32(UNUSABLE) == 0)] |= np.uint32(Flag.CHANNEL_MISSING)
-    told = {"units": "nT", "long_name": "calibrated field"}
+    attributes = {"units": "nT", "long_name": "calibrated field"}
     variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, object]]] = {
-        "field_sensor": (_VECTOR, field, {**told, "frame": "spin-aligned, turning"}),
-        "field_payload": (_VECTOR, despin(field, phase), {**told, "frame": "payload"}),
+        "field_sensor": (_VECTOR, field, {**attributes, "frame": "spin-aligned, turning"}),
+        "field_payload": (_VECTOR, despin(field, phase), {**attributes, "frame": "payload"}),
         "spin_phase": (
             _SCALAR,
             np.mod(phase, 2.0 * np.pi),
@@ -89,7 +94,7 @@ def spin_level2(
         ),
         "uncertainty": (
             _VECTOR,
-            uncertainty(readings, twelve, covariance),
+            field_uncertainty(readings, parameters, covariance),
             {"units": "nT", "long_name": "one sigma of the calibration", "frame": "spin-aligned, turning"},
         ),
     }
@@ -113,27 +118,27 @@ def _geocentric(
     lost = np.uint32(Flag.NO_ATTITUDE)
     if attitude is None:
         return np.full(tt2000.size, lost)
-    gse = payload_to_gse(variables["field_payload"][1], attitude.axis, attitude.towards)
+    gse = payload_to_gse(variables["field_payload"][1], attitude.axis, attitude.sunward)
     for name, field in (("gse", gse), ("gsm", gse_to_gsm(gse, tt2000))):
-        told: dict[str, object] = {"units": "nT", "long_name": "calibrated field", "frame": name}
-        variables[f"field_{name}"] = (_VECTOR, field, told)
-    known = np.isfinite(payload_to_gse(np.ones_like(gse), attitude.axis, attitude.towards)).all(axis=1)
+        attributes: dict[str, object] = {"units": "nT", "long_name": "calibrated field", "frame": name}
+        variables[f"field_{name}"] = (_VECTOR, field, attributes)
+    known = np.isfinite(payload_to_gse(np.ones_like(gse), attitude.axis, attitude.sunward)).all(axis=1)
     return np.where(known, np.uint32(0), lost)
 
 
-def uncertainty(readings: Floats, twelve: TwelveParameters, covariance: Floats) -> Floats:
-    """Return what the parameters' errors make of each component; (time, 3) nT.
+def field_uncertainty(readings: Floats, parameters: CalibrationParameters, covariance: Floats) -> Floats:
+    """Return the standard deviation of each component by the parameters' errors; (time, 3) nT.
 
     The field is linear in the readings, so the derivative by each parameter is one matrix and one shift.
     """
     rows = []
     for name, step in _STEPS.items():
         up, down = (
-            twelve.changed({name: float(twelve.values()[NAMES.index(name)] + sign * step)})
+            parameters.changed({name: float(parameters.values()[NAMES.index(name)] + sign * step)})
             for sign in (1.0, -1.0)
         )
-        matrix = (_matrix(up) - _matrix(down)) / (2.0 * step)
-        shift = (_matrix(up) @ up.offset - _matrix(down) @ down.offset) / (2.0 * step)
+        matrix = (up.matrix() - down.matrix()) / (2.0 * step)
+        shift = (up.matrix() @ up.offset - down.matrix() @ down.offset) / (2.0 * step)
         rows.append(np.column_stack([matrix, -shift]))
     derivative = np.stack(rows)
     # Of each component a quadratic form of (reading, 1): four numbers squared, whatever the parameters.
@@ -143,16 +148,3 @@ def uncertainty(readings: Floats, twelve: TwelveParameters, covariance: Floats) 
         [np.einsum("ti,ij,tj->t", known, form, known, optimize=True) for form in forms], axis=1
     )
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _matrix(one: TwelveParameters) -> Floats:
-    found, _ = coupling(
-        one.gain_ratio,
-        one.spin_plane_gain,
-        one.axial_gain,
-        one.elevation,
-        one.azimuth,
-        one.spin_axis,
-        one.rotation,
-    )
-    return np.asarray(found)

@@ -1,15 +1,17 @@
-"""Tones at once and twice the spin.
+"""Tones at the spin and at twice the spin, of Bz and of the spin-plane modulus, with their natural noise.
 
-Sums over blocks of spins: all that tones, their noise and their derivatives need of the samples.
+Takes: readings, spin phase, blocks (`inflight.spin.intervals`) and the parameters the readings are corrected
+with. Makes (`measure_tones`): `SpinTones`, the tones of every sub-interval with their noise, and the same
+tones of the derivatives of Bz and the modulus by each parameter: estimates then need no more of the samples.
 
-Tones at the spin and at twice the spin of Bz and of the spin-plane modulus, with their natural noise.
+The field is not despun (Plaschke et al. 2019, section 5.3). In each block a line is taken out, and the tones
+are fitted to the rest, so that gaps and uneven sampling do no harm; for whole, evenly sampled spins they are
+the paper's Fourier components ``(2/N) sum x exp(-i w t)``, without a window. The noise is that of
+neighbouring frequencies: 85, 115 and 185, 215 % of the spin's over whole sub-intervals, as published, and
+nearer ones in each block. ``F2p``, ``Fp`` and ``Fa`` of table 2 are the larger of two neighbours.
 
-The field is not despun (Plaschke et al. 2019, section 5.3). Each block of spins loses a line of its own, and
-the tones are fitted to what is left, so that gaps and uneven sampling do no harm; for whole evenly sampled
-spins they are the paper's Fourier components ``(2/N) sum x exp(-i w t)``. The same sums are made of the
-derivatives of Bz and the modulus by each parameter: estimates then need no more of the samples.
-
-Tones of a record from pass to pass: where offsets are as large as the field, spins are averaged first.
+From pass to pass (`initial_tones`, `updated_tones`): where offsets are as large as the field, spins are
+averaged first; after a small step only the tones of Bz and the modulus are made anew.
 """
 
 from __future__ import annotations
@@ -20,14 +22,14 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, TooLittleError
-from inflight.spin.equation import TwelveParameters
-from inflight.spin.intervals import WIDEST_STEP, Bools, Layout
+from inflight.spin.equation import CalibrationParameters
+from inflight.spin.intervals import WIDEST_STEP, BlockLayout, Bools
 from inflight.spin.kernels import LINES, NEIGHBOURS, SERIES, TONES, M, U, V, Z, sum_blocks, sum_tones
 from inflight.time import Int64
 
 
 def block_sums(
-    readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters
+    readings: Floats, phase: Floats, layout: BlockLayout, parameters: CalibrationParameters
 ) -> tuple[Floats, Floats, Floats]:
     """Return the sums of all blocks.
 
@@ -38,23 +40,25 @@ def block_sums(
     inner = np.empty((count, LINES + TONES, LINES + TONES + NEIGHBOURS + len(SERIES)))
     sums = inner, np.empty((count, NEIGHBOURS, 2)), np.empty((count, 5))
     record = np.asarray(readings, dtype=np.float64), np.asarray(phase, dtype=np.float64), layout.good
-    sum_blocks(*record, _cut(layout), _correction(parameters), layout.settings.distances, sums)
+    sum_blocks(*record, _blocks(layout), _correction(parameters), layout.settings.distances, sums)
     return sums
 
 
-def tone_sums(readings: Floats, phase: Floats, layout: Layout, parameters: TwelveParameters) -> Floats:
+def tone_sums(
+    readings: Floats, phase: Floats, layout: BlockLayout, parameters: CalibrationParameters
+) -> Floats:
     """Return sums of lines and tones times themselves, Bz and modulus; (block, 6, 8)."""
     inner = np.empty((layout.start.size, LINES + TONES, LINES + TONES + 2))
     record = np.asarray(readings, dtype=np.float64), np.asarray(phase, dtype=np.float64), layout.good
-    sum_tones(*record, _cut(layout), _correction(parameters), inner)
+    sum_tones(*record, _blocks(layout), _correction(parameters), inner)
     return inner
 
 
-def _cut(layout: Layout) -> tuple[Int64, Int64, float]:
+def _blocks(layout: BlockLayout) -> tuple[Int64, Int64, float]:
     return layout.start, layout.stop, layout.settings.turn
 
 
-def _correction(parameters: TwelveParameters) -> tuple[Floats, Floats]:
+def _correction(parameters: CalibrationParameters) -> tuple[Floats, Floats]:
     return parameters.matrix(), np.array(parameters.offset)
 
 
@@ -65,31 +69,50 @@ def _slopes(inner: Floats, known: Bools) -> Floats:
 
 
 def without_lines(inner: Floats, known: Bools) -> Floats:
-    """Return the sums (block, 4, column) of tones times what a line in each block leaves of the columns."""
+    """Return the sums (block, 4, column) of tones times the columns without their line in each block."""
     crossed = inner[:, :LINES, LINES : LINES + TONES].transpose(0, 2, 1)
     tones = inner[:, LINES:] - crossed @ _slopes(inner, known)
     return np.where(known[:, None, None], tones, 0.0)[:, :, LINES:]
 
 
-def beside_without_lines(inner: Floats, beside: Floats, known: Bools) -> Floats:
-    """Return the sums (block, 16, 2) of neighbours times what a line leaves of Bz and modulus."""
+def neighbours_without_lines(inner: Floats, neighbours: Floats, known: Bools) -> Floats:
+    """Return the sums (block, 16, 2) of neighbours times Bz and modulus without their line."""
     both = _slopes(inner, known)[:, :, [Z - len(SERIES), M - len(SERIES)]]
     near = slice(LINES + TONES, -len(SERIES))
-    rest = beside - inner[:, :LINES, near].transpose(0, 2, 1) @ both
+    rest = neighbours - inner[:, :LINES, near].transpose(0, 2, 1) @ both
     return np.where(known[:, None, None], rest, 0.0)
 
 
-#: Derivatives hold while the field changes by less than this part.
-_SMALL = 0.01
+@dataclass(frozen=True, kw_only=True)
+class ToneSettings:
+    """Limits of tones.
 
-#: The direction of the field must keep this much of its turn with the phase: less is another period.
-_COHERENT = 0.5
+    Attributes
+    ----------
+    small : float
+        Derivatives hold while the field changes by less than this part. Assumed.
+    coherent : float
+        The direction of the field must keep this much of its turn with the phase: less is another period.
+        Assumed.
+    large : float
+        Above this part of the field an offset makes the modulus too nonlinear for one linear step. Assumed.
+    low : float
+        Part of the sub-intervals, those of least axial field, in which elevations matter least. Assumed.
+    """
+
+    small: float = 0.01
+    coherent: float = 0.5
+    large: float = 0.2
+    low: float = 0.25
+
+
+TONE_LIMITS = ToneSettings()
 
 #: Why a sub-interval below that is left out.
 NOT_TURNING = "not turning with the phase"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpinTones:
     """Tones of every sub-interval at some parameters; sub-intervals without any are NaN.
 
@@ -116,7 +139,7 @@ class SpinTones:
         Why sub-intervals are left out.
     known : ndarray of bool, shape (block,)
         Blocks with samples enough for a line of their own.
-    parameters : TwelveParameters
+    parameters : CalibrationParameters
     blocks : int
         A sub-interval shares blocks with this many before and after, itself included.
     """
@@ -134,25 +157,25 @@ class SpinTones:
     mean: Floats
     excluded: tuple[tuple[str, Bools], ...]
     known: Bools
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
     blocks: int
 
     @property
     def usable(self) -> Bools:
-        """Sub-intervals that nothing speaks against; (sub,)."""
+        """Sub-intervals that are not left out; (sub,)."""
         bad = np.zeros(self.start.size, dtype=np.bool_)
         for _, hit in self.excluded:
             bad |= hit
         return ~bad
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """Return how many sub-intervals there are and why some are left out."""
         lost = ", ".join(f"{int(hit.sum())} {name}" for name, hit in self.excluded if hit.any())
         return f"{int(self.usable.sum())} of {self.start.size} sub-intervals" + (f"; {lost}" if lost else "")
 
 
-def spin_tones(
-    readings: Floats, phase: Floats, stamps: Int64, layout: Layout, parameters: TwelveParameters
+def measure_tones(
+    readings: Floats, phase: Floats, stamps: Int64, layout: BlockLayout, parameters: CalibrationParameters
 ) -> SpinTones:
     """Return the tones of a record under some parameters.
 
@@ -166,7 +189,7 @@ def spin_tones(
         TT2000.
     layout : Layout
         From `lay_out` of the same record.
-    parameters : TwelveParameters
+    parameters : CalibrationParameters
         The readings are corrected with these.
 
     """
@@ -174,20 +197,20 @@ def spin_tones(
 
 
 def corrected_tones(
-    readings: Floats, phase: Floats, layout: Layout, before: SpinTones, parameters: TwelveParameters
+    readings: Floats, phase: Floats, layout: BlockLayout, before: SpinTones, parameters: CalibrationParameters
 ) -> SpinTones:
     """Return tones of Bz and of the modulus under other parameters, and all else as it was before.
 
-    A third of the work of `spin_tones`. Derivatives and noise change by the relative change of the field
-    only: for small steps (see `small_step`) they hold.
+    A third of the work of `measure_tones`. Derivatives and noise change by the relative change of the field
+    only: for small steps (see `is_small_step`) they hold.
 
     Parameters
     ----------
     readings, phase, layout
-        As for `spin_tones`.
+        As for `measure_tones`.
     before : SpinTones
         Of the same record and layout.
-    parameters : TwelveParameters
+    parameters : CalibrationParameters
     """
     sums = tone_sums(readings, phase, layout, parameters)
     lost = np.isnan(before.tones[:, 0, Z])
@@ -200,16 +223,23 @@ def corrected_tones(
     return replace(before, tones=tones, parameters=parameters)
 
 
-def small_step(before: SpinTones, parameters: TwelveParameters) -> bool:
+def is_small_step(before: SpinTones, parameters: CalibrationParameters) -> bool:
     """Return True when new parameters change the field by less than 1 %, the spin-plane offsets included."""
     turned = np.abs(parameters.matrix() @ np.linalg.inv(before.parameters.matrix()) - np.eye(3)).max()
     shifted = np.abs(np.subtract(parameters.offset, before.parameters.offset)).max()
     least = before.least_modulus[before.usable]
-    return bool(turned < _SMALL and shifted < _SMALL * float(np.median(least))) if least.size else False
+    if not least.size:
+        return False
+    return bool(turned < TONE_LIMITS.small and shifted < TONE_LIMITS.small * float(np.median(least)))
 
 
 def _of_blocks(
-    layout: Layout, stamps: Int64, parameters: TwelveParameters, inner: Floats, beside: Floats, levels: Floats
+    layout: BlockLayout,
+    stamps: Int64,
+    parameters: CalibrationParameters,
+    inner: Floats,
+    neighbours: Floats,
+    levels: Floats,
 ) -> SpinTones:
     """Return the tones of all sub-intervals from the sums of blocks."""
     settings = layout.settings
@@ -218,16 +248,16 @@ def _of_blocks(
     filled = np.minimum(layout.over_blocks(covered).mean(axis=1) * (1.0 + 0.5 / settings.spins), 1.0)
     enough = filled >= settings.filled
     known = covered > 0.1
-    rest = without_lines(inner, known), beside_without_lines(inner, beside, known)
+    rest = without_lines(inner, known), neighbours_without_lines(inner, neighbours, known)
     windows = [layout.over_blocks(one) for one in rest]
     summed = windows[0].sum(axis=1)
     gram = np.where(enough[:, None, None], summed[:, :, :TONES], np.eye(TONES))
     tones = np.linalg.solve(gram, summed[:, :, -len(SERIES) :])
-    # What the neighbours see beyond the tones themselves.
+    # The neighbours' sums without the tones themselves.
     crossed = windows[0][..., TONES : -len(SERIES)]
-    left = windows[1] - np.einsum("sbte,std->sbed", crossed, tones[:, :, [Z, M]])
+    residual = windows[1] - np.einsum("sbte,std->sbed", crossed, tones[:, :, [Z, M]])
     count = layout.over_blocks(levels[:, 0]).sum(axis=1)
-    noise, amplitude = _noise(left, np.maximum(count, 1.0))
+    noise, amplitude = _noise(residual, np.maximum(count, 1.0))
     coherence = 0.5 * np.hypot(tones[:, 0, U] - tones[:, 1, V], tones[:, 1, U] + tones[:, 0, V])
     low, high = layout.over_blocks(layout.start)[:, 0], layout.over_blocks(layout.stop)[:, -1]
     nan = np.where(enough, 0.0, np.nan)
@@ -248,7 +278,7 @@ def _of_blocks(
         excluded=(
             ("too few samples", ~enough),
             *layout.excluded(),
-            (NOT_TURNING, enough & (coherence < _COHERENT)),
+            (NOT_TURNING, enough & (coherence < TONE_LIMITS.coherent)),
         ),
         known=known,
         parameters=parameters,
@@ -256,28 +286,28 @@ def _of_blocks(
     )
 
 
-def _noise(left: Floats, count: Floats) -> tuple[Floats, Floats]:
-    """Return noise and amplitudes (sub, 3) from what neighbours see in each block; (sub, block, 16, 2).
+def _noise(residual: Floats, count: Floats) -> tuple[Floats, Floats]:
+    """Return noise and amplitudes (sub, 3) from the neighbours in each block; (sub, block, 16, 2).
 
     The far neighbours are taken over the sub-interval, the near ones in its blocks, whose squares add up
     whichever way they are turned: of two blocks 4 and 8 squares for a variance instead of the paper's 4.
     """
     far, near, amplitude = [], [], []
     # tone, distance, side, cos or sin
-    shaped = left.reshape(*left.shape[:2], 2, 2, 2, 2, 2)
+    shaped = residual.reshape(*residual.shape[:2], 2, 2, 2, 2, 2)
     for tone, series in ((0, 0), (0, 1), (1, 1)):
         one = shaped[:, :, tone, ..., series]
         whole = (one[:, :, 0].sum(axis=1) ** 2).sum(axis=2)  # sub, side
         amplitude.append(np.sqrt(whole.max(axis=1)))
         far.append(0.25 * whole.sum(axis=1))
         near.append(0.25 * (one[:, :, 1] ** 2).sum(axis=(1, 2, 3)))
-    blocks = left.shape[1]
+    blocks = residual.shape[1]
     square = (np.stack(far, axis=1) + blocks * np.stack(near, axis=1)) / (1 + blocks)
     half = 0.5 * count[:, None]
     return np.sqrt(square) / half, np.stack(amplitude, axis=1) / half
 
 
-def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Layout) -> None:
+def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: BlockLayout) -> None:
     """Check that the field turns with the phase and that there is something to fit.
 
     Raises
@@ -303,7 +333,7 @@ def check_turning(found: SpinTones, readings: Floats, phase: Floats, layout: Lay
         )
     if not found.usable.any():
         raise TooLittleError(
-            f"no sub-interval is usable: {found.told()}",
+            f"no sub-interval is usable: {found.summary()}",
             remedy="take a longer span, fewer spins a sub-interval, or look at flags and exclusions",
         )
 
@@ -322,20 +352,13 @@ def turn_ratio(field: Floats, phase: Floats, good: Bools) -> float:
     angle = np.arctan2(-field[good, 1], field[good, 0])
     turned = np.diff(angle)
     turned = (turned + np.pi) % (2.0 * np.pi) - np.pi
-    told = np.diff(phase[good])
-    use = (told > 0.0) & (told < WIDEST_STEP)
-    return float(np.median(turned[use] / told[use])) if use.any() else float("nan")
+    step = np.diff(phase[good])
+    use = (step > 0.0) & (step < WIDEST_STEP)
+    return float(np.median(turned[use] / step[use])) if use.any() else float("nan")
 
 
-#: Above this part of the field an offset bends the modulus too much for one linear step.
-_LARGE = 0.2
-
-#: The part of the sub-intervals with the least axial field, in which elevations say least.
-_LOW = 0.25
-
-
-def first_tones(
-    readings: Floats, phase: Floats, stamps: Int64, layout: Layout, present: TwelveParameters
+def initial_tones(
+    readings: Floats, phase: Floats, stamps: Int64, layout: BlockLayout, present: CalibrationParameters
 ) -> SpinTones:
     """Return tones at the present parameters, the offsets guessed anew where they are large.
 
@@ -346,34 +369,33 @@ def first_tones(
     CalibrationError
         Nothing usable, or the field does not turn with the phase.
     """
-    tones = spin_tones(readings, phase, stamps, layout, present)
-    hidden = {"not turning with the phase"}
+    tones = measure_tones(readings, phase, stamps, layout, present)
     kept = np.isfinite(tones.mean).all(axis=1)
     for name, hit in tones.excluded:
-        if name not in hidden:
+        if name != NOT_TURNING:
             kept &= ~hit
     if kept.any():
         axial = np.where(kept, tones.largest_axial, np.inf)
-        low = axial <= np.quantile(axial[kept], _LOW)
+        low = axial <= np.quantile(axial[kept], TONE_LIMITS.low)
         mean = np.median(tones.mean[low], axis=0)
         cross = np.median(np.hypot(*tones.tones[low, :2, SERIES.index("x")].T))
-        if np.hypot(*mean) > _LARGE * cross:
+        if np.hypot(*mean) > TONE_LIMITS.large * cross:
             plane = np.linalg.solve(present.matrix(), np.array([mean[0], mean[1], 0.0]))
             moved = {f"offset[{at + 1}]": present.offset[at] + float(plane[at]) for at in range(2)}
-            tones = spin_tones(readings, phase, stamps, layout, present.changed(moved))
+            tones = measure_tones(readings, phase, stamps, layout, present.changed(moved))
     check_turning(tones, readings, phase, layout)
     return tones
 
 
-def next_tones(
+def updated_tones(
     readings: Floats,
     phase: Floats,
     stamps: Int64,
-    layout: Layout,
+    layout: BlockLayout,
     before: SpinTones,
-    parameters: TwelveParameters,
+    parameters: CalibrationParameters,
 ) -> SpinTones:
     """Return tones at new parameters: all of them, or after a small step those of Bz and modulus alone."""
-    if small_step(before, parameters):
+    if is_small_step(before, parameters):
         return corrected_tones(readings, phase, layout, before, parameters)
-    return spin_tones(readings, phase, stamps, layout, parameters)
+    return measure_tones(readings, phase, stamps, layout, parameters)

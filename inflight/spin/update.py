@@ -1,21 +1,16 @@
-"""Replace values in use, table of twelve.
+"""Which values are used: updates from interval to interval, and the table of all twelve parameters.
 
-Whether a new estimate should replace the value in use, each parameter on its own.
+Takes: every interval's estimate of the eight spin-related parameters with its covariance, the values in use,
+and values from elsewhere (the offset along the spin axis, the ground). Makes: `Decision` on each parameter,
+the next `ValuesInUse`, and `ParameterTable` with where each of the twelve came from.
 
-An update that is no better known than what it replaces, or that moves it by less than its own error, only
-adds jitter (Plaschke et al. 2019, sections 6 and 8).
+An update that is no better known than what it replaces, or that changes it by less than its own error, only
+adds jitter (Plaschke et al. 2019, sections 6 and 8). Offset and elevation of a sensor share one tone (eq. 21)
+and are separated poorly: they are decided together, by their common covariance. What is replaced is the
+estimate given everything that is kept: else a tone that both share would come back.
 
-The values in use, interval by interval: replaced only where an interval warrants it.
-
-Each interval's estimate is held against the values in use (`inflight.spin.update`). Offset and elevation of
-a sensor share one tone (Plaschke et al. 2019, eq. 21) and are told apart poorly: they are decided together,
-on their common covariance. What is replaced is the estimate given everything that is kept: else a tone that
-both share would come back.
-
-One table of all twelve parameters, with where each came from.
-
-The spin tells eight of them. The offset along the spin axis comes from nature's statistics, gains and the
-turn about the spin axis from the ground or from a model of the Earth's field.
+The spin determines eight of the twelve. The offset along the spin axis comes from `inflight.zero_level`,
+gains and the rotation about the spin axis from the ground or from a model of the Earth's field.
 """
 
 from __future__ import annotations
@@ -31,20 +26,33 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, TwelveParameters
+from inflight.spin.equation import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
 from inflight.spin.intervals import Bools
 
 Verdict = Literal["update", "confirm", "keep"]
 
-#: A change counts from this many standard deviations on.
-SIGNIFICANCE = 3.0
 
-#: A value is known well better with this part of the other's error. Of two that are known alike the
-#: difference scatters by more than the error of one: every thirtieth would be replaced by noise.
-WELL_BETTER = 0.5
+@dataclass(frozen=True, kw_only=True)
+class UpdateSettings:
+    """When a value in use is replaced.
+
+    Attributes
+    ----------
+    significance : float
+        A change counts from this many standard deviations on. Level of significance: 0.3 %.
+    well_better : float
+        A value is known well better with this part of the other's error. Derived: of two that are known alike
+        the difference scatters by more than the error of one: every thirtieth would be replaced by noise.
+    """
+
+    significance: float = 3.0
+    well_better: float = 0.5
 
 
-@dataclass(frozen=True)
+UPDATES = UpdateSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Decision:
     """What becomes of one parameter.
 
@@ -54,7 +62,7 @@ class Decision:
     present, present_sigma, new, sigma : float
         Value in use, its uncertainty, and the new estimate with its own.
     verdict : {"update", "confirm", "keep"}
-        Take the new value; keep the value and believe it better; keep both.
+        Take the new value; keep the value with a smaller error; keep both.
     reason : str
     """
 
@@ -73,7 +81,7 @@ class Decision:
 
     @property
     def value_sigma(self) -> float:
-        """Its uncertainty: a confirmed value is known as well as the new one says, and where that lies."""
+        """Its uncertainty: that of a confirmed value is bounded by the new estimate and their difference."""
         if self.verdict == "update":
             return self.sigma
         if self.verdict == "confirm":
@@ -86,7 +94,7 @@ class Updates:
     """Decisions in the order of `SPIN_RELATED`, and the parameters they lead to."""
 
     decisions: tuple[Decision, ...]
-    parameters: TwelveParameters
+    parameters: CalibrationParameters
 
     def of(self, name: str) -> Decision:
         """Return the decision on one parameter."""
@@ -113,9 +121,9 @@ class Updates:
 def decide_updates(
     value: Floats,
     sigma: Floats,
-    present: TwelveParameters,
+    present: CalibrationParameters,
     present_sigma: Mapping[str, float],
-    significance: float = SIGNIFICANCE,
+    significance: float = UPDATES.significance,
 ) -> Updates:
     """Decide which of the eight parameters to replace.
 
@@ -123,7 +131,7 @@ def decide_updates(
     ----------
     value, sigma : ndarray, shape (8,)
         New estimates in the order of `SPIN_RELATED`; sigma infinite for what was not determined.
-    present : TwelveParameters
+    present : CalibrationParameters
         In use.
     present_sigma : mapping of str to float
         Their uncertainties by name; what is not named is not known at all.
@@ -133,7 +141,7 @@ def decide_updates(
     """
     old = present.spin_related()
     made = [
-        decide_one(
+        decide_update(
             name,
             (float(old[at]), float(present_sigma.get(name, np.inf))),
             (float(value[at]), float(sigma[at])),
@@ -145,34 +153,47 @@ def decide_updates(
     return Updates(tuple(made), present.changed(changed))
 
 
-def decide_one(
-    name: str, old: tuple[float, float], new: tuple[float, float], significance: float = SIGNIFICANCE
+def decide_update(
+    name: str, old: tuple[float, float], new: tuple[float, float], significance: float = UPDATES.significance
 ) -> Decision:
     """Return the decision on one parameter from (value, sigma) in use and found."""
     sigma = new[1]
+
+    def decision(verdict: Verdict, reason: str) -> Decision:
+        return Decision(
+            name=name,
+            present=old[0],
+            present_sigma=old[1],
+            new=new[0],
+            sigma=sigma,
+            verdict=verdict,
+            reason=reason,
+        )
+
     if not (np.isfinite(sigma) and np.isfinite(new[0])):
-        return Decision(name, *old, *new, "keep", "the record does not tell it")
-    change, better = abs(new[0] - old[0]), sigma < old[1]
-    told = f"differs by {change / sigma:.1f} sigma" if sigma > 0.0 else f"differs by {change:.3g}"
-    if change > significance * sigma and sigma < WELL_BETTER * old[1]:
-        return Decision(name, *old, *new, "update", f"{told}, and is known well better than the value in use")
+        return decision("keep", "the record does not tell it")
+    change = abs(new[0] - old[0])
+    difference = f"differs by {change / sigma:.1f} sigma" if sigma > 0.0 else f"differs by {change:.3g}"
+    if change > significance * sigma and sigma < UPDATES.well_better * old[1]:
+        return decision("update", f"{difference}, and is known well better than the value in use")
     if change > significance * float(np.hypot(sigma, old[1])):
-        return Decision(name, *old, *new, "update", f"{told}, more than both uncertainties allow")
-    if better:
-        return Decision(name, *old, *new, "confirm", f"{told}: a new value would only add jitter")
-    reason = f"{told} but is known no better than the value in use: it would only add jitter"
-    return Decision(name, *old, *new, "keep", reason)
+        return decision("update", f"{difference}, more than both uncertainties allow")
+    if sigma < old[1]:
+        return decision("confirm", f"{difference}: a new value would only add jitter")
+    return decision(
+        "keep", f"{difference} but is known no better than the value in use: it would only add jitter"
+    )
 
 
 #: Parameters that share a tone.
 _TOGETHER = (("offset[1]", "elevation[1]"), ("offset[2]", "elevation[2]"))
 
-#: As rare by chance, of two numbers, as `SIGNIFICANCE` sigma of one.
-_RARE = float(stats.chi2.isf(2.0 * stats.norm.sf(SIGNIFICANCE), 2))
+#: As rare by chance, of two numbers, as `UpdateSettings.significance` sigma of one.
+_RARE_CHI2 = float(stats.chi2.isf(2.0 * stats.norm.sf(UPDATES.significance), 2))
 
 
 @dataclass(frozen=True)
-class InUse:
+class ValuesInUse:
     """Values in use of the eight, in the order of `SPIN_RELATED`, before an interval.
 
     Attributes
@@ -180,37 +201,37 @@ class InUse:
     value : ndarray, shape (8,)
     covariance : ndarray, shape (8, 8)
         As it was when each was put in.
-    flown : ndarray of bool, shape (8,)
-        True for what the flight has told; the rest is as it was on the ground.
+    from_flight : ndarray of bool, shape (8,)
+        True for what the flight has determined; the rest is as it was on the ground.
     since : ndarray, shape (8,)
         When each was put in, days.
     drift : Drift
-        What later estimates told of how fast values move.
+        How fast values move, by later estimates.
     """
 
     value: Floats
     covariance: Floats
-    flown: Bools
+    from_flight: Bools
     since: Floats
     drift: Drift
 
     @classmethod
-    def of_ground(cls, ground: TwelveParameters, sigma: Mapping[str, float]) -> Self:
+    def of_ground(cls, ground: CalibrationParameters, sigma: Mapping[str, float]) -> Self:
         """Return what is used before the flight."""
         value = ground.spin_related()
         errors = np.array([sigma[name] for name in SPIN_RELATED])
         none = np.zeros(value.size)
         return cls(value, np.diag(errors**2), none.astype(np.bool_), none, Drift(none, none))
 
-    def after(self, value: Floats, covariance: Floats, told: Bools, day: float) -> Step:
+    def update(self, value: Floats, covariance: Floats, determined: Bools, day: float) -> UpdateStep:
         """Decide on an interval's estimate.
 
         Parameters
         ----------
         value, covariance : ndarray, shape (8,) and (8, 8)
             The interval's own estimate, on top of what was known before the flight.
-        told : ndarray of bool, shape (8,)
-            What the interval knows better than the ground did.
+        determined : ndarray of bool, shape (8,)
+            Parameters that the interval knows better than the ground did.
         day : float
             Of the interval, counted from any.
 
@@ -218,36 +239,38 @@ class InUse:
         -------
         Step
         """
-        seen, own = self._given(value, covariance, ~told)
-        sigma = np.where(told, np.sqrt(np.diag(own)), np.inf)
-        decisions = self._decided(seen, sigma, own, told)
+        estimate, own = self._given(value, covariance, ~determined)
+        sigma = np.where(determined, np.sqrt(np.diag(own)), np.inf)
+        decisions = self._decisions(estimate, sigma, own, determined)
         put_in = np.array([one.verdict == "update" for one in decisions])
         new, spread = self._given(value, covariance, ~put_in)
-        drift = self.drift.seeing(
-            seen - self.value,
+        drift = self.drift.with_difference(
+            estimate - self.value,
             np.diag(self.covariance) + np.diag(own),
             day - self.since,
-            told & self.flown,
+            determined & self.from_flight,
         )
-        used = InUse(
+        used = ValuesInUse(
             np.where(put_in, new, self.value),
             spread,
-            self.flown | put_in,
+            self.from_flight | put_in,
             np.where(put_in, day, self.since),
             drift,
         )
-        return Step(decisions, used, used.stated(seen, own, told & ~put_in, day), seen, sigma)
+        return UpdateStep(
+            decisions, used, used.stated(estimate, own, determined & ~put_in, day), estimate, sigma
+        )
 
-    def stated(self, seen: Floats, own: Floats, told: Bools, day: float) -> Floats:
+    def stated(self, estimate: Floats, own: Floats, determined: Bools, day: float) -> Floats:
         """Return the covariance to be stated for an interval; (8, 8).
 
-        A value that is kept moves on as values did so far. What the interval's estimate differs by, over what
-        both errors make of it, is added; and the value is as sure as that estimate is, and where it lies.
+        A value that is kept drifts on as values did so far. The difference of the interval's estimate beyond
+        both errors is added; the estimate's own error and the difference bound the error from above.
         """
-        variance, apart = np.diag(self.covariance), seen - self.value
-        moved = variance + np.where(self.flown, self.drift.rate * (day - self.since), 0.0)
+        variance, apart = np.diag(self.covariance), estimate - self.value
+        moved = variance + np.where(self.from_flight, self.drift.rate * (day - self.since), 0.0)
         beyond = np.maximum(apart**2 - moved - np.diag(own), 0.0)
-        now = np.where(told, np.minimum(moved + beyond, np.diag(own) + apart**2), moved)
+        now = np.where(determined, np.minimum(moved + beyond, np.diag(own) + apart**2), moved)
         wider = np.sqrt(now / variance)
         return np.asarray(wider[:, None] * self.covariance * wider)
 
@@ -268,32 +291,36 @@ class InUse:
         spread[np.ix_(free, held)], spread[np.ix_(held, free)] = shared, shared.T
         return out, spread
 
-    def _decided(self, seen: Floats, sigma: Floats, own: Floats, told: Bools) -> tuple[Decision, ...]:
-        present = TwelveParameters().changed(dict(zip(SPIN_RELATED, self.value.tolist(), strict=True)))
+    def _decisions(
+        self, estimate: Floats, sigma: Floats, own: Floats, determined: Bools
+    ) -> tuple[Decision, ...]:
+        present = CalibrationParameters().changed(dict(zip(SPIN_RELATED, self.value.tolist(), strict=True)))
         known = dict(zip(SPIN_RELATED, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-        made = {one.name: one for one in decide_updates(seen, sigma, present, known).decisions}
+        made = {one.name: one for one in decide_updates(estimate, sigma, present, known).decisions}
         for at, name in enumerate(SPIN_RELATED):
-            if told[at] and not self.flown[at]:
-                made[name] = first_of_flight(made[name])
+            if determined[at] and not self.from_flight[at]:
+                made[name] = accept_first_value(made[name])
         for pair in _TOGETHER:
             places = [SPIN_RELATED.index(name) for name in pair]
-            if told[places].all() and self.flown[places].all():
-                made |= self._together(pair, [made[name] for name in pair], seen, own)
+            if determined[places].all() and self.from_flight[places].all():
+                made |= self._together(pair, [made[name] for name in pair], estimate, own)
         return tuple(made[name] for name in SPIN_RELATED)
 
     def _together(
-        self, pair: tuple[str, str], made: list[Decision], seen: Floats, own: Floats
+        self, pair: tuple[str, str], made: list[Decision], estimate: Floats, own: Floats
     ) -> dict[str, Decision]:
         """Return the decisions on two that share a tone: both are replaced, or none."""
         places = [SPIN_RELATED.index(name) for name in pair]
-        apart = (seen - self.value)[places]
+        apart = (estimate - self.value)[places]
         inside = np.ix_(places, places)
         size = float(apart @ np.linalg.solve(self.covariance[inside] + own[inside], apart))
-        if size <= _RARE and all(one.verdict != "update" for one in made):
+        if size <= _RARE_CHI2 and all(one.verdict != "update" for one in made):
             return {}
         other = dict(zip(pair, reversed(pair), strict=True))
         why = (
-            f"offset and elevation together differ by chi2 {size:.1f} of two numbers" if size > _RARE else ""
+            f"offset and elevation together differ by chi2 {size:.1f} of two numbers"
+            if size > _RARE_CHI2
+            else ""
         )
         return {
             one.name: one
@@ -307,7 +334,7 @@ class InUse:
 
 @dataclass(frozen=True)
 class Drift:
-    """How fast values move, from all estimates of what was in use: a walk whose variance grows with time.
+    """How fast values move: a random walk whose variance grows with time, from all later estimates.
 
     Attributes
     ----------
@@ -324,15 +351,15 @@ class Drift:
         known = self.time > 0.0
         return np.where(known, np.maximum(self.square, 0.0) / np.where(known, self.time, 1.0), 0.0)
 
-    def seeing(self, apart: Floats, variance: Floats, age: Floats, told: Bools) -> Drift:
+    def with_difference(self, apart: Floats, variance: Floats, age: Floats, determined: Bools) -> Drift:
         """Return the sums with one more difference (8,) of this variance without drift, `age` days old."""
-        weight = np.where(told & (age > 0.0), 1.0 / (variance + self.rate * age) ** 2, 0.0)
+        weight = np.where(determined & (age > 0.0), 1.0 / (variance + self.rate * age) ** 2, 0.0)
         return Drift(self.square + weight * (apart**2 - variance), self.time + weight * age)
 
 
 @dataclass(frozen=True)
-class Step:
-    """What became of an interval's estimate.
+class UpdateStep:
+    """An interval's estimate, the decisions on it, and what is used from then on.
 
     Attributes
     ----------
@@ -342,33 +369,33 @@ class Step:
         From this interval on.
     covariance : ndarray, shape (8, 8)
         To be stated for this interval.
-    seen, sigma : ndarray, shape (8,)
-        The interval's own estimate, given what it does not tell, and its error; infinite where it does not.
+    estimate, sigma : ndarray, shape (8,)
+        The interval's own estimate, given what it does not determine, and its error, infinite there.
     """
 
     decisions: tuple[Decision, ...]
-    used: InUse
+    used: ValuesInUse
     covariance: Floats
-    seen: Floats
+    estimate: Floats
     sigma: Floats
 
 
 @dataclass(frozen=True)
-class OneInUse:
-    """One value in use that shares nothing with others, as the offset along the spin axis."""
+class ValueInUse:
+    """One value in use that is correlated with no other, as the offset along the spin axis."""
 
     name: str
     value: float
     sigma: float
-    flown: bool = False
+    from_flight: bool = False
 
-    def after(self, value: float, sigma: float) -> tuple[Decision, OneInUse, float]:
+    def update(self, value: float, sigma: float) -> tuple[Decision, ValueInUse, float]:
         """Return the decision on a new value, what is used from now on, and the error to be stated."""
-        made = decide_one(self.name, (self.value, self.sigma), (value, sigma))
-        if np.isfinite(sigma) and not self.flown:
-            made = first_of_flight(made)
+        made = decide_update(self.name, (self.value, self.sigma), (value, sigma))
+        if np.isfinite(sigma) and not self.from_flight:
+            made = accept_first_value(made)
         if made.verdict == "update":
-            return made, OneInUse(self.name, value, sigma, True), sigma
+            return made, ValueInUse(self.name, value, sigma, True), sigma
         if not np.isfinite(sigma):
             return made, self, self.sigma
         apart = (value - self.value) ** 2
@@ -376,8 +403,8 @@ class OneInUse:
         return made, self, float(np.sqrt(min(moved, sigma**2 + apart)))
 
 
-def first_of_flight(made: Decision) -> Decision:
-    """Return the decision to take what the flight tells for the first time: no product was made before."""
+def accept_first_value(made: Decision) -> Decision:
+    """Return the decision to take a first value of the flight: no product was made before it."""
     better = made.present_sigma / made.sigma
     return replace(
         made,
@@ -386,12 +413,12 @@ def first_of_flight(made: Decision) -> Decision:
     )
 
 
-#: What a value came from where nothing else is said.
+#: Sources of values.
 GROUND, SPIN = "ground", "spin"
 
 
 @dataclass(frozen=True)
-class Known:
+class ExternalValue:
     """A value from elsewhere: `value` and `sigma` in the parameter's unit, and `source`, such as a method."""
 
     value: float
@@ -400,7 +427,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class TwelveTable:
+class ParameterTable:
     """The twelve parameters in the order of `NAMES`.
 
     Attributes
@@ -418,9 +445,9 @@ class TwelveTable:
     determined: npt.NDArray[np.bool_]
 
     @property
-    def parameters(self) -> TwelveParameters:
+    def parameters(self) -> CalibrationParameters:
         """The values as parameters of the calibration equation."""
-        return TwelveParameters.of_values(self.value)
+        return CalibrationParameters.of_values(self.value)
 
     def sigmas(self) -> dict[str, float]:
         """Return the uncertainties by name."""
@@ -440,24 +467,24 @@ class TwelveTable:
         )
 
 
-def join_twelve(
-    spin: tuple[Floats, Floats, TwelveParameters],
-    ground: TwelveParameters,
+def join_parameters(
+    spin: tuple[Floats, Floats, CalibrationParameters],
+    ground: CalibrationParameters,
     ground_sigma: Mapping[str, float],
-    others: Mapping[str, Known] | None = None,
+    others: Mapping[str, ExternalValue] | None = None,
     updates: Updates | None = None,
-) -> TwelveTable:
-    """Join the spin's eight parameters with the axial offset and what the ground knows.
+) -> ParameterTable:
+    """Join the spin's eight parameters with the axial offset and the values of the ground.
 
-    The spin sees the part of all offsets that lies in the spin plane, ``C O``: estimates of offsets 1 and 2
-    hold for the third offset used beside them. Where another one is put in, the two move along, and its
+    The tones hold the part of all offsets that lies in the spin plane, ``C O``: estimates of offsets 1 and 2
+    hold for the third offset they were made with. Where another one is put in, the two move along, and its
     uncertainty is theirs by the same slope.
 
     Parameters
     ----------
-    spin : tuple of (ndarray (8,), ndarray (8,), TwelveParameters)
+    spin : tuple of (ndarray (8,), ndarray (8,), CalibrationParameters)
         Values, sigmas (infinite for what is not determined) and parameters of an estimate.
-    ground : TwelveParameters
+    ground : CalibrationParameters
         Before flight, or of the table before.
     ground_sigma : mapping of str to float
         By name; what is not named is not known at all.
@@ -470,7 +497,7 @@ def join_twelve(
     Raises
     ------
     CalibrationError
-        A name that is no parameter, or one that the spin tells.
+        A name that is no parameter, or one that the spin determines.
     """
     others = others or {}
     wrong = sorted(name for name in others if name not in NAMES or name in SPIN_RELATED)
@@ -491,24 +518,19 @@ def join_twelve(
             value[at] = one.value if one else found[order]
             sigma[at] = one.value_sigma if one else errors[order]
             source[at] = SPIN
-    _move_along(value, sigma, source, parameters)
-    determined = np.array([each != GROUND for each in source])
-    return TwelveTable(value, sigma, tuple(source), determined)
-
-
-def along_axial(parameters: TwelveParameters) -> Floats:
-    """Return by how much offsets 1 and 2 move with the third, so that what the spin sees stays; (2,)."""
-    matrix = parameters.matrix()
-    return np.asarray(-np.linalg.solve(matrix[:2, :2], matrix[:2, 2]))
-
-
-def _move_along(value: Floats, sigma: Floats, source: list[str], parameters: TwelveParameters) -> None:
-    """Move offsets 1 and 2 to the third offset now in the table, in place."""
     third = NAMES.index("offset[3]")
-    slope = along_axial(parameters)
+    slope = axial_offset_slope(parameters)
     error = sigma[third] if np.isfinite(sigma[third]) else 0.0
     for at in range(2):
         row = NAMES.index(f"offset[{at + 1}]")
         if source[row] == SPIN:
             value[row] += slope[at] * (value[third] - parameters.offset[2])
             sigma[row] = float(np.hypot(sigma[row], slope[at] * error))
+    determined = np.array([each != GROUND for each in source])
+    return ParameterTable(value, sigma, tuple(source), determined)
+
+
+def axial_offset_slope(parameters: CalibrationParameters) -> Floats:
+    """Return by how much offsets 1 and 2 move with the third, so that the tones stay; (2,)."""
+    matrix = parameters.matrix()
+    return np.asarray(-np.linalg.solve(matrix[:2, :2], matrix[:2, 2]))

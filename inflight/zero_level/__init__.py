@@ -1,6 +1,10 @@
-"""Zero levels of a magnetometer from nature's own statistics: Alfvenic rotations, compressions, flippers.
+"""Zero levels of a magnetometer from the statistics of natural fluctuations, without an absolute instrument.
 
-No file is opened here; every method takes `Intervals` and returns an `Estimate`.
+In: times and readings, nT, of a record (`Intervals.of`). Out: offsets with covariances (`Estimate`), of each
+method in `METHODS` and of all together (`combine_methods`), with the axes that are not determined and why;
+and the parts of sensors and spacecraft from a flipper (`separate_flipped`). No file is opened here.
+
+Open methods.py first: the methods and their equations; then combination.py.
 """
 
 import lazy_loader

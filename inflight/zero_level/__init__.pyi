@@ -1,46 +1,41 @@
-from .combination import Combined, combined
-from .estimate import Question
-from .flipper import PARTS, Flipped, separate
-from .intervals import AXES, Intervals
+from .combination import CombinedEstimate, combine_methods
+from .estimate import Estimate, Question
+from .flipper import PARTS, Flipped, separate_flipped
+from .intervals import AXES, Bools, Intervals
 from .methods import (
-    ALFVENIC,
-    COMPRESSIONAL,
-    DAVIS_SMITH,
+    COMBINED_METHODS,
+    KINDS,
+    METHODS,
     MINIMUM_CORRELATION,
-    MIRROR_MODE,
-    WANG_PAN,
-    Kinds,
-    correlation,
+    Estimator,
+    IntervalKinds,
     davis_smith,
     minimum_correlation,
     pairs_within,
+    size_angle_covariance,
+    zero_of_minimum_correlation,
 )
-from .published import PUBLISHED, SET, Scatter, Sets, averages, largest_leak
 
 __all__ = [
-    "ALFVENIC",
     "AXES",
-    "COMPRESSIONAL",
-    "DAVIS_SMITH",
+    "COMBINED_METHODS",
+    "KINDS",
+    "METHODS",
     "MINIMUM_CORRELATION",
-    "MIRROR_MODE",
     "PARTS",
-    "PUBLISHED",
-    "SET",
-    "WANG_PAN",
-    "Combined",
+    "Bools",
+    "CombinedEstimate",
+    "Estimate",
+    "Estimator",
     "Flipped",
+    "IntervalKinds",
     "Intervals",
-    "Kinds",
     "Question",
-    "Scatter",
-    "Sets",
-    "averages",
-    "combined",
-    "correlation",
+    "combine_methods",
     "davis_smith",
-    "largest_leak",
     "minimum_correlation",
     "pairs_within",
-    "separate",
+    "separate_flipped",
+    "size_angle_covariance",
+    "zero_of_minimum_correlation",
 ]

@@ -1,32 +1,29 @@
-r"""All methods, likelihood check.
+r"""All methods on one record: one offset, whether they agree, and whether other offsets are refused.
 
-What the readings say for one offset against any other within the bound, however far apart.
+Takes: `Intervals` and a `Question`. Makes (`combine_methods`): `CombinedEstimate`, the weighted mean of the
+methods of `METHODS`, each on the intervals that suit it, with their agreement.
 
-Each method solves equations that have several zeros, and its error is that of the zero it found. This is
-the test over all of them. In nature the size B and the direction n of the field fluctuate independently of
-each other; under a wrong offset they do not. With both Gaussian within an interval of N samples, their
-variances its own, the likelihood of its *readings* is
+Methods share intervals and fluctuations, so they are not independent. Each is weighted by the inverse of its
+own covariance; the error of the mean is that of the weighted influences of every interval, in which what
+methods share is counted once. Pairs are compared with the covariance of their *difference*.
+
+Each method solves equations that have several zeros, and its error is that of the zero it found. The
+likelihood tests all offsets within the bound, however far apart. In natural fluctuations the size B and the
+direction n of the field fluctuate independently of each other; under a wrong offset they do not. With both
+Gaussian within an interval of N samples, their variances its own, the likelihood of its *readings* is
 
 .. math:: \ell(c) / N = -\tfrac12 \ln \mathrm{var}(B) - \tfrac12 \ln\det\mathrm{cov}(n) - 2\langle\ln B\rangle
 
-where B and n are those of the reading less c, and the last term is the volume that a step of B and n has.
-It holds for rotations and for compressions alike, so that no choice of intervals enters.
-
-Neither Gaussian nor independent samples are relied on: two offsets are compared interval by interval, as
-models are that are not nested (Vuong 1989, Econometrica 57, 307). Were they equally good, either would win
-in as many intervals; the sum of the differences d is held against its scatter in time, and at least
-against half of ``sum d^2``, which signs drawn at random give. So few intervals hardly refuse anything.
-
-All methods on one record: which intervals each may use, whether they agree, and one offset of them all.
-
-Methods share intervals and nature, so they are not independent. Each is weighted by the inverse of its own
-covariance; the error of the result is that of the weighted influences of every interval, in which what
-methods share is counted once. Pairs are held against each other with the covariance of their *difference*.
+where B and n are those of the reading less c, and the last term is the volume that a step of B and n has. It
+holds for rotations and for compressions alike, so that no choice of intervals enters. Neither Gaussian nor
+independent samples are relied on: two offsets are compared interval by interval, as models are that are not
+nested (Vuong 1989, Econometrica 57, 307). Were they equally good, either would be better in as many
+intervals; the sum of the differences d is compared with its scatter in time, and at least with half of ``sum
+d^2``, which random signs give. So few intervals hardly refuse anything.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,32 +33,66 @@ from scipy import stats
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance
-from inflight.zero_level.estimate import SETTLED, Estimate, Question, covariance_of, freedom_of
-from inflight.zero_level.intervals import AXES, Bools, Intervals
+from inflight.zero_level.estimate import SOLVER, Estimate, Question, covariance_of, freedom_of
+from inflight.zero_level.intervals import AXES, Intervals
 from inflight.zero_level.methods import (
-    Kinds,
-    davis_smith,
-    kinds,
-    least_variance,
-    minimum_correlation,
+    METHODS,
+    IntervalKinds,
+    classify_intervals,
+    least_variance_offset,
     mirror_mode,
-    wang_pan,
 )
 
-#: An offset is refused when the intervals speak against it by so many standard deviations.
-REFUSED = 3.0
 
-#: Offsets looked at along an axis, from one end of the bound to the other.
-_STEPS = 121
+@dataclass(frozen=True, kw_only=True)
+class LikelihoodSettings:
+    """Numbers of the comparison of offsets.
 
-#: Least variance of a sum of differences, of what signs drawn at random give.
-_LEAST_CHANCE = 0.5
+    Attributes
+    ----------
+    refused : float
+        An offset is refused from so many standard deviations on. Level of significance: 0.3 %.
+    steps : int
+        Offsets along an axis, from one end of the bound to the other. Assumed.
+    least_chance : float
+        Least variance of a sum of differences, of that of random signs. Assumed.
+    least_variance : float
+        Least variances, of the variance of all components: readings that stand still determine nothing.
+        Assumed.
+    """
 
-#: Least variances, of the variance of all components: readings that stand still say nothing.
-_LEAST = 1e-6
+    refused: float = 3.0
+    steps: int = 121
+    least_chance: float = 0.5
+    least_variance: float = 1e-6
 
 
-def evidence(intervals: Intervals, offset: Floats) -> Floats:
+LIKELIHOOD = LikelihoodSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CombinationSettings:
+    """When methods disagree.
+
+    Attributes
+    ----------
+    disagree : float
+        Two methods disagree when chance gives their difference less often than this. Level of significance.
+    apart : float
+        So rarely that one of the methods must be wrong, and no mean is given. Level of significance.
+    rounds : int
+        Most rounds of classification and estimate. Assumed.
+    """
+
+    disagree: float = 0.01
+    apart: float = 1e-4
+    rounds: int = 8
+
+
+COMBINATION = CombinationSettings()
+
+
+def log_likelihood(intervals: Intervals, offset: Floats) -> Floats:
     """Return the mean of a sample's log-likelihood in each interval, up to a constant; (interval,).
 
     Parameters
@@ -83,34 +114,35 @@ def evidence(intervals: Intervals, offset: Floats) -> Floats:
     middle = np.einsum("ks,ks->k", part, size)
     squeezed = np.einsum("ks,ks->k", part, (size - middle[:, None]) ** 2)
     whole = squeezed + middle**2 * np.trace(turning, axis1=1, axis2=2)
-    least = _LEAST * np.maximum(whole, 1e-300)
+    least = LIKELIHOOD.least_variance * np.maximum(whole, 1e-300)
     plane = np.maximum(np.linalg.eigvalsh(turning)[:, 1:], (least / middle**2)[:, None])
     volume = 2.0 * np.einsum("ks,ks->k", part, np.log(size))
     return np.asarray(-0.5 * (np.log(np.maximum(squeezed, least)) + np.log(plane).sum(axis=1)) - volume)
 
 
-def against(better: Floats, other: Floats) -> float:
-    """Return by how many standard deviations the intervals speak for one offset against another.
+def likelihood_ratio(better: Floats, other: Floats) -> float:
+    """Return by how many standard deviations one offset is more likely than another (Vuong's statistic).
 
-    Intervals of one verdict whose strength wanders for hours are no doubt; what is held against the sum
-    is the scatter about their common part.
+    Intervals that agree on one offset are no contradiction, however their differences vary in size for hours:
+    the sum is compared with the scatter about their common part.
 
     Parameters
     ----------
     better, other : ndarray, shape (interval,)
-        Of `evidence`, in order of time.
+        Of `log_likelihood`, in order of time.
     """
     apart = better - other
     whole = float(np.abs(apart).sum())
     if whole <= 0.0:
         return 0.0
     about = apart - apart.sum() / whole * np.abs(apart)
-    chance = max(_LEAST_CHANCE * float(np.sum(apart**2)), float(long_run_covariance(about[:, None])[0, 0]))
+    scatter = float(long_run_covariance(about[:, None])[0, 0])
+    chance = max(LIKELIHOOD.least_chance * float(np.sum(apart**2)), scatter)
     return float(apart.sum() / np.sqrt(chance))
 
 
-def most_evident(intervals: Intervals, through: Floats, question: Question) -> Floats:
-    """Return the offset of most evidence within the bound, one axis after the other; (3,), nT.
+def most_likely_offset(intervals: Intervals, through: Floats, question: Question) -> Floats:
+    """Return the most likely offset within the bound, one axis after the other; (3,), nT.
 
     Parameters
     ----------
@@ -119,20 +151,20 @@ def most_evident(intervals: Intervals, through: Floats, question: Question) -> F
     """
     offset = np.asarray(through, dtype=np.float64)
     for axis in np.flatnonzero(question.free):
-        line = along(offset, int(axis), question)
-        offset = line[int(np.argmax([evidence(intervals, one).sum() for one in line]))]
+        line = offsets_along(offset, int(axis), question)
+        offset = line[int(np.argmax([log_likelihood(intervals, one).sum() for one in line]))]
     return offset
 
 
-def along(through: Floats, axis: int, question: Question) -> Floats:
+def offsets_along(through: Floats, axis: int, question: Question) -> Floats:
     """Return offsets on a line along an axis, from one end of the bound to the other; (point, 3), nT."""
-    line = np.tile(np.asarray(through, dtype=np.float64), (_STEPS, 1))
-    line[:, axis] = question.start[axis] + np.linspace(-question.bound, question.bound, _STEPS)
+    line = np.tile(np.asarray(through, dtype=np.float64), (LIKELIHOOD.steps, 1))
+    line[:, axis] = question.start[axis] + np.linspace(-question.bound, question.bound, LIKELIHOOD.steps)
     return line
 
 
-def held_to_all(intervals: Intervals, found: Estimate, question: Question) -> Estimate:
-    """Return an estimate without the axes along which other offsets within the bound do as well.
+def without_ambiguous_axes(intervals: Intervals, found: Estimate, question: Question) -> Estimate:
+    """Return an estimate without the axes along which other offsets within the bound are as likely.
 
     Along each axis, the others at their values, the offsets that the readings do not refuse must be one
     stretch about the solution that ends before the bound does, and none may be better by as much.
@@ -142,23 +174,23 @@ def held_to_all(intervals: Intervals, found: Estimate, question: Question) -> Es
     found : Estimate
         Of these intervals.
     """
-    own, reasons = evidence(intervals, found.solution), list[str]()
-    told = found.determined.copy()
+    own, reasons = log_likelihood(intervals, found.solution), list[str]()
+    determined = found.determined.copy()
     for axis in np.flatnonzero(found.determined):
-        line = along(found.solution, int(axis), question)
-        verdict = np.array([against(own, evidence(intervals, one)) for one in line])
-        why = _rivals(verdict, line[:, axis], float(found.solution[axis]))
+        line = offsets_along(found.solution, int(axis), question)
+        ratio = np.array([likelihood_ratio(own, log_likelihood(intervals, one)) for one in line])
+        why = _rivals(ratio, line[:, axis], float(found.solution[axis]))
         if why:
-            told[axis] = False
+            determined[axis] = False
             reasons.append(f"cannot tell {AXES[axis]}, {found.solution[axis]:.1f} nT by its methods: {why}")
-    return found.withdrawn(told, question).because(*reasons) if reasons else found
+    return found.with_axes(determined, question).with_reasons(*reasons) if reasons else found
 
 
-def _rivals(verdict: Floats, place: Floats, solution: float) -> str:
-    """Return which offsets of a line are not refused beside a solution; empty when none are."""
-    if verdict.min() < -REFUSED:
-        return f"the readings refuse it for {place[int(verdict.argmin())]:.1f} nT"
-    possible = verdict < REFUSED
+def _rivals(ratio: Floats, place: Floats, solution: float) -> str:
+    """Return which other offsets of a line are not refused; empty when none are."""
+    if ratio.min() < -LIKELIHOOD.refused:
+        return f"the readings refuse it for {place[int(ratio.argmin())]:.1f} nT"
+    possible = ratio < LIKELIHOOD.refused
     at = int(np.argmin(np.abs(place - solution)))
     possible[at] = True
     stretch = np.cumsum(np.diff(possible, prepend=False))
@@ -172,21 +204,9 @@ def _rivals(verdict: Floats, place: Floats, solution: float) -> str:
     return ""
 
 
-Method = Callable[[Intervals, Bools | None, Question | None], Estimate]
-
-#: Two methods disagree when chance gives their difference less often than this.
-DISAGREE = 0.01
-
-#: So rarely that one of the methods must be wrong, and no mean of them is told.
-APART = 1e-4
-
-#: Rounds of selection and estimate.
-_ROUNDS = 8
-
-
 @dataclass(frozen=True)
 class Agreement:
-    """Two methods held against each other along the axes both tell.
+    """Two methods compared along the axes both determine.
 
     Attributes
     ----------
@@ -207,26 +227,26 @@ class Agreement:
     @property
     def agrees(self) -> bool:
         """Whether chance may be all."""
-        return self.chance >= DISAGREE
+        return self.chance >= COMBINATION.disagree
 
-    def told(self) -> str:
-        """Say it in a sentence."""
+    def summary(self) -> str:
+        """Return one sentence."""
         verb = "agree" if self.agrees else "DISAGREE"
         size = f"chi2 {self.chi2:.1f} of {self.axes} axes, p {self.chance:.2g}"
         return f"{self.first} and {self.second} {verb}: {size}"
 
 
-@dataclass(frozen=True)
-class Combined:
+@dataclass(frozen=True, kw_only=True)
+class CombinedEstimate:
     """The offset of all methods.
 
     Attributes
     ----------
     estimate : Estimate
         Widened by the root of the largest reduced chi2 where methods disagree by more than chance gives once
-        in a hundred; nothing is told where chance gives it less than once in ten thousand.
+        in a hundred; nothing is determined where chance gives it less than once in ten thousand.
     methods : tuple of Estimate
-        What each method said of its own intervals.
+        Of each method, from the intervals that suit it.
     agreement : tuple of Agreement
     kinds : Kinds
         Which intervals are Alfvenic, compressional, neither.
@@ -237,7 +257,7 @@ class Combined:
     estimate: Estimate
     methods: tuple[Estimate, ...]
     agreement: tuple[Agreement, ...]
-    kinds: Kinds
+    kinds: IntervalKinds
     refused: tuple[str, ...]
 
     @property
@@ -245,13 +265,13 @@ class Combined:
         """Whether no two methods disagree."""
         return all(one.agrees for one in self.agreement)
 
-    def told(self) -> str:
-        """Say everything, line by line."""
-        lines = [self.estimate.told(), self.kinds.told(), *(one.told() for one in self.methods)]
-        return "\n".join([*lines, *(one.told() for one in self.agreement), *self.refused])
+    def summary(self) -> str:
+        """Return everything, line by line."""
+        lines = [self.estimate.summary(), self.kinds.summary(), *(one.summary() for one in self.methods)]
+        return "\n".join([*lines, *(one.summary() for one in self.agreement), *self.refused])
 
     def table(self) -> xr.Dataset:
-        """Return the combined offset (`Estimate.table`) with each method's beside it, and their agreement."""
+        """Return the combined offset (`Estimate.table`) with each method's and their agreement."""
         names = [one.method for one in self.methods]
         pairs = [f"{one.first} / {one.second}" for one in self.agreement]
         return self.estimate.table().assign(
@@ -266,104 +286,111 @@ class Combined:
         )
 
 
-def combined(intervals: Intervals, question: Question | None = None) -> Combined:
+def combine_methods(intervals: Intervals, question: Question | None = None) -> CombinedEstimate:
     """Estimate the offset by every method on the intervals that suit it.
 
-    Davis-Smith and Wang-Pan take Alfvenic intervals, the mirror mode compressional ones, minimum
-    correlation all but compressional ones (both together would cancel). Which intervals are which depends
-    on the offset: both are found in turn until the kinds stay, from several starts. The answer is held
-    to all other offsets within the bound (`inflight.zero_level.combination`): an axis along which any of them
-    does as well is not determined, however small the error about the zero found.
+    The methods and their intervals are those of `METHODS`. Which intervals are of which kind depends on the
+    offset: both are found in turn until the kinds stay, from several starts. The result is compared with all
+    other offsets within the bound: an axis along which any of them is as likely is not determined, however
+    small the error about the zero found.
 
     Raises
     ------
     CalibrationError
-        No method tells anything, with the reason of each.
+        No method determines anything, with the reason of each.
     """
     question = question or Question()
     found, failed = [], []
     for near in _starts(intervals, question):
         try:
-            found.append(_from(intervals, question, near))
+            found.append(_combine_from(intervals, question, near))
         except CalibrationError as error:
             failed.append(error)
     if not found:
         raise failed[0]
     best = _chosen(intervals, found)
-    rivals = [one for one in found if one is not best and not _agrees(best.estimate, one.estimate)]
-    told = tuple(f"another start leads elsewhere: {one.estimate.told()}" for one in rivals)
-    return replace(best, estimate=held_to_all(intervals, best.estimate, question).because(*told))
+    rivals = [
+        one
+        for one in found
+        if one is not best and (pair := compare_estimates(best.estimate, one.estimate)) and not pair.agrees
+    ]
+    others = tuple(f"another start leads elsewhere: {one.estimate.summary()}" for one in rivals)
+    return replace(
+        best, estimate=without_ambiguous_axes(intervals, best.estimate, question).with_reasons(*others)
+    )
 
 
-def _chosen(intervals: Intervals, found: list[Combined]) -> Combined:
-    """Return the answer to take of those that the readings do not refuse for the one of most evidence.
+def _chosen(intervals: Intervals, found: list[CombinedEstimate]) -> CombinedEstimate:
+    """Return the result to take of those that the readings do not refuse for the most likely one.
 
-    Under a wrong offset turning looks like compression and both get mixed: among offsets that do equally
-    well the right one has methods that agree, and leaves most intervals pure.
+    Under a wrong offset rotation looks like compression and both get mixed: among offsets that are equally
+    likely the right one has methods that agree, and leaves most intervals of one kind.
     """
-    said = [evidence(intervals, one.estimate.solution) for one in found]
-    most = max(said, key=lambda one: float(one.sum()))
-    possible = [one for one, of in zip(found, said, strict=True) if against(most, of) < REFUSED]
+    likelihoods = [log_likelihood(intervals, one.estimate.solution) for one in found]
+    most = max(likelihoods, key=lambda one: float(one.sum()))
+    possible = [
+        one
+        for one, of in zip(found, likelihoods, strict=True)
+        if likelihood_ratio(most, of) < LIKELIHOOD.refused
+    ]
     return min(possible, key=lambda one: (not one.agrees, int(one.kinds.neither.sum())))
 
 
-def _from(intervals: Intervals, question: Question, near: Floats) -> Combined:
-    """Estimate from one offset to begin with."""
-    offset, seen = near, list[Kinds]()
-    for _ in range(_ROUNDS):
-        found = kinds(intervals, offset)
-        methods, refused = _each(intervals, found, replace(question, near=tuple(offset)))
+def _combine_from(intervals: Intervals, question: Question, near: Floats) -> CombinedEstimate:
+    """Return the result from one offset to begin with."""
+    offset, seen = near, set[tuple[bytes, bytes]]()
+    for _ in range(COMBINATION.rounds):
+        found = classify_intervals(intervals, offset)
+        methods, refused = _estimate_by_each(intervals, found, replace(question, near=tuple(offset)))
         if not methods:
             raise CalibrationError(
-                f"no method tells an offset ({found.told()}): {'; '.join(refused)}",
+                f"no method tells an offset ({found.summary()}): {'; '.join(refused)}",
                 remedy="take a longer span, or one in which the field turns more",
             )
-        best = weighted(methods, question)
-        if any(_same(found, one) for one in seen):
+        best = weighted_mean(methods, question)
+        kinds = found.alfvenic.tobytes(), found.compressional.tobytes()
+        if kinds in seen:
             break
-        seen.append(found)
+        seen.add(kinds)
         offset = best.solution
     pairs = tuple(
         pair
         for i, one in enumerate(methods)
         for other in methods[i + 1 :]
-        if (pair := agreement(one, other)) is not None
+        if (pair := compare_estimates(one, other)) is not None
     )
-    return Combined(_widened(best, pairs), tuple(methods), pairs, found, tuple(refused))
+    return CombinedEstimate(
+        estimate=_widened(best, pairs),
+        methods=tuple(methods),
+        agreement=pairs,
+        kinds=found,
+        refused=tuple(refused),
+    )
 
 
 def _starts(intervals: Intervals, question: Question) -> list[Floats]:
-    """Return offsets to begin with: what is known, of most evidence, and by two rules of all intervals."""
+    """Return offsets to begin with: what is known, the most likely one, and those of two simple methods."""
     start = np.asarray(question.start, dtype=np.float64)
-    least = np.clip(least_variance(intervals, question), start - question.bound, start + question.bound)
-    begins = [start, least, most_evident(intervals, least, question)]
+    least = np.clip(
+        least_variance_offset(intervals, question), start - question.bound, start + question.bound
+    )
+    begins = [start, least, most_likely_offset(intervals, least, question)]
     try:
         return [*begins, mirror_mode(intervals, None, question).solution]
     except CalibrationError:
         return begins
 
 
-def _agrees(one: Estimate, other: Estimate) -> bool:
-    pair = agreement(one, other)
-    return pair is None or pair.agrees
-
-
-def _same(one: Kinds, other: Kinds) -> bool:
-    return bool((one.alfvenic == other.alfvenic).all() and (one.compressional == other.compressional).all())
-
-
-def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[Estimate], list[str]]:
-    """Return what each method says of its intervals, and why others say nothing."""
-    suited: tuple[tuple[Method, Bools], ...] = (
-        (davis_smith, found.alfvenic),
-        (wang_pan, found.alfvenic),
-        (mirror_mode, found.compressional),
-        (minimum_correlation, ~found.compressional),
-    )
+def _estimate_by_each(
+    intervals: Intervals, found: IntervalKinds, question: Question
+) -> tuple[list[Estimate], list[str]]:
+    """Return the estimates of the methods, and why others give none."""
     methods, refused = [], []
-    for method, used in suited:
+    for method in METHODS.values():
+        if not method.combined:
+            continue
         try:
-            one = method(intervals, used, question)
+            one = method.estimate(intervals, method.suits(found), question)
         except CalibrationError as error:
             refused.append(str(error))
             continue
@@ -374,11 +401,11 @@ def _each(intervals: Intervals, found: Kinds, question: Question) -> tuple[list[
     return methods, refused
 
 
-def weighted(methods: list[Estimate], question: Question) -> Estimate:
+def weighted_mean(methods: list[Estimate], question: Question) -> Estimate:
     """Return the mean of methods, weighted by their covariances, with the error of what they share.
 
-    Covariances that are by chance too small weigh too much, and so the mean errs by more than they say:
-    ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
+    Covariances that are by chance too small weigh too much, and so the error of the mean is larger than they
+    state: ``1 + 4 sum w (1 - w) / f`` times in variance, f being the degrees of freedom of each (Meier 1953).
 
     Parameters
     ----------
@@ -389,7 +416,9 @@ def weighted(methods: list[Estimate], question: Question) -> Estimate:
     inside = np.ix_(free, free)
     each = [np.linalg.inv(one.covariance[inside]) for one in methods]
     whole = np.linalg.inv(np.sum(each, axis=0))
-    shares = [_embedded(whole @ one, free) for one in each]
+    shares = [np.zeros((3, 3)) for _ in each]
+    for share, one in zip(shares, each, strict=True):
+        share[inside] = whole @ one
     start = np.asarray(question.start)
     solution = start + sum(
         (share @ (one.solution - start) for share, one in zip(shares, methods, strict=True)), np.zeros(3)
@@ -407,21 +436,22 @@ def weighted(methods: list[Estimate], question: Question) -> Estimate:
     determined = question.determined(covariance)
     first = methods[0]
     names = ", ".join(one.method for one in methods)
-    lost = () if determined[free].all() else ("no method tells every axis",)
     return Estimate(
-        f"combined ({names})", np.where(determined, solution, start), covariance, determined, influence, used,
-        first.start, first.end, systematic, lost,
-    )  # fmt: skip
+        method=f"combined ({names})",
+        solution=np.where(determined, solution, start),
+        covariance=covariance,
+        determined=determined,
+        influence=influence,
+        used=used,
+        start=first.start,
+        end=first.end,
+        systematic=systematic,
+        reasons=() if determined[free].all() else ("no method tells every axis",),
+    )
 
 
-def _embedded(matrix: Floats, free: Bools) -> Floats:
-    whole = np.zeros((3, 3))
-    whole[np.ix_(free, free)] = matrix
-    return whole
-
-
-def agreement(one: Estimate, other: Estimate) -> Agreement | None:
-    """Hold two estimates from the same intervals against each other; None when no axis is told by both."""
+def compare_estimates(one: Estimate, other: Estimate) -> Agreement | None:
+    """Compare two estimates from the same intervals; None when no axis is determined by both."""
     both = one.determined & other.determined
     if not both.any():
         return None
@@ -429,15 +459,15 @@ def agreement(one: Estimate, other: Estimate) -> Agreement | None:
     part = one.used | other.used
     shared = covariance_of((one.influence - other.influence)[part])[np.ix_(both, both)]
     covariance = shared + (one.systematic + other.systematic)[np.ix_(both, both)]
-    # Two roads to one zero differ by what each was settled to, and by no scatter at all.
-    covariance += SETTLED**2 * np.eye(len(apart))
+    # Two ways to one zero differ by what each was settled to, and by no scatter at all.
+    covariance += SOLVER.settled**2 * np.eye(len(apart))
     chi2 = float(apart @ np.linalg.solve(covariance, apart))
     axes = int(both.sum())
     return Agreement(one.method, other.method, chi2, axes, float(stats.chi2.sf(chi2, axes)))
 
 
 def _widened(estimate: Estimate, pairs: tuple[Agreement, ...]) -> Estimate:
-    """Return the estimate with errors as large as the disagreement asks for, and the disagreement told."""
+    """Return the estimate with errors widened by the disagreement, which is among the reasons."""
     apart = [pair for pair in pairs if not pair.agrees]
     if not apart:
         return estimate
@@ -446,8 +476,8 @@ def _widened(estimate: Estimate, pairs: tuple[Agreement, ...]) -> Estimate:
         estimate, covariance=factor * estimate.covariance, influence=np.sqrt(factor) * estimate.influence,
         systematic=factor * estimate.systematic,
     )  # fmt: skip
-    told = tuple(pair.told() for pair in apart)
-    if min(pair.chance for pair in apart) < APART:
-        blind = replace(wider, determined=np.zeros(3, dtype=bool))
-        return blind.because(*told, "one of these is wrong: no mean is told")
-    return wider.because(*told)
+    sentences = tuple(pair.summary() for pair in apart)
+    if min(pair.chance for pair in apart) < COMBINATION.apart:
+        undetermined = replace(wider, determined=np.zeros(3, dtype=bool))
+        return undetermined.with_reasons(*sentences, "one of these is wrong: no mean is told")
+    return wider.with_reasons(*sentences)

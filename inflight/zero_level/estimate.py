@@ -1,4 +1,10 @@
-"""What every method returns: an offset with its covariance, what is determined, and from which intervals."""
+"""The estimate of an offset, the question it answers, and the solver that all methods share.
+
+Takes: a method's equations, as scores and slopes of every interval (`Equations`). Makes (`solve`,
+`estimate_from_scores`): `Estimate`, the offset with its covariance, the axes that are determined, and the
+intervals it is from. The offset is where the scores sum to zero; its covariance is the sandwich of the
+scores, with their correlation in time. `Question` states which axes to estimate, within which bound.
+"""
 
 from __future__ import annotations
 
@@ -12,30 +18,49 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance
 from inflight.time import Int64
-from inflight.zero_level.intervals import AXES, FEWEST_INTERVALS, Bools, Intervals
+from inflight.zero_level.intervals import AXES, INTERVALS, Bools, Intervals
 
-#: Offsets are looked for within this many nT of the start unless told otherwise.
-BOUND = 10.0
 
-#: A direction is told when its information exceeds this many of its own standard deviations: 2 % by chance.
-_TOLD = 2.0
+@dataclass(frozen=True, kw_only=True)
+class SolverSettings:
+    """Numbers of the solver and of the covariance.
 
-#: Standard deviation given to a direction that is not told, in bounds.
-_UNTOLD = 1e3
+    Attributes
+    ----------
+    bound : float
+        Offsets are looked for within this many nT of the start unless stated otherwise. Assumed.
+    determined : float
+        A direction is determined when its information exceeds this many of its own standard deviations. Level
+        of significance: 2 %.
+    undetermined : float
+        Standard deviation given to a direction that is not determined, in bounds. Assumed: large.
+    rounds : int
+        Most steps. Assumed.
+    settled : float
+        A solution is settled to so many nT. Assumed.
+    stride : float
+        Largest step, in bounds. Assumed.
+    least_response : float
+        Least true slope, in slopes stepped by. Assumed.
+    most_share : float
+        No interval is taken to hold more than this part of all information when it is left out. Assumed.
+    least_freedom : float
+        No covariance is taken to have fewer degrees of freedom. Derived: at two the variance of Student's t
+        is unbounded.
+    """
 
-_ROUNDS = 60
+    bound: float = 10.0
+    determined: float = 2.0
+    undetermined: float = 1e3
+    rounds: int = 60
+    settled: float = 1e-4
+    stride: float = 0.2
+    least_response: float = 0.3
+    most_share: float = 0.7
+    least_freedom: float = 3.0
 
-#: Solutions are settled to so many nT.
-SETTLED = 1e-4
 
-#: Largest step, in bounds, and the least true slope, in slopes stepped by.
-_STRIDE, _LEAST_ANSWER = 0.2, 0.3
-
-#: No interval is taken to hold more than this part of what all tell, when it is left out.
-_MOST_SHARE = 0.7
-
-#: No covariance is taken to have fewer degrees of freedom: at two the variance of Student's t has no bound.
-_LEAST_FREEDOM = 3.0
+SOLVER = SolverSettings()
 
 #: Every axis.
 ALL = (True, True, True)
@@ -48,9 +73,9 @@ Slopes = Callable[[Floats], Floats]
 Equations = Callable[[Floats], tuple[Floats, Floats]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """An offset: what the reading says in a field of zero, nT, to be subtracted from it.
+    """An offset: the reading in a field of zero, nT, to be subtracted from it.
 
     Attributes
     ----------
@@ -58,15 +83,15 @@ class Estimate:
     solution : ndarray, shape (3,)
         nT; the start where an axis is not determined.
     covariance : ndarray, shape (3, 3)
-        nT^2, correlation in time respected; huge in directions that are not determined.
+        nT^2, with correlation in time; huge in directions that are not determined.
     determined : ndarray of bool, shape (3,)
         Axes of which the data know more than the bound they were given.
     influence : ndarray, shape (interval, 3)
-        What each interval adds to the error of the solution, as far as the intervals tell, nT.
+        What each interval adds to the error of the solution, nT.
     used : ndarray of bool, shape (interval,)
         Intervals that took part.
     start, end : ndarray of int64, shape (interval,)
-        TT2000 of all intervals offered.
+        TT2000 of all intervals given.
     systematic : ndarray, shape (3, 3)
         The part of the covariance that the intervals' scatter does not show, nT^2.
     reasons : tuple of str
@@ -99,30 +124,30 @@ class Estimate:
         """TT2000 of the intervals that took part; (interval, 2)."""
         return np.stack([self.start[self.used], self.end[self.used]], axis=1)
 
-    def pulled(self, pull: Floats, why: str) -> Estimate:
-        """Return the same with a pull (3,), nT, of unknown size up to this one in its covariance."""
-        told = ", ".join(f"{axis} {one:.3f}" for axis, one in zip(AXES, np.abs(pull), strict=True))
-        more = np.outer(pull, pull)
+    def with_systematic(self, shift: Floats, why: str) -> Estimate:
+        """Return the same with a systematic error of up to `shift` (3,), nT, in its covariance."""
+        sizes = ", ".join(f"{axis} {one:.3f}" for axis, one in zip(AXES, np.abs(shift), strict=True))
+        more = np.outer(shift, shift)
         wider = replace(self, covariance=self.covariance + more, systematic=self.systematic + more)
-        return wider.because(f"{why} may pull it by {told} nT")
+        return wider.with_reasons(f"{why} may pull it by {sizes} nT")
 
-    def withdrawn(self, determined: Bools, question: Question) -> Estimate:
-        """Return the same with only some axes (3,) told: the others at the question's start."""
-        lost = np.where(self.determined & ~determined, (_UNTOLD * question.bound) ** 2, 0.0)
+    def with_axes(self, determined: Bools, question: Question) -> Estimate:
+        """Return the same with only some axes (3,) determined: the others at the question's start."""
+        lost = np.where(self.determined & ~determined, (SOLVER.undetermined * question.bound) ** 2, 0.0)
         return replace(
             self, determined=determined, solution=np.where(determined, self.solution, question.start),
             covariance=self.covariance + np.diag(lost), systematic=self.systematic + np.diag(lost),
         )  # fmt: skip
 
-    def told(self) -> str:
-        """Say it in a sentence."""
+    def summary(self) -> str:
+        """Return one sentence."""
         parts = [
             f"{axis} {value:.3f} +- {sigma:.3f} nT" if known else f"{axis} cannot be told"
             for axis, value, sigma, known in zip(AXES, self.value, self.sigma, self.determined, strict=True)
         ]
         return f"{self.method}, {int(self.used.sum())} of {self.used.size} intervals: {', '.join(parts)}"
 
-    def because(self, *reasons: str) -> Estimate:
+    def with_reasons(self, *reasons: str) -> Estimate:
         """Return the same with more reasons."""
         return replace(self, reasons=(*self.reasons, *reasons))
 
@@ -147,7 +172,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of a method.
+    """Which axes to estimate, within which bound, from where.
 
     Attributes
     ----------
@@ -158,48 +183,65 @@ class Question:
     bound : float
         The offset lies within this many nT of the start.
     near : tuple of float, optional
-        Where methods begin to look, nT; when absent the start and what simpler rules say.
+        Where methods begin to look, nT; when absent the start and offsets by simpler rules.
     """
 
     free: tuple[bool, bool, bool] = ALL
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bound: float = BOUND
+    bound: float = SOLVER.bound
     near: tuple[float, float, float] | None = None
 
-    def begins(self, other: Floats) -> list[Floats]:
-        """Return where to begin to look: `near`, else the start and another offset."""
+    def starts(self, other: Floats) -> list[Floats]:
+        """Return the offsets to begin with: `near`, else the start and another offset."""
         if self.near is not None:
             return [np.asarray(self.near, dtype=np.float64)]
         return [np.asarray(self.start, dtype=np.float64), other]
 
     def determined(self, covariance: Floats) -> Bools:
-        """Return which axes are known better than the bound says: uniform within it; (3,)."""
+        """Return which axes are known better than by the bound, uniform within it; (3,)."""
         known = np.sqrt(np.diag(covariance)) < self.bound / np.sqrt(3.0)
         return np.asarray(known & np.asarray(self.free))
 
-    def chosen(self, method: str, intervals: Intervals, used: Bools | None, *, lively: bool = True) -> Bools:
-        """Return the intervals to use, without those of noise only if `lively`; raise for too few."""
-        mask = (intervals.lively if lively else np.full(len(intervals), True)) & (
+    def select_intervals(
+        self, method: str, intervals: Intervals, used: Bools | None, *, above_noise: bool = True
+    ) -> Bools:
+        """Return the intervals to use, (interval,); raise for too few.
+
+        Parameters
+        ----------
+        method : str
+            For the message.
+        used : ndarray of bool, shape (interval,), optional
+            Those of the method's kind; all when absent.
+        above_noise : bool
+            Leave out intervals that hold noise only.
+
+        Raises
+        ------
+        CalibrationError
+            Fewer than eight intervals.
+        """
+        mask = (intervals.above_noise if above_noise else np.full(len(intervals), True)) & (
             True if used is None else np.asarray(used, dtype=bool)
         )
-        if mask.sum() < FEWEST_INTERVALS:
+        if mask.sum() < INTERVALS.fewest_intervals:
             raise CalibrationError(
                 f"{method}: {int(mask.sum())} of {mask.size} intervals are of its kind and above noise, "
-                f"{FEWEST_INTERVALS} needed",
+                f"{INTERVALS.fewest_intervals} needed",
                 remedy="take a longer span, or another method",
             )
         return mask
 
 
-def informed(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]:
-    """Return the inverse of the summed slopes in the directions they tell, and the projector on these.
+def invert_slopes(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]:
+    """Return the inverse of the summed slopes in the directions they determine, and the projector on these.
 
     Parameters
     ----------
     slopes : ndarray, shape (interval, 3, 3)
     free : ndarray of bool, shape (3,)
     least : float
-        A direction is told by so many standard deviations of its own information.
+        A direction is determined by so many standard deviations of its own information.
 
     Returns
     -------
@@ -209,14 +251,15 @@ def informed(slopes: Floats, free: Bools, least: float) -> tuple[Floats, Floats]
     total = keep.T @ slopes.sum(axis=0) @ keep
     value, vector = np.linalg.eigh(0.5 * (total + total.T))
     each = np.einsum("ia,kij,ja->ka", keep @ vector, slopes, keep @ vector)
-    # Slopes of one sign whose size wanders for hours are no doubt: the sum is held against that of the sizes.
+    # Slopes of one sign are no contradiction, however their size varies for hours: compare with the sum of
+    # sizes.
     part = each.sum(axis=0) / np.maximum(np.abs(each).sum(axis=0), 1e-300)
     spread = np.sqrt(np.maximum(np.diag(long_run_covariance(each - part * np.abs(each))), 0.0))
     size = np.abs(value)
-    told = (size > least * spread) & (size > 1e-12 * max(float(size.max()), 1e-300))
-    good = vector[:, told]
-    # The slopes need not be symmetric; in the directions told they are inverted as they are.
-    inverse = good @ np.linalg.inv(good.T @ total @ good) @ good.T if told.any() else np.zeros_like(total)
+    known = (size > least * spread) & (size > 1e-12 * max(float(size.max()), 1e-300))
+    good = vector[:, known]
+    # The slopes need not be symmetric; in these directions they are inverted as they are.
+    inverse = good @ np.linalg.inv(good.T @ total @ good) @ good.T if known.any() else np.zeros_like(total)
     return keep @ inverse @ keep.T, keep @ good @ good.T @ keep.T
 
 
@@ -226,7 +269,7 @@ def solve(
     intervals: Intervals,
     used: Bools,
     question: Question,
-    answer: Slopes | None = None,
+    true_slopes: Slopes | None = None,
     *,
     first: Floats | None = None,
     signed: bool = False,
@@ -240,14 +283,14 @@ def solve(
     ----------
     equations : callable
         Scores and the slopes to step by.
-    answer : callable, optional
-        By how much the scores truly give way where weights follow the offset; the slopes when absent.
+    true_slopes : callable, optional
+        Derivatives of the scores that include how weights follow the offset; the slopes when absent.
     first : ndarray, shape (3,), optional
-        Where to begin to look; the question's start when absent.
+        Where to begin; the question's start when absent.
     signed : bool
-        The slopes of intervals may have either sign and cancel: a direction must stand out of their scatter.
+        The slopes of intervals may have either sign and cancel: the sum must stand out of their scatter.
     turning : bool
-        Readings in turning axes will do; else an offset within the readings' own cloud is none.
+        Readings in turning axes are allowed; else an offset within the readings themselves is none.
 
     Raises
     ------
@@ -258,57 +301,59 @@ def solve(
     within = (start - question.bound, start + question.bound)
     begin = start if first is None else first
     offset, settled = np.clip(np.where(free, begin, start), *within), False
-    for _ in range(_ROUNDS):
+    for _ in range(SOLVER.rounds):
         scores, slopes = equations(offset)
-        step = informed(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
-        settled = bool(np.abs(step).max() < SETTLED)
+        step = invert_slopes(slopes[used], free, 0.0)[0] @ scores[used].sum(axis=0)
+        settled = bool(np.abs(step).max() < SOLVER.settled)
         # Far from the zero the slopes are those of another field: no step leaves their reach.
-        step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
+        step = step * min(1.0, SOLVER.stride * question.bound / max(float(np.abs(step).max()), 1e-300))
         offset = np.clip(offset + step, *within)
         if settled:
             break
-    inverse, told = informed(slopes[used], free, _TOLD if signed else 0.0)
-    if answer is not None:
-        slopes = answer(offset)
-        inverse = answering(inverse, slopes[used].sum(axis=0))
+    inverse, known = invert_slopes(slopes[used], free, SOLVER.determined if signed else 0.0)
+    if true_slopes is not None:
+        slopes = true_slopes(offset)
+        inverse = inverse_of_true_slopes(inverse, slopes[used].sum(axis=0))
     at_edge = free & (np.abs(offset - start) >= question.bound)
     notes = []
     if at_edge.any() or not settled:
         where = ", ".join(np.array(AXES)[at_edge]) or "all axes"
         notes.append(f"no zero within {question.bound:g} nT of the start ({where})")
-        told = np.zeros((3, 3))
-    if not turning and intervals.where(used).around(offset):
+        known = np.zeros((3, 3))
+    if not turning and intervals.where(used).encloses(offset):
         notes.append("the zero found lies within the readings themselves")
-        told = np.zeros((3, 3))
-    return _estimate(method, offset, (scores, slopes, inverse, told), intervals, used, question, tuple(notes))
+        known = np.zeros((3, 3))
+    return estimate_from_scores(
+        method, offset, (scores, slopes, inverse, known), intervals, used, question, tuple(notes)
+    )
 
 
-def likeliest(found: Sequence[Estimate], merit: Callable[[Estimate], float]) -> Estimate:
-    """Return the estimate that tells most axes, among equals that of the largest merit."""
+def best_estimate(found: Sequence[Estimate], merit: Callable[[Estimate], float]) -> Estimate:
+    """Return the estimate that determines most axes, among equals that of the largest merit."""
     return max(found, key=lambda one: (int(one.determined.sum()), merit(one)))
 
 
-def answering(inverse: Floats, answer: Floats) -> Floats:
-    """Return the inverse of how the summed scores truly give way, in the directions that are told.
+def inverse_of_true_slopes(inverse: Floats, true_slopes: Floats) -> Floats:
+    """Return the inverse of the true slopes of the summed scores, in the directions that are determined.
 
-    Weights that follow the offset lessen it; where chance makes it very small it is taken as `_LEAST_ANSWER`
-    of the steps' slopes.
+    Weights that follow the offset make the slopes smaller; where chance makes them very small they are taken
+    as `SolverSettings.least_response` of the slopes stepped by.
 
     Parameters
     ----------
     inverse : ndarray, shape (3, 3)
-        Of the slopes stepped by (`informed`).
-    answer : ndarray, shape (3, 3)
+        Of the slopes stepped by (`invert_slopes`).
+    true_slopes : ndarray, shape (3, 3)
     """
     size, vector = np.linalg.eigh(0.5 * (inverse + inverse.T))
-    told = size > 1e-12 * max(float(size.max()), 1e-300)
-    root = vector[:, told] * np.sqrt(size[told])
-    ratio, turn = np.linalg.eigh(root.T @ (0.5 * (answer + answer.T)) @ root)
-    spread = root @ turn
-    return np.asarray((spread / np.maximum(ratio, _LEAST_ANSWER)) @ spread.T)
+    known = size > 1e-12 * max(float(size.max()), 1e-300)
+    root = vector[:, known] * np.sqrt(size[known])
+    ratio, basis = np.linalg.eigh(root.T @ (0.5 * (true_slopes + true_slopes.T)) @ root)
+    spread = root @ basis
+    return np.asarray((spread / np.maximum(ratio, SOLVER.least_response)) @ spread.T)
 
 
-def _estimate(
+def estimate_from_scores(
     method: str,
     offset: Floats,
     parts: tuple[Floats, Floats, Floats, Floats],
@@ -317,23 +362,44 @@ def _estimate(
     question: Question,
     reasons: tuple[str, ...],
 ) -> Estimate:
-    scores, slopes, inverse, told = parts
-    influence = np.where(used[:, None], _without(scores, slopes, inverse), 0.0)
+    """Return the estimate at a solution, its covariance from the scores of the intervals.
+
+    Parameters
+    ----------
+    offset : ndarray, shape (3,)
+        The solution, nT.
+    parts : tuple of ndarray
+        Scores (interval, 3), their slopes (interval, 3, 3), the inverse of the summed slopes (3, 3), and the
+        projector on the directions that are determined (3, 3).
+    used : ndarray of bool, shape (interval,)
+    reasons : tuple of str
+        Why nothing is determined, or what may bias it.
+    """
+    scores, slopes, inverse, known = parts
+    influence = np.where(used[:, None], _leave_one_out(scores, slopes, inverse), 0.0)
     covariance = covariance_of(influence[used])
-    untold = (np.eye(3) - told) * (_UNTOLD * question.bound) ** 2
-    determined = question.determined(covariance + untold)
-    solution = np.where(determined, offset, np.asarray(question.start))
+    unknown = (np.eye(3) - known) * (SOLVER.undetermined * question.bound) ** 2
+    determined = question.determined(covariance + unknown)
+    lost = [
+        axis for axis, found, free in zip(AXES, determined, question.free, strict=True) if free and not found
+    ]
+    if lost:
+        none = not known.any()
+        cause = (
+            "nothing in these intervals tells an offset" if none else "the field varies too little along it"
+        )
+        reasons = (*reasons, f"cannot tell {', '.join(lost)}: {cause}")
     return Estimate(
-        method,
-        solution,
-        covariance + untold,
-        determined,
-        influence,
-        used,
-        intervals.start,
-        intervals.end,
-        untold,
-        (*reasons, *_why(determined, question, told)),
+        method=method,
+        solution=np.where(determined, offset, np.asarray(question.start)),
+        covariance=covariance + unknown,
+        determined=determined,
+        influence=influence,
+        used=used,
+        start=intervals.start,
+        end=intervals.end,
+        systematic=unknown,
+        reasons=reasons,
     )
 
 
@@ -361,32 +427,19 @@ def freedom_of(influence: Floats) -> float:
     size, vector = np.linalg.eigh(influence.T @ influence)
     seen = size > 1e-12 * max(float(size.max()), 1e-300)
     if not seen.any():
-        return _LEAST_FREEDOM
+        return SOLVER.least_freedom
     parts = influence @ (vector[:, seen] / np.sqrt(size[seen]))
     kurtosis = len(influence) * float(np.mean(np.sum(parts**4, axis=0)))
-    return max(2.0 * len(influence) / max(kurtosis - 1.0, 1e-300), _LEAST_FREEDOM)
+    return max(2.0 * len(influence) / max(kurtosis - 1.0, 1e-300), SOLVER.least_freedom)
 
 
-def _without(scores: Floats, slopes: Floats, inverse: Floats) -> Floats:
+def _leave_one_out(scores: Floats, slopes: Floats, inverse: Floats) -> Floats:
     """Return by how much the solution moves when each interval is left out; (interval, 3), nT.
 
-    An interval that tells much pulls the solution to itself and hides its own error.
+    An interval of much information draws the solution to itself and hides its own error.
     """
     share = slopes @ inverse
     own = np.linalg.norm(share, axis=(1, 2), keepdims=True)
-    share = share * np.minimum(1.0, _MOST_SHARE / np.maximum(own, 1e-300))
+    share = share * np.minimum(1.0, SOLVER.most_share / np.maximum(own, 1e-300))
     alone = np.linalg.solve(np.eye(3) - share, scores[..., None])[..., 0]
     return np.asarray(alone @ inverse.T)
-
-
-def _why(determined: Bools, question: Question, told: Floats) -> tuple[str, ...]:
-    lost = [
-        axis
-        for axis, known, asked in zip(AXES, determined, question.free, strict=True)
-        if asked and not known
-    ]
-    if not lost:
-        return ()
-    none = not told.any()
-    cause = "nothing in these intervals tells an offset" if none else "the field varies too little along it"
-    return (f"cannot tell {', '.join(lost)}: {cause}",)

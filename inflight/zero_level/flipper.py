@@ -1,12 +1,17 @@
-"""A flipper turns two sensors into each other's place: what is theirs, and what the spacecraft's (Helios).
+"""Offsets of sensors and fields of the spacecraft, separated by a flipper (Helios).
+
+Takes: the corrections found before and after a flip. Makes (`separate_flipped`): `Flipped`, the offsets of
+two sensors and the spacecraft's field along two axes, with their covariance. A flipper turns two sensors into
+each other's place.
 
 Before the flip sensor 1 lies along x and sensor 3 along z, after it 3 along x and 1 against z. With offsets
 C1, C3 of the sensors' package and fields S_x, S_z of the spacecraft the corrections found are
 
     D' = C1 + S_x,  D'' = C3 + S_x,  C' = C3 + S_z,  C'' = S_z - C1.
 
-Sensor 2 is not turned: its offset and the spacecraft's field along it cannot be told apart. Nor can a part
-that changes with the flip: the flipper's own field counts as the sensors'.
+Sensor 2 is not turned: its offset and the spacecraft's field along it cannot be separated. Nor can a part
+that changes with the flip: the flipper's own field counts as the sensors'. (Where C1 = C3 = 0, S_x = D' and
+S_z = C'; the report's remark on that case is wrong.)
 """
 
 from __future__ import annotations
@@ -48,8 +53,8 @@ class Flipped:
         place = PARTS.index(part)
         return bool(abs(self.value[place]) > 2.0 * self.sigma[place])
 
-    def told(self) -> str:
-        """Say it in a sentence."""
+    def summary(self) -> str:
+        """Return one sentence."""
         parts = [
             f"{name} {v:.2f} +- {s:.2f} nT" for name, v, s in zip(PARTS, self.value, self.sigma, strict=True)
         ]
@@ -69,7 +74,9 @@ class Flipped:
         )
 
 
-def separate(along_z: tuple[float, float], along_x: tuple[float, float], covariance: Floats) -> Flipped:
+def separate_flipped(
+    along_z: tuple[float, float], along_x: tuple[float, float], covariance: Floats
+) -> Flipped:
     """Separate sensors and spacecraft.
 
     Parameters

@@ -1,6 +1,8 @@
-"""A record in intervals of one length, without spikes, saturation and gaps, and what fluctuates in each.
+"""A record in intervals of one length: what all methods of the zero level take.
 
-All methods work on the same intervals, so that their errors can be compared interval by interval.
+Takes: times and readings, nT, of a record, with flags. Makes (`Intervals.of`): `Intervals`, the readings
+without spikes, saturation and gaps, and of each interval the mean, the fluctuation and their covariance. All
+methods work on the same intervals, so that their errors can be compared interval by interval.
 """
 
 from __future__ import annotations
@@ -21,24 +23,41 @@ Bools = npt.NDArray[np.bool_]
 
 AXES = ("x", "y", "z")
 
-#: Fewest intervals of an estimate: eight tell their own scatter to 25 %.
-FEWEST_INTERVALS = 8
 
-#: Fewest samples of an interval: a covariance of three components has six numbers.
-FEWEST_SAMPLES = 16
+@dataclass(frozen=True, kw_only=True)
+class IntervalSettings:
+    """What an interval and a record must have.
 
-#: An interval is kept with this part of its samples or more.
-_COVERAGE = 0.5
+    Attributes
+    ----------
+    fewest_intervals : int
+        Of an estimate. Derived: eight give their own scatter to 25 %.
+    fewest_samples : int
+        Of an interval. Derived: a covariance of three components has six numbers.
+    coverage : float
+        An interval is kept with this part of its samples or more. Assumed.
+    above_noise : float
+        Fluctuations count from this many times the variance from reading to reading on. Derived: white noise
+        has it once, within 20 % of chance for fifty samples.
+    stuck : int
+        So many equal readings at the end of the range in a row are saturation. Derived: noise would move
+        them.
+    returns : float
+        A spike comes back: the sum of the two changes is less than this part of the smaller one. Assumed.
+    """
 
-#: Fluctuations count from this many times the variance from reading to reading on: white noise has it once,
-#: within 20 % of chance for fifty samples.
-_ABOVE_NOISE = 2.0
+    fewest_intervals: int = 8
+    fewest_samples: int = 16
+    coverage: float = 0.5
+    above_noise: float = 2.0
+    stuck: int = 3
+    returns: float = 0.5
 
-#: This many equal readings at the end of the range in a row are saturation: noise would move them.
-_STUCK = 3
+
+INTERVALS = IntervalSettings()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Intervals:
     """Readings in intervals of one length.
 
@@ -52,7 +71,7 @@ class Intervals:
     start, end : ndarray of int64, shape (interval,)
         TT2000, half-open.
     noise : ndarray, shape (3,)
-        What fluctuates from reading to reading, nT: at least the white noise; turbulence adds to it.
+        Fluctuation from reading to reading, nT: at least the white noise; turbulence adds to it.
     white : float
         White noise per component as stated for the instrument, nT; 0 where nothing is stated.
     cadence_s : float
@@ -79,7 +98,7 @@ class Intervals:
         good: Bools | None = None,
         *,
         white: float = 0.0,
-        fewest: int = FEWEST_INTERVALS,
+        fewest: int = INTERVALS.fewest_intervals,
     ) -> Intervals:
         """Cut a record into intervals.
 
@@ -106,25 +125,41 @@ class Intervals:
         CalibrationError
             Too few samples or intervals.
         """
-        times, values = _checked(tt2000, field)
+        times, values = np.asarray(tt2000, dtype=np.int64), np.asarray(field, dtype=np.float64)
+        if values.shape != (times.size, 3):
+            raise SamplesError(
+                f"times have shape {times.shape}, the field {values.shape}",
+                remedy="give (time,) and (time, 3)",
+            )
+        if np.any(np.diff(times) <= 0):
+            raise SamplesError("times do not rise", remedy="sort them and drop duplicates")
         finite = np.isfinite(values).all(axis=1)
         allowed = np.ones(len(values), dtype=bool) if good is None else np.asarray(good, dtype=bool)
-        use, notes = _cleaned(values, np.asarray(finite & allowed))
+        use, notes = _clean(values, np.asarray(finite & allowed))
         times, values = times[use], values[use]
-        if times.size < FEWEST_SAMPLES:
+        if times.size < INTERVALS.fewest_samples:
             raise CalibrationError(
-                f"{times.size} usable readings found, at least {FEWEST_SAMPLES} needed",
+                f"{times.size} usable readings found, at least {INTERVALS.fewest_samples} needed",
                 remedy="see the record's gaps and flags, or take a longer span",
             )
         cadence = float(np.median(np.diff(times))) / SECOND
-        filled = _filled(times, values, length_s, cadence)
-        if len(filled[0]) < fewest:
+        stamps, filled, start = _fill(times, values, length_s, cadence)
+        if len(stamps) < fewest:
             raise CalibrationError(
-                f"{len(filled[0])} intervals of {length_s:g} s at least half full found, {fewest} needed",
+                f"{len(stamps)} intervals of {length_s:g} s at least half full found, {fewest} needed",
                 remedy="take a longer span, or shorter intervals",
             )
         noise = np.array([noise_of(values[:, axis])[0] for axis in range(3)])
-        return cls(*filled, noise, white, cadence, notes)
+        return cls(
+            tt2000=stamps,
+            field=filled,
+            start=start,
+            end=start + round(length_s * SECOND),
+            noise=noise,
+            white=white,
+            cadence_s=cadence,
+            notes=notes,
+        )
 
     def __len__(self) -> int:
         return len(self.start)
@@ -134,10 +169,6 @@ class Intervals:
         parts = ("tt2000", "field", "start", "end")
         kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in parts}
         return replace(self, **kept)
-
-    def less(self, offset: Floats) -> Intervals:
-        """Return the same readings less an offset (3,), nT."""
-        return replace(self, field=self.field - offset)
 
     @property
     def count(self) -> Floats:
@@ -161,19 +192,19 @@ class Intervals:
         return np.asarray(np.einsum("ksi,ksj->kij", delta, delta) / self.count[:, None, None])
 
     @property
-    def lively(self) -> Bools:
+    def above_noise(self) -> Bools:
         """Whether more than noise fluctuates; (interval,)."""
         total = np.trace(self.covariance, axis1=1, axis2=2)
         noise = 3.0 * self.white**2 or np.sum(self.noise**2)
-        return np.asarray(total > _ABOVE_NOISE * noise)
+        return np.asarray(total > INTERVALS.above_noise * noise)
 
-    def around(self, offset: Floats) -> bool:
+    def encloses(self, offset: Floats) -> bool:
         """Whether an offset lies within the readings themselves: there a direction has no meaning.
 
-        The field left is then, in half of the intervals, smaller than what fluctuates.
+        The corrected field is then, in half of the intervals, smaller than its fluctuation.
         """
-        left = np.sum((self.mean - offset) ** 2, axis=1)
-        return bool(np.median(left / np.trace(self.covariance, axis1=1, axis2=2)) < 1.0)
+        square = np.sum((self.mean - offset) ** 2, axis=1)
+        return bool(np.median(square / np.trace(self.covariance, axis1=1, axis2=2)) < 1.0)
 
     @property
     def neighbours(self) -> Bools:
@@ -188,14 +219,14 @@ class Intervals:
         width = max(part.field.shape[1] for part in parts)
         one = parts[0]
         arrays: dict[str, Any] = {
-            spec.name: np.concatenate([_widened(getattr(part, spec.name), width) for part in parts])
+            spec.name: np.concatenate([_padded(getattr(part, spec.name), width) for part in parts])
             for spec in fields(one)
             if spec.name in ("tt2000", "field", "start", "end")
         }
         return replace(one, **arrays, notes=tuple(note for part in parts for note in part.notes))
 
 
-def _widened(values: npt.NDArray[np.generic], width: int) -> npt.NDArray[np.generic]:
+def _padded(values: npt.NDArray[np.generic], width: int) -> npt.NDArray[np.generic]:
     """Return (interval, sample, ...) padded to `width` samples; (interval,) as it is."""
     if values.ndim == 1 or values.shape[1] == width:
         return values
@@ -204,18 +235,7 @@ def _widened(values: npt.NDArray[np.generic], width: int) -> npt.NDArray[np.gene
     return np.pad(values, room, constant_values=fill)
 
 
-def _checked(tt2000: Int64, field: Floats) -> tuple[Int64, Floats]:
-    times, values = np.asarray(tt2000, dtype=np.int64), np.asarray(field, dtype=np.float64)
-    if values.shape != (times.size, 3):
-        raise SamplesError(
-            f"times have shape {times.shape}, the field {values.shape}", remedy="give (time,) and (time, 3)"
-        )
-    if np.any(np.diff(times) <= 0):
-        raise SamplesError("times do not rise", remedy="sort them and drop duplicates")
-    return times, values
-
-
-def _cleaned(values: Floats, use: Bools) -> tuple[Bools, tuple[str, ...]]:
+def _clean(values: Floats, use: Bools) -> tuple[Bools, tuple[str, ...]]:
     """Return usable samples without spikes and saturation, and what was left out."""
     missing, kept = int((~use).sum()), use.copy()
     spikes = np.zeros_like(use)
@@ -224,49 +244,47 @@ def _cleaned(values: Floats, use: Bools) -> tuple[Bools, tuple[str, ...]]:
     stuck = np.zeros_like(use)
     stuck[kept] = _saturated(values[kept])
     kept &= ~stuck
-    told = ((missing, "missing or flagged"), (int(stuck.sum()), "saturated"), (int(spikes.sum()), "spikes"))
-    return kept, tuple(f"{number} readings left out: {why}" for number, why in told if number)
+    lost = ((missing, "missing or flagged"), (int(stuck.sum()), "saturated"), (int(spikes.sum()), "spikes"))
+    return kept, tuple(f"{number} readings left out: {why}" for number, why in lost if number)
 
 
 def _saturated(values: Floats) -> Bools:
     """Return readings that stand still at an end of their range, in any component."""
-    if len(values) < _STUCK:
+    if len(values) < INTERVALS.stuck:
         return np.zeros(len(values), dtype=bool)
     out = np.zeros(len(values), dtype=bool)
     for column in values.T:
         at_end = (column == column.max()) | (column == column.min())
-        runs = np.convolve(at_end, np.ones(_STUCK), mode="valid") == _STUCK
+        runs = np.convolve(at_end, np.ones(INTERVALS.stuck), mode="valid") == INTERVALS.stuck
         if column.max() > column.min():
-            out |= np.convolve(runs, np.ones(_STUCK)) > 0
+            out |= np.convolve(runs, np.ones(INTERVALS.stuck)) > 0
     return out
 
 
 def _spikes(values: Floats) -> Bools:
     """Return single readings that leave their neighbours and come back at once, in any component.
 
-    Steps of nature do not come back. The limit is that of `inflight.residual.channel_steps`, or eight times
-    the usual change between neighbours where that is larger: a turbulent field moves on its own.
+    Steps of the field do not come back. The limit is that of `inflight.residual.channel_steps`, or eight
+    times the usual change between neighbours where that is larger: a turbulent field moves on its own.
     """
     out = np.zeros(len(values), dtype=bool)
-    if len(values) < FEWEST_SAMPLES:
+    if len(values) < INTERVALS.fewest_samples:
         return out
     for column in values.T:
         change = np.diff(column)
         usual = max(float(np.sqrt(2.0)) * noise_of(column)[0], 1.4826 * float(np.median(np.abs(change))))
         ahead, behind = change[:-1], change[1:]
         least = np.minimum(np.abs(ahead), np.abs(behind))
-        out[1:-1] |= (least > SIGNIFICANCE * usual) & (np.abs(ahead + behind) < 0.5 * least)
+        out[1:-1] |= (least > SIGNIFICANCE * usual) & (np.abs(ahead + behind) < INTERVALS.returns * least)
     return out
 
 
-def _filled(
-    times: Int64, values: Floats, length_s: float, cadence: float
-) -> tuple[Int64, Floats, Int64, Int64]:
-    """Return times, readings (NaN-filled), starts and ends of the intervals with enough samples."""
+def _fill(times: Int64, values: Floats, length_s: float, cadence: float) -> tuple[Int64, Floats, Int64]:
+    """Return times, readings (NaN-filled) and starts of the intervals with enough samples."""
     length = round(length_s * SECOND)
     number = (times - times[0]) // length
     which, first, count = np.unique(number, return_index=True, return_counts=True)
-    needed = max(FEWEST_SAMPLES, _COVERAGE * length_s / cadence)
+    needed = max(INTERVALS.fewest_samples, INTERVALS.coverage * length_s / cadence)
     row = np.repeat(np.arange(which.size), count)
     place = np.arange(times.size) - np.repeat(first, count)
     field = np.full((which.size, int(count.max()), 3), np.nan)
@@ -274,4 +292,4 @@ def _filled(
     field[row, place], stamps[row, place] = values, times
     start = times[0] + which * length
     kept = count >= needed
-    return stamps[kept], field[kept], start[kept], start[kept] + length
+    return stamps[kept], field[kept], start[kept]

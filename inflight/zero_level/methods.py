@@ -1,70 +1,62 @@
-r"""Davis-Smith, Hedgecock, Wang-Pan, mirror mode.
+r"""The methods of the zero level, one call each: ``method(intervals, used, question) -> Estimate``.
 
-Davis and Smith (1968): the offset that makes the square of the field vary least.
+Takes: `Intervals`, which of them are of the method's kind, and a `Question`. Makes: `Estimate`. The table
+`METHODS` names every method, the intervals that suit it, and whether `inflight.zero_level.combination` uses
+it. B is a reading, O the offset, :math:`\bar B` the mean of an interval.
 
-With readings B and offset O the square is :math:`|B - O|^2 = B^2 - 2 B \cdot O + O^2`. Over an interval
-:math:`\mathrm{var}(B^2 - 2 B \cdot O)` is least where :math:`A O = b`, :math:`A = \mathrm{cov}(B, B)`,
-:math:`b = \mathrm{cov}(B, B^2)/2`; intervals are added, each less its own mean, so that slow compressions
-between intervals do not enter. The same equations hold in a turning frame: O is in the sensor's axes.
+**Kinds** (`classify_intervals`): Alfvenic intervals, in which the field turns; compressional ones, in which
+its size varies; and neither. The parts of the variance are those of the field less the present offset; a
+wrong offset makes rotation look like compression, so the kinds are found anew after each estimate.
 
-White noise adds its variance to A and that times the mean field to b, which pulls the offset towards the
-mean field: both are taken off when the noise is stated. (Estimated from the readings it would hold
-turbulence, and taking that off pulls by more than the noise does.) Compressions of variance C along the
-field B_0 add C B_0 to b. The method as published is pulled by ``inverse(A) sum(C B_0)``, whence Leinweber
-et al. (2008) search for pure rotations. C is seen in the corrected field, so the pull is taken off here:
-``(A - C) O = b - C mean(B)``. That is minimum correlation over whole intervals, and as blind where
-compression equals rotation.
+**Davis-Smith** (Davis and Smith 1968; `davis_smith`, `davis_smith_as_published`): the offset that makes the
+square of the field vary least. Over an interval :math:`\mathrm{var}(B^2 - 2 B \cdot O)` is least where
+:math:`A O = b`, :math:`A = \mathrm{cov}(B, B)`, :math:`b = \mathrm{cov}(B, B^2)/2`; intervals are added, each
+less its own mean, so that slow compressions between intervals do not enter. The same equations hold in a
+turning frame. White noise adds its variance to A and that times the mean field to b: both are taken off when
+the noise is stated. (Estimated from the readings it would hold turbulence, and taking that off biases by more
+than the noise does.) Compressions of variance C along the mean field add :math:`C \bar B` to b: the published
+method is biased by ``inverse(A) sum(C (mean(B) - O))``, which is why Leinweber et al. (2008) search for pure
+rotations. C is known from the corrected field, so the bias is taken off: ``(A - C) O = b - C mean(B)``. That
+is minimum correlation over whole intervals, and as blind where compression equals rotation.
 
-Minimum correlation (Hedgecock 1975): changes of the field's size are unrelated to those of its direction.
+**Wang-Pan** (Wang and Pan 2021; `wang_pan`): the tip of a field of constant size moves on a sphere, in one
+interval nearly on an arc; any centre on the axis u of the arc explains it. u is the direction of least
+variance; across it the best centre solves ``A O = b``. The offset is where the lines of intervals meet:
+:math:`\sum w P_u (b - A O) = 0`. A line's weight is how well it keeps the size constant,
+``samples / var(B^2/2)``; drifts of the size within an interval are taken off first.
 
-For successive averages with size B and direction n, an offset c of the reading changes
-:math:`dB \to dB + c \cdot dn` and :math:`dn \to dn - P c\, dB/B^2`, P across n. All three directions at once:
+**Mirror mode** (Plaschke and Narita 2016; in 3-D Plaschke et al. 2017; `mirror_mode`): compressions lie along
+the field; the cross product of the direction D of most variance and :math:`\bar B - O` is zero. With n the
+direction of the corrected mean field the equations are :math:`\sum P_n D (n \cdot D) / |\bar B - O| = 0`:
+errors of D enter once and do not bias the offset along the field, as they would with :math:`P_D`. Errors of n
+do, by at most ``sum(angle^2 n / |B|)`` over the slopes: the field may turn within an interval. That enters
+the covariance.
+
+**Minimum correlation** (Hedgecock 1975; `minimum_correlation`, all axes at once): changes of the field's size
+are not correlated with those of its direction n. For successive averages a correction c changes
+:math:`dB \to dB + c \cdot dn` and :math:`dn \to dn - P c\, dB/B^2`, P across n:
 
 .. math:: \sum dB\,dn = M c, \quad M = \sum (dn\,dn^T - P\, dB^2/B^2),
 
 which along one axis at the angle :math:`\theta` is
 :math:`\mathrm{cov}(dB, d\theta) \sim c \sin\theta\, (\langle dB^2\rangle/B^2 - \langle d\theta^2\rangle)`
-(up to its sign). **It is blind where compression equals rotation**: M is zero there. White noise adds as
-much to either part and drops out. The offset along the mean direction has least information, because n
-hardly moves along itself.
+(up to its sign). **It is blind where compression equals rotation**: M is zero there. White noise adds as much
+to either part and drops out. The offset along the mean direction has least information.
 
-Wang and Pan (2021): every Alfvenic interval has a line of offsets that keep the field's size constant.
-
-The tip of a field of constant size moves on a sphere, in one interval nearly on an arc: any centre on the
-axis of the arc explains it. The axis is the direction of least variance u; across it the best centre
-solves ``A O = b`` (`inflight.zero_level.methods`). The offset is where the lines of intervals with
-different u meet: :math:`\sum w P_u (b - A O) = 0`. A line's weight is how well it keeps the size constant,
-``samples / var(B^2/2)``, so a compressed interval has little say; drifts of the size within an interval
-are taken off first.
-
-Mirror modes (Plaschke and Narita 2016; in 3-D Plaschke et al. 2017): compressions lie along the field.
-
-In a mirror mode the direction D of most variance is that of the mean field: the cross product of D and
-:math:`\bar B - O` is zero. One interval tells the offset across D; intervals with different D tell all of
-it: O_z = mean B_z less the mean in the spin plane times the tangent of D's elevation is
-what is left when x and y are known. With b the direction of the corrected mean field the equations are
-:math:`\sum P_b D (b \cdot D) / |\bar B - O| = 0`: errors of D enter once, and do not pull the offset along
-the field as they would when P_D stood there. Errors of b do, by at most ``sum(angle^2 b / |B|)`` over the
-slopes: the field may turn within an interval. That enters the covariance; longer intervals lessen it.
-
-Minimum correlation one axis after the other, as Hedgecock (1975) and the tests on IMP-8 and Helios did it.
-
-V(c) = cov(dB, dtheta) of successive averages as a function of a correction c along one axis, theta the angle
-*from* that axis; its zero is the correction. Pairs with both angles between 30 and 150 degrees are used, the
-same ones while c varies. V also vanishes at large c: c is bounded, and the zero nearest to the present
-correction is taken. Taking the axes in turn creeps when the direction varies little: the joint form
-(`inflight.zero_level.methods`) does not.
-
-Which intervals are Alfvenic (the field turns), which compressional (its size varies), and which neither.
-
-The parts of the variance are those of the field less the present offset; a wrong offset makes turning
-look like compression. The kinds are therefore found anew after each estimate until they stay
-(`inflight.zero_level.combination`).
+**Hedgecock** (Hedgecock 1975, the tests on IMP-8 and Helios; `hedgecock`, `axis_in_turn`): the same, one axis
+after the other. :math:`V(c) = \mathrm{cov}(dB, d\theta)` as a function of a correction c along one axis,
+theta the angle
+*from* that axis (not a latitude); its zero is the correction. Pairs with both angles between 30 and
+150 degrees are used, the same ones while c varies. V also vanishes at large c: c is bounded, and the zero
+nearest to the present correction is taken. It creeps where the direction varies little; the joint form does
+not.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
@@ -73,14 +65,123 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import biweight, biweight_slope, robust_sigma
 from inflight.time import Int64
-from inflight.zero_level.estimate import Estimate, Question, answering, informed, likeliest, solve
-from inflight.zero_level.intervals import FEWEST_SAMPLES, Bools, Intervals
+from inflight.zero_level.estimate import (
+    SOLVER,
+    Estimate,
+    Question,
+    best_estimate,
+    estimate_from_scores,
+    inverse_of_true_slopes,
+    invert_slopes,
+    solve,
+)
+from inflight.zero_level.intervals import INTERVALS, Bools, Intervals
 
-DAVIS_SMITH = "davis-smith"
+DAVIS_SMITH, WANG_PAN, MIRROR_MODE = "davis-smith", "wang-pan", "mirror mode"
+
+MINIMUM_CORRELATION, HEDGECOCK = "minimum correlation", "hedgecock"
 
 
-def moments(intervals: Intervals) -> tuple[Floats, Floats]:
-    """Return A (interval, 3, 3), nT^2, and b (interval, 3), nT^3, without the white noise stated."""
+@dataclass(frozen=True, kw_only=True)
+class KindSettings:
+    """Limits of the kinds of intervals. They decide which intervals a method gets, not its errors.
+
+    Attributes
+    ----------
+    alfvenic : float
+        Alfvenic intervals have less than this part of their variance in the size of the field. Assumed.
+    compressional : float
+        Compressional ones have more. Derived: twice the third that compression has when all directions are
+        alike.
+    elongated : float
+        The direction of most variance is known when it has this many times the variance of the next. Assumed.
+    """
+
+    alfvenic: float = 0.10
+    compressional: float = 2.0 / 3.0
+    elongated: float = 2.0
+
+
+KINDS = KindSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntervalKinds:
+    """The kind of fluctuations in each interval; all (interval,).
+
+    Attributes
+    ----------
+    compression : ndarray
+        Variance of the size over that of the vector, 0 to 1.
+    rotation : ndarray
+        Root mean square of the turning over that of the field: radians while it is small.
+    alfvenic, compressional : ndarray of bool
+    start, end : ndarray of int64
+        TT2000.
+    """
+
+    compression: Floats
+    rotation: Floats
+    alfvenic: Bools
+    compressional: Bools
+    start: Int64
+    end: Int64
+
+    @property
+    def neither(self) -> Bools:
+        """Intervals of no kind."""
+        return ~(self.alfvenic | self.compressional)
+
+    def summary(self) -> str:
+        """Return how many there are of each kind, in words."""
+        counts = [int(part.sum()) for part in (self.alfvenic, self.compressional, self.neither)]
+        return f"{counts[0]} Alfvenic, {counts[1]} compressional, {counts[2]} neither"
+
+    def table(self) -> xr.Dataset:
+        """Return everything along interval; `value` is the compression, its sigma is not known (NaN)."""
+        return xr.Dataset(
+            {
+                "value": ("interval", self.compression),
+                "sigma": ("interval", np.full(self.compression.size, np.nan)),
+                "rotation": ("interval", self.rotation, {"units": "rad"}),
+                "alfvenic": ("interval", self.alfvenic),
+                "compressional": ("interval", self.compressional),
+                "start": ("interval", self.start, {"scale": "TT2000"}),
+                "end": ("interval", self.end, {"scale": "TT2000"}),
+            }
+        )
+
+
+def classify_intervals(intervals: Intervals, offset: Floats) -> IntervalKinds:
+    """Return which intervals are Alfvenic and which compressional.
+
+    Parameters
+    ----------
+    intervals : Intervals
+    offset : ndarray, shape (3,)
+        The present offset, nT.
+    """
+    covariance = intervals.covariance - intervals.white**2 * np.eye(3)
+    own = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
+    total = np.maximum(own.sum(axis=1), 1e-300)
+    mean = np.linalg.norm(intervals.mean - offset, axis=1)
+    squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
+    part = np.minimum(squeezed / total, 1.0)
+    rotation = np.sqrt(np.maximum(total - squeezed, 0.0) / (mean**2 + total))
+    above_noise = intervals.above_noise
+    elongated = own[:, 2] > KINDS.elongated * own[:, 1]
+    return IntervalKinds(
+        compression=part,
+        rotation=rotation,
+        alfvenic=above_noise & (part < KINDS.alfvenic),
+        compressional=above_noise & elongated & (part > KINDS.compressional),
+        start=intervals.start,
+        end=intervals.end,
+    )
+
+
+def least_variance_equations(intervals: Intervals) -> tuple[Floats, Floats]:
+    """Return A (interval, 3, 3), nT^2, and b (interval, 3), nT^3, of Davis-Smith, without white noise."""
     delta, count = intervals.fluctuation, intervals.count
     square = np.nan_to_num(0.5 * np.sum(intervals.field**2, axis=2))
     b = np.einsum("ksi,ks->ki", delta, square) / count[:, None]
@@ -96,22 +197,16 @@ def compression(intervals: Intervals, offset: Floats) -> Floats:
 
 
 def davis_smith(
-    intervals: Intervals, used: Bools | None = None, question: Question | None = None, corrected: bool = True
+    intervals: Intervals, used: Bools | None = None, question: Question | None = None
 ) -> Estimate:
-    """Estimate the offset from the least variance of the square of the field.
+    """Estimate the offset by Davis-Smith, with the bias of compressions taken off.
 
     Parameters
     ----------
     intervals : Intervals
     used : ndarray of bool, shape (interval,), optional
-        Alfvenic intervals (`inflight.zero_level.methods`); all when absent.
+        Alfvenic intervals (`classify_intervals`); all when absent.
     question : Question, optional
-    corrected : bool
-        Whether the pull of compressions is taken off; else it is told and enters the covariance.
-
-    Returns
-    -------
-    Estimate
 
     Raises
     ------
@@ -119,64 +214,77 @@ def davis_smith(
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(DAVIS_SMITH, intervals, used)
-    a, b = moments(intervals)
+    mask = question.select_intervals(DAVIS_SMITH, intervals, used)
+    a, b = least_variance_equations(intervals)
     weight = intervals.count[:, None]
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
-        left, slope = b - a @ offset, a
-        if corrected:
-            squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
-            left = left - squeezed[:, None] * (intervals.mean - offset)
-            slope = slope - squeezed[:, None, None] * np.eye(3)
-        return weight * left, weight[..., None] * slope
+        residual, slope = b - a @ offset, a
+        squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
+        residual = residual - squeezed[:, None] * (intervals.mean - offset)
+        slope = slope - squeezed[:, None, None] * np.eye(3)
+        return weight * residual, weight[..., None] * slope
 
-    if not corrected:
-        found = solve(DAVIS_SMITH, equations, intervals, mask, question, turning=True)
-        return found.pulled(compression_pull(intervals, found, question), "compressions")
     part = intervals.where(mask)
     each = [
         solve(DAVIS_SMITH, equations, intervals, mask, question, first=first, signed=True)
-        for first in question.begins(least_variance(part, question))
+        for first in question.starts(least_variance_offset(part, question))
     ]
     # The offset under which the size of the field varies least.
-    return likeliest(each, lambda one: -float(np.sum(compression(part, one.solution) * part.count)))
+    return best_estimate(each, lambda one: -float(np.sum(compression(part, one.solution) * part.count)))
 
 
-def least_variance(intervals: Intervals, question: Question) -> Floats:
+def davis_smith_as_published(
+    intervals: Intervals, used: Bools | None = None, question: Question | None = None
+) -> Estimate:
+    """Estimate the offset by Davis-Smith as published; the bias of compressions enters the covariance.
+
+    Linear in the offset, so that readings in turning axes are allowed. Parameters and errors as for
+    `davis_smith`.
+    """
+    question = question or Question()
+    mask = question.select_intervals(DAVIS_SMITH, intervals, used)
+    a, b = least_variance_equations(intervals)
+    weight = intervals.count[:, None]
+
+    def equations(offset: Floats) -> tuple[Floats, Floats]:
+        return weight * (b - a @ offset), weight[..., None] * a
+
+    found = solve(DAVIS_SMITH, equations, intervals, mask, question, turning=True)
+    return found.with_systematic(compression_bias(intervals, found, question), "compressions")
+
+
+def least_variance_offset(intervals: Intervals, question: Question) -> Floats:
     """Return the offset of least variance of the square of all intervals, in closed form; (3,), nT."""
-    a, b = moments(intervals)
+    a, b = least_variance_equations(intervals)
     start, weight = np.asarray(question.start), intervals.count[:, None]
-    inverse, _ = informed(weight[..., None] * a, np.asarray(question.free), 0.0)
+    inverse, _ = invert_slopes(weight[..., None] * a, np.asarray(question.free), 0.0)
     return np.asarray(start + inverse @ np.sum(weight * (b - a @ start), axis=0))
 
 
-def compression_pull(intervals: Intervals, found: Estimate, question: Question) -> Floats:
-    """Return what compressions along the mean field do to a Davis-Smith offset; (3,), nT."""
+def compression_bias(intervals: Intervals, found: Estimate, question: Question) -> Floats:
+    """Return the bias of a Davis-Smith offset as published by compressions along the mean field; (3,), nT."""
     part = intervals.where(found.used)
     rest = np.maximum(compression(part, found.solution) - part.white**2, 0.0)
-    slopes = part.count[:, None, None] * moments(part)[0]
-    inverse, _ = informed(slopes, np.asarray(question.free), 0.0)
+    slopes = part.count[:, None, None] * least_variance_equations(part)[0]
+    inverse, _ = invert_slopes(slopes, np.asarray(question.free), 0.0)
     weight = (part.count * rest)[:, None]
     return np.asarray(inverse @ np.sum(weight * (part.mean - found.solution), axis=0))
 
 
-MINIMUM_CORRELATION = "minimum correlation"
-
-
-def balance(intervals: Intervals, offset: Floats) -> Floats:
+def compression_over_rotation(intervals: Intervals, offset: Floats) -> Floats:
     """Return compression over rotation, ``<dB^2/B^2> / (<dn^2>/2)``, of all pairs: blind at 1."""
-    change, turn, size, pair = changes(intervals, offset)
+    change, turn, size, pair = pair_changes(intervals, offset)
     squeezed = np.sum((change / size) ** 2, where=pair)
     return np.asarray(squeezed / max(0.5 * float(np.sum(turn**2, where=pair[..., None])), 1e-300))
 
 
-def changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, Floats, Bools]:
+def pair_changes(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats, Floats, Bools]:
     """Return dB (interval, pair), dn (interval, pair, 3), B of the pair, and which pairs there are.
 
     The offset has shape (3,), or (interval, 3) when each interval has its own.
     """
-    field = intervals.field - _each(offset)
+    field = intervals.field - _broadcast(offset)
     size = np.linalg.norm(field, axis=2)
     pair = intervals.neighbours & (size[:, 1:] > 0) & (size[:, :-1] > 0)
     safe = np.where(np.isfinite(size) & (size > 0), size, 1.0)
@@ -191,13 +299,13 @@ def minimum_correlation(
 ) -> Estimate:
     """Estimate the offset along all axes at once from uncorrelated changes of size and direction.
 
-    M may be negative: compression that outweighs rotation tells as well as rotation alone, but intervals
-    of both kinds together cancel; give them apart.
+    M may be negative: where compression outweighs rotation the offset is determined as well as by rotation
+    alone, but intervals of both kinds together cancel; give them separately.
 
     Parameters
     ----------
     intervals : Intervals
-        Of averages over whole spins (`inflight.zero_level.published`).
+        Of averages over whole spins and whole samples.
     used : ndarray of bool, shape (interval,), optional
         Any kind of interval may take part.
     question : Question, optional
@@ -208,7 +316,9 @@ def minimum_correlation(
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(MINIMUM_CORRELATION, intervals, used, lively=False)  # noise drops out
+    mask = question.select_intervals(
+        MINIMUM_CORRELATION, intervals, used, above_noise=False
+    )  # noise drops out
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
         return joint_equations(intervals, offset)
@@ -216,24 +326,24 @@ def minimum_correlation(
     part = intervals.where(mask)
     # Correlations vanish far out and within the readings, too: of several zeros that is taken at which
     # compression and rotation differ most.
-    found = likeliest(
+    found = best_estimate(
         [
             solve(MINIMUM_CORRELATION, equations, intervals, mask, question, first=first, signed=True)
-            for first in question.begins(least_variance(part, question))
+            for first in question.starts(least_variance_offset(part, question))
         ],
-        lambda one: abs(float(np.log(balance(part, one.solution)))),
+        lambda one: abs(float(np.log(compression_over_rotation(part, one.solution)))),
     )
-    ratio = float(balance(part, found.solution))
-    told = f"compression over rotation is {ratio:.2f}"
+    ratio = float(compression_over_rotation(part, found.solution))
+    why = f"compression over rotation is {ratio:.2f}"
     if not found.determined[np.asarray(question.free)].all():
-        told += "; the method is blind where it is 1"
-    return found.because(told)
+        why += "; the method is blind where it is 1"
+    return found.with_reasons(why)
 
 
 def joint_equations(intervals: Intervals, offset: Floats) -> tuple[Floats, Floats]:
     """Return ``sum dB dn`` (interval, 3) and M (interval, 3, 3) of the pairs of each interval."""
-    change, turn, size, pair = changes(intervals, offset)
-    middle = np.nan_to_num(0.5 * (intervals.field[:, 1:] + intervals.field[:, :-1]) - _each(offset))
+    change, turn, size, pair = pair_changes(intervals, offset)
+    middle = np.nan_to_num(0.5 * (intervals.field[:, 1:] + intervals.field[:, :-1]) - _broadcast(offset))
     unit = middle / np.maximum(np.linalg.norm(middle, axis=2, keepdims=True), 1e-300)
     squeezed = np.where(pair, (change / size) ** 2, 0.0)
     scores = np.einsum("kp,kpi->ki", change, turn)
@@ -243,14 +353,12 @@ def joint_equations(intervals: Intervals, offset: Floats) -> tuple[Floats, Float
     return scores, rotation - across
 
 
-def _each(offset: Floats) -> Floats:
+def _broadcast(offset: Floats) -> Floats:
+    """Return an offset (3,), or one an interval (interval, 3), ready to be subtracted from readings."""
     return offset[:, None, :] if offset.ndim == 2 else offset
 
 
-WANG_PAN = "wang-pan"
-
-
-def lines(intervals: Intervals) -> tuple[Floats, Floats]:
+def interval_lines(intervals: Intervals) -> tuple[Floats, Floats]:
     """Return the direction (interval, 3) of each line and the projector across it (interval, 3, 3)."""
     _, vectors = np.linalg.eigh(intervals.covariance)
     least = vectors[:, :, 0]
@@ -273,49 +381,48 @@ def wang_pan(intervals: Intervals, used: Bools | None = None, question: Question
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(WANG_PAN, intervals, used)
-    a, b = moments(intervals)
-    across = lines(intervals)[1]
+    mask = question.select_intervals(WANG_PAN, intervals, used)
+    a, b = least_variance_equations(intervals)
+    across = interval_lines(intervals)[1]
     slope = across @ a @ across
 
     def parts(offset: Floats) -> tuple[Floats, Floats]:
         squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
-        left = b - a @ offset - squeezed[:, None] * (intervals.mean - offset)
-        unrest = _unrest(intervals, offset)
-        # No line is known much better than usual: the little unrest of some intervals is chance.
-        return left, intervals.count / (unrest + np.median(unrest[mask]))
+        residual = b - a @ offset - squeezed[:, None] * (intervals.mean - offset)
+        variance = square_variance(intervals, offset)
+        # No line is known much better than usual: the small variance of some intervals is chance.
+        return residual, intervals.count / (variance + np.median(variance[mask]))
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
-        left, weight = parts(offset)
-        return weight[:, None] * np.einsum("kij,kj->ki", across, left), weight[:, None, None] * slope
+        residual, weight = parts(offset)
+        return weight[:, None] * np.einsum("kij,kj->ki", across, residual), weight[:, None, None] * slope
 
-    def answer(offset: Floats) -> Floats:
-        left, weight = parts(offset)
-        left = np.einsum("kij,kj->ki", across, left)
-        follow = (2.0 * weight**2 / intervals.count)[:, None, None] * left[:, :, None] * left[:, None, :]
+    def true_slopes(offset: Floats) -> Floats:
+        residual, weight = parts(offset)
+        residual = np.einsum("kij,kj->ki", across, residual)
+        follow = (
+            (2.0 * weight**2 / intervals.count)[:, None, None] * residual[:, :, None] * residual[:, None, :]
+        )
         return np.asarray(weight[:, None, None] * slope - follow)
 
     found = solve(
-        WANG_PAN, equations, intervals, mask, question, answer, first=question.begins(np.zeros(3))[0]
+        WANG_PAN, equations, intervals, mask, question, true_slopes, first=question.starts(np.zeros(3))[0]
     )
-    left, weight = parts(found.solution)
-    along = weight[:, None] * np.einsum("kij,kj->ki", np.eye(3) - across, left)
-    inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
-    inverse = answering(inverse, answer(found.solution)[mask].sum(axis=0))
-    return found.pulled(inverse @ along[mask].sum(axis=0), "errors of the lines' directions")
+    residual, weight = parts(found.solution)
+    along = weight[:, None] * np.einsum("kij,kj->ki", np.eye(3) - across, residual)
+    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse = inverse_of_true_slopes(inverse, true_slopes(found.solution)[mask].sum(axis=0))
+    return found.with_systematic(inverse @ along[mask].sum(axis=0), "errors of the lines' directions")
 
 
-def _unrest(intervals: Intervals, offset: Floats) -> Floats:
+def square_variance(intervals: Intervals, offset: Floats) -> Floats:
     """Return the variance of half the square of the corrected field; (interval,), nT^4."""
     half = 0.5 * np.sum((intervals.field - offset) ** 2, axis=2)
     rest = np.nan_to_num(half - (np.nansum(half, axis=1) / intervals.count)[:, None])
     return np.asarray(np.sum(rest**2, axis=1) / intervals.count)
 
 
-MIRROR_MODE = "mirror mode"
-
-
-def most_variance(intervals: Intervals) -> Floats:
+def direction_of_most_variance(intervals: Intervals) -> Floats:
     """Return the direction of most variance of each interval; (interval, 3)."""
     _, vectors = np.linalg.eigh(intervals.covariance)
     return np.asarray(vectors[:, :, 2])
@@ -339,51 +446,75 @@ def mirror_mode(
         Too few intervals.
     """
     question = question or Question()
-    mask = question.chosen(MIRROR_MODE, intervals, used)
-    direction, mean = most_variance(intervals), intervals.mean
+    mask = question.select_intervals(MIRROR_MODE, intervals, used)
+    direction, mean = direction_of_most_variance(intervals), intervals.mean
 
-    def leaning(offset: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    def tilts(offset: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         field = mean - offset
         size = np.maximum(np.linalg.norm(field, axis=1), 1e-6)
         unit = field / size[:, None]
-        lean = np.sum(direction * unit, axis=1)
-        miss = direction * np.sign(lean)[:, None] - unit * np.abs(lean)[:, None]
-        angle = np.linalg.norm(miss, axis=1)
-        # The angles are two-dimensional; their usual size is that of what is used.
-        pull = angle / robust_sigma(angle[mask], floor=1e-6)
+        cosine = np.sum(direction * unit, axis=1)
+        deviation = direction * np.sign(cosine)[:, None] - unit * np.abs(cosine)[:, None]
+        angle = np.linalg.norm(deviation, axis=1)
+        # The angles are two-dimensional; their usual size is that of the intervals used.
+        scaled = angle / robust_sigma(angle[mask], floor=1e-6)
         across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
-        return miss, pull, size, np.abs(lean), across
+        return deviation, scaled, size, np.abs(cosine), across
 
     def equations(offset: Floats) -> tuple[Floats, Floats]:
-        miss, pull, size, lean, across = leaning(offset)
-        say = biweight(pull)
+        deviation, scaled, size, cosine, across = tilts(offset)
+        weight = biweight(scaled)
         # A mean reading that is too large turns away from D: the offset is what it is too large by.
-        return -(say / size)[:, None] * miss, (say * lean / size**2)[:, None, None] * across
+        return -(weight / size)[:, None] * deviation, (weight * cosine / size**2)[:, None, None] * across
 
-    def answer(offset: Floats) -> Floats:
-        miss, pull, size, lean, across = leaning(offset)
-        along = miss / np.maximum(np.linalg.norm(miss, axis=1), 1e-300)[:, None]
+    def true_slopes(offset: Floats) -> Floats:
+        deviation, scaled, size, cosine, across = tilts(offset)
+        along = deviation / np.maximum(np.linalg.norm(deviation, axis=1), 1e-300)[:, None]
         radial = along[:, :, None] * along[:, None, :]
-        # Across the miss the influence keeps its weight, along it the weight gives way.
-        given = (biweight_slope(pull) - biweight(pull))[:, None, None] * radial
-        return np.asarray((lean / size**2)[:, None, None] * (biweight(pull)[:, None, None] * across + given))
+        # Across the deviation the influence keeps its weight, along it the weight changes.
+        change = (biweight_slope(scaled) - biweight(scaled))[:, None, None] * radial
+        return np.asarray(
+            (cosine / size**2)[:, None, None] * (biweight(scaled)[:, None, None] * across + change)
+        )
 
     found = solve(
-        MIRROR_MODE, equations, intervals, mask, question, answer, first=question.begins(np.zeros(3))[0]
+        MIRROR_MODE, equations, intervals, mask, question, true_slopes, first=question.starts(np.zeros(3))[0]
     )
-    miss, pull, size, _, _ = leaning(found.solution)
-    square = np.sum(miss**2, axis=1) * biweight(pull) / size**2
-    inverse, _ = informed(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
-    inverse = answering(inverse, answer(found.solution)[mask].sum(axis=0))
+    deviation, scaled, size, _, _ = tilts(found.solution)
+    square = np.sum(deviation**2, axis=1) * biweight(scaled) / size**2
+    inverse, _ = invert_slopes(equations(found.solution)[1][mask], np.asarray(question.free), 0.0)
+    inverse = inverse_of_true_slopes(inverse, true_slopes(found.solution)[mask].sum(axis=0))
     most = inverse @ np.sum((square[:, None] * (mean - found.solution))[mask], axis=0)
-    return found.pulled(most / np.sqrt(3.0), "turning of the mean field within intervals")
+    return found.with_systematic(most / np.sqrt(3.0), "turning of the mean field within intervals")
 
 
-#: Angles from the axis, degrees.
-NEAREST, FARTHEST = 30.0, 150.0
+@dataclass(frozen=True, kw_only=True)
+class HedgecockSettings:
+    """Numbers of the method one axis after the other.
 
-#: Points of V(c), and a round that moves less than this ends it, nT.
-_POINTS, _SETTLED = 41, 1e-3
+    Attributes
+    ----------
+    nearest, farthest : float
+        Angles from the axis between which both points of a pair must lie, degrees: those of the report.
+    points : int
+        Points of V(c) between the bounds, and again around its zero. Assumed.
+    settled : float
+        A round that moves less than this ends it, nT. Assumed.
+    rounds : int
+        Most rounds: the ten of the report.
+    step : float
+        Step of the derivatives for the covariance, nT. Derived: its error is of second order.
+    """
+
+    nearest: float = 30.0
+    farthest: float = 150.0
+    points: int = 41
+    settled: float = 1e-3
+    rounds: int = 10
+    step: float = 1e-3
+
+
+AXIS_IN_TURN = HedgecockSettings()
 
 
 @dataclass(frozen=True)
@@ -420,11 +551,11 @@ def angles_from(field: Floats, axis: int) -> Floats:
 def pairs_within(field: Floats, axis: int, joined: Bools) -> Bools:
     """Return pairs (time - 1,) whose both directions are 30 to 150 degrees from an axis."""
     angle = np.degrees(angles_from(field, axis))
-    inside = (angle > NEAREST) & (angle < FARTHEST)
+    inside = (angle > AXIS_IN_TURN.nearest) & (angle < AXIS_IN_TURN.farthest)
     return np.asarray(inside[1:] & inside[:-1] & joined)
 
 
-def correlation(field: Floats, axis: int, corrections: Floats, pairs: Bools) -> Floats:
+def size_angle_covariance(field: Floats, axis: int, corrections: Floats, pairs: Bools) -> Floats:
     """Return V(c) = cov(dB, dtheta), nT rad, for corrections (c,) taken off along an axis.
 
     Parameters
@@ -447,7 +578,7 @@ def axis_in_turn(
     joined: Bools | None = None,
     *,
     bound: float = 3.0,
-    rounds: int = 10,
+    rounds: int = AXIS_IN_TURN.rounds,
     axes: tuple[int, ...] = (0, 1, 2),
 ) -> AxisInTurn:
     """Find the corrections axis by axis.
@@ -480,113 +611,174 @@ def axis_in_turn(
         for axis in axes:
             pairs = pairs_within(field - offset, axis, joined)
             used[axis] = pairs.sum()
-            if pairs.sum() < FEWEST_SAMPLES:
+            if pairs.sum() < INTERVALS.fewest_samples:
                 raise CalibrationError(
-                    f"{int(pairs.sum())} pairs 30 to 150 degrees from axis {axis}, {FEWEST_SAMPLES} needed",
+                    f"{int(pairs.sum())} pairs 30 to 150 degrees from axis {axis}, "
+                    f"{INTERVALS.fewest_samples} needed",
                     remedy="take a longer span, or another axis",
                 )
-            step, crossings[axis] = _zero(field - offset, axis, pairs, bound)
-            # The other axes go on beside the correction that this one has so far.
+            step, crossings[axis] = _nearest_zero(field - offset, axis, pairs, bound)
+            # The other axes go on with the correction that this one has so far.
             lacking[axis] = not np.isfinite(step)
             offset[axis] += 0.0 if lacking[axis] else step
         history.append(np.where(lacking, np.nan, offset))
-        if np.abs(offset - before).max() < _SETTLED:
+        if np.abs(offset - before).max() < AXIS_IN_TURN.settled:
             settled = not lacking.any()
             break
     return AxisInTurn(history[-1], np.array(history), settled, crossings, used)
 
 
-def _zero(field: Floats, axis: int, pairs: Bools, bound: float) -> tuple[float, int]:
+def _nearest_zero(field: Floats, axis: int, pairs: Bools, bound: float) -> tuple[float, int]:
     """Return the zero of V nearest to 0 and how many there are within the bound."""
-    grid = np.linspace(-bound, bound, _POINTS)
-    v = correlation(field, axis, grid, pairs)
+    grid = np.linspace(-bound, bound, AXIS_IN_TURN.points)
+    v = size_angle_covariance(field, axis, grid, pairs)
     where = np.flatnonzero(np.sign(v[1:]) * np.sign(v[:-1]) <= 0)
     if not where.size:
         return float("nan"), 0
     place = where[np.argmin(np.abs(grid[where]))]
     low, high = grid[place], grid[place + 1]
-    fine = np.linspace(low, high, _POINTS)
-    v = correlation(field, axis, fine, pairs)
+    fine = np.linspace(low, high, AXIS_IN_TURN.points)
+    v = size_angle_covariance(field, axis, fine, pairs)
     at = int(np.flatnonzero(np.sign(v[1:]) * np.sign(v[:-1]) <= 0)[0])
     share = v[at] / (v[at] - v[at + 1]) if v[at] != v[at + 1] else 0.0
     return float(fine[at] + share * (fine[at + 1] - fine[at])), int(where.size)
 
 
-#: Of the variance of an interval, compression is a third when all directions are alike. Alfvenic intervals
-#: have less than a tenth, compressional ones more than twice the third: limits chosen here. They decide which
-#: intervals a method sees; its errors come from what these show.
-ALFVENIC, COMPRESSIONAL = 0.10, 2.0 / 3.0
+def hedgecock(intervals: Intervals, used: Bools | None = None, question: Question | None = None) -> Estimate:
+    """Estimate the offset one axis after the other, as the tests on IMP-8 and Helios did it.
 
-#: The direction of most variance is told from the next when it has this many times its variance.
-_ELONGATED = 2.0
-
-
-@dataclass(frozen=True)
-class Kinds:
-    """What fluctuates in each interval; all (interval,).
-
-    Attributes
-    ----------
-    compression : ndarray
-        Variance of the size over that of the vector, 0 to 1.
-    rotation : ndarray
-        Root mean square of the turning over that of the field: radians while it is small.
-    alfvenic, compressional : ndarray of bool
-    start, end : ndarray of int64
-        TT2000.
-    """
-
-    compression: Floats
-    rotation: Floats
-    alfvenic: Bools
-    compressional: Bools
-    start: Int64
-    end: Int64
-
-    @property
-    def neither(self) -> Bools:
-        """Intervals of no kind."""
-        return ~(self.alfvenic | self.compressional)
-
-    def told(self) -> str:
-        """Say how many there are of each kind."""
-        counts = [int(part.sum()) for part in (self.alfvenic, self.compressional, self.neither)]
-        return f"{counts[0]} Alfvenic, {counts[1]} compressional, {counts[2]} neither"
-
-    def table(self) -> xr.Dataset:
-        """Return everything along interval; `value` is the compression, its sigma is not known (NaN)."""
-        return xr.Dataset(
-            {
-                "value": ("interval", self.compression),
-                "sigma": ("interval", np.full(self.compression.size, np.nan)),
-                "rotation": ("interval", self.rotation, {"units": "rad"}),
-                "alfvenic": ("interval", self.alfvenic),
-                "compressional": ("interval", self.compressional),
-                "start": ("interval", self.start, {"scale": "TT2000"}),
-                "end": ("interval", self.end, {"scale": "TT2000"}),
-            }
-        )
-
-
-def kinds(intervals: Intervals, offset: Floats) -> Kinds:
-    """Tell Alfvenic from compressional intervals.
+    The covariance is that of the joint equations ``V = 0`` of the free axes at the solution, each with its
+    own pairs.
 
     Parameters
     ----------
     intervals : Intervals
-    offset : ndarray, shape (3,)
-        The present offset, nT.
+        Of averages over whole spins and whole samples.
+    used : ndarray of bool, shape (interval,), optional
+        Any kind of interval may take part.
+    question : Question, optional
+
+    Raises
+    ------
+    CalibrationError
+        Too few intervals, or too few pairs 30 to 150 degrees from an axis.
     """
-    covariance = intervals.covariance - intervals.white**2 * np.eye(3)
-    own = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
-    total = np.maximum(own.sum(axis=1), 1e-300)
-    mean = np.linalg.norm(intervals.mean - offset, axis=1)
-    squeezed = np.maximum(compression(intervals, offset) - intervals.white**2, 0.0)
-    part = np.minimum(squeezed / total, 1.0)
-    rotation = np.sqrt(np.maximum(total - squeezed, 0.0) / (mean**2 + total))
-    lively = intervals.lively
-    elongated = own[:, 2] > _ELONGATED * own[:, 1]
-    return Kinds(
-        part, rotation, lively & (part < ALFVENIC), lively & elongated & (part > COMPRESSIONAL),
-        intervals.start, intervals.end,
-    )  # fmt: skip
+    question = question or Question()
+    mask = question.select_intervals(HEDGECOCK, intervals, used, above_noise=False)  # noise drops out
+    free, part = np.asarray(question.free), intervals.where(mask)
+    axes = tuple(int(axis) for axis in np.flatnonzero(free))
+    ends = np.zeros((len(part), 1), dtype=bool)
+    joined = np.concatenate([part.neighbours, ends], axis=1).ravel()[:-1]
+    start = question.starts(np.zeros(3))[0]
+    readings = part.field.reshape(-1, 3) - start
+    found = axis_in_turn(readings, joined, bound=question.bound, axes=axes)
+    offset = np.where(free, start + np.nan_to_num(found.value), start)
+    pairs = {axis: pairs_within(readings - (offset - start), axis, joined) for axis in axes}
+
+    def scores(at: Floats) -> Floats:
+        """Return each interval's part of V along the free axes, nT rad; (interval, 3)."""
+        out = np.zeros((len(part), 3))
+        field = part.field.reshape(-1, 3) - at
+        change = np.diff(np.linalg.norm(field, axis=1))
+        for axis, chosen in pairs.items():
+            turn = np.diff(angles_from(field, axis))
+            own = np.where(chosen, (change - change[chosen].mean()) * (turn - turn[chosen].mean()), 0.0)
+            out[:, axis] = np.append(own, 0.0).reshape(len(part), -1).sum(axis=1)
+        return out
+
+    step = AXIS_IN_TURN.step
+    slopes = np.stack(
+        [(scores(offset - step * axis) - scores(offset + step * axis)) / (2.0 * step) for axis in np.eye(3)],
+        axis=2,
+    )
+    whole, slope = np.zeros((len(intervals), 3)), np.zeros((len(intervals), 3, 3))
+    whole[mask], slope[mask] = scores(offset), slopes
+    inverse, known = invert_slopes(slopes, free, SOLVER.determined)
+    reasons = []
+    if not found.settled or np.any(np.abs(offset - np.asarray(question.start)) >= question.bound):
+        reasons.append(
+            f"no zero within {question.bound:g} nT of the start that {len(found.history)} rounds settle to"
+        )
+    if part.encloses(offset):
+        reasons.append("the zero found lies within the readings themselves")
+    known = np.zeros((3, 3)) if reasons else known
+    return estimate_from_scores(
+        HEDGECOCK, offset, (whole, slope, inverse, known), intervals, mask, question, tuple(reasons)
+    )
+
+
+def zero_of_minimum_correlation(intervals: Intervals, question: Question) -> Floats:
+    """Return the zero of minimum correlation of a short record and its error, without further tests; (2, 3).
+
+    The errors are those of the intervals' scores, taken as independent. NaN where there is no zero within the
+    bound. Of several zeros that is taken at which compression and rotation differ most.
+    """
+    free, found = np.asarray(question.free), list[Floats]()
+    for first in question.starts(least_variance_offset(intervals, question)):
+        offset, settled = first, False
+        for _ in range(SOLVER.rounds):
+            scores, slopes = joint_equations(intervals, offset)
+            # A set of little information has a large error, and shows in the scatter of the sets.
+            inverse, _ = invert_slopes(slopes, free, 0.0)
+            step = inverse @ scores.sum(axis=0)
+            step = step * min(1.0, SOLVER.stride * question.bound / max(float(np.abs(step).max()), 1e-300))
+            offset = offset + step
+            settled = bool(np.abs(step).max() < SOLVER.settled)
+            if settled or np.abs(offset).max() >= question.bound:
+                break
+        if settled and np.abs(offset).max() < question.bound and not intervals.encloses(offset):
+            influence = scores @ inverse.T
+            found.append(np.stack([offset, np.sqrt(np.sum(influence**2, axis=0)) + 1e-9]))
+    if not found:
+        return np.full((2, 3), np.nan)
+    return max(found, key=lambda one: abs(float(np.log(compression_over_rotation(intervals, one[0])))))
+
+
+Estimator = Callable[[Intervals, Bools | None, Question | None], Estimate]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A method of the zero level.
+
+    Attributes
+    ----------
+    name : str
+        As `Estimate.method` has it.
+    estimate : callable
+        ``estimate(intervals, used, question) -> Estimate``.
+    suits : callable
+        From `IntervalKinds` to the intervals it may use, (interval,).
+    combined : bool
+        Whether `inflight.zero_level.combine_methods` uses it.
+    """
+
+    name: str
+    estimate: Estimator
+    suits: Callable[[IntervalKinds], Bools]
+    combined: bool = True
+
+
+#: Every method by name.
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        one.name: one
+        for one in (
+            Method(name=DAVIS_SMITH, estimate=davis_smith, suits=lambda kinds: kinds.alfvenic),
+            Method(name=WANG_PAN, estimate=wang_pan, suits=lambda kinds: kinds.alfvenic),
+            Method(name=MIRROR_MODE, estimate=mirror_mode, suits=lambda kinds: kinds.compressional),
+            # Compressional and Alfvenic intervals together would cancel.
+            Method(
+                name=MINIMUM_CORRELATION,
+                estimate=minimum_correlation,
+                suits=lambda kinds: ~kinds.compressional,
+            ),
+            Method(
+                name=HEDGECOCK, estimate=hedgecock, suits=lambda kinds: ~kinds.compressional, combined=False
+            ),
+        )
+    }
+)
+
+#: Names of the methods that are combined, in order.
+COMBINED_METHODS = tuple(name for name, one in METHODS.items() if one.combined)

@@ -13,7 +13,7 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import describe_directions, reference_of
 from inflight.catalog import Catalog, Day
-from inflight.figures import html_page, write_page
+from inflight.figures import html_page
 from inflight.flags import UNUSABLE, Flag
 from inflight.frames import direction_of
 from inflight.mission import Mission, is_told_by_states
@@ -54,7 +54,7 @@ from inflight.tasks.pipelines import (
 from inflight.tasks.pipelines.scalar import CompareReport, Drawn, Spectra, compare_parts, page_title
 from inflight.tasks.pipelines.spin import SpinCompareReport, compare_spin
 from inflight.tasks.pipelines.states import DualCompareReport, compare_dual
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, write_page
 from inflight.time import DAY, SECOND, DayLike, day_bounds, usual_step
 
 #: Means the figures are drawn from: at most so many rows in all, each of at least so many seconds.

@@ -70,7 +70,6 @@ from inflight.figures import (
     unscorable_list,
     verdict_strip,
     waterfall_figure,
-    write_page,
 )
 from inflight.mission import Mission
 from inflight.residual import drawn_periods, told_period
@@ -78,7 +77,7 @@ from inflight.residual import known_periods as named_periods
 from inflight.tasks.analysis.diagnosis import begin_search, context_of, make_pass
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
 from inflight.tasks.pipelines.states import named_units
-from inflight.tasks.report import Progress
+from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 
 #: Channels whose response is drawn, other than those of found effects; and found effects drawn one by one.

@@ -38,7 +38,7 @@ from inflight.mission import Mission, is_told_by_states, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
 from inflight.residual import NoiseFloor, joined_floor, level_of_rows
 from inflight.samples import FOLDING_VERSION, Folding
-from inflight.spin import fit_spin, spinning_entry
+from inflight.spin import fit_folded_samples, spinning_sensor_of
 from inflight.tasks.archive import (
     ArchiveIndex,
     ChannelReader,
@@ -48,7 +48,7 @@ from inflight.tasks.archive import (
     each_result,
     load_samples,
     orbit_of,
-    stands_in,
+    stand_in_value,
 )
 from inflight.tasks.pipelines import Job, Outcome, adopted_days, make_days, take_outcome
 from inflight.tasks.pipelines.states import housekeeping
@@ -472,7 +472,7 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
-    filled = {need.name: stands_in(made.channel_summaries, need.name) for need in made.channel_needs}
+    filled = {need.name: stand_in_value(made.channel_summaries, need.name) for need in made.channel_needs}
     series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
@@ -641,15 +641,15 @@ def _linearised_spin(
     days: Sequence[np.datetime64],
 ) -> tuple[Model, tuple[Term, ...], tuple[Term, ...]]:
     """Return the model at its fitted parameters of the spin, and their terms."""
-    own = spinning_entry(model)
+    own = spinning_sensor_of(model)
     if own is None:
         sensors = sensors_of(mission, model.comparison)
         vector = next(iter(sensors.values()))
         extra = {"effect": "spinning_sensor", "name": "calibration", "sensor": vector.name}
         model = model.add(make_effect(extra, sensors))
     folded = [load_samples(cat, mission, model, day, list(needs), index, geometry=False) for day in days]
-    model = fit_spin(model, folded).model
-    entry = spinning_entry(model)
+    model = fit_folded_samples(model, folded).model
+    entry = spinning_sensor_of(model)
     assert entry is not None
     base, fixed = [], []
     for name in SpinningSensor.SPIN_RELATED:

@@ -1,10 +1,18 @@
-from .channels import ChannelReader, DerivedChannels, Turning, as_variables, orbit_of, shows_spin, stands_in
+from .channels import (
+    ChannelReader,
+    DerivedChannels,
+    SpinClock,
+    as_variables,
+    orbit_of,
+    shows_spin,
+    stand_in_value,
+)
 from .deliveries import SECOND_FLUXGATE, simulate, simulate_dual, simulate_spinning
 from .ingestion import each_result, ingest, result_of
 from .inputs import (
     AMBIENT,
+    INPUTS,
     SPIN_AXIS,
-    STAND_IN_DAYS,
     ArchiveIndex,
     Need,
     ambient_of,
@@ -18,11 +26,11 @@ from .inputs import (
 )
 from .samples import (
     FAULTS,
+    cached_readings,
     channel_series,
     cut_at_flips,
     day_faults,
     flips_of,
-    kept_readings,
     load_samples,
     own_readings,
     partial_problems,
@@ -35,17 +43,18 @@ from .samples import (
 __all__ = [
     "AMBIENT",
     "FAULTS",
+    "INPUTS",
     "SECOND_FLUXGATE",
     "SPIN_AXIS",
-    "STAND_IN_DAYS",
     "ArchiveIndex",
     "ChannelReader",
     "DerivedChannels",
     "Need",
-    "Turning",
+    "SpinClock",
     "ambient_of",
     "as_variables",
     "base_role",
+    "cached_readings",
     "channel_homes",
     "channel_needs",
     "channel_series",
@@ -55,7 +64,6 @@ __all__ = [
     "flips_of",
     "geometry_channels",
     "ingest",
-    "kept_readings",
     "load_samples",
     "needs_of",
     "orbit_of",
@@ -70,7 +78,7 @@ __all__ = [
     "simulate_dual",
     "simulate_spinning",
     "spin_problems",
+    "stand_in_value",
     "stand_ins",
-    "stands_in",
     "treated_report",
 ]

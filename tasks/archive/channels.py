@@ -1,8 +1,7 @@
-"""Channels for the search.
+"""Every channel of a mission at the cadence of the search, day by day, with history and placebos.
 
-How a day's spacecraft was turned, and channels that go with the spin folded like the field.
-
-Every channel of a mission on the library's cadence, day by day, with history and placebos.
+`ChannelReader` puts archived channels on bins, `DerivedChannels` makes slow responses, plays, products and
+placebos of them. Of a spin comparison, channels that show the spin are folded like the field (`SpinClock`).
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ def shows_spin(mission: Mission, comparison: str, cadence_ns: int) -> bool:
     return _READINGS * cadence_ns <= mission.periods["spin"]
 
 
-@dataclass(frozen=True)
-class Turning:
+@dataclass(frozen=True, kw_only=True)
+class SpinClock:
     """The clock of a spin comparison on one day."""
 
     cat: Catalog
@@ -52,21 +51,29 @@ class Turning:
     @classmethod
     def of(
         cls, cat: Catalog, mission: Mission, comparison: str, index: ArchiveIndex, day: np.datetime64
-    ) -> Turning | None:
+    ) -> SpinClock | None:
         """Return the clock; None of a comparison that folds nothing."""
         folding = folding_of(mission, comparison)
         if folding is None:
             return None
-        return cls(cat, mission, comparison, index, day, folding, clock_of(mission, comparison)[0])
+        return cls(
+            cat=cat,
+            mission=mission,
+            comparison=comparison,
+            index=index,
+            day=day,
+            folding=folding,
+            clock=clock_of(mission, comparison)[0],
+        )
 
     def is_seen_by(self, cadence_ns: int) -> bool:
         """Return True when a channel of a cadence shows what goes with the spin."""
         return shows_spin(self.mission, self.comparison, cadence_ns)
 
     def phase(self, stamps: Int64) -> Floats:
-        """Return the phase at the stamps of an instrument's channels, rad; NaN where nothing tells it."""
-        told = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
-        found = spin_phase(self.mission, self.comparison, self.clock, told, stamps)
+        """Return the phase at the stamps of an instrument's channels, rad; NaN where it is not known."""
+        series = channel_series(self.cat, self.clock, self.day, self.index, alone=False)
+        found = spin_phase(self.mission, self.comparison, self.clock, series, stamps)
         return np.asarray(found.phase.values, dtype=np.float64)
 
     def folded(self, values: Floats, stamps: Int64, phase: Floats, edges: Int64) -> Floats:
@@ -148,7 +155,7 @@ class ChannelReader:
     def _load(self, day: np.datetime64) -> dict[str, Floats]:
         edges = self.edges(day)
         homes = channel_homes(self.mission)
-        turning = Turning.of(self.cat, self.mission, self.comparison, self.index, day)
+        turning = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
         by_dataset: dict[str, list[Need]] = {}
         for need in self.needs:
             by_dataset.setdefault(need.dataset, []).append(need)
@@ -239,7 +246,7 @@ class DerivedChannels:
         bins = self.reader.edges(day).size - 1
         step = self.reader.cadence_ns / SECOND
         if part.channel in geometry:
-            earlier = [self._told_by_orbit(one, part.channel) for one in self._before(place)]
+            earlier = [self._from_orbit(one, part.channel) for one in self._before(place)]
             return part.of(np.concatenate([*earlier, geometry[part.channel]]), step)[-bins:]
         if not part.placebo:
             history = self._before(place) if not part.is_plain else []
@@ -249,7 +256,7 @@ class DerivedChannels:
         need = bins + int(np.ceil(part.history_s / step))
         return part.of(self._wrapped(place, part.channel, shift, need), step)[-bins:]
 
-    def _told_by_orbit(self, day: np.datetime64, name: str) -> Floats:
+    def _from_orbit(self, day: np.datetime64, name: str) -> Floats:
         if day not in self._by_orbit:
             while len(self._by_orbit) >= _KEPT:
                 self._by_orbit.pop(next(iter(self._by_orbit)))
@@ -263,11 +270,11 @@ class DerivedChannels:
     def _wrapped(self, place: int, channel: str, shift: int, need: int) -> Floats:
         """Return `need` bins of a channel, `shift` bins before the day's own, around the span's end."""
         pieces: list[Floats] = []
-        at, left = place, shift + need
-        while left > 0:
+        at, missing = place, shift + need
+        while missing > 0:
             piece = self._filled(self.days[at], channel)
             pieces.insert(0, piece)
-            left -= len(piece)
+            missing -= len(piece)
             at = (at - 1) % len(self.days)
         whole = np.concatenate(pieces)
         end = len(whole) - shift
@@ -275,10 +282,10 @@ class DerivedChannels:
 
     def _filled(self, day: np.datetime64, channel: str) -> Floats:
         values = self.reader.day(day)[channel]
-        return np.where(np.isfinite(values), values, stands_in(self.told, channel))
+        return np.where(np.isfinite(values), values, stand_in_value(self.told, channel))
 
 
-def stands_in(told: Mapping[str, ChannelSummary], channel: str) -> float:
+def stand_in_value(told: Mapping[str, ChannelSummary], channel: str) -> float:
     """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
     return told[channel].mean if channel in told else 0.0
 

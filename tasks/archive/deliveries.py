@@ -1,14 +1,9 @@
-"""Simulated deliveries.
+"""Simulated deliveries: day files as a real mission delivers them, and their truth apart.
 
-Day files as a real mission delivers them: CDF with TT2000 and the attributes of the ISTP guidelines.
-
-Writing simulated days as day files like a real mission delivers, and their truth apart.
-
-Write a simulated mission as day files like a real one delivers, and its truth apart.
-
-Write a simulated mission with two sensors on one boom as day files, and its truth apart.
-
-Write a simulated spinning mission as day files like a real one delivers, and its truth apart.
+CDF with TT2000 and the attributes of the ISTP guidelines, from `inflight.simulate`: of a mission with a
+vector and a scalar sensor (`simulate`), with two sensors on one boom (`simulate_dual`), of a spinning one
+(`simulate_spinning`). Files appear whole under their names, so that a run that was stopped is completed by
+the same call.
 """
 
 from __future__ import annotations
@@ -74,7 +69,7 @@ class Source:
     variables: Mapping[str, Variable]
 
     def path(self, destination: Path, instrument: str, day: np.datetime64) -> Path:
-        """Return where a delivered file stands: ``fgm/champ_fgm_20050101_v01.cdf``."""
+        """Return the path of a delivered file: ``fgm/champ_fgm_20050101_v01.cdf``."""
         return destination / instrument / f"{self.name}_{instrument}_{compact(day)}_v01.cdf"
 
 
@@ -268,7 +263,7 @@ class DayWriter:
     simulate: Callable[[Any, np.datetime64], SimulatedDay]
 
     def truth_path(self, destination: Path, day: np.datetime64) -> Path:
-        """Return where the truth of a day stands, for tests and nobody else."""
+        """Return the path of the truth of a day, which only tests read."""
         return destination / TRUTH / f"{self.source.name}_truth_{compact(day)}.nc"
 
     def write(
@@ -362,10 +357,10 @@ def _claim(
     folder: Path, settings: MissionSettings, standard: Mapping[str, Any], free: Collection[str]
 ) -> None:
     """Write the settings of a simulation into the truth folder, or check that those there are the same."""
-    path, wanted = folder / TRUTH / "settings.json", settings.model_dump(mode="json")
+    path, own = folder / TRUTH / "settings.json", settings.model_dump(mode="json")
     if path.exists():
         found = {**standard, **json.loads(path.read_text())}
-        differing = sorted(key for key in set(wanted) - set(free) if found.get(key) != wanted.get(key))
+        differing = sorted(key for key in set(own) - set(free) if found.get(key) != own.get(key))
         if differing:
             raise CatalogError(
                 f"the folder holds a simulation with other {', '.join(differing)}",
@@ -375,7 +370,7 @@ def _claim(
         return
     truth = {"parameters": settings.parameters.as_dict(), "effects": sorted(settings.effects)}
     with storage(folder, None), atomic(path) as partial:
-        partial.write_text(json.dumps({**wanted, "truth": truth}, indent=1))
+        partial.write_text(json.dumps({**own, "truth": truth}, indent=1))
 
 
 def _write_truth(path: Path, truth: xr.Dataset) -> None:
@@ -430,12 +425,12 @@ def instruments_of(settings: SimulationSettings) -> tuple[str, ...]:
 
 
 def delivered_path(destination: Path, instrument: str, day: np.datetime64) -> Path:
-    """Return where a delivered file stands: ``fgm/champ_fgm_20050101_v01.cdf``."""
+    """Return the path of a delivered file: ``fgm/champ_fgm_20050101_v01.cdf``."""
     return _WRITER.source.path(destination, instrument, day)
 
 
 def truth_path(destination: Path, day: np.datetime64) -> Path:
-    """Return where the truth of a day stands, for tests and nobody else."""
+    """Return the path of the truth of a day, which only tests read."""
     return _WRITER.truth_path(destination, day)
 
 
@@ -540,7 +535,7 @@ _DUAL_WRITER = DayWriter(SOURCE, simulate_dual_day)
 
 
 def dual_truth_path(destination: Path, day: np.datetime64) -> Path:
-    """Return where the truth of a day stands, for tests and nobody else."""
+    """Return the path of the truth of a day, which only tests read."""
     return _DUAL_WRITER.truth_path(destination, day)
 
 
@@ -615,7 +610,7 @@ def _writer(settings: SpinningSettings) -> DayWriter:
 
 
 def spinning_truth_path(settings: SpinningSettings, destination: Path, day: np.datetime64) -> Path:
-    """Return where the truth of a day stands, for tests and nobody else."""
+    """Return the path of the truth of a day, which only tests read."""
     return _writer(settings).truth_path(destination, day)
 
 

@@ -1,19 +1,11 @@
-"""Ingest.
+"""Ingest: delivered files become level-1 days ``l1/<instrument>`` of the archive.
 
-What has been delivered: which files there are, what is known of them, and which days they hold.
-
-A file whose size and time of change are those on record is not opened. Any other is hashed and its times
-are read, so that every row is known by its own UTC day before a day is made.
-
-One batch of an ingest: files are read one after the other, days made, one segment written.
-
-It needs no database, so Dask workers run it.
-
-Ingest: delivered files become level-1 days ``l1/<instrument>`` of the archive.
-
-A day is made from every file that holds rows of it and gets a key from their hashes and from what the
-mission YAML says: same key, nothing to do. So a file delivered twice changes nothing, a corrected one
-makes new revisions of exactly its days, and an ingest that was killed goes on where it was.
+`survey` finds an instrument's files and indexes them: a file whose size and time of change are those on
+record is not opened, any other is hashed and its times are read, so that every row is known by its own UTC
+day. A day is made from every file that holds rows of it (`make_batch`, which needs no database, so that Dask
+workers run it) and gets a key from their hashes and from the mission YAML: same key, no work. So a
+file delivered twice changes nothing, a corrected one makes new revisions of exactly its days, and an ingest
+that was killed goes on where it was.
 """
 
 from __future__ import annotations
@@ -51,18 +43,37 @@ from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_t
 #: Bumped when the same files would give other archive days.
 INGEST_VERSION = 1
 
-#: Jobs given to a cluster before the first result is waited for.
-IN_FLIGHT = 16
 
-#: Days that an unreadable file may take with it by what its name says.
-_LONGEST_NAME_SPAN = 366
+@dataclass(frozen=True, kw_only=True)
+class IngestSettings:
+    """How much is worked on at a time.
+
+    Attributes
+    ----------
+    in_flight : int
+        Jobs given to a cluster before the first result is waited for (assumed).
+    batch_bytes : int
+        Samples of one batch in memory, before packing; it bounds the memory of a worker (assumed).
+    most_days : int
+        Days of one batch (assumed).
+    longest_name_span : int
+        Days that an unreadable file may mark as failed by the span of its name (assumed).
+    """
+
+    in_flight: int = 16
+    batch_bytes: int = 64_000_000
+    most_days: int = 60
+    longest_name_span: int = 366
+
+
+INGEST = IngestSettings()
 
 Problem = dict[str, str]
 
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FileIndex:
     """One delivered file: its hash, the UTC days of its rows, and what is wrong with it."""
 
@@ -104,12 +115,12 @@ def content_key(files: Files, instrument: Instrument) -> str:
 
     Patterns, positions and orientations do not: changing them makes no new revision of any day.
     """
-    told = {
+    content = {
         "version": INGEST_VERSION,
         "files": files.model_dump(mode="json", exclude={"pattern", "same_as"}),
         "instrument": instrument.model_dump(mode="json", exclude={"files", "position", "orientation"}),
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def survey(
@@ -142,13 +153,12 @@ def survey(
     key = content_key(files, instrument)
     records = cat.files(name)
     present, superseded = find_files(data, files)
-    gone = [
-        told for path in records if not (data / path).exists() and (told := describe(path, files)) is not None
-    ]
-    # A delivery that was taken in and cleared away since still stands for its days.
+    absent = (describe(path, files) for path in records if not (data / path).exists())
+    gone = [delivered for delivered in absent if delivered is not None]
+    # A delivery that was taken in and removed since still holds for its days.
     listed, also = newest([*present, *gone])
     known = {file.name: _unchanged(file, data, records.get(file.name), key) for file in listed}
-    fresh = [file for file in listed if known[file.name] is None and _touches(file.span, span, files.spill)]
+    fresh = [file for file in listed if known[file.name] is None and _overlaps(file.span, span, files.spill)]
     jobs = [(data / file.name, file, files, instrument) for file in fresh]
     found = {index.name: index for index in each_result(client, index_file, jobs)}
     indexed = [index for file in listed if (index := found.get(file.name) or known[file.name]) is not None]
@@ -166,18 +176,18 @@ def _unchanged(file: Delivered, data: Path, record: FileRecord | None, key: str)
         if not same or record.report.get("key") != key:
             return None
     return FileIndex(
-        file,
-        record.sha256,
-        record.size,
-        record.mtime_ns,
-        tuple(record.days),
-        record.report.get("problem"),
+        delivered=file,
+        sha256=record.sha256,
+        size=record.size,
+        mtime_ns=record.mtime_ns,
+        days=tuple(record.days),
+        problem=record.report.get("problem"),
         known=True,
     )
 
 
-def _touches(span: NameSpan, wanted: tuple[int | None, int | None], spill: int) -> bool:
-    start, end = wanted
+def _overlaps(span: NameSpan, span_asked: tuple[int | None, int | None], spill: int) -> bool:
+    start, end = span_asked
     before = start is not None and span.end is not None and span.end + spill <= start
     after = end is not None and span.start is not None and span.start - spill >= end
     return not (before or after)
@@ -189,14 +199,28 @@ def index_file(path: Path, file: Delivered, files: Files, instrument: Instrument
         sha256, size, mtime_ns = fingerprint(path)
     except OSError as error:
         unreadable = ReadError(f"cannot be read: {error}", remedy="check the file", file=file.name)
-        return FileIndex(file, "", 0, 0, named_days(file.span), problem_of(unreadable))
+        return FileIndex(
+            delivered=file,
+            sha256="",
+            size=0,
+            mtime_ns=0,
+            days=named_days(file.span),
+            problem=problem_of(unreadable),
+        )
     try:
         times = read_times(path, files, instrument, file.span)
     except InflightError as error:
         error.file = file.name  # as every later step and the catalog name it
-        return FileIndex(file, sha256, size, mtime_ns, named_days(file.span), problem_of(error))
+        return FileIndex(
+            delivered=file,
+            sha256=sha256,
+            size=size,
+            mtime_ns=mtime_ns,
+            days=named_days(file.span),
+            problem=problem_of(error),
+        )
     days = tuple(str(day) for day in np.unique(day_of(times)))
-    return FileIndex(file, sha256, size, mtime_ns, days)
+    return FileIndex(delivered=file, sha256=sha256, size=size, mtime_ns=mtime_ns, days=days)
 
 
 def fingerprint(path: Path) -> tuple[str, int, int]:
@@ -213,7 +237,7 @@ def named_days(span: NameSpan) -> tuple[str, ...]:
     if first is None:
         return ()
     last = first if span.end is None else as_day(str(to_utc(span.end - 1)))
-    return tuple(str(day) for day in day_range(first, last + 1)[:_LONGEST_NAME_SPAN])
+    return tuple(str(day) for day in day_range(first, last + 1)[: INGEST.longest_name_span])
 
 
 def each_result(
@@ -221,7 +245,7 @@ def each_result(
 ) -> Iterator[Result]:
     """Yield the results of a function in the order of its jobs, on a Dask client when there is one.
 
-    At most `IN_FLIGHT` jobs are out at once, so results never pile up.
+    At most `INGEST.in_flight` jobs are out at once, so results never pile up.
     """
     if client is None:
         for job in jobs:
@@ -230,7 +254,7 @@ def each_result(
     waiting: deque[Any] = deque()
     for job in jobs:
         waiting.append(client.submit(function, *job, pure=False))
-        if len(waiting) >= IN_FLIGHT:
+        if len(waiting) >= INGEST.in_flight:
             yield result_of(waiting.popleft())
     while waiting:
         yield result_of(waiting.popleft())
@@ -266,16 +290,10 @@ def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str
     ]
 
 
-def file_report(index: FileIndex, key: str, told: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the catalog keeps of a file beside its hash and days."""
+def file_report(index: FileIndex, key: str, notes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the catalog keeps of a file in addition to its hash and days."""
     problem = {"problem": index.problem} if index.problem else {}
-    return {"key": key, **problem, **told}
-
-
-#: Samples of one batch in memory, before packing; it bounds the memory of a worker.
-BATCH_BYTES = 64_000_000
-
-MOST_DAYS = 60
+    return {"key": key, **problem, **notes}
 
 
 @dataclass(frozen=True)
@@ -301,7 +319,7 @@ class SourceFile:
             raise ReadError("changed while it was taken in", remedy="ingest again", file=self.name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BatchJob:
     """Days of one instrument that a worker makes into one segment; it needs no database."""
 
@@ -323,7 +341,7 @@ class BatchResult:
     segment: Segment | None
     failures: dict[str, Problem]
     #: What was dropped and noted, per file.
-    told: dict[str, dict[str, Any]]
+    notes: dict[str, dict[str, Any]]
 
 
 def source_file(file: FileIndex, data: Path) -> SourceFile:
@@ -332,10 +350,10 @@ def source_file(file: FileIndex, data: Path) -> SourceFile:
 
 
 def days_of_batch(instrument: Instrument) -> int:
-    """Return how many days of an instrument fit `BATCH_BYTES`, at least 1."""
+    """Return how many days of an instrument fit `INGEST.batch_bytes`, at least 1."""
     numbers = sum(max(1, len(channel.axis_names)) for channel in instrument.channels.values())
     per_day = 86_400_000_000_000 / instrument.cadence * (12 + 8 * numbers)
-    return int(np.clip(BATCH_BYTES // per_day, 1, MOST_DAYS))
+    return int(np.clip(INGEST.batch_bytes // per_day, 1, INGEST.most_days))
 
 
 def make_batch(job: BatchJob) -> BatchResult:
@@ -346,7 +364,7 @@ def make_batch(job: BatchJob) -> BatchResult:
     StorageError
         When the disk refuses the write. What is wrong with files and days is returned instead.
     """
-    parts, broken, told = _read_parts(job)
+    parts, broken, notes = _read_parts(job)
     made: list[DayData] = []
     failures: dict[str, Problem] = {}
     for day, key, names, hashes in job.days:
@@ -361,18 +379,18 @@ def make_batch(job: BatchJob) -> BatchResult:
         except InflightError as error:
             failures[day] = problem_of(error, day)
     if not made:
-        return BatchResult(None, failures, told)
+        return BatchResult(None, failures, notes)
     segment = write_segment(job.workspace, job.run, f"l1/{job.instrument_name}", _alike(made))
-    return BatchResult(segment, failures, told)
+    return BatchResult(segment, failures, notes)
 
 
 def _read_parts(
     job: BatchJob,
 ) -> tuple[dict[str, list[RawTable]], dict[str, Problem], dict[str, dict[str, Any]]]:
-    wanted = {day for day, *_ in job.days}
+    days = {day for day, *_ in job.days}
     parts: dict[str, list[RawTable]] = {}
     broken: dict[str, Problem] = {}
-    told: dict[str, dict[str, Any]] = {}
+    notes: dict[str, dict[str, Any]] = {}
     for source in job.sources:
         name = source.name
         try:
@@ -382,11 +400,11 @@ def _read_parts(
             error.file = name  # below the data folder, as the catalog names it
             broken[name] = problem_of(error)
             continue
-        told[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
+        notes[name] = {"rows": int(table.times.size), "dropped": table.dropped, "notes": list(table.notes)}
         for day, part in split_days(table).items():
-            if str(day) in wanted:
+            if str(day) in days:
                 parts.setdefault(str(day), []).append(part)
-    return parts, broken, told
+    return parts, broken, notes
 
 
 def _make_day(job: BatchJob, day: str, key: str, parts: list[RawTable], hashes: Iterable[str]) -> DayData:
@@ -421,7 +439,7 @@ def _cast(dataset: xr.Dataset, types: dict[str, np.dtype[Any]]) -> xr.Dataset:
     )
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Plan:
     """What one instrument's days need."""
 
@@ -436,7 +454,7 @@ class _Plan:
     #: Days between the first and the last that no file holds; those not on record yet.
     empty: list[str] = field(default_factory=list)
     fresh_empty: list[str] = field(default_factory=list)
-    told: dict[str, dict[str, Any]] = field(default_factory=dict)
+    notes: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def dataset(self) -> str:
@@ -496,18 +514,18 @@ def ingest(
     """
     names, folder = _instruments(mission, instruments), Path(data).resolve()
     span = (_bound(start), _bound(end))
-    tell = progress or (lambda stage, done, total: None)
+    report_progress = progress or (lambda stage, done, total: None)
     plans = []
     for count, name in enumerate(names):
-        tell("index", count, len(names))
+        report_progress("index", count, len(names))
         plans.append(_plan(cat, survey(cat, mission, name, folder, span=span, client=client), span))
-    tell("index", len(names), len(names))
+    report_progress("index", len(names), len(names))
     if not any(plan.has_work for plan in plans):
         return _report("", plans, [])
     settings = {"mission": mission.mission, "mission_sha": mission.sha, "instruments": names}
     with cat.run("ingest", settings | {"start": str(start or ""), "end": str(end or "")}) as run:
         jobs = [job for plan in plans for job in _jobs(cat, mission, run, folder, plan, batch_days)]
-        _make_days(run, {plan.delivery.instrument: plan for plan in plans}, jobs, client, tell)
+        _make_days(run, {plan.delivery.instrument: plan for plan in plans}, jobs, client, report_progress)
         for plan in plans:
             _record(cat, run, plan)
         published = run.publish()
@@ -531,7 +549,7 @@ def _bound(day: str | np.datetime64 | None) -> int | None:
 
 def _plan(cat: Catalog, delivery: Delivery, span: tuple[int | None, int | None]) -> _Plan:
     """Compare what was delivered with what is published, recorded as failed, or left by a dead run."""
-    plan = _Plan(delivery)
+    plan = _Plan(delivery=delivery)
     published = {str(day.day): day for day in cat.days(plan.dataset, states=["published"])}
     failed = {str(day.day): day for day in cat.days(plan.dataset, states=["failed"])}
     verified = {(str(day.day), day.key) for day in cat.days(plan.dataset, states=["verified"])}
@@ -561,10 +579,10 @@ def _plan_empty(cat: Catalog, plan: _Plan, known: set[str]) -> None:
     if not plan.keys:
         return
     first, last = min(plan.keys), max(plan.keys)
-    told = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
+    recorded = {str(day.day) for day in cat.days(plan.dataset, states=["no_work"])}
     held = set(plan.delivery.by_day()) | known
     plan.empty = [str(day) for day in day_range(first, last) if str(day) not in held]
-    plan.fresh_empty = [day for day in plan.empty if day not in told]
+    plan.fresh_empty = [day for day in plan.empty if day not in recorded]
 
 
 def _jobs(
@@ -580,16 +598,16 @@ def _jobs(
     jobs = []
     for begin in range(0, len(todo), size):
         days = todo[begin : begin + size]
-        wanted = {file.name: file for day in days for file in by_day[day]}
+        needed = {file.name: file for day in days for file in by_day[day]}
         jobs.append(
             BatchJob(
-                cat.workspace,
-                run.id,
-                name,
-                instrument,
-                files,
-                tuple(source_file(file, data) for file in wanted.values()),
-                tuple(
+                workspace=cat.workspace,
+                run=run.id,
+                instrument_name=name,
+                instrument=instrument,
+                files=files,
+                sources=tuple(source_file(file, data) for file in needed.values()),
+                days=tuple(
                     (
                         day,
                         plan.keys[day],
@@ -604,7 +622,7 @@ def _jobs(
 
 
 def _make_days(
-    run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, tell: Progress
+    run: Run, plans: dict[str, _Plan], jobs: Sequence[BatchJob], client: Any, report_progress: Progress
 ) -> None:
     results = each_result(client, make_batch, [(job,) for job in jobs])
     for count, (job, result) in enumerate(zip(jobs, results, strict=True), start=1):
@@ -612,8 +630,8 @@ def _make_days(
         if result.segment is not None:
             run.attach(result.segment)
         plan.fresh_failures |= result.failures
-        plan.told |= result.told
-        tell("ingest", count, len(jobs))
+        plan.notes |= result.notes
+        report_progress("ingest", count, len(jobs))
 
 
 def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
@@ -635,14 +653,14 @@ def _record(cat: Catalog, run: Run, plan: _Plan) -> None:
         run,
         [
             FileRecord(
-                plan.delivery.instrument,
-                file.name,
-                file.sha256,
-                file.size,
-                file.mtime_ns,
-                tuple(map(str, file.days)),
-                file_report(file, plan.delivery.key, plan.told.get(file.name, {})),
-                run.id,
+                instrument=plan.delivery.instrument,
+                path=file.name,
+                sha256=file.sha256,
+                size=file.size,
+                mtime_ns=file.mtime_ns,
+                days=tuple(map(str, file.days)),
+                report=file_report(file, plan.delivery.key, plan.notes.get(file.name, {})),
+                run=run.id,
             )
             for file in plan.delivery.files
             if not file.known
@@ -657,10 +675,8 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     problems = []
     for plan in plans:
         name = plan.delivery.instrument
-        days_told = plan.failed | plan.fresh_failures
-        problems += [
-            {"instrument": name, **problem, "day": day} for day, problem in sorted(days_told.items())
-        ]
+        failures = plan.failed | plan.fresh_failures
+        problems += [{"instrument": name, **problem, "day": day} for day, problem in sorted(failures.items())]
         problems += [
             {"instrument": name, **file.problem}
             for file in plan.delivery.files
@@ -674,7 +690,7 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
         "no_work": sum(len(plan.empty) for plan in plans),
     }
     extra = {
-        "datasets": {plan.dataset: _told_of(plan, done[plan.dataset]) for plan in plans},
+        "datasets": {plan.dataset: _summary_of(plan, done[plan.dataset]) for plan in plans},
         "files": {
             "read": sum(not file.known for plan in plans for file in plan.delivery.files),
             "unchanged": sum(file.known for plan in plans for file in plan.delivery.files),
@@ -687,10 +703,10 @@ def _report(run: str, plans: Sequence[_Plan], published: Sequence[Day]) -> RunRe
     return RunReport("ingest", run=run, days=counts, problems=problems, outputs=outputs, extra=extra)
 
 
-def _told_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
+def _summary_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
     dropped: Counter[str] = Counter()
-    for told in plan.told.values():
-        dropped.update(told["dropped"])
+    for notes in plan.notes.values():
+        dropped.update(notes["dropped"])
     return {
         "days": len(plan.keys),
         "done": len(done),
@@ -698,5 +714,5 @@ def _told_of(plan: _Plan, done: Sequence[Day]) -> dict[str, Any]:
         "first": min(plan.keys, default=""),
         "last": max(plan.keys, default=""),
         "dropped": dict(dropped),
-        "notes": sorted({note for told in plan.told.values() for note in told["notes"]})[:20],
+        "notes": sorted({note for notes in plan.notes.values() for note in notes["notes"]})[:20],
     }

@@ -1,12 +1,12 @@
-"""Need, archive index, sources.
+"""What samples are made from: needed channels, and the archived days that hold them.
 
-What a model's samples are made from: which channels of which instruments, and how far back in time.
-
-Which days of the archive some needs are made from: read once, and sent to workers without the database.
+A `Need` is one series of the samples with its instrument, channel and history. An `ArchiveIndex` lists the
+published days of some needs: read once, and sent to workers, which open no database.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -24,17 +24,38 @@ from inflight.time import DAY, SECOND
 #: Name of the spin's phase in samples.
 SPIN_PHASE = "spin_phase"
 
-#: Name of the need of the channel that tells the direction of the spin axis; samples do not hold it.
+#: Name of the need of the channel with the direction of the spin axis; samples do not hold it.
 SPIN_AXIS = "spin_axis"
 
 #: Name of the known ambient field in samples.
 AMBIENT = "ambient"
 
-#: Samples kept of the neighbouring days, so that filters and lags run on across midnight.
-MARGIN_CADENCES = 40
+
+@dataclass(frozen=True, kw_only=True)
+class InputSettings:
+    """How far samples reach beyond their own day.
+
+    Attributes
+    ----------
+    margin_cadences : int
+        Samples kept of the neighbouring days, so that filters and lags run on across midnight (derived from
+        the width of `inflight.samples.AlignmentSettings`).
+    known_part : float
+        A channel's typical value comes from its own day when this part of it is known, else from other days
+        (assumed).
+    stand_in_days : int
+        Other days are looked for this far on both sides (assumed).
+    """
+
+    margin_cadences: int = 40
+    known_part: float = 0.1
+    stand_in_days: int = 15
 
 
-@dataclass(frozen=True)
+INPUTS = InputSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Need:
     """One series the samples hold: its name there, and the instrument and channel it comes from.
 
@@ -67,7 +88,7 @@ class Need:
 
     @property
     def history_ns(self) -> int:
-        """How much earlier data the series is made from, beside its margin."""
+        """How much earlier data the series is made from, in addition to its margin."""
         return round(self.part.history_s * SECOND) if self.part else 0
 
     @property
@@ -78,7 +99,7 @@ class Need:
     @property
     def margin_ns(self) -> int:
         """How much of the neighbouring days a day is made with."""
-        return MARGIN_CADENCES * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
+        return INPUTS.margin_cadences * self.cadence_ns + abs(self.lag_ns) + self.smooth_ns
 
 
 def channel_homes(mission: Mission) -> dict[str, tuple[str, str]]:
@@ -108,7 +129,10 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
         When the model uses a channel the mission has not, or a placebo.
     """
     roles = mission.comparisons[model.comparison].instruments()
-    needs = [Need(role, name, "field", mission.instruments[name].cadence) for role, name in roles.items()]
+    needs = [
+        Need(name=role, instrument=name, channel="field", cadence_ns=mission.instruments[name].cadence)
+        for role, name in roles.items()
+    ]
     known = _Known(mission)
     needs += [*known.clock(model.comparison), *known.axis(model.comparison)]
     needs += ambient_of(mission, model.comparison)
@@ -118,8 +142,8 @@ def needs_of(mission: Mission, model: Model, extra: Iterable[str] = ()) -> list[
             f"the model uses channels the mission has not: {', '.join(sorted(unknown))}",
             remedy=f"the mission has {', '.join(sorted(known.names))}",
         )
-    wanted = used | {name for name in extra if set(known.bases(name)) <= known.names}
-    return needs + known.needs(wanted)
+    names = used | {name for name in extra if set(known.bases(name)) <= known.names}
+    return needs + known.needs(names)
 
 
 def replaceable_needs(mission: Mission, model: Model, needs: Iterable[Need]) -> list[Need]:
@@ -151,13 +175,18 @@ def geometry_channels(mission: Mission) -> list[str]:
 def channel_needs(mission: Mission) -> tuple[Need, ...]:
     """Return one need for every channel of the mission."""
     return tuple(
-        Need(name, instrument, channel, mission.instruments[instrument].cadence)
+        Need(
+            name=name,
+            instrument=instrument,
+            channel=channel,
+            cadence_ns=mission.instruments[instrument].cadence,
+        )
         for name, (instrument, channel) in channel_homes(mission).items()
     )
 
 
 def clock_of(mission: Mission, comparison: str) -> list[Need]:
-    """Return the channel that tells how a spin comparison's spacecraft is turned; none for others.
+    """Return the channel with the spin phase of a spin comparison; none for others.
 
     Raises
     ------
@@ -168,7 +197,7 @@ def clock_of(mission: Mission, comparison: str) -> list[Need]:
 
 
 def axis_of(mission: Mission, comparison: str) -> list[Need]:
-    """Return the channel that tells how a spin comparison's spin axis lies; none where there is none.
+    """Return the channel with the spin axis of a spin comparison; none where there is none.
 
     Raises
     ------
@@ -183,7 +212,14 @@ def ambient_of(mission: Mission, comparison: str) -> list[Need]:
     entry = mission.comparisons[comparison]
     if entry.kind != "dual" or entry.ambient is None:
         return []
-    return [Need(AMBIENT, entry.ambient, "field", mission.instruments[entry.ambient].cadence)]
+    return [
+        Need(
+            name=AMBIENT,
+            instrument=entry.ambient,
+            channel="field",
+            cadence_ns=mission.instruments[entry.ambient].cadence,
+        )
+    ]
 
 
 class _Known:
@@ -268,15 +304,24 @@ class _Known:
         instrument, channel = self.homes[name]
         home = self.mission.instruments[instrument]
         called = part.name if part else name
-        told = home.channels[channel]
-        return Need(called, instrument, channel, home.cadence, told.lag, part, products, told.smooth)
+        described = home.channels[channel]
+        return Need(
+            name=called,
+            instrument=instrument,
+            channel=channel,
+            cadence_ns=home.cadence,
+            lag_ns=described.lag,
+            part=part,
+            products=products,
+            smooth_ns=described.smooth,
+        )
 
 
 def position_channel(mission: Mission) -> str:
-    """Return the channel that tells where the spacecraft is over the Earth; empty when there is none."""
+    """Return the channel with the position over the Earth; empty when there is none."""
     for name, (instrument, channel) in channel_homes(mission).items():
-        told = mission.instruments[instrument].channels[channel]
-        if told.kind == "position" and told.frame in ("itrf", "gcrf"):
+        described = mission.instruments[instrument].channels[channel]
+        if described.kind == "position" and described.frame in ("itrf", "gcrf"):
             return name
     return ""
 
@@ -291,12 +336,6 @@ def base_role(mission: Mission, comparison: str) -> str:
 
 
 _DAY = np.timedelta64(1, "D")
-
-#: A channel's typical value comes from its own day when this part of it is known, else from other days.
-_ENOUGH = 0.1
-
-#: Other days are looked for this far on both sides.
-STAND_IN_DAYS = 15
 
 
 @dataclass(frozen=True)
@@ -336,7 +375,7 @@ class ArchiveIndex:
 
     def around(self, days: Sequence[np.datetime64]) -> ArchiveIndex:
         """Return the part some days need, their neighbours included: what a worker is sent."""
-        wanted = {day + step * _DAY for day in days for step in range(-self.before, 2)}
+        near = {day + step * _DAY for day in days for step in range(-self.before, 2)}
         others = {
             (one.dataset, one.day)
             for need in self.replaceable
@@ -344,29 +383,28 @@ class ArchiveIndex:
             for one in self.typical_days(need, day)
         }
         return ArchiveIndex(
-            {key: day for key, day in self.days.items() if key[1] in wanted or key in others},
+            {key: day for key, day in self.days.items() if key[1] in near or key in others},
             self.before,
             self.replaceable,
         )
 
     def typical_days(self, need: Need, day: np.datetime64) -> list[Day]:
-        """Return the days that tell what a channel usually reads on a day: its own, else the nearest two.
+        """Return the days that a channel's typical value comes from: the day itself, else the nearest two.
 
-        One before and one after, at most `STAND_IN_DAYS` away; none when there is none. A day that
+        One before and one after, at most `INPUTS.stand_in_days` away; none when there is none. A day that
         hardly has the channel counts only when no other does.
         """
-        far = STAND_IN_DAYS + 1
-        for least in (_ENOUGH, np.finfo(float).tiny):
+        far = INPUTS.stand_in_days + 1
+        for least in (INPUTS.known_part, np.finfo(float).tiny):
             for sides in ((range(1),), (range(-1, -far, -1), range(1, far))):
-                near = [self._first(need, [day + step * _DAY for step in side], least) for side in sides]
-                if found := [one for one in near if one is not None]:
+                found = []
+                for side in sides:
+                    there = (self.get(need, day + step * _DAY) for step in side)
+                    good = (one for one in there if one is not None and _coverage(one, need) >= least)
+                    found += list(itertools.islice(good, 1))
+                if found:
                     return found
         return []
-
-    def _first(self, need: Need, days: Sequence[np.datetime64], least: float) -> Day | None:
-        """Return the first of some days of which at least a part has the channel."""
-        there = (self.get(need, day) for day in days)
-        return next((one for one in there if one is not None and _known_part(one, need) >= least), None)
 
     def with_all(self, needs: Sequence[Need]) -> list[np.datetime64]:
         """Return the days on which every field is there."""
@@ -398,7 +436,6 @@ class ArchiveIndex:
         return (own.first_tt2000 - other.first_tt2000) % need.cadence_ns == 0
 
 
-def _known_part(day: Day, need: Need) -> float:
-    """Return the part of a day on which a channel has values; 1 where the archive does not tell."""
-    told = day.report.get("channels", {}).get(need.channel, {})
-    return float(told.get("coverage", 1.0))
+def _coverage(day: Day, need: Need) -> float:
+    """Return the part of a day on which a channel has values; 1 where the archive does not state it."""
+    return float(day.report.get("channels", {}).get(need.channel, {}).get("coverage", 1.0))

@@ -1,18 +1,10 @@
-"""Samples of a day.
+"""Samples of a day: channels read from the archive with a margin of the neighbouring days, and aligned.
 
-One channel of one day as the archive has it, with a margin of its neighbours and what is made of it.
-
-A flipper's two positions: which one each day is calibrated for.
-
-Events of kind ``flip`` and ``flip_back`` tell when sensors 1 and 3 change places (see
-`inflight.zero_level.flipper`); readings are delivered in the spacecraft's axes throughout, so that a flip
-changes the offsets of x and z. A day is calibrated for the position that holds longest on it.
-
-What stands in for missing channels: typical values from the archive, read without the database.
-
-The phase of the spin at samples, from what a mission delivers: sun pulses, or an angle.
-
-From the archive to samples: the channels a model needs, on one time base, for one day.
+`load_samples` makes them; `channel_series` reads one channel. Of a spinning spacecraft the phase of the spin
+is added, from sun pulses or from an angle. A flipper (`inflight.zero_level.flipper`) swaps sensors 1 and 3 at
+events of kind ``flip`` and ``flip_back``; readings are in the spacecraft's axes throughout, so that a flip
+changes the offsets of x and z, and a day is calibrated for the position that holds longest on it.
+`stand_ins` puts typical values in the place of missing channels.
 """
 
 from __future__ import annotations
@@ -98,7 +90,7 @@ def channel_series(
     if len(flags) == len(parts):
         coords["flag"] = ("time", np.concatenate(flags))
     series = xr.DataArray(values, dims=("time", "component")[: values.ndim], coords=coords, attrs=attrs)
-    return _made(series, need.part) if need.part else series
+    return _derived(series, need.part) if need.part else series
 
 
 def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
@@ -108,24 +100,24 @@ def _smoothed(values: Floats, stamps: Int64, over_ns: int) -> Floats:
     """
     flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     known = np.isfinite(flat).all(axis=1)
-    own, told = stamps[known], flat[known]
-    sums = np.concatenate([np.zeros((1, told.shape[1])), np.cumsum(told - told[:1], axis=0)])
+    own, readings = stamps[known], flat[known]
+    sums = np.concatenate([np.zeros((1, readings.shape[1])), np.cumsum(readings - readings[:1], axis=0)])
     place = np.arange(own.size)
     after = np.searchsorted(own, own + over_ns // 2, side="right") - 1 - place
     before = place - np.searchsorted(own, own - over_ns // 2)
     each = np.minimum(after, before)
     out = flat.copy()
-    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + told[:1]
+    out[known] = (sums[place + each + 1] - sums[place - each]) / (2 * each + 1)[:, None] + readings[:1]
     return out.reshape(np.shape(values))
 
 
-def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
-    """Return a slow response or a play of a channel, or of what its positions tell, at its own stamps."""
+def _derived(series: xr.DataArray, part: Part) -> xr.DataArray:
+    """Return a slow response or a play of a channel, or of geometry from positions, at its own stamps."""
     stamps = np.asarray(series["tt2000"].values, dtype=np.int64)
     attrs = dict(series.attrs)
     values = np.asarray(series.values, dtype=np.float64)
     if part.channel in GEOMETRY and series.attrs.get("kind") == "position":
-        values = _told_by_position(series, part)
+        values = _from_positions(series, part)
         attrs = {
             "cadence_ns": attrs["cadence_ns"],
             "lag_ns": attrs["lag_ns"],
@@ -135,7 +127,7 @@ def _made(series: xr.DataArray, part: Part) -> xr.DataArray:
     return xr.DataArray(made, dims=("time", "component")[: made.ndim], coords=series.coords, attrs=attrs)
 
 
-def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
+def _from_positions(series: xr.DataArray, part: Part) -> Floats:
     """Return sunlight or latitude at the positions' own stamps; (time,)."""
     if part.channel not in SLOW_GEOMETRY:
         raise SamplesError(
@@ -144,30 +136,30 @@ def _told_by_position(series: xr.DataArray, part: Part) -> Floats:
             remedy="of what the orbit tells, only 'sunlit' and 'latitude' may carry a lag or a width",
         )
     position = (("time", "axis"), series.values, series.attrs)
-    told = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", series["tt2000"].values)}))
-    return np.asarray(told[part.channel].values, dtype=np.float64)
+    geometry = add_geometry(xr.Dataset({"position": position, "tt2000": ("time", series["tt2000"].values)}))
+    return np.asarray(geometry[part.channel].values, dtype=np.float64)
 
 
-class _Kept(threading.local):
+class _ReadingCache(threading.local):
     """Channels that were read last, by place and name, where a batch of days asks for it."""
 
     rows: OrderedDict[tuple[Any, ...], _Rows] | None = None
 
 
-_KEPT = _Kept()
+_CACHE = _ReadingCache()
 
 #: Channels kept: those of some three days.
-_MOST_KEPT = 48
+_CACHED_CHANNELS = 48
 
 
 @contextmanager
-def kept_readings() -> Iterator[None]:
+def cached_readings() -> Iterator[None]:
     """Keep channels that were read last: margins of a day are its neighbours', which a batch reads, too."""
-    before, _KEPT.rows = _KEPT.rows, OrderedDict()
+    before, _CACHE.rows = _CACHE.rows, OrderedDict()
     try:
         yield
     finally:
-        _KEPT.rows = before
+        _CACHE.rows = before
 
 
 def own_readings(
@@ -179,32 +171,32 @@ def own_readings(
 
 
 def _read(cat: Catalog, day: Day, need: Need) -> _Rows:
-    kept, flagged = _KEPT.rows, need.name in FIELD_ROLES
+    cache, flagged = _CACHE.rows, need.name in FIELD_ROLES
     key = (day.segment, day.rows, need.channel, flagged)
-    found = kept.pop(key, None) if kept is not None else None
+    found = cache.pop(key, None) if cache is not None else None
     if found is None:
         data = cat.read(day, [need.channel, "flag"] if flagged else [need.channel], dated=False)
         series = data[need.channel]
         flag = data["flag"].values if flagged else None
         found = _Rows(series.values, data["tt2000"].values, flag, dict(series.attrs))
-    if kept is not None:
-        kept[key] = found
-        if len(kept) > _MOST_KEPT:
-            kept.popitem(last=False)
+    if cache is not None:
+        cache[key] = found
+        if len(cache) > _CACHED_CHANNELS:
+            cache.popitem(last=False)
     return found
 
 
-_KINDS = ("flip", "flip_back")
+_FLIP_KINDS = ("flip", "flip_back")
 
 _DAY = np.timedelta64(1, "D")
 
 
 def flips_of(mission: Mission) -> list[tuple[int, bool]]:
     """Return the flips in order of time: TT2000, and whether the sensors lie flipped from then on."""
-    return sorted((event.at, event.kind == "flip") for event in mission.events if event.kind in _KINDS)
+    return sorted((event.at, event.kind == "flip") for event in mission.events if event.kind in _FLIP_KINDS)
 
 
-def kept_span(mission: Mission, day: np.datetime64) -> tuple[int, int]:
+def longest_position(mission: Mission, day: np.datetime64) -> tuple[int, int]:
     """Return the half-open TT2000 span of a day's position: that which holds longest."""
     start, end = day_bounds(day)
     edges = [start, *(at for at, _ in flips_of(mission) if start < at < end), end]
@@ -213,7 +205,7 @@ def kept_span(mission: Mission, day: np.datetime64) -> tuple[int, int]:
 
 def flip_flags(mission: Mission, day: np.datetime64, stamps: Int64) -> np.ndarray:
     """Return ``FLIPPED`` for the samples of a day that its calibration is not for; (time,) uint32."""
-    low, high = kept_span(mission, day)
+    low, high = longest_position(mission, day)
     outside = (stamps < low) | (stamps >= high)
     return np.where(outside, np.uint32(Flag.FLIPPED), np.uint32(0))
 
@@ -223,7 +215,7 @@ def position_edges(mission: Mission) -> list[np.datetime64]:
     edges = []
     for at, _ in flips_of(mission):
         day = as_day(utc_text(at)[:10])
-        edges.append(day if kept_span(mission, day)[0] >= at else day + _DAY)
+        edges.append(day if longest_position(mission, day)[0] >= at else day + _DAY)
     return sorted(set(edges))
 
 
@@ -262,26 +254,25 @@ def stand_ins(
     missing = missing_rows(model, samples)
     if not missing:
         return None
-    wanted = [need for need in needs if need.name in missing]
+    lacking = [need for need in needs if need.name in missing]
     found = {
         need.name: typical_value(cat, need, index.typical_days(need, day), day)
-        for need in wanted
+        for need in lacking
         if need.replaceable
     }
     channels = {
         need.name: mission.instruments[need.instrument].channels[need.channel]
-        for need in wanted
+        for need in lacking
         if need.part is None
     }
-    ranges = {
-        name: told.range for name, told in channels.items() if told.range is not None and not told.axis_names
-    }
+    single = {name: channel for name, channel in channels.items() if not channel.axis_names}
+    ranges = {name: channel.range for name, channel in single.items() if channel.range is not None}
     known = {name: one for name, one in found.items() if one is not None}
     return substitute(model, samples, known, ranges, missing)
 
 
 def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetime64) -> Typical | None:
-    """Return what a channel usually reads, from days of the archive; None when they do not tell."""
+    """Return what a channel usually reads, from days of the archive; None when they have too few values."""
     known = list(days)
     if not known:
         return None
@@ -293,19 +284,19 @@ def typical_value(cat: Catalog, need: Need, days: Iterable[Day], day: np.datetim
 
 
 def treated_report(treated: Mapping[str, Treated], scalar_nT: float) -> dict[str, Any]:
-    """Return what a day's report says of stand-ins: by effect, and as the day's message.
+    """Return the entries of a day's report about typical values: by effect, and as the day's message.
 
     Parameters
     ----------
     scalar_nT : float
         By how much they make the scalar field uncertain, rms over the samples treated.
     """
-    told = {
+    by_effect = {
         name: {"samples": one.samples, "channels": list(one.channels), "instead": one.instead}
         for name, one in treated.items()
     }
     sentence = "; ".join(f"{name}: {one}" for name, one in treated.items())
-    return {"stand_ins": told, "stand_ins_scalar_nT": scalar_nT, PARTIAL: sentence}
+    return {"stand_ins": by_effect, "stand_ins_scalar_nT": scalar_nT, PARTIAL: sentence}
 
 
 def partial_problems(days: Iterable[Day]) -> list[dict[str, str]]:
@@ -336,13 +327,13 @@ FAULTS = "spin_faults"
 
 
 @dataclass(frozen=True)
-class Turned:
-    """How a day's samples were turned.
+class PhaseOfDay:
+    """The spin phase of a day's samples.
 
     Attributes
     ----------
     phase : Variable (time,)
-        Radians, unwrapped; NaN where nothing tells it. Attributes: `kind`, `told`, `found` and `remedies`
+        Radians, unwrapped; NaN where it is not known. Attributes: `kind`, `told`, `found` and `remedies`
         (lists of sentences about what was not as it should be), `period_s` (0 when not known).
     flag : ndarray of uint32, shape (time,)
         NO_PHASE, PHASE_BRIDGED, PHASE_JUMP.
@@ -353,17 +344,17 @@ class Turned:
 
 
 def spin_phase(
-    mission: Mission, comparison: str, need: Need, told: xr.DataArray | None, stamps: Int64
-) -> Turned:
+    mission: Mission, comparison: str, need: Need, series: xr.DataArray | None, stamps: Int64
+) -> PhaseOfDay:
     """Return the phase of the spin at stamps, and what was not as it should be.
 
-    A day whose phase nothing tells has none, and says so: its field is still that of turning axes.
+    A day without a known phase has none, and a fault states it: its field is still that of turning axes.
 
     Parameters
     ----------
     need : Need
-        Of the channel that tells it.
-    told : DataArray or None
+        Of the channel it is taken from.
+    series : DataArray or None
         Its day with a margin of its neighbours, as the archive has it; a row whose value is missing is no
         pulse.
     stamps : ndarray of int64
@@ -382,25 +373,27 @@ def spin_phase(
     kind = mission.instruments[need.instrument].channels[need.channel].kind
     common = {"units": "rad", "kind": kind}
     try:
-        found = _found(kind, told, stamps, mission.periods["spin"] / SECOND, entry.phase_at_pulse)
+        found = _phase_of(kind, series, stamps, mission.periods["spin"] / SECOND, entry.phase_at_pulse)
     except CalibrationError as error:
         fault = Fault(f"nothing tells the phase of the spin: {error.message}", error.remedy)
         attrs = {**common, "told": fault.found, **_listed([fault]), "period_s": 0.0}
         nothing = np.full(stamps.size, np.nan)
-        return Turned(
+        return PhaseOfDay(
             xr.Variable("time", nothing, attrs), np.full(stamps.size, Flag.NO_PHASE, dtype=np.uint32)
         )
-    attrs = {**common, "told": found.told(), **_listed(found.faults), "period_s": found.period}
-    return Turned(xr.Variable("time", found.phase, attrs), found.flag)
+    attrs = {**common, "told": found.summary(), **_listed(found.faults), "period_s": found.period}
+    return PhaseOfDay(xr.Variable("time", found.phase, attrs), found.flag)
 
 
-def _found(kind: str, told: xr.DataArray | None, stamps: Int64, period: float, at_pulse: float) -> SpinPhase:
-    if told is None:
+def _phase_of(
+    kind: str, series: xr.DataArray | None, stamps: Int64, period: float, at_pulse: float
+) -> SpinPhase:
+    if series is None:
         raise CalibrationError(
             "no day of it in the archive", remedy="ingest the day's file; samples carry the flag no_phase"
         )
-    times = np.asarray(told["tt2000"].values, dtype=np.int64)
-    values = np.asarray(told.values, dtype=np.float64)
+    times = np.asarray(series["tt2000"].values, dtype=np.int64)
+    values = np.asarray(series.values, dtype=np.float64)
     if kind == "sun_pulse":
         times = times[np.isfinite(values)]
         return phase_from_pulses(times, stamps, nominal_period=period, mark_phase=np.deg2rad(at_pulse))
@@ -413,7 +406,7 @@ def _listed(faults: Iterable[Fault]) -> dict[str, list[str]]:
 
 
 def saturated(readings: npt.NDArray[np.float64], channel: Channel) -> npt.NDArray[np.uint32]:
-    """Return the flag SATURATED where a component stands at an end of the range its channel states; (time,).
+    """Return the flag SATURATED where a component lies at an end of its channel's range; (time,).
 
     Parameters
     ----------
@@ -444,9 +437,10 @@ def day_faults(
     index : ArchiveIndex
     """
     by_name = {need.name: need for need in needs}
-    told = samples["spin_phase"].attrs
+    attributes = samples["spin_phase"].attrs
     found = [
-        (by_name[SPIN_PHASE], Fault(*both)) for both in zip(told["found"], told["remedies"], strict=True)
+        (by_name[SPIN_PHASE], Fault(*both))
+        for both in zip(attributes["found"], attributes["remedies"], strict=True)
     ]
     full = int(np.count_nonzero(samples["flag"].values & np.uint32(Flag.SATURATED)))
     if full:
@@ -528,8 +522,8 @@ def load_samples(
     start, end = day_bounds(day)
     samples = align(present, stamps[(stamps >= start) & (stamps < end)])
     if clock is not None:
-        told = channel_series(cat, clock, day, index, alone=False)
-        turned = spin_phase(mission, model.comparison, clock, told, samples["tt2000"].values)
+        series = channel_series(cat, clock, day, index, alone=False)
+        turned = spin_phase(mission, model.comparison, clock, series, samples["tt2000"].values)
         _add_phase(samples, mission, base, day, turned)
     for need in needs:
         if need.name not in samples:
@@ -559,11 +553,13 @@ def _present(
     return {name: series for name, series in channels.items() if series is not None}
 
 
-def _add_phase(samples: xr.Dataset, mission: Mission, base: Need, day: np.datetime64, turned: Turned) -> None:
-    """Put the spin phase beside the samples, and flag what it, saturation and the flipper make unusable."""
-    samples[SPIN_PHASE] = turned.phase
+def _add_phase(
+    samples: xr.Dataset, mission: Mission, base: Need, day: np.datetime64, found: PhaseOfDay
+) -> None:
+    """Add the spin phase to the samples, and flag what it, saturation and the flipper make unusable."""
+    samples[SPIN_PHASE] = found.phase
     channel = mission.instruments[base.instrument].channels[base.channel]
-    flag = samples["flag"] | turned.flag | saturated(samples[base.name].values, channel)
+    flag = samples["flag"] | found.flag | saturated(samples[base.name].values, channel)
     samples["flag"] = flag | flip_flags(mission, day, samples["tt2000"].values)
 
 
@@ -596,7 +592,7 @@ def _with_products(samples: xr.Dataset, needs: Sequence[Need]) -> xr.Dataset:
 
 
 def _absent(mission: Mission, need: Need, count: int) -> xr.DataArray:
-    """Return a channel of nothing but gaps, so that the samples say what is missing."""
+    """Return a channel of nothing but gaps, so that the samples show what is missing."""
     channel = mission.instruments[need.instrument].channels[need.channel]
     from_geometry = need.part is not None and need.part.channel in GEOMETRY
     width = 0 if from_geometry else len(channel.axis_names)

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog, DayData, Segment, cause_of, write_segment
 from inflight.errors import InflightError
-from inflight.tasks.archive import ArchiveIndex, Need, kept_readings
+from inflight.tasks.archive import ArchiveIndex, Need, cached_readings
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def make_days(
         The segment, and why days are not in it.
     """
     outcome, made = Outcome(), []
-    with threadpool_limits(1), kept_readings():
+    with threadpool_limits(1), cached_readings():
         for day in job.days:
             try:
                 dataset, report = make(day)

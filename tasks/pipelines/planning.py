@@ -15,7 +15,7 @@ from inflight.errors import CatalogError, MissionError
 from inflight.mission import Mission
 from inflight.model import Model
 from inflight.tasks.archive import (
-    STAND_IN_DAYS,
+    INPUTS,
     ArchiveIndex,
     Need,
     base_role,
@@ -218,7 +218,7 @@ def _check_comparison(mission: Mission, name: str) -> None:
 
 def _with_neighbours(start: DayLike | None, end: DayLike | None, needs: Sequence[Need]) -> slice:
     """Return the days a span is made from; the farthest stand in for a channel that a day has not."""
-    beside = STAND_IN_DAYS if any(need.replaceable for need in needs) else 1
+    beside = INPUTS.stand_in_days if any(need.replaceable for need in needs) else 1
     before = max(beside, *(need.days_before for need in needs)) * ONE_DAY
     return slice(
         str(as_day(start) - before) if start is not None else None,

@@ -44,7 +44,14 @@ def rows_of(residual, ripple=0.0, at=BURST, seed=3):
     field = field * wanted / size
     unit = (field / np.linalg.norm(field, axis=1, keepdims=True))[:, None, :]
     good = np.ones(len(residual), dtype=bool)
-    return ResidualRows(residual, {"fgm": unit}, {"fgm": field, "ovm": field}, field, good, STEP_S)
+    return ResidualRows(
+        residual=residual,
+        directions={"fgm": unit},
+        fields={"fgm": field, "ovm": field},
+        field=field,
+        good=good,
+        step_s=STEP_S,
+    )
 
 
 def said_signal(residual, rows, channels=None, cadence=1):

@@ -166,7 +166,9 @@ def coarse(residual, good=None, step=10):
     )
     unit = (field / np.linalg.norm(field, axis=1, keepdims=True))[:, None, :]
     good = np.ones(count, dtype=bool) if good is None else good
-    rows = ResidualRows(residual, {"fgm": unit}, {"fgm": field}, field, good, 1.0)
+    rows = ResidualRows(
+        residual=residual, directions={"fgm": unit}, fields={"fgm": field}, field=field, good=good, step_s=1.0
+    )
     return coarsen(samples, rows, grid(START, START + count * SECOND, step * SECOND), {}, {})
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from inflight.calibration import NormalEquations, Reference, fit_block
-from inflight.time import tt2000_of
+from inflight.time import from_mjd2000
 
 NINE = [f"vector_sensor.scale_factor[{axis}]" for axis in "xyz"]
 NINE += [f"vector_sensor.misalignment[{pair}]" for pair in ("xy", "xz", "yz")]
@@ -38,8 +38,8 @@ def table_of(mjd, value, sigma, names, width=1.0):
         {
             "value": (("interval", "parameter"), value),
             "sigma": (("interval", "parameter"), sigmas),
-            "start": ("interval", tt2000_of(mjd)),
-            "end": ("interval", tt2000_of(mjd + width)),
+            "start": ("interval", from_mjd2000(mjd)),
+            "end": ("interval", from_mjd2000(mjd + width)),
         },
         coords={"parameter": list(names)},
     )
@@ -76,7 +76,7 @@ def day_equations(mjd, nine, generator, noise=0.1, shift=0.0):
     reference = Reference(nine_at(1000.0), PRIOR_SIGMA)
     good = np.ones(strength.size, dtype=bool)
     fit = fit_block(reading, np.zeros((1, 3)), scalar, good, reference, sub_blocks=24)
-    span = tuple(int(edge) for edge in tt2000_of(np.array([mjd, mjd + 1.0])))
+    span = tuple(int(edge) for edge in from_mjd2000(np.array([mjd, mjd + 1.0])))
     attributes = {"comparison": "main", "model": "m", "filter": "raw"}
     return NormalEquations.from_fit(fit, reference, span, attributes)
 

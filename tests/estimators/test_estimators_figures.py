@@ -24,7 +24,7 @@ from inflight.mission_fit import (
 )
 from inflight.mission_fit.trend_selection import compare_trends
 from inflight.mission_fit.trends import equations_of_table, middles
-from inflight.time import tt2000_of
+from inflight.time import from_mjd2000
 
 SIZES = np.array([2e-6] * 3 + [5e-4] * 3 + [0.02] * 3)
 MJD = np.arange(200.0, 2200.0) + 0.5
@@ -44,7 +44,7 @@ def trend_figures():
     noise = np.random.default_rng(1).normal(size=(edges.size, 9)) * SIZES
     table = table_of(edges, np.array([nine_at(day + 7.5) for day in edges]) + noise, SIZES, NINE, width=15.0)
     equations = equations_of_table(table)
-    origin = int(tt2000_of(150.0))
+    origin = int(from_mjd2000(150.0))
     log = make_trend("log", middles(equations), origin)
     fit = fit_trends(equations, dict.fromkeys(SCALES, log), PRIOR_SIGMA)
     found = compare_trends(equations, SCALES, PRIOR_SIGMA, t0=origin)

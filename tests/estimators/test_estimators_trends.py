@@ -22,7 +22,7 @@ from inflight.mission_fit import fit_origin, fit_trends, make_trend
 from inflight.mission_fit.trend_selection import compare_trends
 from inflight.mission_fit.trends import equations_of_table, middles
 from inflight.model.time_dependence import parse_timed
-from inflight.time import mjd_of, tt2000_of
+from inflight.time import from_mjd2000, mjd2000
 
 SPREAD = np.full(1, 0.005)
 
@@ -34,7 +34,7 @@ def log_table(days, seed=0, growth=2.9e-4, noise=2e-6, origin=150.0):
 
 
 def log_at(equations, mjd=150.0):
-    return make_trend("log", middles(equations), int(tt2000_of(mjd)))
+    return make_trend("log", middles(equations), int(from_mjd2000(mjd)))
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +61,9 @@ def test_the_law_of_ageing_is_recovered_from_the_sum_of_all_days_equations(missi
 
 def test_values_in_time_and_their_sigmas_cover_the_truth_everywhere(mission):
     fit = fit_trends(mission, dict.fromkeys(SCALES, log_at(mission)), PRIOR_SIGMA)
-    times = tt2000_of(np.array([220.0, 800.0, 3100.0]))
+    times = from_mjd2000(np.array([220.0, 800.0, 3100.0]))
     value, sigma = fit.at(times)
-    truth = np.array([nine_at(day) for day in mjd_of(times)])
+    truth = np.array([nine_at(day) for day in mjd2000(times)])
     assert np.all(np.abs(value - truth) < 4 * sigma)
 
 
@@ -134,12 +134,12 @@ def test_an_origin_that_a_straight_line_does_without_is_said_not_to_be_determine
     assert not fit.origin.determined
     assert fit.origin.low == -np.inf
     assert "NOT DETERMINED" in fit.origin.told()
-    assert float(mjd_of(fit.trends["l"].t0)) == pytest.approx(150.0)
+    assert float(mjd2000(fit.trends["l"].t0)) == pytest.approx(150.0)
 
 
 def test_held_out_days_choose_the_law_the_mission_follows():
     days = np.arange(200.0, 2200.0, 4)
-    found = compare_trends(log_table(days), ["l"], SPREAD, t0=int(tt2000_of(150.0)))
+    found = compare_trends(log_table(days), ["l"], SPREAD, t0=int(from_mjd2000(150.0)))
     assert found.chosen == "log"
     assert found.rivals[0].rms == pytest.approx(1.0, abs=0.05)
     assert not any(one.tied for one in found.rivals[1:])
@@ -152,7 +152,7 @@ def test_the_logarithm_is_never_forced_where_a_parabola_is_true(bend):
     noise = 2e-6 * np.random.default_rng(2).normal(size=days.size)
     value = 1.0 + 1e-7 * days + bend * (days - 1200.0) ** 2 + noise
     equations = equations_of_table(table_of(days, value[:, None], 2e-6, ["l"]))
-    found = compare_trends(equations, ["l"], SPREAD, t0=int(tt2000_of(150.0)))
+    found = compare_trends(equations, ["l"], SPREAD, t0=int(from_mjd2000(150.0)))
     assert found.chosen == "parabola"
     behind = {one.kind: one for one in found.rivals}["log"]
     assert behind.behind > 2 * behind.sigma_behind > 0
@@ -161,7 +161,7 @@ def test_the_logarithm_is_never_forced_where_a_parabola_is_true(bend):
 def test_ties_are_said_and_the_simplest_kind_is_taken():
     noise = np.random.default_rng(7).normal(size=(300, 1))
     equations = equations_of_table(table_of(np.arange(2000.0, 2300.0), noise, 1.0, ["offset"]))
-    found = compare_trends(equations, ["offset"], np.full(1, 100.0), t0=int(tt2000_of(150.0)))
+    found = compare_trends(equations, ["offset"], np.full(1, 100.0), t0=int(from_mjd2000(150.0)))
     assert found.chosen == "constant"
     assert "tied" in found.told()
     assert set(found.table()["kind"].values) == {"constant", "linear", "parabola", "log", "spline"}
@@ -172,7 +172,7 @@ def test_ageing_alone_makes_the_published_steps_of_fifteen_days_and_a_trend_make
     edges = np.arange(200.0, 3200.0, 15.0)
     table = table_of(edges, np.array([nine_at(day + 7.5) for day in edges]), 1e-9, NINE, width=15.0)
     jumps = table_jumps(table)
-    at = mjd_of(jumps.at)
+    at = mjd2000(jumps.at)
     for day, size in ((500.0, 0.62), (3000.0, 0.08)):
         # The step at a boundary is the ageing from the middle of one interval to the next.
         assert np.interp(day + 7.5, at, jumps.mean) == pytest.approx(size, abs=0.006)
@@ -192,7 +192,7 @@ def test_an_offset_steps_by_direction_and_not_on_average():
 @pytest.mark.parametrize("kind", ["constant", "linear", "parabola", "log", "spline"])
 def test_a_fitted_trend_becomes_an_entry_of_a_model_that_gives_the_same_values(mission, kind):
     times = middles(mission)
-    trend = make_trend(kind, times, int(tt2000_of(150.0)) if kind == "log" else None)
+    trend = make_trend(kind, times, int(from_mjd2000(150.0)) if kind == "log" else None)
     fit = fit_trends(mission, dict.fromkeys(SCALES, trend), PRIOR_SIGMA)
     parameter = VectorSensor.parameters()["scale_factor"]
     timed = fit.as_timed("vector_sensor.scale_factor", parameter)
@@ -210,11 +210,11 @@ def test_too_few_days_and_unknown_names_are_refused_in_words():
     with pytest.raises(CalibrationError, match="no parameter 'm'"):
         fit_trends(equations, {"m": log_at(equations)}, SPREAD)
     with pytest.raises(CalibrationError, match="origin before its first time"):
-        make_trend("log", middles(equations), int(tt2000_of(400.0)))
+        make_trend("log", middles(equations), int(from_mjd2000(400.0)))
     with pytest.raises(CalibrationError, match="no 8 folds"):
         compare_trends(equations, ["l"], SPREAD)
 
 
 def test_an_early_mission_has_its_own_day_numbers():
-    assert mjd_of(tt2000_of(np.array([150.0, 2517.0])))[1] == 2517.0
+    assert mjd2000(from_mjd2000(np.array([150.0, 2517.0])))[1] == 2517.0
     assert str(np.datetime64("2000-01-01") + np.timedelta64(150, "D")) == "2000-05-30"

@@ -8,7 +8,7 @@ from estimator_cases import polar_field, wandering
 from inflight.errors import CalibrationError
 from inflight.mission_fit import day_statistics, noise_of, offsets_from_spread, spread_law
 from inflight.simulate import SimulationSettings, simulate_day
-from inflight.time import tt2000_of
+from inflight.time import from_mjd2000
 
 COUNT = 8640
 
@@ -22,7 +22,7 @@ DIRECTION = direction_of(polar_field(COUNT))
 
 def day(offset, generator, noise=0.15, mjd=1000.0, memory=0.0, direction=DIRECTION):
     error = wandering(COUNT, memory, generator) if memory else generator.normal(size=COUNT)
-    start, end = (int(edge) for edge in tt2000_of(np.array([mjd, mjd + 1.0])))
+    start, end = (int(edge) for edge in from_mjd2000(np.array([mjd, mjd + 1.0])))
     return day_statistics(direction @ np.asarray(offset) + noise * error, direction, start, end)
 
 

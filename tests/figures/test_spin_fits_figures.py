@@ -8,7 +8,7 @@ from bokeh.embed import file_html
 from bokeh.resources import INLINE
 
 from docs.figures.spin_fits import phase_figure, phasor_figure, slope_figure, zero_figure
-from inflight.spin import farrell, phase_from_pulses, spin_fits
+from inflight.spin import calibrate_farrell, fit_spins, phase_from_pulses
 from inflight.time import SECOND
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "spin"))
@@ -17,8 +17,8 @@ from farrell_cases import record, sensors
 
 def test_the_figures_of_a_record_are_drawn_with_its_numbers():
     stamps, readings, phase, _ = record(0, sensors(), [3.0, -2.5, 3.0])
-    fits = spin_fits(stamps, readings, phase)
-    found = farrell(fits, window=0.01)
+    fits = fit_spins(stamps, readings, phase)
+    found = calibrate_farrell(fits, window=0.01)
     drift = found.intercepts.against(np.zeros(2))
     times = np.arange(300) * 3.0
     times[150:] += 0.4

@@ -28,7 +28,13 @@ def table(seconds, values=None, file="a", t=None) -> RawTable:
     values = np.asarray(seconds if values is None else values, dtype=float)
     t = np.zeros(times.size) if t is None else np.asarray(t, dtype=float)
     rows = np.arange(1, times.size + 1)
-    return RawTable(file, times, {"field": values, "t": t}, np.zeros(times.size, dtype=np.uint32), rows)
+    return RawTable(
+        file=file,
+        times=times,
+        channels={"field": values, "t": t},
+        flag=np.zeros(times.size, dtype=np.uint32),
+        rows=rows,
+    )
 
 
 def assemble(*parts):
@@ -47,7 +53,13 @@ def test_splitting_by_day_loses_no_row_and_doubles_none(offsets, about):
     times = to_tt2000(np.datetime64(about)) + np.array(offsets, dtype=np.int64) * SECOND
     count = times.size
     rows = np.arange(1, count + 1)
-    whole = RawTable("a", times, {"field": rows.astype(float)}, np.zeros(count, dtype=np.uint32), rows)
+    whole = RawTable(
+        file="a",
+        times=times,
+        channels={"field": rows.astype(float)},
+        flag=np.zeros(count, dtype=np.uint32),
+        rows=rows,
+    )
     days = split_days(whole)
     assert sorted(row for part in days.values() for row in part.rows) == rows.tolist()
     for day, part in days.items():
@@ -174,11 +186,11 @@ def test_channels_carry_what_a_reader_of_the_archive_needs():
         },
     )
     raw = RawTable(
-        "a",
-        START + np.arange(2) * SECOND,
-        {"field": np.ones((2, 3)), "attitude": np.ones((2, 4))},
-        np.zeros(2, dtype=np.uint32),
-        np.arange(1, 3),
+        file="a",
+        times=START + np.arange(2) * SECOND,
+        channels={"field": np.ones((2, 3)), "attitude": np.ones((2, 4))},
+        flag=np.zeros(2, dtype=np.uint32),
+        rows=np.arange(1, 3),
     )
     dataset, _ = assemble_day(DAY, [raw], "fgm", vector)
     assert dataset.field.dims == ("time", "axis")

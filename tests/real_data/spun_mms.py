@@ -7,7 +7,7 @@ import numpy as np
 from injections import REAL
 
 from inflight.catalog import Catalog, Workspace
-from inflight.spin import TwelveParameters
+from inflight.spin import CalibrationParameters
 from inflight.tasks.archive import ingest
 
 FILE = REAL / "mms1-fgm-srvy-20190601" / "mms1_fgm_srvy_l2_gsm_20190601T2300_20190602T0100.npz"
@@ -64,14 +64,14 @@ class Spun:
     """A workspace with the archive, and the truth behind it."""
 
     workspace: Workspace
-    truth: TwelveParameters
+    truth: CalibrationParameters
     published: np.ndarray
 
 
-def errors(seed: int) -> TwelveParameters:
+def errors(seed: int) -> CalibrationParameters:
     """Draw errors of either sign."""
     drawn = np.random.default_rng(seed).normal(size=len(SIZES))
-    present = TwelveParameters()
+    present = CalibrationParameters()
     return present.changed(
         {
             name: (1.0 if name == "gain_ratio" else 0.0) + size * draw

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from injections import REAL
 
-from inflight.zero_level import PUBLISHED, Intervals, combined, davis_smith
-from inflight.zero_level.methods import wang_pan
-from inflight.zero_level.published import scatter_with_hours
+from inflight.scorecard.zero_level_studies import PUBLISHED, scatter_with_hours
+from inflight.zero_level import Intervals, combine_methods, davis_smith
+from inflight.zero_level.methods import davis_smith_as_published, wang_pan
 
 FOLDER = REAL / "ace-mfi-h0-20230102"
 pytestmark = [
@@ -26,11 +26,11 @@ def record():
 @pytest.fixture(scope="module")
 def as_delivered(record):
     times, field = record
-    return combined(Intervals.of(times, field, LENGTH))
+    return combine_methods(Intervals.of(times, field, LENGTH))
 
 
 def test_the_day_as_delivered_has_a_zero_level_of_a_tenth_of_a_nanotesla(as_delivered, record_property):
-    record_property("told", as_delivered.told())
+    record_property("told", as_delivered.summary())
     assert as_delivered.agrees
     assert as_delivered.kinds.alfvenic.mean() > 0.7
     assert np.abs(as_delivered.estimate.value).max() < 0.2
@@ -40,7 +40,7 @@ def test_the_day_as_delivered_has_a_zero_level_of_a_tenth_of_a_nanotesla(as_deli
 @pytest.mark.parametrize("offset", [(1.0, -2.0, 1.5), (-1.0, 2.0, -1.5), (0.3, 0.3, -0.3)])
 def test_an_offset_put_in_is_found_on_top_of_it(record, as_delivered, offset):
     times, field = record
-    found = combined(Intervals.of(times, field + np.array(offset), LENGTH))
+    found = combine_methods(Intervals.of(times, field + np.array(offset), LENGTH))
     assert found.agrees
     moved = found.estimate.value - as_delivered.estimate.value
     # What is selected may differ by an interval: a small part of the error.
@@ -53,7 +53,7 @@ def test_an_offset_that_turns_with_the_spacecraft_is_found_in_its_axes(record):
     cos, sin = np.cos(phase), np.sin(phase)
     body = np.stack([cos * field[:, 0] + sin * field[:, 1], cos * field[:, 1] - sin * field[:, 0]], axis=1)
     turned = np.column_stack([body, field[:, 2]]) + np.array([1.0, -2.0, 1.5])
-    found = davis_smith(Intervals.of(times, turned, LENGTH), corrected=False)
+    found = davis_smith_as_published(Intervals.of(times, turned, LENGTH))
     np.testing.assert_allclose(found.solution[:2], [1.0, -2.0], atol=0.05)
 
 
@@ -67,7 +67,7 @@ def test_the_scatter_falls_with_the_root_of_the_hours(record, as_delivered, reco
         )
         size = np.sqrt(np.mean(found.scatter**2, axis=1))
         record_property(found.method, [round(float(one), 3) for one in size])
-        assert np.all(found.told > 0.5)
+        assert np.all(found.determined_part > 0.5)
         assert size[0] / size[2] == pytest.approx(np.sqrt(8.0), rel=0.5)
         assert size[1] < PUBLISHED[0][1]
         assert size[2] < PUBLISHED[1][1]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from injections import REAL
 
-from inflight.zero_level import Intervals, combined
+from inflight.zero_level import Intervals, combine_methods
 
 FOLDER = REAL / "mms1-fgm-srvy-20190601"
 pytestmark = [
@@ -23,11 +23,11 @@ def record():
 
 @pytest.fixture(scope="module")
 def as_delivered(record):
-    return combined(Intervals.of(*record, LENGTH))
+    return combine_methods(Intervals.of(*record, LENGTH))
 
 
 def test_the_record_as_delivered_has_no_zero_level_that_two_hours_could_tell(as_delivered, record_property):
-    record_property("told", as_delivered.told())
+    record_property("told", as_delivered.summary())
     assert as_delivered.agrees
     assert as_delivered.kinds.compressional.sum() > 30
     told = as_delivered.estimate.determined
@@ -38,7 +38,7 @@ def test_the_record_as_delivered_has_no_zero_level_that_two_hours_could_tell(as_
 @pytest.mark.parametrize("offset", [(0.5, -0.5, 0.5), (1.0, -2.0, 1.5)])
 def test_an_offset_put_in_is_found_or_said_to_be_doubtful(record, as_delivered, offset):
     times, field = record
-    found = combined(Intervals.of(times, field + np.array(offset), LENGTH))
+    found = combine_methods(Intervals.of(times, field + np.array(offset), LENGTH))
     moved = found.estimate.value - as_delivered.estimate.value
     both = found.estimate.determined & as_delivered.estimate.determined
     assert both.any()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from inflight.spin import check_period, farrell, respin, spin_fits
+from inflight.spin import calibrate_farrell, check_period, fit_spins, respin
 from inflight.time import SECOND
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "spin"))
@@ -38,7 +38,7 @@ def test_known_angles_are_found_in_a_real_field_that_is_spun_again(period, sign)
     angles, pulls = sensors(sign), []
     for seed in range(6):
         readings = angles.disturb(respin(field @ turned(seed).T, phase))
-        found = farrell(spin_fits(stamps, readings, phase), spin_axis_zero=(0.0, 0.0))
+        found = calibrate_farrell(fit_spins(stamps, readings, phase), spin_axis_zero=(0.0, 0.0))
         zero = (found.intercepts.zero[0] - angles.zero[:2]) / found.intercepts.sigma[0]
         pulls.append([*(found.value - truth_of(angles)) / found.sigma, *zero])
     assert np.abs(pulls).max() < 4.0

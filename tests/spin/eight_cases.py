@@ -3,20 +3,20 @@
 import numpy as np
 from orbit_fields import Record, steady
 
-from inflight.spin import TwelveParameters, calibrate_by_selection, joint_estimate, lay_out
+from inflight.spin import CalibrationParameters, calibrate_by_selection, cut_into_blocks, estimate_jointly
 
-TRUTH = TwelveParameters(
+TRUTH = CalibrationParameters(
     1.0003, 1.0, 1.0, (1e-3, -2e-3), 5e-4, (1.2e-3, -0.8e-3), 0.0, (1.0, -2.0, 3.0)
 )  # fmt: skip
 #: The spin tells nothing of the third offset, but its part in the spin plane is seen: it is given.
-PRESENT = TwelveParameters(offset=(0.0, 0.0, 3.0))
+PRESENT = CalibrationParameters(offset=(0.0, 0.0, 3.0))
 
 
 def signed(seed):
     """The truth with signs of its own."""
     sign = np.random.default_rng(1000 + seed).choice([-1, 1], 12)
     values = PRESENT.values() + sign * (TRUTH.values() - PRESENT.values())
-    return TwelveParameters.of_values(values)
+    return CalibrationParameters.of_values(values)
 
 
 def joined(first, second):
@@ -42,10 +42,10 @@ def two_fields(seed, hours=1.5):
 
 
 def by_joint(record, readings, present=PRESENT, **options):
-    layout = lay_out(readings, record.phase, record.stamps, **options)
-    return joint_estimate(readings, record.phase, record.stamps, layout, present)
+    layout = cut_into_blocks(readings, record.phase, record.stamps, **options)
+    return estimate_jointly(readings, record.phase, record.stamps, layout, present)
 
 
 def by_selection(record, readings, present=PRESENT, **options):
-    layout = lay_out(readings, record.phase, record.stamps)
+    layout = cut_into_blocks(readings, record.phase, record.stamps)
     return calibrate_by_selection(readings, record.phase, record.stamps, layout, present, **options)

@@ -5,9 +5,9 @@ import pytest
 from farrell_cases import READINGS, TURN, natural, phase_of, record, sensors, stamps_of, truth_of
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin import SensorAngles, despin, farrell, phase_between, respin, spin_fits
-from inflight.spin.farrell_1995 import NAMES, instrument_noise
-from inflight.spin.fits import spin_tones
+from inflight.spin import SensorAngles, azimuth_between, calibrate_farrell, despin, fit_spins, respin
+from inflight.spin.farrell import NAMES, instrument_noise
+from inflight.spin.fits import measure_steady_tones
 from inflight.time import DAY, SECOND
 
 WEAK, STRONG = [3.0, -2.5, 3.0], [8000.0, -6000.0, 5000.0]
@@ -47,13 +47,13 @@ def test_directions_are_the_first_order_ones_with_minus_dph2():
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_phases_have_the_sign_opposite_to_equations_24_and_31_as_printed(sign):
     angles = sensors(sign, degrees=2.0)
-    fits = spin_fits(*stepped(angles, 100.0)[:3])
+    fits = fit_spins(*stepped(angles, 100.0)[:3])
     azimuth = np.arctan2(fits.value[..., 1], fits.value[..., 2])
     tilted = azimuth[:, 0] - azimuth[:, 2]
-    np.testing.assert_allclose(np.exp(1j * phase_between(fits, 0, 2)), np.exp(1j * tilted), atol=1e-12)
-    np.testing.assert_allclose(np.exp(1j * phase_between(fits, 0, 2)), np.exp(1j * angles.tilt_azimuth))
+    np.testing.assert_allclose(np.exp(1j * azimuth_between(fits, 0, 2)), np.exp(1j * tilted), atol=1e-12)
+    np.testing.assert_allclose(np.exp(1j * azimuth_between(fits, 0, 2)), np.exp(1j * angles.tilt_azimuth))
     total = TURN / 4 + angles.azimuth[1] - angles.azimuth[0]
-    np.testing.assert_allclose(phase_between(fits, 0, 1), total, atol=1e-9)
+    np.testing.assert_allclose(azimuth_between(fits, 0, 1), total, atol=1e-9)
     psi = np.angle(np.exp(1j * (angles.azimuth[0] - np.angle(fits.phasor[:, 0]))))
     field = despin(angles.remove(stepped(angles, 100.0)[1]), stepped(angles, 100.0)[2])[6::12]
     np.testing.assert_allclose(psi, np.arctan2(field[:, 1], field[:, 0]), atol=1e-9)
@@ -64,7 +64,7 @@ def test_phases_have_the_sign_opposite_to_equations_24_and_31_as_printed(sign):
 def test_angles_come_back_to_a_hundred_thousandth_where_nothing_fluctuates(sign, strength):
     angles = sensors(sign)
     stamps, readings, phase, field = stepped(angles, strength)
-    found = farrell(spin_fits(stamps, readings, phase), spin_axis_zero=(0.0, 0.0))
+    found = calibrate_farrell(fit_spins(stamps, readings, phase), spin_axis_zero=(0.0, 0.0))
     np.testing.assert_allclose(found.value, truth_of(angles), atol=1e-5)
     np.testing.assert_allclose(found.intercepts.zero[0], angles.zero[:2], atol=1e-5 * strength)
     back = found.angles()
@@ -120,7 +120,7 @@ def test_stated_sigmas_cover_in_fields_that_fluctuate(mean, sign):
     angles = sensors(sign)
     truth, inside, zeros = truth_of(angles), [], []
     for seed in range(30):
-        found = farrell(spin_fits(*record(seed, angles, mean)[:3]), spin_axis_zero=(0.0, 0.0))
+        found = calibrate_farrell(fit_spins(*record(seed, angles, mean)[:3]), spin_axis_zero=(0.0, 0.0))
         inside.append(np.abs(found.value - truth) < found.sigma)
         pulls = (found.intercepts.zero[0] - angles.zero[:2]) / found.intercepts.sigma[0]
         zeros.append(np.abs(pulls) < 1)
@@ -131,14 +131,14 @@ def test_stated_sigmas_cover_in_fields_that_fluctuate(mean, sign):
 def test_gaps_wild_readings_and_a_missing_one_cost_little():
     angles = sensors()
     stamps, readings, phase, _ = record(3, angles, WEAK)
-    clean = farrell(spin_fits(stamps, readings, phase))
+    clean = calibrate_farrell(fit_spins(stamps, readings, phase))
     rng = np.random.default_rng(1)
     kept = rng.random(stamps.size) > 0.15
     kept[4000:5000] = False
     spoilt = readings.copy()
     spoilt[rng.random(readings.shape) < 0.005] += 200.0
     spoilt[77, 2] = np.nan
-    found = farrell(spin_fits(stamps[kept], spoilt[kept], phase[kept]))
+    found = calibrate_farrell(fit_spins(stamps[kept], spoilt[kept], phase[kept]))
     off = (found.value - truth_of(angles)) / found.sigma
     assert np.abs(off).max() < 4.0
     assert (found.sigma < 3.0 * clean.sigma).all()
@@ -150,7 +150,7 @@ def test_saturated_readings_are_for_the_caller_to_mark_and_then_do_no_harm():
     limit = 0.98 * np.abs(readings[:, :2]).max()
     clipped = np.clip(readings, -limit, limit)
     good = (np.abs(readings) < limit).all(axis=1)
-    found = farrell(spin_fits(stamps, clipped, phase, good=good))
+    found = calibrate_farrell(fit_spins(stamps, clipped, phase, good=good))
     assert np.abs((found.value - truth_of(angles)) / found.sigma).max() < 4.0
 
 
@@ -163,8 +163,8 @@ def test_noise_of_the_spin_axis_sensor_draws_plain_slopes_to_zero_and_not_these(
         axial = np.repeat(1.0 + 0.3 * rng.standard_normal(400), READINGS)
         field = respin(np.stack([np.full(phase.size, 5.0), np.zeros(phase.size), axial], axis=1), phase)
         noise = rng.standard_normal(field.shape) * [0.01, 0.01, 0.6]
-        fits = spin_fits(stamps_of(phase.size), angles.disturb(field) + noise, phase)
-        found = farrell(fits, spins=1)
+        fits = fit_spins(stamps_of(phase.size), angles.disturb(field) + noise, phase)
+        found = calibrate_farrell(fits, spins=1)
         plain.append(found.plain_slope)
         fair.append(found.value[:2])
         sigma.append(found.sigma[:2])
@@ -182,7 +182,7 @@ def test_the_noise_of_the_instrument_is_told_from_the_field_by_the_quietest_fits
     field = natural(rng, phase.size, WEAK)
     field[: phase.size // 3] = WEAK
     readings = respin(field, phase) + 0.02 * rng.standard_normal(field.shape)
-    noise = instrument_noise(spin_fits(stamps_of(phase.size), readings, phase))
+    noise = instrument_noise(fit_spins(stamps_of(phase.size), readings, phase))
     # An upper bound: the quietest tenth of all is not the lowest tenth of the quiet third.
     assert (noise > 0.019).all()
     assert (noise < 0.026).all()
@@ -192,21 +192,21 @@ def test_a_tilt_of_nothing_is_nothing_where_equation_25_gives_noise():
     angles = SensorAngles()
     found, printed = [], []
     for seed in range(20):
-        fits = spin_fits(*record(seed, angles, WEAK, spins=300, noise=0.1)[:3])
-        found.append(farrell(fits).value[2:4])
+        fits = fit_spins(*record(seed, angles, WEAK, spins=300, noise=0.1)[:3])
+        found.append(calibrate_farrell(fits).value[2:4])
         printed.append(np.mean(np.abs(fits.phasor[:, 2]) / np.abs(fits.phasor[:, 0])))
     assert np.mean(printed) > 0.01
     assert np.abs(np.mean(found, axis=0)).max() < 4 * np.std(found) / np.sqrt(20)
     assert np.abs(np.mean(found)) < 0.1 * np.mean(printed)
-    nothing = farrell(spin_fits(*record(0, angles, WEAK, spins=300, noise=0.1)[:3]))
+    nothing = calibrate_farrell(fit_spins(*record(0, angles, WEAK, spins=300, noise=0.1)[:3]))
     assert np.isnan(nothing.tilt_azimuth[0])
 
 
 def test_counts_need_the_ratio_of_the_sensitivities():
     angles, unit = sensors(zero=(0.0, 0.0, 0.0)), np.array([0.01, 0.01, 0.02])
     stamps, readings, phase, _ = stepped(angles, 50.0)
-    counts = spin_fits(stamps, readings / unit, phase, unit="counts")
-    found = farrell(counts, sensitivity=unit)
+    counts = fit_spins(stamps, readings / unit, phase, unit="counts")
+    found = calibrate_farrell(counts, sensitivity=unit)
     np.testing.assert_allclose(found.value, truth_of(angles), atol=1e-9)
     slope = np.polyfit(counts.constant[:, 2], counts.constant[:, 0], 1)[0]
     assert slope * unit[0] / unit[2] == pytest.approx(angles.elevation[0], rel=1e-3)
@@ -214,11 +214,11 @@ def test_counts_need_the_ratio_of_the_sensitivities():
 
 def test_an_intercept_is_the_zero_level_only_when_that_of_sensor_3_is_known():
     angles = sensors(zero=(1.5, -2.0, 40.0))
-    fits = spin_fits(*stepped(angles, 50.0)[:3])
-    blind, knowing = farrell(fits), farrell(fits, spin_axis_zero=(40.0, 1.0))
+    fits = fit_spins(*stepped(angles, 50.0)[:3])
+    blind, knowing = calibrate_farrell(fits), calibrate_farrell(fits, spin_axis_zero=(40.0, 1.0))
     expected = angles.zero[:2] - np.sin(angles.elevation) / np.cos(angles.tilt) * 40.0
     np.testing.assert_allclose(blind.intercepts.intercept[0], expected, atol=1e-6)
-    assert "O3 not known" in blind.told()
+    assert "O3 not known" in blind.summary()
     np.testing.assert_allclose(knowing.intercepts.zero[0], angles.zero[:2], atol=1e-6)
     np.testing.assert_allclose(knowing.intercepts.sigma[0], np.abs(angles.elevation), rtol=1e-3)
 
@@ -230,7 +230,7 @@ def test_a_zero_level_that_drifts_is_followed_window_by_window_against_preflight
         days = (stamps - stamps[0]) / DAY
         drift = np.array([20.0, -10.0])
         readings[:, :2] += days[:, None] * drift
-        found = farrell(spin_fits(stamps, readings, phase), window=0.005, spin_axis_zero=(0.0, 0.0))
+        found = calibrate_farrell(fit_spins(stamps, readings, phase), window=0.005, spin_axis_zero=(0.0, 0.0))
         levels = found.intercepts
         true = angles.zero[:2] + (levels.time - stamps[0])[:, None] / DAY * drift
         inside.append(np.abs(levels.zero - true) < levels.sigma)
@@ -242,16 +242,16 @@ def test_a_zero_level_that_drifts_is_followed_window_by_window_against_preflight
     assert 0.60 < np.mean(inside) < 0.78
     assert np.abs(rates).max() < 5.0
     assert 0.50 < np.mean(np.abs(rates) < 1) < 0.85
-    assert "from before the flight" in change.told()
+    assert "from before the flight" in change.summary()
     assert {"change", "rate", "preflight"} <= set(change.table())
 
 
 def test_the_spin_tone_leaves_with_the_right_angles_only():
     angles = sensors()
     stamps, readings, phase, _ = record(0, angles, STRONG)
-    found = farrell(spin_fits(stamps, readings, phase), spin_axis_zero=(0.0, 0.0))
-    raw = spin_tones(stamps, despin(readings, phase), phase)
-    clean = spin_tones(stamps, despin(found.angles().remove(readings), phase), phase)
+    found = calibrate_farrell(fit_spins(stamps, readings, phase), spin_axis_zero=(0.0, 0.0))
+    raw = measure_steady_tones(stamps, despin(readings, phase), phase)
+    clean = measure_steady_tones(stamps, despin(found.angles().remove(readings), phase), phase)
     assert (raw.once > 10.0).all()
     assert (clean.once < np.maximum(5 * clean.once_sigma, 0.01 * raw.once)).all()
     # Half of Bsp times what the total phase and the ratio of the gains are known to.
@@ -263,15 +263,15 @@ def test_the_spin_tone_leaves_with_the_right_angles_only():
 
 def test_a_wrong_spin_period_shows_in_the_fits():
     stamps, readings, phase, _ = record(0, sensors(), WEAK)
-    right, wrong = (spin_fits(stamps, readings, factor * phase) for factor in (1.0, 1.05))
+    right, wrong = (fit_spins(stamps, readings, factor * phase) for factor in (1.0, 1.05))
     assert np.median(wrong.rms[:, 0]) > 2 * np.median(right.rms[:, 0])
     assert wrong.changing[:, 0].mean() < 0.05
 
 
 def test_the_azimuth_of_sensor_1_and_its_sigma_are_carried():
     angles = sensors()
-    fits = spin_fits(*stepped(angles, 50.0)[:3])
-    found = farrell(fits, azimuth_1=(0.01, 0.002))
+    fits = fit_spins(*stepped(angles, 50.0)[:3])
+    found = calibrate_farrell(fits, azimuth_1=(0.01, 0.002))
     assert found.tilt_azimuth[0] == pytest.approx(angles.tilt_azimuth + 0.01, abs=1e-6)
     assert found.tilt_azimuth[1] == pytest.approx(0.002, rel=1e-3)
     assert found.angles().azimuth == pytest.approx([0.01, 0.01 + angles.azimuth[1]], abs=1e-6)
@@ -281,19 +281,19 @@ def test_the_azimuth_of_sensor_1_and_its_sigma_are_carried():
 def test_too_little_is_refused_with_what_to_do():
     stamps, readings, phase, _ = record(0, sensors(), WEAK, spins=8)
     with pytest.raises(CalibrationError, match="at least 10 needed; take a longer span"):
-        farrell(spin_fits(stamps, readings, phase))
+        calibrate_farrell(fit_spins(stamps, readings, phase))
     flat = respin(np.tile(WEAK, (100 * READINGS, 1)), phase_of(100 * READINGS))
     flat = flat + 0.1 * np.random.default_rng(0).standard_normal(flat.shape)
     with pytest.raises(CalibrationError, match="is noise"):
-        farrell(spin_fits(stamps_of(len(flat)), flat, phase_of(len(flat))))
+        calibrate_farrell(fit_spins(stamps_of(len(flat)), flat, phase_of(len(flat))))
     with pytest.raises(SamplesError, match="3 needed"):
-        farrell(spin_fits(stamps_of(len(flat)), flat[:, :2], phase_of(len(flat))))
+        calibrate_farrell(fit_spins(stamps_of(len(flat)), flat[:, :2], phase_of(len(flat))))
     with pytest.raises(CalibrationError, match="in one plane"):
         SensorAngles(azimuth=np.array([0.0, -TURN / 4])).remove(flat)
 
 
 def test_the_table_is_ready_to_be_certified():
-    found = farrell(spin_fits(*record(0, sensors(), WEAK)[:3]), window=0.02)
+    found = calibrate_farrell(fit_spins(*record(0, sensors(), WEAK)[:3]), window=0.02)
     table = found.table()
     assert list(table["parameter"].values) == list(NAMES)
     assert {"value", "sigma", "covariance", "units", "zero", "zero_sigma"} <= set(table)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inflight.errors import CalibrationError, SamplesError
-from inflight.spin import respin, spin_fits
+from inflight.spin import fit_spins, respin
 
 
 def by_lstsq(field, phase, spins=1, harmonics=1):
@@ -41,7 +41,7 @@ def test_uneven_readings_with_gaps_give_the_numbers_of_lstsq(spins, harmonics):
     field[rng.random(field.shape) < 0.1] = np.nan
     phase[100:110] = np.nan
     kept = np.isfinite(phase)
-    fits = spin_fits(stamps_of(phase.size), field, phase, spins=spins, harmonics=harmonics, robust=False)
+    fits = fit_spins(stamps_of(phase.size), field, phase, spins=spins, harmonics=harmonics, robust=False)
     expected = by_lstsq(field[kept], phase[kept], spins, harmonics)
     # Per fit: relative to the size of the field.
     assert np.abs(fits.value - expected)[fits.determined].max() < 1e-10 * 1e4
@@ -50,7 +50,7 @@ def test_uneven_readings_with_gaps_give_the_numbers_of_lstsq(spins, harmonics):
 
 def test_covariance_and_residual_are_those_of_lstsq():
     stamps, field, phase, _ = steady()
-    fits = spin_fits(stamps, field, phase, robust=False)
+    fits = fit_spins(stamps, field, phase, robust=False)
     own = slice(7 * READINGS, 8 * READINGS)
     shapes = np.stack([np.ones(READINGS), np.sin(phase[own]), np.cos(phase[own])], axis=1)
     left = field[own, 1] - shapes @ np.linalg.lstsq(shapes, field[own, 1], rcond=None)[0]
@@ -71,14 +71,14 @@ def test_a_field_of_three_coefficients_comes_back_exactly(values, start, seed):
     rng = np.random.default_rng(seed)
     phase = np.sort(start + rng.uniform(0.0, 6 * TURN, 120))
     field = values[0] + values[1] * np.sin(phase) + values[2] * np.cos(phase)
-    fits = spin_fits(stamps_of(phase.size), field[:, None], phase)
+    fits = fit_spins(stamps_of(phase.size), field[:, None], phase)
     found = fits.value[fits.determined[:, 0], 0]
     assert np.abs(found - values).max() <= 1e-9 * max(np.abs(values).max(), 1e-3)
 
 
 def test_stated_sigmas_cover_white_noise():
     stamps, field, phase, _ = steady(spins=2000)
-    fits = spin_fits(stamps, field, phase)
+    fits = fit_spins(stamps, field, phase)
     pull = (fits.value[:, 2] - [12.0, 0.0, 0.0]) / fits.sigma[:, 2]
     # Nine degrees of freedom: Student's distribution has 66 % within one sigma.
     assert 0.60 < np.mean(np.abs(pull) < 1) < 0.76
@@ -86,12 +86,12 @@ def test_stated_sigmas_cover_white_noise():
 
 def test_wild_readings_are_left_out_and_counted():
     stamps, field, phase, rng = steady(spins=500)
-    clean = spin_fits(stamps, field, phase)
+    clean = fit_spins(stamps, field, phase)
     spoilt = field.copy()
     hit = rng.random(field.shape) < 0.03
     spoilt[hit] += rng.choice([-1.0, 1.0], hit.sum()) * rng.uniform(5.0, 500.0, hit.sum())
-    plain = spin_fits(stamps, spoilt, phase, robust=False)
-    robust = spin_fits(stamps, spoilt, phase)
+    plain = fit_spins(stamps, spoilt, phase, robust=False)
+    robust = fit_spins(stamps, spoilt, phase)
     assert np.std(plain.value - clean.value) > 5.0
     assert np.median(np.abs(robust.value - clean.value)) < 0.5 * np.median(clean.sigma)
     assert np.abs(robust.value - clean.value)[~robust.changing].max() < 0.5
@@ -102,9 +102,9 @@ def test_wild_readings_are_left_out_and_counted():
 
 def test_one_missing_reading_touches_one_fit_of_one_component():
     stamps, field, phase, _ = steady()
-    whole = spin_fits(stamps, field, phase)
+    whole = fit_spins(stamps, field, phase)
     field[125, 1] = np.nan
-    one = spin_fits(stamps, field, phase)
+    one = fit_spins(stamps, field, phase)
     same = np.isclose(one.value, whole.value, rtol=0, atol=0).all(axis=2)
     assert np.argwhere(~same).tolist() == [[10, 1]]
     assert one.count[10].tolist() == [READINGS, READINGS - 1, READINGS]
@@ -113,7 +113,7 @@ def test_one_missing_reading_touches_one_fit_of_one_component():
 def test_a_jump_of_the_field_is_no_outlier():
     stamps, field, phase, _ = steady()
     field[246:] += 20.0
-    fits = spin_fits(stamps, field, phase)
+    fits = fit_spins(stamps, field, phase)
     assert fits.changing[20].all()
     assert not fits.changing[np.arange(50) != 20].any()
     assert fits.outliers[20].sum() == 0
@@ -124,7 +124,7 @@ def test_natural_fluctuations_are_not_called_outliers():
     rng = np.random.default_rng(5)
     phase = phase_of(800 * READINGS)
     field = respin(natural(rng, phase.size, [5.0, 2.0, 3.0]), phase)
-    fits = spin_fits(stamps_of(phase.size), field, phase)
+    fits = fit_spins(stamps_of(phase.size), field, phase)
     assert fits.outliers.sum() < 0.003 * field.size
 
 
@@ -133,17 +133,17 @@ def test_too_few_readings_or_too_small_an_arc_give_no_fit():
     few = np.ones(phase.size, dtype=bool)
     few[3 * READINGS + 3 : 4 * READINGS] = False
     few[6 * READINGS + 4 : 7 * READINGS] = False
-    fits = spin_fits(stamps, field, phase, good=few)
+    fits = fit_spins(stamps, field, phase, good=few)
     assert np.flatnonzero(~fits.determined[:, 0]).tolist() == [3, 6]
     assert np.isnan(fits.covariance[3]).all()
     with pytest.raises(CalibrationError, match="spread over the turn"):
-        spin_fits(stamps[::12], field[::12], phase[::12])
+        fit_spins(stamps[::12], field[::12], phase[::12])
 
 
 def test_a_fourier_transform_gives_the_fit_for_whole_spins_only():
     stamps, field, phase, _ = steady(noise=0.0)
     field[:, 0] += 3.0
-    whole = spin_fits(stamps, field, phase, spins=5)
+    whole = fit_spins(stamps, field, phase, spins=5)
     tone = 2.0 * np.mean(field[: 5 * READINGS, 0] * np.exp(-1j * phase[: 5 * READINGS]))
     assert whole.phasor[0, 0] == pytest.approx(tone, abs=1e-9)
     broken = field[: 5 * READINGS + 5, 0], phase[: 5 * READINGS + 5]
@@ -153,17 +153,17 @@ def test_a_fourier_transform_gives_the_fit_for_whole_spins_only():
 def test_phases_that_fall_or_are_missing_are_refused():
     stamps, field, phase, _ = steady()
     with pytest.raises(SamplesError, match="falls"):
-        spin_fits(stamps, field, -phase)
+        fit_spins(stamps, field, -phase)
     with pytest.raises(CalibrationError, match="none of 600 samples has a phase"):
-        spin_fits(stamps, field, np.full_like(phase, np.nan))
+        fit_spins(stamps, field, np.full_like(phase, np.nan))
     with pytest.raises(SamplesError, match="shape"):
-        spin_fits(stamps[:-1], field, phase)
+        fit_spins(stamps[:-1], field, phase)
 
 
 def test_the_table_holds_values_sigmas_and_covariances():
     stamps, field, phase, _ = steady()
-    fits = spin_fits(stamps, field, phase, harmonics=2)
+    fits = fit_spins(stamps, field, phase, harmonics=2)
     table = fits.table()
     assert dict(table.sizes) == {"fit": 50, "component": 3, "coefficient": 5, "other": 5}
-    assert "50 fits of 1 spin, 50 of them whole" in fits.told()
+    assert "50 fits of 1 spin, 50 of them whole" in fits.summary()
     assert fits.double.shape == (50, 3)

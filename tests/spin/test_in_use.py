@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.spin import SPIN_RELATED, InUse, OneInUse, TwelveParameters
+from inflight.spin import SPIN_RELATED, CalibrationParameters, ValueInUse, ValuesInUse
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 SIGMA = np.array([0.01 if name.startswith("offset") else 2e-5 for name in SPIN_RELATED])
@@ -20,8 +20,8 @@ def covariance(correlation=0.97):
 
 
 def begun():
-    ground = TwelveParameters()
-    return InUse.of_ground(ground, dict(zip(SPIN_RELATED, 300.0 * SIGMA, strict=True)))
+    ground = CalibrationParameters()
+    return ValuesInUse.of_ground(ground, dict(zip(SPIN_RELATED, 300.0 * SIGMA, strict=True)))
 
 
 def flown(truths, generator, quality=None):
@@ -31,7 +31,7 @@ def flown(truths, generator, quality=None):
     for day, truth in enumerate(truths):
         size = quality(generator) if quality else 1.0
         seen = generator.multivariate_normal(truth, spread * size**2)
-        steps.append(used.after(seen, spread * size**2, ALL, float(day)))
+        steps.append(used.update(seen, spread * size**2, ALL, float(day)))
         used = steps[-1].used
     return steps
 
@@ -107,7 +107,7 @@ def test_offset_and_elevation_are_replaced_together_and_leave_no_tone_behind():
     # Against the common error: of each alone one and a half sigma.
     seen[offset] += 1.5 * SIGMA[offset]
     seen[elevation] -= 1.5 * SIGMA[elevation]
-    step = used.after(seen, covariance(), ALL, 3.0)
+    step = used.update(seen, covariance(), ALL, 3.0)
     found = dict(zip(SPIN_RELATED, step.decisions, strict=True))
     assert found["offset[1]"].verdict == found["elevation[1]"].verdict == "update"
     assert "together" in found["offset[1]"].reason
@@ -131,26 +131,26 @@ def test_what_an_interval_does_not_tell_is_kept_and_the_rest_goes_with_it():
     seen[offset] = truth[offset] + axial * truth[elevation]
     told = ALL.copy()
     told[elevation] = False
-    step = used.after(seen, wide, told, 2.0)
+    step = used.update(seen, wide, told, 2.0)
     assert dict(zip(SPIN_RELATED, step.decisions, strict=True))["elevation[1]"].verdict == "keep"
-    assert step.seen[offset] == pytest.approx(truth[offset], abs=5.0 * SIGMA[offset])
+    assert step.estimate[offset] == pytest.approx(truth[offset], abs=5.0 * SIGMA[offset])
 
 
 def test_an_interval_that_tells_nothing_leaves_everything():
     generator = np.random.default_rng(5)
     used = flown(constant(3, generator), generator)[-1].used
-    step = used.after(np.zeros(8), np.diag((300.0 * SIGMA) ** 2), ~ALL, 40.0)
+    step = used.update(np.zeros(8), np.diag((300.0 * SIGMA) ** 2), ~ALL, 40.0)
     assert np.array_equal(step.used.value, used.value)
     assert {one.verdict for one in step.decisions} == {"keep"}
     assert (np.diag(step.covariance) >= np.diag(used.covariance)).all()
 
 
 def test_one_value_by_itself_follows_the_same_rules():
-    made, used, sigma = OneInUse("offset[3]", 0.0, 10.0).after(1.7, 0.2)
+    made, used, sigma = ValueInUse("offset[3]", 0.0, 10.0).update(1.7, 0.2)
     assert (made.verdict, used.value, sigma) == ("update", 1.7, 0.2)
-    made, kept, sigma = used.after(1.9, 0.2)
+    made, kept, sigma = used.update(1.9, 0.2)
     assert (made.verdict, kept.value) == ("keep", 1.7)
     assert 0.2 <= sigma < 0.35
-    assert kept.after(float("nan"), float("inf"))[1] == used
-    made, moved, _ = kept.after(3.0, 0.2)
+    assert kept.update(float("nan"), float("inf"))[1] == used
+    made, moved, _ = kept.update(3.0, 0.2)
     assert (made.verdict, moved.value) == ("update", 3.0)

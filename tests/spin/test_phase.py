@@ -56,7 +56,7 @@ def test_missing_and_spurious_and_repeated_pulses_leave_the_phase_right():
     bridged = (found.flag & Flag.PHASE_BRIDGED) > 0
     assert bridged[np.searchsorted(spin.samples, spin.times[530])]
     assert 0.05 < bridged.mean() < 0.30
-    told = found.told()
+    told = found.summary()
     for part in ("spurious Sun pulses dropped", "Sun pulses missing", "5 repeated Sun pulses dropped"):
         assert part in told
 
@@ -67,7 +67,7 @@ def test_a_wrong_nominal_period_is_said_and_does_no_harm(nominal):
     found = spin.found(spin.pulses, nominal_period=nominal)
     assert found.period == pytest.approx(PERIOD, rel=1e-3)
     assert np.abs(spin.error(found)).max() < 0.003
-    assert f"stated spin period of {nominal:g} s is wrong" in found.told()
+    assert f"stated spin period of {nominal:g} s is wrong" in found.summary()
 
 
 def test_a_nominal_period_tells_pulses_that_come_every_other_turn():
@@ -87,13 +87,13 @@ def test_a_jump_of_the_phase_is_found_with_its_size_and_time():
     found = spin.found(pulses)
     jump = np.flatnonzero(found.marks.jumped)
     assert jump.tolist() == [999]
-    assert 360 * found.marks.left[999] == pytest.approx(360 * 0.4 / PERIOD, abs=0.3)
+    assert 360 * found.marks.residual[999] == pytest.approx(360 * 0.4 / PERIOD, abs=0.3)
     bad = np.flatnonzero(~found.good)
     lost = spin.samples[bad]
     assert lost.min() > pulses[999]
     assert lost.max() < pulses[1000]
     assert (found.flag[bad] & Flag.PHASE_JUMP).all()
-    assert "jumps by +47" in found.told()
+    assert "jumps by +47" in found.summary()
 
 
 def test_a_gap_too_long_to_count_turns_has_no_phase_and_the_rest_has():
@@ -108,7 +108,7 @@ def test_a_gap_too_long_to_count_turns_has_no_phase_and_the_rest_has():
     beside &= spin.samples < spin.pulses[3500] - 0.99 * PERIOD
     assert not found.good[inside].any()
     assert found.good[~beside].all()
-    assert "too long to count turns" in found.told()
+    assert "too long to count turns" in found.summary()
 
 
 def test_stated_sigmas_cover_the_jitter_of_the_pulses():
@@ -155,7 +155,7 @@ def test_an_angle_read_many_times_a_turn_gives_the_phase(readings, nominal):
     assert np.abs(spin.error(found)).max() < 1e-5
     assert found.good.all()
     assert found.period == pytest.approx(PERIOD, rel=1e-3)
-    assert "spurious" not in found.told()
+    assert "spurious" not in found.summary()
     assert 2.4 < np.median(1.0 / np.diff(found.marks.turn)) < 4.0
 
 
@@ -172,7 +172,7 @@ def test_a_fine_angle_may_scatter_have_gaps_and_jump_for_a_reading(readings):
     error = spin.error(found)
     assert np.abs(error).max() < np.deg2rad(1.0)
     assert np.std(error) < 2.0 * found.sigma.mean()
-    assert "20 repeated angles dropped" in found.told()
+    assert "20 repeated angles dropped" in found.summary()
     bridged = spin.samples[(found.flag & Flag.PHASE_BRIDGED) > 0]
     assert np.mean((bridged > 297.0) & (bridged < 333.0)) > 0.8
 
@@ -190,7 +190,7 @@ def test_the_phase_of_a_fine_angle_may_jump():
     angle[at > 450.0] += 40.0
     found = phase_from_angle(ticks(at), angle, ticks(spin.samples), nominal_period=3.0)
     assert np.count_nonzero(found.marks.jumped) == 1
-    assert "the phase jumps by -40" in found.told()
+    assert "the phase jumps by -40" in found.summary()
     assert found.good.mean() > 0.99
 
 
@@ -261,7 +261,7 @@ def test_the_field_shows_that_a_phase_turns_at_a_wrong_rate(factor):
     assert check_period(stamps, readings, phase).agrees
     found = check_period(stamps, readings, factor * phase)
     assert not found.agrees
-    assert "WRONG" in found.told()
+    assert "WRONG" in found.summary()
     assert found.period == pytest.approx(3.0, rel=1e-3)
     assert float(found.table()["value"]) == found.period
 
@@ -287,4 +287,4 @@ def test_readings_slower_than_half_a_turn_tell_nothing():
     stamps, readings, phase, _ = record(0, sensors(), [5.0, 2.0, 3.0])
     found = check_period(stamps[::7], readings[::7], phase[::7])
     assert found.aliased
-    assert "too slow" in found.told()
+    assert "too slow" in found.summary()

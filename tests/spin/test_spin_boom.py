@@ -5,7 +5,7 @@ import pytest
 
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings, simulate_spinning_day
-from inflight.spin import TwelveParameters, respin
+from inflight.spin import CalibrationParameters, respin
 from inflight.tasks.archive import ingest
 from inflight.tasks.pipelines import ReprocessSettings, reprocess
 from inflight.tasks.pipelines.relation.reprocess import unwrapped
@@ -15,8 +15,8 @@ SETTINGS = SpinningSettings(craft="imp8", days=3, seed=12)
 #: The bend on each day, rad; the boom lies straight on none.
 BENDS = (0.004, -0.003, 0.0015)
 SENSORS = {
-    "inboard": TwelveParameters(gain_ratio=1.001, offset=(2.0, -1.0, 0.3)),
-    "outboard": TwelveParameters(gain_ratio=0.9988, elevation=(0.001, -0.001), offset=(-0.5, 0.7, -0.2)),
+    "inboard": CalibrationParameters(gain_ratio=1.001, offset=(2.0, -1.0, 0.3)),
+    "outboard": CalibrationParameters(gain_ratio=0.9988, elevation=(0.001, -0.001), offset=(-0.5, 0.7, -0.2)),
 }
 _SENSOR = """  {name}:
     role: vector

@@ -7,8 +7,8 @@ import pytest
 from eight_cases import PRESENT, TRUTH, by_joint, by_selection, joined, signed, two_fields
 from orbit_fields import SHEATH, SUN_WIND, orbit, steady
 
-from inflight.spin import SPIN_RELATED, TwelveParameters, phase_from_angle
-from inflight.spin.equation import SensorAngles
+from inflight.spin import SPIN_RELATED, CalibrationParameters, phase_from_angle
+from inflight.spin.equation import AxisAngles
 
 SIZE = {"gain_ratio": 2e-3, "azimuth": 5e-3, "offset[1]": 4.0, "offset[2]": 4.0}
 
@@ -87,10 +87,10 @@ def test_a_phase_given_with_every_sample_gives_the_eight_as_the_true_one_does(ev
 
 def test_offsets_larger_than_the_field_are_found():
     record = steady(13, hours=1.0, mean=(3.0, -3.0, 1.0), density=0.005)
-    truth = TwelveParameters(offset=(25.0, -40.0, 0.0))
+    truth = CalibrationParameters(offset=(25.0, -40.0, 0.0))
     for found in (
-        by_joint(record, truth.disturb(record.field), TwelveParameters()),
-        by_selection(record, truth.disturb(record.field), TwelveParameters()),
+        by_joint(record, truth.disturb(record.field), CalibrationParameters()),
+        by_selection(record, truth.disturb(record.field), CalibrationParameters()),
     ):
         assert found.settled
         assert np.allclose(found.parameters.offset[:2], [25.0, -40.0], atol=0.1)
@@ -104,8 +104,8 @@ def test_twenty_spoilt_minutes_hardly_moves_the_joint_estimate():
     # A line at the spin: nothing beside the tones betrays it.
     spoilt[: 14_400 // 3] += 0.5 * np.cos(record.phase[: 14_400 // 3] + 1.0)[:, None]
     found = by_joint(record, spoilt)
-    assert found.say[:5, [0, 2]].max() < 0.2
-    assert found.say[10:, [0, 2]].min() > 0.0
+    assert found.robust_weight[:5, [0, 2]].max() < 0.2
+    assert found.robust_weight[10:, [0, 2]].min() > 0.0
     assert np.all(np.abs(found.value - clean.value) < 3.0 * found.sigma + 3.0 * clean.sigma)
 
 
@@ -121,7 +121,7 @@ def test_a_moved_spin_axis_changes_two_parameters_only():
     pull = np.abs(new.value - old.value) / np.hypot(new.sigma, old.sigma)
     moved = {name for name, far in zip(SPIN_RELATED, pull, strict=True) if far > 5.0}
     assert moved == {"spin_axis[x]", "spin_axis[y]"}
-    angles = [SensorAngles.of_matrix(one.parameters.matrix()) for one in (old, new)]
+    angles = [AxisAngles.of_matrix(one.parameters.matrix()) for one in (old, new)]
     assert np.all(np.abs(angles[1].theta - angles[0].theta) > 5e-3)
     assert np.all(np.abs(angles[1].phi - angles[0].phi) > 1e-6)
 

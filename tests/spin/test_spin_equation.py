@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from inflight.errors import CalibrationError
-from inflight.spin import NAMES, SPIN_RELATED, UNITS, TwelveParameters
-from inflight.spin.equation import SensorAngles, TemperatureGains
+from inflight.spin import NAMES, SPIN_RELATED, UNITS, CalibrationParameters
+from inflight.spin.equation import AxisAngles, TemperatureGains
 
 angles = st.floats(-0.2, 0.2)
 gains = st.floats(0.8, 1.25)
 offsets = st.floats(-1e3, 1e3)
 twelve = st.builds(
-    TwelveParameters,
+    CalibrationParameters,
     gains, gains, gains, st.tuples(angles, angles), angles, st.tuples(angles, angles), angles,
     st.tuples(offsets, offsets, offsets),
 )  # fmt: skip
@@ -23,7 +23,7 @@ twelve = st.builds(
 def test_correcting_undoes_disturbing(parameters):
     fields = np.random.default_rng(1).normal(size=(20, 3)) * 1e4
     assert np.allclose(parameters.correct(parameters.disturb(fields)), fields, atol=1e-8)
-    assert TwelveParameters.of_values(parameters.values()) == parameters
+    assert CalibrationParameters.of_values(parameters.values()) == parameters
 
 
 @given(twelve)
@@ -55,7 +55,7 @@ def test_small_errors_disturb_as_the_linear_equations_say():
     for name, change in expected.items():
         for step in (1e-6, -1e-6):
             value = step + (1.0 if "gain" in name else 0.0)
-            found = TwelveParameters().changed({name: value}).disturb(field) - field
+            found = CalibrationParameters().changed({name: value}).disturb(field) - field
             assert np.allclose(found[0] / step, change, rtol=1e-5, atol=1e-2), name
 
 
@@ -80,17 +80,19 @@ def test_gains_follow_both_temperatures_and_come_back():
 
 def test_a_name_nobody_knows_is_refused():
     with pytest.raises(CalibrationError, match="offset_1"):
-        TwelveParameters().changed({"offset_1": 3.0})
+        CalibrationParameters().changed({"offset_1": 3.0})
     with pytest.raises(CalibrationError, match="12 needed"):
-        TwelveParameters.of_values([1.0, 2.0])
+        CalibrationParameters.of_values([1.0, 2.0])
 
 
 def test_a_moved_spin_axis_changes_every_angle_of_the_sensor_axes_but_two_parameters_here():
-    before = TwelveParameters(1.001, 1.0, 1.0, (0.01, -0.008), 0.006, (0.004, -0.003), 0.02, (1.0, 2.0, 3.0))
+    before = CalibrationParameters(
+        1.001, 1.0, 1.0, (0.01, -0.008), 0.006, (0.004, -0.003), 0.02, (1.0, 2.0, 3.0)
+    )
     after = before.changed({"spin_axis[x]": 0.012, "spin_axis[y]": 0.006})
     moved = [name for name, a, b in zip(NAMES, before.values(), after.values(), strict=True) if a != b]
     assert moved == ["spin_axis[x]", "spin_axis[y]"]
-    old, new = (SensorAngles.of_matrix(one.matrix()) for one in (before, after))
+    old, new = (AxisAngles.of_matrix(one.matrix()) for one in (before, after))
     assert np.all(np.abs(new.theta - old.theta) > 1e-4)
     assert np.all(np.abs(new.phi - old.phi) > 1e-5)
     assert np.allclose(new.gain, old.gain, rtol=1e-12)

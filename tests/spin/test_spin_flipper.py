@@ -11,7 +11,7 @@ from inflight.mission import Mission
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin import NAMES
 from inflight.tasks.archive import cut_at_flips, ingest, simulate_spinning
-from inflight.tasks.archive.samples import flip_flags, kept_span, position_edges
+from inflight.tasks.archive.samples import flip_flags, longest_position, position_edges
 from inflight.tasks.pipelines import reprocess
 from inflight.time import day_bounds, to_tt2000
 
@@ -95,8 +95,11 @@ def test_one_position_alone_is_told_and_makes_no_table(tmp_path):
 
 def test_a_day_is_calibrated_for_the_position_that_holds_longest(mission):
     second, fourth = days(2, 4)
-    assert kept_span(mission, second) == (day_bounds(second)[0], to_tt2000(np.datetime64("2012-03-02T14:24")))
-    assert kept_span(mission, fourth)[1] == day_bounds(fourth)[1]
+    assert longest_position(mission, second) == (
+        day_bounds(second)[0],
+        to_tt2000(np.datetime64("2012-03-02T14:24")),
+    )
+    assert longest_position(mission, fourth)[1] == day_bounds(fourth)[1]
     start, end = day_bounds(second)
     stamps = np.arange(start, end, 10**11, dtype=np.int64)
     flagged = flip_flags(mission, second, stamps) > 0

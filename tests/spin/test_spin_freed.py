@@ -7,7 +7,7 @@ import pytest
 
 from inflight.catalog import Catalog, Workspace
 from inflight.simulate.spinning import SpinningSettings
-from inflight.spin import spinning_entry
+from inflight.spin import spinning_sensor_of
 from inflight.tasks.analysis import Workbench
 from inflight.tasks.archive import ingest, simulate_spinning
 
@@ -32,7 +32,7 @@ def test_a_gain_ratio_held_at_a_wrong_value_is_found_and_freed_in_place(tmp_path
     assert [one["name"] for one in told["effects"]] == ["spinning_sensor.gain_ratio"], json.dumps(told)
     (step,) = steps
     assert len(step.model.model.effects) == len(mission_model(made)["effects"])
-    entry = spinning_entry(step.model.model)
+    entry = spinning_sensor_of(step.model.model)
     freed = entry.parameters["gain_ratio"]
     off = float(np.ravel(freed.value)[0]) - SETTINGS.parameters.gain_ratio
     assert freed.free

@@ -10,13 +10,13 @@ from orbit_fields import steady
 from inflight.errors import CalibrationError, SamplesError
 from inflight.spin import (
     SPIN_RELATED,
+    CalibrationParameters,
     Exclusion,
     SubIntervals,
-    TwelveParameters,
+    cut_into_blocks,
     estimate_pairs,
-    lay_out,
+    measure_tones,
     spin_equations,
-    spin_tones,
 )
 from inflight.spin.kernels import SERIES
 from inflight.spin.tones import check_turning, turn_ratio
@@ -26,8 +26,8 @@ Z, M = SERIES.index("z"), SERIES.index("m")
 
 
 def tones_of(record, readings, parameters=None, **options):
-    layout = lay_out(readings, record.phase, record.stamps, **options)
-    return spin_tones(readings, record.phase, record.stamps, layout, parameters or TwelveParameters())
+    layout = cut_into_blocks(readings, record.phase, record.stamps, **options)
+    return measure_tones(readings, record.phase, record.stamps, layout, parameters or CalibrationParameters())
 
 
 def quiet(**options):
@@ -41,7 +41,7 @@ def test_tones_have_the_signs_of_the_derivation(sign):
     bp, ba = 200.0, 300.0
     record = quiet(mean=(bp, 0.0, ba))
     small = 1e-5 * sign
-    errors = TwelveParameters(
+    errors = CalibrationParameters(
         gain_ratio=1.0 + small,
         elevation=(2 * small, -small),
         azimuth=3 * small,
@@ -57,7 +57,7 @@ def test_tones_have_the_signs_of_the_derivation(sign):
 
 def test_gains_rotation_and_axial_offset_give_no_tone():
     record = quiet(mean=(200.0, 0.0, 300.0))
-    others = TwelveParameters(1.0, 1.01, 0.99, rotation=0.02, offset=(0.0, 0.0, 5.0))
+    others = CalibrationParameters(1.0, 1.01, 0.99, rotation=0.02, offset=(0.0, 0.0, 5.0))
     found = tones_of(record, others.disturb(record.field)).tones
     assert np.abs(found[:, :, [Z, M]]).max() < 1e-9
 
@@ -84,8 +84,8 @@ def test_tones_and_derivatives_are_those_of_a_least_squares_fit_to_each_sub_inte
     readings, step = TRUTH.disturb(record.field), 1e-6
     readings[np.random.default_rng(2).random(len(readings)) < 0.1] = np.nan
     readings[900:1000] = np.nan
-    layout = lay_out(readings, record.phase, record.stamps)
-    found = spin_equations(spin_tones(readings, record.phase, record.stamps, layout, PRESENT))
+    layout = cut_into_blocks(readings, record.phase, record.stamps)
+    found = spin_equations(measure_tones(readings, record.phase, record.stamps, layout, PRESENT))
     parts = [np.arange(layout.start[1 + b], layout.stop[1 + b]) for b in range(2)]
     parts = [part[layout.good[part]] for part in parts]
     angle, one = record.phase[np.concatenate(parts)], np.repeat([0, 1], [len(part) for part in parts])
@@ -147,7 +147,7 @@ def test_a_gap_longer_than_the_part_allowed_costs_its_sub_intervals_only():
     short = dict(found.excluded)["too few samples"]
     assert 1 <= short.sum() <= 4
     assert np.isfinite(found.tones[~short]).all()
-    assert "too few samples" in found.told()
+    assert "too few samples" in found.summary()
 
 
 @pytest.mark.parametrize("wrong", [1.01, 0.98, -1.0])
@@ -156,8 +156,8 @@ def test_a_wrong_spin_period_is_refused_and_the_right_one_said(wrong):
     record = steady(7, hours=1.0, density=0.01)
     field = record.field if wrong > 0 else record.field * [1.0, -1.0, 1.0]
     phase = record.phase / abs(wrong)
-    layout = lay_out(field, phase, record.stamps)
-    found = spin_tones(field, phase, record.stamps, layout, TwelveParameters())
+    layout = cut_into_blocks(field, phase, record.stamps)
+    found = measure_tones(field, phase, record.stamps, layout, CalibrationParameters())
     with pytest.raises(CalibrationError, match="does not turn with the phase"):
         check_turning(found, field, phase, layout)
     assert turn_ratio(field, phase, layout.good) == pytest.approx(wrong, abs=1e-3)
@@ -167,8 +167,8 @@ def test_a_jump_of_the_phase_costs_the_sub_intervals_around_it():
     record = steady(8, hours=1.0, density=0.01, mean=(100.0, 0.0, 50.0))
     phase = record.phase.copy()
     phase[7000:] += 1.0
-    layout = lay_out(record.field, phase, record.stamps)
-    found = spin_tones(record.field, phase, record.stamps, layout, TwelveParameters())
+    layout = cut_into_blocks(record.field, phase, record.stamps)
+    found = measure_tones(record.field, phase, record.stamps, layout, CalibrationParameters())
     jumped = dict(found.excluded)["phase jump"]
     assert 1 <= jumped.sum() <= 3
     inside = (found.start <= record.stamps[7000]) & (found.end >= record.stamps[6999])
@@ -186,7 +186,7 @@ def test_saturated_readings_and_excluded_spans_are_left_out_by_name():
     touched = (found.start < eclipse.end) & (found.end >= eclipse.start)
     assert np.array_equal(hit["eclipse"], touched)
     assert not found.usable[touched].any()
-    assert "saturated" in found.told()
+    assert "saturated" in found.summary()
 
 
 def test_a_spike_makes_its_own_sub_interval_uncertain():
@@ -201,11 +201,11 @@ def test_a_spike_makes_its_own_sub_interval_uncertain():
 def test_what_cannot_be_cut_is_refused_with_the_reason():
     record = steady(11, hours=0.05)
     with pytest.raises(CalibrationError, match="spins of known phase found, 100 needed"):
-        lay_out(record.field, record.phase, record.stamps)
+        cut_into_blocks(record.field, record.phase, record.stamps)
     with pytest.raises(SamplesError, match="shape"):
-        lay_out(record.field[:, :2], record.phase, record.stamps)
+        cut_into_blocks(record.field[:, :2], record.phase, record.stamps)
     with pytest.raises(SamplesError, match="rise"):
-        lay_out(record.field, record.phase, record.stamps[::-1])
+        cut_into_blocks(record.field, record.phase, record.stamps[::-1])
     with pytest.raises(CalibrationError, match="not whole"):
         SubIntervals(overlap=0.3)
     with pytest.raises(CalibrationError, match="spins a block"):

@@ -8,41 +8,48 @@ from orbit_fields import steady
 
 from inflight.errors import CalibrationError
 from inflight.figures import Cloud, estimates_figure, uncertainty_figure
-from inflight.spin import NAMES, SPIN_RELATED, Known, TwelveParameters, choose, join_twelve
+from inflight.spin import (
+    NAMES,
+    SPIN_RELATED,
+    CalibrationParameters,
+    ExternalValue,
+    choose_estimates,
+    join_parameters,
+)
 from inflight.spin.update import decide_updates
 
 AT = {name: index for index, name in enumerate(SPIN_RELATED)}
 
 
 def test_the_automatic_threshold_takes_what_lowers_the_error_of_the_mean():
-    alike, how = choose(np.full(40, 2.0))
+    alike, how = choose_estimates(np.full(40, 2.0))
     assert alike.all()
     assert "least expected error" in how
-    mixed, _ = choose(np.concatenate([np.full(30, 1.0), np.full(30, 100.0), [np.nan]]))
+    mixed, _ = choose_estimates(np.concatenate([np.full(30, 1.0), np.full(30, 100.0), [np.nan]]))
     assert mixed[:30].all()
     assert not mixed[30:].any()
 
 
 def test_an_accuracy_wanted_is_the_threshold_or_nothing_is_taken():
     sizes = np.linspace(0.1, 2.0, 20)
-    chosen, _ = choose(sizes, wanted=1.05)
+    chosen, _ = choose_estimates(sizes, accuracy=1.05)
     assert np.array_equal(chosen, sizes < 1.05)
-    none, how = choose(sizes, wanted=0.15)
+    none, how = choose_estimates(sizes, accuracy=0.15)
     assert not none.any()
     assert "best 0.1" in how
-    assert not choose(np.array([1.0, np.nan, np.inf]))[0].any()
+    assert not choose_estimates(np.array([1.0, np.nan, np.inf]))[0].any()
 
 
 def test_what_is_not_known_well_enough_keeps_its_value():
     record = steady(1, hours=1.0)
     truth = PRESENT.changed({"spin_axis[x]": 0.002})
     found = by_selection(
-        record, truth.disturb(record.field), wanted={"elevation[1]": 1e-9, "elevation[2]": 1e-9}
+        record, truth.disturb(record.field), accuracy={"elevation[1]": 1e-9, "elevation[2]": 1e-9}
     )
     assert not found.determined[AT["elevation[1]"]]
     assert found.parameters.elevation == PRESENT.elevation
     assert found.parameters.spin_axis[0] == pytest.approx(0.002, abs=5 * found.sigma[AT["spin_axis[x]"]])
-    assert "at least 5 needed" in found.how[AT["elevation[1]"]]
+    assert "at least 5 needed" in found.reasons[AT["elevation[1]"]]
 
 
 def test_mean_and_median_agree_within_their_errors():
@@ -55,7 +62,7 @@ def test_mean_and_median_agree_within_their_errors():
 
 
 def test_updates_are_made_where_they_help_and_not_where_they_add_jitter():
-    present = TwelveParameters()
+    present = CalibrationParameters()
     value, sigma = present.spin_related(), np.full(8, 1e-5)
     value[AT["spin_axis[x]"]] = 1e-4  # ten sigma from a value that is hardly known
     value[AT["spin_axis[y]"]] = 1e-5  # one sigma
@@ -96,11 +103,11 @@ def test_twelve_parameters_say_where_they_came_from():
     record = two_fields(5, hours=0.5)
     found = by_joint(record, TRUTH.disturb(record.field))
     sigmas = dict.fromkeys(NAMES, 1e-3) | {"offset[3]": 5.0}
-    table = join_twelve(
+    table = join_parameters(
         (found.value, found.sigma, found.parameters),
         PRESENT,
         sigmas,
-        {"offset[3]": Known(3.0, 0.2, "minimum correlation")},
+        {"offset[3]": ExternalValue(3.0, 0.2, "minimum correlation")},
     )
     source = dict(zip(NAMES, table.source, strict=True))
     assert {name for name in NAMES if source[name] == "spin"} == set(SPIN_RELATED)
@@ -109,7 +116,7 @@ def test_twelve_parameters_say_where_they_came_from():
         "spin_plane_gain", "axial_gain", "rotation",
     }  # fmt: skip
     assert np.array_equal(table.determined, [source[name] != "ground" for name in NAMES])
-    assert table.parameters == TwelveParameters.of_values(table.value)
+    assert table.parameters == CalibrationParameters.of_values(table.value)
     assert np.allclose(table.parameters.offset, [1.0, -2.0, 3.0], atol=0.01)
     assert set(table.table().data_vars) == {"value", "sigma", "source", "determined"}
 
@@ -118,10 +125,12 @@ def test_a_new_axial_offset_moves_the_spin_plane_ones_along_so_that_no_tone_come
     """The plane sees C O: with the third offset 3 nT off, the second is 0.12 nT off until it is known."""
     record = two_fields(6, hours=1.0)
     truth = TRUTH.changed({"elevation[2]": -2e-2, "spin_axis[y]": 2e-2})
-    found = by_joint(record, truth.disturb(record.field), TwelveParameters())
+    found = by_joint(record, truth.disturb(record.field), CalibrationParameters())
     assert abs(found.parameters.offset[1] - truth.offset[1]) == pytest.approx(0.12, rel=0.1)
     spin = (found.value, found.sigma, found.parameters)
-    table = join_twelve(spin, TwelveParameters(), {}, {"offset[3]": Known(3.0, 0.5, "mirror mode")})
+    table = join_parameters(
+        spin, CalibrationParameters(), {}, {"offset[3]": ExternalValue(3.0, 0.5, "mirror mode")}
+    )
     assert np.allclose(table.parameters.offset, truth.offset, atol=4.5 * found.sigma[-2:].max())
     matrix = found.parameters.matrix()
     before, after = (matrix @ np.array(one.offset) for one in (found.parameters, table.parameters))
@@ -131,7 +140,7 @@ def test_a_new_axial_offset_moves_the_spin_plane_ones_along_so_that_no_tone_come
 def test_verdicts_decide_what_enters_the_table():
     value, sigma = PRESENT.spin_related() + 1e-6, np.full(8, 1e-3)
     updates = decide_updates(value, sigma, PRESENT, dict.fromkeys(SPIN_RELATED, 1e-4))
-    table = join_twelve((value, sigma, PRESENT), PRESENT, dict.fromkeys(NAMES, 1e-4), updates=updates)
+    table = join_parameters((value, sigma, PRESENT), PRESENT, dict.fromkeys(NAMES, 1e-4), updates=updates)
     assert set(table.source) == {"ground"}
     assert np.array_equal(table.value, PRESENT.values())
     assert table.sigmas()["azimuth"] == 1e-4
@@ -141,7 +150,7 @@ def test_the_spin_cannot_be_overruled_and_names_must_exist():
     spin = (PRESENT.spin_related(), np.full(8, 1.0), PRESENT)
     for name in ("gain_ratio", "offset_3"):
         with pytest.raises(CalibrationError, match="cannot be joined"):
-            join_twelve(spin, PRESENT, {}, {name: Known(1.0, 1.0, "guess")})
+            join_parameters(spin, PRESENT, {}, {name: ExternalValue(1.0, 1.0, "guess")})
 
 
 def test_tables_carry_values_errors_and_units():

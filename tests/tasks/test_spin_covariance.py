@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.spin import GROUND, SPIN_RELATED, Known, TwelveParameters, join_twelve
+from inflight.spin import GROUND, SPIN_RELATED, CalibrationParameters, ExternalValue, join_parameters
 from inflight.tasks.pipelines.spin.tables import _axial, _combined, _whole
 from inflight.time import DAY
 
@@ -12,11 +12,11 @@ PRIOR = np.full(8, 0.1)
 
 
 def joined(sigma_axial):
-    found = TwelveParameters().changed({"elevation[1]": 4e-3, "elevation[2]": 3e-3})
+    found = CalibrationParameters().changed({"elevation[1]": 4e-3, "elevation[2]": 3e-3})
     sigma = np.full(8, 5e-4)
     spin = (found.spin_related(), sigma, found)
-    axial = {"offset[3]": Known(1.0, sigma_axial, "mirror mode")}
-    return found, join_twelve(spin, TwelveParameters(), {}, axial), np.diag(sigma**2), sigma
+    axial = {"offset[3]": ExternalValue(1.0, sigma_axial, "mirror mode")}
+    return found, join_parameters(spin, CalibrationParameters(), {}, axial), np.diag(sigma**2), sigma
 
 
 def test_an_uncertain_axial_offset_cancels_in_the_spin_plane():
@@ -54,8 +54,8 @@ def test_a_span_has_the_mean_of_all_windows_that_tell():
 
 def test_a_day_and_a_window_have_that_of_the_window_around_them():
     table = zero([1.0, 3.0, 1.2], [0.1, np.inf, 0.2])
-    assert _axial(table, 20 * DAY, 30 * DAY) == Known(1.2, 0.2, "mirror mode")
-    assert _axial(table, 3 * DAY, 4 * DAY) == Known(1.0, 0.1, "mirror mode")
+    assert _axial(table, 20 * DAY, 30 * DAY) == ExternalValue(1.2, 0.2, "mirror mode")
+    assert _axial(table, 3 * DAY, 4 * DAY) == ExternalValue(1.0, 0.1, "mirror mode")
     assert _axial(table, 13 * DAY, 14 * DAY).source == GROUND
     assert _axial(None, 0, DAY).source == GROUND
 

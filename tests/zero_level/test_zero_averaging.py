@@ -5,9 +5,15 @@ import pytest
 from nature import SECOND, unit
 
 from inflight.errors import CalibrationError
-from inflight.zero_level import Intervals, averages, largest_leak, minimum_correlation
+from inflight.scorecard.zero_level_studies import (
+    AveragingWarning,
+    average_spans,
+    check_averaging,
+    largest_leak,
+    remaining_part,
+)
+from inflight.zero_level import Intervals, minimum_correlation
 from inflight.zero_level.methods import axis_in_turn
-from inflight.zero_level.published import AveragingWarning, remaining, rule_of
 
 SAMPLING = (0.1875, 0.375, 0.75, 1.5)
 SPINS = (1.00, 1.01, 1.02)
@@ -29,27 +35,27 @@ def test_table_1_of_the_report(averaging, turning):
 
 def test_five_seconds_fail_by_samples_although_they_are_whole_spins():
     with pytest.warns(AveragingWarning, match=r"3\.333 samples"):
-        rule = rule_of(1.0, 1.5, 5.0)
+        rule = check_averaging(1.0, 1.5, 5.0)
     assert rule.remaining == pytest.approx(1 / 3)
     assert rule.spins == 5.0
     with pytest.raises(CalibrationError, match="whole multiple of both"):
-        rule_of(1.0, 1.5, 5.0, strict=True)
+        check_averaging(1.0, 1.5, 5.0, strict=True)
 
 
 def test_six_seconds_are_whole_spins_and_samples(recwarn):
-    assert rule_of(1.0, 1.5, 6.0, strict=True).remaining == pytest.approx(0.0, abs=1e-12)
+    assert check_averaging(1.0, 1.5, 6.0, strict=True).remaining == pytest.approx(0.0, abs=1e-12)
     assert not recwarn.list
 
 
 def test_samples_at_one_phase_average_nothing_out():
-    assert remaining(1.5, 1.5, 8) == 1.0
+    assert remaining_part(1.5, 1.5, 8) == 1.0
 
 
 def test_an_average_with_a_hole_is_no_average():
     times = np.arange(16) * (SECOND // 4)
     field = np.ones((16, 3))
     field[5] = np.nan
-    _, mean = averages(times, field, 2.0)
+    _, mean = average_spans(times, field, 2.0)
     assert np.isnan(mean[0]).all()
     np.testing.assert_array_equal(mean[1], 1.0)
 
@@ -62,7 +68,7 @@ def mission(generator, averaging, sampling, spread=0.5, count=1440):
     field = (6.0 * (1 + 0.1 * generator.normal(size=(count, 1))) * direction)[window]
     turned = (TURNING[0] + 1j * TURNING[1]) * np.exp(2j * np.pi * time)
     field += FIXED + np.stack([turned.real, turned.imag, 0 * time], axis=1)
-    return averages((time * SECOND).astype(np.int64), field, averaging, coverage=0.7)
+    return average_spans((time * SECOND).astype(np.int64), field, averaging, coverage=0.7)
 
 
 def errors(averaging, sampling, **options):

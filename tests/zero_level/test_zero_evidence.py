@@ -9,8 +9,15 @@ from weather import sheath, wind
 
 from inflight.simulate.spinning import CRAFT
 from inflight.simulate.spinning import wind as turbulent
-from inflight.zero_level import Intervals, Question, combined, minimum_correlation
-from inflight.zero_level.combination import REFUSED, against, agreement, evidence, held_to_all, most_evident
+from inflight.zero_level import Intervals, Question, combine_methods, minimum_correlation
+from inflight.zero_level.combination import (
+    LIKELIHOOD,
+    compare_estimates,
+    likelihood_ratio,
+    log_likelihood,
+    most_likely_offset,
+    without_ambiguous_axes,
+)
 from inflight.zero_level.methods import mirror_mode
 
 #: Despun axes, and a ground value that says little.
@@ -39,11 +46,13 @@ def half_minutes(hours, seed, size):
 )
 def test_the_most_evident_offset_lies_near_the_truth_in_rotations_and_in_compressions(nature, length, offset):
     intervals = along_axis(*nature(), offset, length)
-    found = most_evident(intervals, np.zeros(3), AXIAL)
+    found = most_likely_offset(intervals, np.zeros(3), AXIAL)
     assert abs(found[2] - offset) < 1.5
-    said = evidence(intervals, found)
+    said = log_likelihood(intervals, found)
     for far in (-25.0, 25.0):
-        assert against(said, evidence(intervals, np.array([0.0, 0.0, far]))) > REFUSED
+        assert (
+            likelihood_ratio(said, log_likelihood(intervals, np.array([0.0, 0.0, far]))) > LIKELIHOOD.refused
+        )
 
 
 def test_two_methods_that_agree_on_a_false_zero_are_not_believed():
@@ -56,10 +65,10 @@ def test_two_methods_that_agree_on_a_false_zero_are_not_believed():
             one = method(intervals, None, near)
             if one.determined[2] and abs(one.value[2] + 3.8) > 5.0 * one.sigma[2]:
                 seen += 1
-                held = held_to_all(intervals, one, AXIAL)
+                held = without_ambiguous_axes(intervals, one, AXIAL)
                 assert not held.determined[2]
                 assert "the readings refuse it" in held.reasons[-1]
-        found = combined(intervals, AXIAL).estimate
+        found = combine_methods(intervals, AXIAL).estimate
         assert not found.determined[2] or abs(found.value[2] + 3.8) < 4.0 * found.sigma[2]
     assert seen
 
@@ -69,11 +78,13 @@ def test_a_field_that_fluctuates_alike_in_all_directions_tells_no_offset():
     generator = np.random.default_rng(46)
     field = np.array([3.0, -2.0, 1.0]) + 0.4 * generator.normal(size=(2880, 3))
     intervals = along_axis(stamps(2880, 30.0), field, 2.0)
-    own = evidence(intervals, np.array([0.0, 0.0, 2.0]))
-    assert abs(against(own, evidence(intervals, np.array([0.0, 0.0, 12.0])))) < REFUSED
+    own = log_likelihood(intervals, np.array([0.0, 0.0, 2.0]))
+    assert (
+        abs(likelihood_ratio(own, log_likelihood(intervals, np.array([0.0, 0.0, 12.0])))) < LIKELIHOOD.refused
+    )
     estimate = minimum_correlation(intervals, None, AXIAL)
     claimed = replace(estimate, determined=np.array([False, False, True]), solution=np.array([0.0, 0.0, 2.0]))
-    held = held_to_all(intervals, claimed, AXIAL)
+    held = without_ambiguous_axes(intervals, claimed, AXIAL)
     assert not held.determined.any()
     assert held.solution[2] == 0.0
     assert np.isinf(held.sigma[2])
@@ -84,16 +95,18 @@ def test_the_sign_of_intervals_counts_and_not_how_strong_the_wind_was():
     generator = np.random.default_rng(47)
     strength = np.repeat(np.exp(generator.normal(size=12)), 8)
     nothing = np.zeros(96)
-    assert against(strength, nothing) > 2 * REFUSED
-    tossed = [abs(against(strength * generator.choice([-1.0, 1.0], 96), nothing)) for _ in range(400)]
-    assert np.mean(np.array(tossed) < REFUSED) > 0.98
+    assert likelihood_ratio(strength, nothing) > 2 * LIKELIHOOD.refused
+    tossed = [
+        abs(likelihood_ratio(strength * generator.choice([-1.0, 1.0], 96), nothing)) for _ in range(400)
+    ]
+    assert np.mean(np.array(tossed) < LIKELIHOOD.refused) > 0.98
     # Four intervals cannot refuse anything, were they never so sure.
-    assert against(np.ones(4), np.zeros(4)) < REFUSED
+    assert likelihood_ratio(np.ones(4), np.zeros(4)) < LIKELIHOOD.refused
 
 
 def test_two_roads_to_one_zero_agree():
     """Two answers from the same intervals differ by nothing, or by what a solution is settled to."""
     times, field = solar_wind(np.random.default_rng(48), hours=12.0)
     found = minimum_correlation(along_axis(times, field, 1.0), None, AXIAL)
-    assert agreement(found, found).agrees
-    assert agreement(found, replace(found, solution=found.solution + 5e-5)).agrees
+    assert compare_estimates(found, found).agrees
+    assert compare_estimates(found, replace(found, solution=found.solution + 5e-5)).agrees

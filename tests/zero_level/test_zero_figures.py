@@ -5,8 +5,8 @@ from bokeh.models import GlyphRenderer
 from nature import solar_wind
 
 from docs.figures.zero_level import kinds_figure, methods_figure, scatter_figure, sets_figure
-from inflight.zero_level import Intervals, combined, minimum_correlation
-from inflight.zero_level.published import correlation_sets, scatter_with_hours
+from inflight.scorecard.zero_level_studies import correlation_sets, scatter_with_hours
+from inflight.zero_level import Intervals, combine_methods, minimum_correlation
 
 
 def drawn(plot) -> int:
@@ -17,7 +17,7 @@ def drawn(plot) -> int:
 def test_methods_kinds_scatter_and_sets_are_drawn():
     times, field = solar_wind(np.random.default_rng(20), hours=40.0)
     intervals = Intervals.of(times, field, 1800.0)
-    found = combined(intervals)
+    found = combine_methods(intervals)
     assert "agree" in methods_figure(found).title.text
     assert drawn(kinds_figure(found.kinds)) == len(intervals)
     hours = np.array([10.0, 30.0])

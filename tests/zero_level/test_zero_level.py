@@ -7,18 +7,26 @@ import pytest
 from nature import magnetosheath, solar_wind, stamps, unit
 
 from inflight.errors import CalibrationError, SamplesError
+from inflight.scorecard.zero_level_studies import correlation_sets
 from inflight.zero_level import (
+    COMBINED_METHODS,
+    METHODS,
     Intervals,
     Question,
-    combined,
-    correlation,
+    combine_methods,
     davis_smith,
     minimum_correlation,
     pairs_within,
+    size_angle_covariance,
 )
-from inflight.zero_level.combination import agreement
-from inflight.zero_level.methods import axis_in_turn, kinds, mirror_mode, wang_pan
-from inflight.zero_level.published import correlation_sets
+from inflight.zero_level.combination import compare_estimates
+from inflight.zero_level.methods import (
+    axis_in_turn,
+    classify_intervals,
+    davis_smith_as_published,
+    mirror_mode,
+    wang_pan,
+)
 
 SEEDS = 40
 OFFSET = np.array([0.7, -1.1, 0.4])
@@ -49,7 +57,7 @@ def pulls(method, cases, used=None, **options):
 
 
 def alfvenic(intervals, offset):
-    return kinds(intervals, offset).alfvenic
+    return classify_intervals(intervals, offset).alfvenic
 
 
 @pytest.mark.parametrize(
@@ -77,7 +85,7 @@ def test_one_sigma_covers_two_thirds(method, compressed, size, record_property):
 
 def test_davis_smith_as_published_is_pulled_towards_the_field_by_what_it_says():
     cases = winds(0.1)
-    raw = [davis_smith(case, corrected=False) for case, _ in cases]
+    raw = [davis_smith_as_published(case) for case, _ in cases]
     field = np.array([unit((case.mean - offset).mean(axis=0)) for case, offset in cases])
     error = np.array([one.solution - offset for one, (_, offset) in zip(raw, cases, strict=True)])
     along = np.sum(error * field, axis=1)
@@ -93,7 +101,9 @@ def test_mirror_modes_cover_and_state_what_turning_within_intervals_may_do(recor
         times, field = magnetosheath(np.random.default_rng(seed))
         offset = OFFSET * (-1) ** seed
         cases.append((Intervals.of(times, field + offset, 600.0), offset))
-    error, sigma = pulls(mirror_mode, cases, lambda case, offset: kinds(case, offset).compressional)
+    error, sigma = pulls(
+        mirror_mode, cases, lambda case, offset: classify_intervals(case, offset).compressional
+    )
     covered = float(np.mean(np.abs(error) < sigma))
     record_property("covered", covered)
     assert 0.58 <= covered <= 0.88  # its bound on the turning is no error of one sigma
@@ -132,7 +142,7 @@ def test_a_turning_sensor_tells_its_offset_in_its_own_axes():
         ],
         axis=1,
     )
-    found = davis_smith(Intervals.of(times, turned + OFFSET, 1800.0), corrected=False)
+    found = davis_smith_as_published(Intervals.of(times, turned + OFFSET, 1800.0))
     assert np.abs((found.solution - OFFSET)[:2]).max() < 0.1
 
 
@@ -145,7 +155,7 @@ def test_all_methods_together_agree_and_say_what_they_used(offset):
     intervals = Intervals.of(
         np.concatenate([times, later]), np.concatenate([field, squeezed]) + offset, 1800.0
     )
-    found = combined(intervals)
+    found = combine_methods(intervals)
     assert found.agrees
     assert {one.method for one in found.methods} >= {"mirror mode", "minimum correlation"}
     assert np.all(np.abs(found.estimate.value - offset) < 4 * found.estimate.sigma)
@@ -155,12 +165,12 @@ def test_all_methods_together_agree_and_say_what_they_used(offset):
     assert by_name["mirror mode"].intervals_used.shape == (int(found.kinds.compressional.sum()), 2)
     table = found.table()
     assert table["method_value"].dims == ("method", "parameter")
-    assert "Alfvenic" in found.told()
+    assert "Alfvenic" in found.summary()
 
 
 def test_the_combination_covers(record_property):
     # Of simulated winds alone: the combination of three methods that share all intervals.
-    found = [(combined(case).estimate, offset) for case, offset in winds(0.1)[:16]]
+    found = [(combine_methods(case).estimate, offset) for case, offset in winds(0.1)[:16]]
     error = np.array([one.solution - offset for one, offset in found])
     sigma = np.array([one.sigma for one, _ in found])
     covered = float(np.mean(np.abs(error) < sigma))
@@ -174,9 +184,9 @@ def test_disagreement_is_told_and_not_averaged_away():
     moved = field + np.where(np.arange(times.size)[:, None] < times.size // 2, OFFSET, -OFFSET)
     intervals = Intervals.of(times, moved, 1800.0)
     first = np.arange(len(intervals)) < len(intervals) // 2 - 1
-    pair = agreement(minimum_correlation(intervals, first), minimum_correlation(intervals, ~first))
+    pair = compare_estimates(minimum_correlation(intervals, first), minimum_correlation(intervals, ~first))
     assert not pair.agrees
-    assert "DISAGREE" in pair.told()
+    assert "DISAGREE" in pair.summary()
 
 
 def test_where_compression_equals_rotation_minimum_correlation_says_that_it_is_blind():
@@ -198,7 +208,7 @@ def test_the_covariance_follows_the_rule_of_small_corrections():
     size = 6.0 * (1 + 0.02 * generator.normal(size=angle.size))
     field = size[:, None] * np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
     pairs = pairs_within(field, 2, np.ones(angle.size - 1, dtype=bool))
-    here, there = correlation(field, 2, np.array([0.0, -0.1]), pairs)
+    here, there = size_angle_covariance(field, 2, np.array([0.0, -0.1]), pairs)
     change, turn = np.diff(size), np.diff(angle)
     expected = 0.1 * np.sin(np.radians(60)) * (np.mean(change**2) / 36.0 - np.mean(turn**2))
     assert there - here == pytest.approx(expected, rel=0.02)
@@ -228,7 +238,7 @@ def test_sets_of_1440_give_mean_and_trend():
 def test_gaps_spikes_saturation_and_one_nan_do_no_harm():
     times, field = solar_wind(np.random.default_rng(13))
     generator = np.random.default_rng(14)
-    clean = combined(Intervals.of(times, field + OFFSET, 1800.0)).estimate
+    clean = combine_methods(Intervals.of(times, field + OFFSET, 1800.0)).estimate
     bad = field + OFFSET
     bad[generator.choice(times.size, 20, replace=False)] += 200.0 * generator.choice([-1, 1], size=(20, 1))
     bad[1000] = np.nan
@@ -238,7 +248,7 @@ def test_gaps_spikes_saturation_and_one_nan_do_no_harm():
     intervals = Intervals.of(times, bad, 1800.0, good)
     assert any("spikes" in note for note in intervals.notes)
     assert any("saturated" in note for note in intervals.notes)
-    found = combined(intervals).estimate
+    found = combine_methods(intervals).estimate
     assert np.all(np.abs(found.value - OFFSET) < 4 * found.sigma)
     assert np.all(found.sigma < 1.6 * clean.sigma)
 
@@ -252,7 +262,7 @@ def test_a_field_that_does_not_turn_cannot_tell():
             method(intervals)
     assert not minimum_correlation(intervals).determined.any()
     with pytest.raises(CalibrationError, match="no method tells an offset"):
-        combined(intervals)
+        combine_methods(intervals)
 
 
 def test_too_little_is_refused_with_what_was_found():
@@ -269,3 +279,26 @@ def test_too_little_is_refused_with_what_was_found():
         axis_in_turn(np.tile([0.0, 0.0, 1.0], (500, 1)), axes=(2,))
     with pytest.raises(CalibrationError, match="sets tell an offset"):
         correlation_sets(*solar_wind(np.random.default_rng(17), hours=8.0)).mean()
+
+
+def test_every_method_of_the_table_is_called_alike_and_returns_an_estimate_of_its_name():
+    times, field = solar_wind(np.random.default_rng(18))
+    intervals = Intervals.of(times, field + np.array([0.0, 0.0, 0.8]), 1800.0)
+    assert list(METHODS) == [*COMBINED_METHODS, "hedgecock"]
+    for name, method in METHODS.items():
+        found = method.estimate(intervals, None, Question(free=(False, False, True)))
+        assert found.method == name
+        assert found.influence.shape == (len(intervals), 3)
+        assert not found.determined[:2].any()
+
+
+def test_one_axis_after_the_other_states_the_error_that_it_makes():
+    error = []
+    for seed in range(6):
+        times, field = solar_wind(np.random.default_rng(40 + seed), hours=16.0)
+        found = METHODS["hedgecock"].estimate(Intervals.of(times, field + OFFSET, 1800.0), None, None)
+        error.append((found.solution - OFFSET)[found.determined] / found.sigma[found.determined])
+    size = np.abs(np.concatenate(error))
+    assert size.size >= 15
+    assert np.mean(size < 1.0) > 0.45
+    assert size.max() < 4.0

@@ -5,8 +5,8 @@ import pytest
 from nature import solar_wind
 from weather import sheath, wind
 
-from inflight.zero_level import Intervals, Question, combined, davis_smith
-from inflight.zero_level.combination import weighted
+from inflight.zero_level import Intervals, Question, combine_methods, davis_smith
+from inflight.zero_level.combination import weighted_mean
 from inflight.zero_level.estimate import Estimate, covariance_of
 
 
@@ -15,7 +15,7 @@ def pulls(nature, seeds, length):
     for seed in seeds:
         offset = np.random.default_rng([seed, 79]).normal(size=3)
         times, field = nature(seed)
-        estimate = combined(Intervals.of(times, field + offset, length)).estimate
+        estimate = combine_methods(Intervals.of(times, field + offset, length)).estimate
         if estimate.determined.all():
             found.append((estimate.solution - offset) / estimate.sigma)
     assert len(found) > 0.8 * len(seeds)
@@ -45,8 +45,9 @@ def estimate_of(name, influence):
     count = len(influence)
     stamps = np.arange(count)
     return Estimate(
-        name, influence.sum(axis=0), covariance_of(influence), np.full(3, True), influence,
-        np.full(count, True), stamps, stamps + 1, np.zeros((3, 3)),
+        method=name, solution=influence.sum(axis=0), covariance=covariance_of(influence),
+        determined=np.full(3, True), influence=influence, used=np.full(count, True),
+        start=stamps, end=stamps + 1, systematic=np.zeros((3, 3)),
     )  # fmt: skip
 
 
@@ -56,7 +57,7 @@ def test_weights_that_are_estimated_cost_what_the_mean_states():
     chi2 = []
     for _ in range(1500):
         pair = [estimate_of(str(k), generator.normal(size=(20, 3)) / 20.0) for k in range(2)]
-        mean = weighted(pair, Question())
+        mean = weighted_mean(pair, Question())
         chi2.append(mean.solution**2 / np.diag(mean.covariance))
     assert np.mean(chi2) == pytest.approx(1.0, abs=0.25)
 

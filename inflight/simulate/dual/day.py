@@ -13,7 +13,7 @@ from inflight.simulate.dual.settings import DualSettings
 from inflight.simulate.dual.switching import NEW_UNIT, UNITS, Calendar, Unit, part_on, six_states, together
 from inflight.simulate.grid import Float, Int64, Sampling
 from inflight.simulate.mission import SimulatedDay
-from inflight.simulate.randomness import generator, wander
+from inflight.simulate.randomness import drift, generator
 from inflight.simulate.spinning import SpinningParameters, wind
 from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
@@ -114,7 +114,7 @@ class _Scene:
     def _array_current(self, seconds: Float) -> Float:
         """Current of the array, mA: a daily swing and a slow wander."""
         absolute = self.start / SECOND + seconds
-        slow = wander(absolute, self.settings.seed, "array", (0.05,), periods=(1800.0, 40_000.0))[:, 0]
+        slow = drift(absolute, self.settings.seed, "array", (0.05,), periods=(1800.0, 40_000.0))[:, 0]
         swing = 0.1 * np.sin(2.0 * np.pi * absolute / (DAY / SECOND))
         return np.asarray(_ARRAY_CURRENT * (1.0 + swing + slow))
 
@@ -149,7 +149,7 @@ class _Scene:
     def _temperature(self, seconds: Float) -> Float:
         """Temperature of the body, degC."""
         absolute = self.start / SECOND + seconds
-        slow = wander(absolute, self.settings.seed, "body", (1.5,), periods=(20_000.0, 400_000.0))[:, 0]
+        slow = drift(absolute, self.settings.seed, "body", (1.5,), periods=(20_000.0, 400_000.0))[:, 0]
         return np.asarray(24.0 + 2.5 * np.sin(2.0 * np.pi * absolute / (DAY / SECOND)) + slow)
 
     def offset(self, sensor: str) -> Float:
@@ -160,7 +160,7 @@ class _Scene:
             out += p.offset_inboard if sensor == "inboard" else p.offset_outboard
         if "offset_drift" in self.effects:
             size, seconds = (p.offset_drift,) * 3, self.times.seconds
-            out += wander(seconds, self.settings.seed, f"{sensor} offset", size, periods=(40_000.0, 1e6))
+            out += drift(seconds, self.settings.seed, f"{sensor} offset", size, periods=(40_000.0, 1e6))
         if "thermal_drift" in self.effects and sensor == "inboard":
             out += (self._temperature(self.since) - 24.0)[:, None] * p.thermal_drift
         return out

@@ -1,7 +1,9 @@
 """A spinning spacecraft, simulated: solar wind, magnetosheath and a dipole seen by a turning sensor.
 
-The ambient field is nature's own statistics (Alfvenic rotations and compressions with a power law) and a
-dipole; the sensor's equation is written here a second time, in the direction from field to reading.
+In: `SpinningSettings`. Out: a day's deliveries and the truth (`simulate_spinning_day`). The ambient field has
+the statistics of natural fluctuations (Alfvenic rotations and compressions with a power law) and a dipole;
+the sensor's equation (Plaschke et al. 2019, eq. 9) is written here a second time, from field to reading. Open
+day.py first.
 """
 
 import lazy_loader

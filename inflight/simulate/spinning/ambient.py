@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from inflight.simulate.grid import Float
-from inflight.simulate.randomness import generator, wander
+from inflight.simulate.randomness import drift, generator
 from inflight.simulate.spinning.attitude import payload_axes, to_payload
 from inflight.simulate.spinning.settings import SpinningParameters
 
@@ -38,7 +38,7 @@ def wind(seconds: Float, seed: int, day: int, parameters: SpinningParameters) ->
 def _turbulent(
     seconds: Float, seed: int, day: int, stream: str, field: float, turning: float, compression: float
 ) -> Float:
-    slow = wander(seconds, seed, f"{stream} slow", (1.0,) * 4, periods=(_LONGEST, 4e5), waves=24)
+    slow = drift(seconds, seed, f"{stream} slow", (1.0,) * 4, periods=(_LONGEST, 4e5), waves=24)
     fast = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 4, seed, day, stream)
     # Power of the slow part over that of the fast one: both are one spectrum.
     shape = 0.8 * slow + 0.6 * fast
@@ -70,8 +70,8 @@ def position(seconds: Float, parameters: SpinningParameters) -> Float:
     mean = np.sqrt(_MU / axis**3) * seconds
     anomaly = np.mod(mean, 2.0 * np.pi)
     for _ in range(40):
-        fall = anomaly - eccentricity * np.sin(anomaly) - np.mod(mean, 2.0 * np.pi)
-        anomaly = anomaly - 0.9 * fall / (1.0 - eccentricity * np.cos(anomaly))
+        error = anomaly - eccentricity * np.sin(anomaly) - np.mod(mean, 2.0 * np.pi)
+        anomaly = anomaly - 0.9 * error / (1.0 - eccentricity * np.cos(anomaly))
     # Apogee towards the Sun.
     x = -axis * (np.cos(anomaly) - eccentricity)
     y = -axis * np.sqrt(1.0 - eccentricity**2) * np.sin(anomaly)
@@ -94,8 +94,8 @@ def field(seconds: Float, place: Float, seed: int, day: int, parameters: Spinnin
     inside = to_payload(_dipole(place), payload_axes(place, parameters))
     # Currents of the magnetosphere: fluctuations that grow with the field.
     strength = np.linalg.norm(inside, axis=1, keepdims=True)
-    loose = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 3, seed, day, "magnetosphere")
-    inside = inside + loose * (0.5 + _QUIET * strength)
+    fluctuation = _kolmogorov(seconds.size, float(seconds[1] - seconds[0]), 3, seed, day, "magnetosphere")
+    inside = inside + fluctuation * (0.5 + _QUIET * strength)
     out = np.where((radius < MAGNETOPAUSE)[:, None], inside, outside)
     between = (radius >= MAGNETOPAUSE) & (radius < BOW_SHOCK)
     out[between] = sheath[between]

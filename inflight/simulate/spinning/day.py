@@ -18,9 +18,9 @@ from inflight.time import DAY, SECOND, DayLike, as_day, day_bounds
 
 #: Seconds between temperatures, and how long before the day heat balances start.
 _SLOW, _WARM_UP = 10, 24_000
-#: Temperatures the sensor tends to in light and in shadow, degC, and how fast, s.
+#: Temperatures the sensor relaxes to in light and in shadow, degC, and the relaxation time, s.
 _WARM, _COLD, _RELAX = 12.0, -45.0, 2400.0
-#: The wheel of the phase: how much it runs ahead and behind, rad, and how slowly, s.
+#: Slow variation of the phase about a steady turn: amplitude, rad, and period, s.
 _SWING, _SWING_S = 0.4, 40_000.0
 #: The coil is driven in runs of so many seconds, every so many.
 _COIL_ON, _COIL_EVERY = 9_000.0, 26_000.0
@@ -231,7 +231,7 @@ class _Scene:
         return _delivery(stamps, SPIN_AXIS=attitude.spin_direction(stamps, self.parameters))
 
     def truth(self) -> xr.Dataset:
-        """What nobody who processes the deliveries may see."""
+        """The truth, which the calibration never reads."""
         begin = float(self._phase(np.array([self.start / SECOND]))[0])
         truth = _delivery(
             self.times.tt2000,

@@ -49,7 +49,7 @@ from inflight.mission_fit import (
 from inflight.tasks.pipelines.mission.fit import ChainResults
 from inflight.tasks.pipelines.mission.sections import SHOWN, Part, with_error
 from inflight.tasks.pipelines.mission.tables import SHORTEST, faults_of, middles, spectra_of, stated_periods
-from inflight.time import DAY, mjd_of, to_tt2000
+from inflight.time import DAY, mjd2000, to_tt2000
 
 #: Windows of running means, days (Yin 2010, ch. 4).
 WINDOWS = (60.0, 260.0)
@@ -176,7 +176,7 @@ def _steps(part: Part, found: ChainResults, daily: xr.Dataset) -> None:
             f"the mission's file names {stated or 'no'} events{', none in the span' * bool(stated)}",
         )
         return
-    at = mjd_of(np.array([int(to_tt2000(_instant(one.at))) for one in events], dtype=np.int64))
+    at = mjd2000(np.array([int(to_tt2000(_instant(one.at))) for one in events], dtype=np.int64))
     mjd = middles(daily)
     why: dict[str, str] = {}
     told: dict[str, Any] = {}

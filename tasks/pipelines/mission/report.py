@@ -9,7 +9,7 @@ from typing import Any
 
 from inflight import __version__
 from inflight.catalog import Catalog
-from inflight.figures import html_page, write_page
+from inflight.figures import html_page
 from inflight.mission import Mission
 from inflight.tasks.pipelines.mission.fit import ChainResults, chain_results
 from inflight.tasks.pipelines.mission.parameter_sections import (
@@ -31,6 +31,7 @@ from inflight.tasks.pipelines.mission.sections import (
     torquers,
     trend,
 )
+from inflight.tasks.report import write_page
 
 #: In the order of the page.
 SECTIONS: tuple[Callable[[ChainResults], Part], ...] = (

@@ -44,7 +44,7 @@ from inflight.mission_fit import (
 from inflight.model import Model
 from inflight.tasks.archive import channel_homes
 from inflight.tasks.pipelines.mission.day import Witnesses, means_of_channels, strips_of
-from inflight.time import DAY, SECOND, mjd_of
+from inflight.time import DAY, SECOND, mjd2000
 
 #: The tables of this module.
 BESIDE = (
@@ -156,7 +156,7 @@ def daily_after(equations: NormalEquations, found: Continuous) -> xr.Dataset:
 
 def middles(table: xr.Dataset) -> Floats:
     """Return the middles of a table's intervals as days since 2000-01-01; (interval,)."""
-    return mjd_of(table["start"].values // 2 + table["end"].values // 2)
+    return mjd2000(table["start"].values // 2 + table["end"].values // 2)
 
 
 def faults_of(daily: xr.Dataset) -> tuple[ClockFaults, Floats]:

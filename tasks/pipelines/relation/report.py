@@ -19,12 +19,12 @@ from inflight.figures import (
     html_table,
     relation_days_figure,
     relation_figure,
-    write_page,
 )
 from inflight.mission import Mission, is_told_by_states
 from inflight.tasks.pipelines.mission import Part, with_error
 from inflight.tasks.pipelines.relation.reprocess import NO_PRODUCT, TABLES
 from inflight.tasks.pipelines.tables import newest_tables
+from inflight.tasks.report import write_page
 from inflight.time import day_of
 
 

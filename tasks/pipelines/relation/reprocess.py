@@ -25,7 +25,7 @@ from inflight.errors import CatalogError, InflightError, MissionError
 from inflight.flags import UNUSABLE, Flag
 from inflight.mission import Mission
 from inflight.mission_fit import CLUSTER_S, corner_moments, corners_of, relation_grams, relation_of
-from inflight.spin import boom_bending, spin_fits
+from inflight.spin import fit_spins, measure_boom_bending
 from inflight.tasks.archive import ArchiveIndex
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.job import Job, Outcome, make_days
@@ -73,10 +73,10 @@ def bending_day(products: Sequence[xr.Dataset], day: np.datetime64) -> tuple[xr.
     stamps = np.asarray(inboard["tt2000"].values, dtype=np.int64)
     phase = unwrapped(np.asarray(inboard["spin_phase"].values, dtype=np.float64), stamps)
     inner, outer = (
-        spin_fits(stamps, np.asarray(one["field_sensor"].values, dtype=np.float64), phase)
+        fit_spins(stamps, np.asarray(one["field_sensor"].values, dtype=np.float64), phase)
         for one in (inboard, outboard)
     )
-    found = boom_bending(outer, inner)
+    found = measure_boom_bending(outer, inner)
     start, end = day_bounds(day)
     dataset = xr.Dataset(
         {

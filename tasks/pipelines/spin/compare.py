@@ -45,7 +45,7 @@ from inflight.spin import (
     tone_dependence,
     tones_of,
 )
-from inflight.tasks.archive import ArchiveIndex, Need, Turning, load_samples, needs_of
+from inflight.tasks.archive import ArchiveIndex, Need, SpinClock, load_samples, needs_of
 from inflight.tasks.models import current_model
 from inflight.tasks.pipelines.compare_rows import (
     Sources,
@@ -381,7 +381,7 @@ class _Reader:
 
     def _wheels(self, day: np.datetime64, count: int) -> dict[str, Complex]:
         """Return the tones of channels that show the spin; (interval,) by name."""
-        turning = Turning.of(self.cat, self.mission, self.comparison, self.index, day)
+        turning = SpinClock.of(self.cat, self.mission, self.comparison, self.index, day)
         out: dict[str, Complex] = {}
         if turning is None:
             return out

@@ -25,21 +25,21 @@ from inflight.model import Model, ModelEffect
 from inflight.spin import (
     NAMES,
     SPIN_RELATED,
-    UNKNOWN,
+    UNCALIBRATED_SIGMA,
     Attitude,
+    BlockLayout,
+    CalibrationParameters,
     Exclusion,
     JointEstimate,
-    Layout,
     PeriodCheck,
     SubIntervals,
-    TwelveParameters,
     check_period,
+    cut_into_blocks,
     despin,
+    estimate_jointly,
     estimate_pairs,
-    joint_estimate,
-    lay_out,
-    spinning_entry,
-    spread_of,
+    spinning_sensor_of,
+    uncertainty_of_pairs,
 )
 from inflight.tasks.archive import FAULTS, SPIN_AXIS, ArchiveIndex, Need, channel_series, load_samples
 from inflight.tasks.pipelines.job import Job
@@ -204,8 +204,8 @@ def spin_day(
     told = samples["spin_phase"].attrs
     report: dict[str, Any] = {"phase": str(told["told"]), "used": 0, "sub_intervals": 0}
     try:
-        layout = lay_out(readings, phase, stamps, good, SubIntervals(), excluded)
-        found = joint_estimate(readings, phase, stamps, layout, present, _free(entry, known))
+        layout = cut_into_blocks(readings, phase, stamps, good, SubIntervals(), excluded)
+        found = estimate_jointly(readings, phase, stamps, layout, present, _free(entry, known))
     except TooLittleError as error:
         lost = f"the day tells nothing of its sensor and has the table's parameters: {error.message}"
         report |= {"coverage": 0.0, "told": error.message, FAULTS: [_fault(job, lost, error.remedy)]}
@@ -217,16 +217,16 @@ def spin_day(
         "coverage": float(good.sum() * np.median(np.diff(stamps)) / (end - start)),
         "used": int(usable.sum()),
         "sub_intervals": int(usable.size),
-        "told": found.tones.told(),
+        "told": found.tones.summary(),
         "excess": found.excess.tolist(),
         "settled": found.settled,
     }
     rate = _rate(stamps, field, phase, good)
     if rate is not None:
-        report["period"] = rate.told()
+        report["period"] = rate.summary()
         if not rate.agrees:
             report[FAULTS] = [
-                _fault(job, rate.told(), "see the stated spin period and the clock of its marks")
+                _fault(job, rate.summary(), "see the stated spin period and the clock of its marks")
             ]
     return _dataset(found, layout, (start, end)).merge(means), report
 
@@ -259,7 +259,7 @@ def require_spinning(model: Model) -> ModelEffect:
     ModelError
         When there is none.
     """
-    entry = spinning_entry(model)
+    entry = spinning_sensor_of(model)
     if entry is None:
         raise ModelError(
             f"model '{model.name}' has no effect 'spinning_sensor'", remedy="a spin comparison needs one"
@@ -267,7 +267,7 @@ def require_spinning(model: Model) -> ModelEffect:
     return entry
 
 
-def ground_of(entry: ModelEffect, tt2000: int) -> tuple[TwelveParameters, dict[str, float]]:
+def ground_of(entry: ModelEffect, tt2000: int) -> tuple[CalibrationParameters, dict[str, float]]:
     """Return what the model knows of the twelve beforehand, and how well."""
     values, sigmas = [], {}
     kinds = SpinningSensor.parameters()
@@ -278,13 +278,13 @@ def ground_of(entry: ModelEffect, tt2000: int) -> tuple[TwelveParameters, dict[s
         values.append(float(told.at(tt2000)[index]))
         stated = float(told.sigma[index, 0])
         sigmas[name] = stated if np.isfinite(stated) else kinds[key].sigma
-    return TwelveParameters.of_values(values), sigmas
+    return CalibrationParameters.of_values(values), sigmas
 
 
 def _free(entry: ModelEffect, known: dict[str, float]) -> dict[str, float]:
     """Return what is put in as one more measurement; what the model holds fixed, as a sure one."""
     fixed = {name for name in SPIN_RELATED if not entry.parameters[name.partition("[")[0]].free}
-    return {name: UNKNOWN[name] * 1e-9 if name in fixed else known[name] for name in SPIN_RELATED}
+    return {name: UNCALIBRATED_SIGMA[name] * 1e-9 if name in fixed else known[name] for name in SPIN_RELATED}
 
 
 def plain_readings(
@@ -339,7 +339,7 @@ def together(days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
     ]
 
 
-def _nothing(present: TwelveParameters, known: dict[str, float], span: tuple[int, int]) -> xr.Dataset:
+def _nothing(present: CalibrationParameters, known: dict[str, float], span: tuple[int, int]) -> xr.Dataset:
     """Return a day that tells nothing: the values known before, with covariances that add nothing."""
     sigma = np.array([known[name] for name in SPIN_RELATED])
     numbers, none = sigma.size, np.full((1, 0), 0, dtype=np.int64)
@@ -356,9 +356,9 @@ def _nothing(present: TwelveParameters, known: dict[str, float], span: tuple[int
     return xr.Dataset(parts | rows | {"mean_time": (_MEANS[:2], none, dict(_TT2000))} | _span_of(span))
 
 
-def _dataset(found: JointEstimate, layout: Layout, span: tuple[int, int]) -> xr.Dataset:
-    unknown = np.array([UNKNOWN[name] for name in SPIN_RELATED])
-    spread = spread_of(np.where(np.isfinite(found.sigma), found.sigma, unknown))
+def _dataset(found: JointEstimate, layout: BlockLayout, span: tuple[int, int]) -> xr.Dataset:
+    unknown = np.array([UNCALIBRATED_SIGMA[name] for name in SPIN_RELATED])
+    spread = uncertainty_of_pairs(np.where(np.isfinite(found.sigma), found.sigma, unknown))
     each = estimate_pairs(found.tones, spread)
     one, sub = ("block", "parameter"), ("block", "sub", "parameter")
     covariance = np.where(np.isfinite(found.covariance), found.covariance, 0.0)

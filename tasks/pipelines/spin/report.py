@@ -20,7 +20,6 @@ from inflight.figures import (
     moved_figure,
     parameter_days_figure,
     uncertainty_figure,
-    write_page,
     zero_drift_figure,
     zero_methods_figure,
 )
@@ -28,8 +27,10 @@ from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.spin import NAMES, SPIN_RELATED, UNITS
 from inflight.tasks.pipelines.mission import Part, with_error
-from inflight.tasks.pipelines.spin.tables import METHODS, TABLES, SpinResults
+from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
+from inflight.tasks.report import write_page
 from inflight.time import DAY, day_of
+from inflight.zero_level import COMBINED_METHODS
 
 #: Days with an update, and days of phase, that the page lists.
 _SHOWN = 40
@@ -225,7 +226,7 @@ def _zero(found: SpinResults) -> Part:
         each = {
             name: {"value": float(value), "sigma": float(sigma), "intervals": int(used)}
             for name, value, sigma, used in zip(
-                METHODS,
+                COMBINED_METHODS,
                 *(row[f"method_{one}"].values for one in ("value", "sigma", "used")),
                 strict=True,
             )
@@ -246,7 +247,7 @@ def _zero(found: SpinResults) -> Part:
         "Offsets 1 and 2 come from the spin; the third, along the spin axis, from nature's own statistics in "
         "each window, by every method on the intervals of 15 minutes that suit it; days of a window share it."
     )
-    head = ("window from", "combined", *METHODS, "intervals")
+    head = ("window from", "combined", *COMBINED_METHODS, "intervals")
     part.text.append(html_table(head, [_zero_row(one) for one in items]))
     part.plots += [zero_drift_figure(found.tables["daily"], rates), zero_methods_figure(zero)]
     return part
@@ -254,7 +255,7 @@ def _zero(found: SpinResults) -> Part:
 
 def _zero_row(one: Mapping[str, Any]) -> tuple[str, ...]:
     combined = with_error(one["value"], one["sigma"]) if np.isfinite(one["sigma"]) else "not told"
-    each = (one["methods"].get(name) for name in METHODS)
+    each = (one["methods"].get(name) for name in COMBINED_METHODS)
     cells = (
         f"{with_error(two['value'], two['sigma'])} ({two['intervals']})" if two else "not told"
         for two in each

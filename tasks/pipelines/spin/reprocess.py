@@ -20,7 +20,7 @@ from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, rows_of
 from inflight.samples import fold
-from inflight.spin import NAMES, TwelveParameters, spin_level2
+from inflight.spin import NAMES, CalibrationParameters, make_spin_product
 from inflight.tasks.archive import FAULTS, cut_at_flips, day_faults, flips_of, load_samples
 from inflight.tasks.pipelines.job import Job, Outcome, make_days
 from inflight.tasks.pipelines.planning import ONE_DAY, Plan
@@ -54,7 +54,7 @@ def spin_product(
     twelve, covariance = _holding(table, (span[0] + span[1]) // 2)
     readings, _, corrected = plain_readings(bound, entry, samples)
     attitude = attitude_of(cat, mission, model.comparison, job.needs, job.index, day, samples)
-    product = spin_level2(bound, corrected, readings, twelve, covariance, attitude)
+    product = make_spin_product(bound, corrected, readings, twelve, covariance, attitude)
     if not _settled(table, entry, (span[0] + span[1]) // 2):
         product["flag"] = product["flag"] | np.uint32(Flag.PRIOR_PARAMETERS)
     good = product["flag"].values & ~np.uint32(_HARMLESS) == 0
@@ -76,11 +76,11 @@ def _settled(table: xr.Dataset, entry: ModelEffect, tt2000: int) -> bool:
     return bool(np.all(_row(table, tt2000)["determined"].values[free]))
 
 
-def _holding(table: xr.Dataset, tt2000: int) -> tuple[TwelveParameters, np.ndarray]:
+def _holding(table: xr.Dataset, tt2000: int) -> tuple[CalibrationParameters, np.ndarray]:
     """Return the twelve that a table has for an instant, and their covariance."""
     row = _row(table, tt2000)
     assert row.sizes["parameter"] == len(NAMES)
-    return TwelveParameters.of_values(row["value"].values), np.asarray(row["covariance"].values)
+    return CalibrationParameters.of_values(row["value"].values), np.asarray(row["covariance"].values)
 
 
 def _row(table: xr.Dataset, tt2000: int) -> xr.Dataset:

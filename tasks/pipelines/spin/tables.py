@@ -31,15 +31,15 @@ from inflight.spin import (
     SPIN_RELATED,
     UNITS,
     Bools,
+    CalibrationParameters,
     Decision,
-    InUse,
-    Known,
-    OneInUse,
-    TwelveParameters,
-    TwelveTable,
-    along_axial,
-    choose,
-    join_twelve,
+    ExternalValue,
+    ParameterTable,
+    ValueInUse,
+    ValuesInUse,
+    axial_offset_slope,
+    choose_estimates,
+    join_parameters,
 )
 from inflight.tasks.archive import flips_of
 from inflight.tasks.pipelines.planning import equations_of, product_of
@@ -47,16 +47,13 @@ from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
 from inflight.tasks.pipelines.tables import newest_tables
 from inflight.time import DAY, Int64, day_bounds, day_of, utc_text
 from inflight.zero_level import (
-    DAVIS_SMITH,
-    MINIMUM_CORRELATION,
-    MIRROR_MODE,
+    COMBINED_METHODS,
     PARTS,
-    WANG_PAN,
     Flipped,
     Intervals,
     Question,
-    combined,
-    separate,
+    combine_methods,
+    separate_flipped,
 )
 
 #: Intervals a zero level is told from, s: long against the correlation of the wind's fluctuations.
@@ -75,9 +72,6 @@ _BETTER = 0.5
 #: Codes of the variable `source`, as `inflight.calibration.table.SOURCES` has them.
 _PRIOR, _DATA = 0, 2
 
-#: Methods of the zero level, each beside the combined one.
-METHODS = (DAVIS_SMITH, WANG_PAN, MIRROR_MODE, MINIMUM_CORRELATION)
-
 #: The parameter that the spin tells nothing of and nature does.
 AXIAL = "offset[3]"
 
@@ -88,7 +82,7 @@ class _Row:
 
     start: int
     end: int
-    twelve: TwelveTable
+    twelve: ParameterTable
     covariance: Floats
     decisions: Mapping[str, Decision]
     own: tuple[Floats, Floats]
@@ -142,15 +136,15 @@ def spin_table(
 class _Book:
     """The values in use, from one interval to the next."""
 
-    eight: InUse
-    axial: OneInUse
+    eight: ValuesInUse
+    axial: ValueInUse
     source: str = GROUND
 
     @classmethod
     def of_ground(cls, entry: ModelEffect, tt2000: int) -> _Book:
         ground, sigma = ground_of(entry, tt2000)
-        axial = OneInUse(AXIAL, float(ground.offset[2]), sigma[AXIAL])
-        return cls(InUse.of_ground(ground, sigma), axial)
+        axial = ValueInUse(AXIAL, float(ground.offset[2]), sigma[AXIAL])
+        return cls(ValuesInUse.of_ground(ground, sigma), axial)
 
     def row(
         self, days: Sequence[xr.Dataset], entry: ModelEffect, start: int, end: int, zero: xr.Dataset | None
@@ -161,26 +155,28 @@ class _Book:
         value, covariance, excess = _combined(days, ground.spin_related(), prior)
         free = [entry.parameters[name.partition("[")[0]].free for name in SPIN_RELATED]
         told = (np.sqrt(np.diag(covariance)) < _BETTER * prior) & free
-        step = self.eight.after(value, covariance, told, (start + end) // 2 / DAY)
+        step = self.eight.update(value, covariance, told, (start + end) // 2 / DAY)
         self.eight = step.used
         known = _axial(zero, start, end)
-        about, self.axial, error = self.axial.after(known.value, known.sigma)
+        about, self.axial, error = self.axial.update(known.value, known.sigma)
         if about.verdict == "update":
             self.source = known.source
-        stated = np.where(self.eight.flown, np.sqrt(np.diag(step.covariance)), np.inf)
+        stated = np.where(self.eight.from_flight, np.sqrt(np.diag(step.covariance)), np.inf)
         parameters = ground.changed(dict(zip(SPIN_RELATED, self.eight.value.tolist(), strict=True)))
-        others = {AXIAL: Known(self.axial.value, error, self.source)} if self.axial.flown else {}
-        twelve = join_twelve((self.eight.value, stated, parameters), ground, sigma, others)
+        others = (
+            {AXIAL: ExternalValue(self.axial.value, error, self.source)} if self.axial.from_flight else {}
+        )
+        twelve = join_parameters((self.eight.value, stated, parameters), ground, sigma, others)
         used = float(sum(np.isfinite(day["estimate"].values[..., 0]).sum() for day in days))
         decisions = dict(zip(SPIN_RELATED, step.decisions, strict=True)) | {AXIAL: about}
         # As the values in use, the interval's own offsets go with the third one that is used beside them.
-        seen = ground.changed(dict(zip(SPIN_RELATED, step.seen.tolist(), strict=True)))
-        own = _own(join_twelve((step.seen, step.sigma, seen), ground, sigma, others), known)
+        seen = ground.changed(dict(zip(SPIN_RELATED, step.estimate.tolist(), strict=True)))
+        own = _own(join_parameters((step.estimate, step.sigma, seen), ground, sigma, others), known)
         whole = _whole(twelve, step.covariance, stated)
         return _Row(start, end, twelve, whole, decisions, own, len(days), used, excess)
 
 
-def _own(twelve: TwelveTable, axial: Known) -> tuple[Floats, Floats]:
+def _own(twelve: ParameterTable, axial: ExternalValue) -> tuple[Floats, Floats]:
     """Return an interval's own estimates and their errors, (12,); NaN and infinite for none."""
     known = np.array([name in SPIN_RELATED for name in NAMES]) & twelve.determined
     value, error = np.where(known, twelve.value, np.nan), np.where(known, twelve.sigma, np.inf)
@@ -216,13 +212,13 @@ def _combined(days: Sequence[xr.Dataset], start: Floats, prior: Floats) -> tuple
     return value, np.asarray(covariance * excess), excess
 
 
-def _axial(zero: xr.Dataset | None, start: int, end: int) -> Known:
+def _axial(zero: xr.Dataset | None, start: int, end: int) -> ExternalValue:
     """Return the offset along the spin axis: of the interval around a window, or of all those in it.
 
     The mean of several is weighted, its error widened where they scatter beyond theirs. The sigma is
     infinite where nothing tells it.
     """
-    nothing = Known(float("nan"), float("inf"), GROUND)
+    nothing = ExternalValue(float("nan"), float("inf"), GROUND)
     if zero is None:
         return nothing
     begins, ends = zero["start"].values, zero["end"].values
@@ -238,10 +234,10 @@ def _axial(zero: xr.Dataset | None, start: int, end: int) -> Known:
     scatter = float(weight @ (value - mean) ** 2) / max(taken.size - 1, 1)
     method = str(zero["method"].values[taken[-1]])
     told = method if taken.size == 1 else f"{method}, mean of {taken.size} windows"
-    return Known(mean, float(np.sqrt(max(1.0, scatter) / weight.sum())), told)
+    return ExternalValue(mean, float(np.sqrt(max(1.0, scatter) / weight.sum())), told)
 
 
-def _whole(twelve: TwelveTable, covariance: Floats, told: Floats) -> Floats:
+def _whole(twelve: ParameterTable, covariance: Floats, told: Floats) -> Floats:
     """Return the covariance of the twelve: that of the eight, the variances of the rest beside it.
 
     Offsets 1 and 2 move with the error of the third, so that in the spin plane nearly all of it cancels.
@@ -254,7 +250,7 @@ def _whole(twelve: TwelveTable, covariance: Floats, told: Floats) -> Floats:
             out[places[row], places[column]] = covariance[row, column]
     offsets = [NAMES.index(f"offset[{axis}]") for axis in (1, 2, 3)]
     variance = out[offsets[2], offsets[2]]
-    slope = along_axial(twelve.parameters) * [twelve.source[at] == SPIN for at in offsets[:2]]
+    slope = axial_offset_slope(twelve.parameters) * [twelve.source[at] == SPIN for at in offsets[:2]]
     for at, moved in zip(offsets[:2], slope, strict=True):
         out[at, offsets[2]] = out[offsets[2], at] = moved * variance
     both = slope[0] * slope[1] * variance
@@ -340,14 +336,14 @@ def zero_level_table(days: Sequence[xr.Dataset], model: Model, edges: Sequence[n
             "start": (one, np.array([row[0] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "end": (one, np.array([row[1] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
         },
-        coords={"method_name": list(METHODS)},
+        coords={"method_name": list(COMBINED_METHODS)},
         attrs={"comparison": model.comparison, "kind": "zero-level", "model": model.sha},
     )
 
 
 @dataclass(frozen=True)
 class _Zero:
-    """A window's offset along the spin axis; `each` has value, sigma and intervals used by `METHODS`."""
+    """A window's offset along the spin axis; `each` has value, sigma and intervals of `COMBINED_METHODS`."""
 
     value: float
     sigma: float
@@ -357,13 +353,13 @@ class _Zero:
     each: Floats
 
 
-def _zero(days: Sequence[xr.Dataset], ground: TwelveParameters, bound: float) -> _Zero:
+def _zero(days: Sequence[xr.Dataset], ground: CalibrationParameters, bound: float) -> _Zero:
     """Return a window's offset along the spin axis, of all methods and of each."""
     times = np.concatenate([day["mean_time"].values[0] for day in days])
     means = np.concatenate([day["mean"].values[0] for day in days])
     known = np.isfinite(means).all(axis=1)
     times, means = _sorted(times[known], means[known])
-    each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(METHODS))
+    each = np.array([[np.nan], [np.inf], [0.0]]) * np.ones(len(COMBINED_METHODS))
     count, start = 0, float(ground.offset[2])
     question = Question(free=(False, False, True), bound=bound)
     try:
@@ -372,19 +368,19 @@ def _zero(days: Sequence[xr.Dataset], ground: TwelveParameters, bound: float) ->
         if count < _FEWEST_INTERVALS:
             why = f"{count} quarter hours, at least {_FEWEST_INTERVALS} needed"
             return _Zero(start, float("inf"), GROUND, why, count, each)
-        found = combined(intervals, question)
+        found = combine_methods(intervals, question)
     except InflightError as error:
         return _Zero(start, float("inf"), GROUND, error.message, count, each)
     # A field of no size along the axis reads as the matrix's last row makes of the offset.
     turn = float(ground.matrix()[2, 2])
-    for one in (one for one in found.methods if one.method in METHODS):
+    for one in (one for one in found.methods if one.method in COMBINED_METHODS):
         told = start + one.value[2] / turn, one.sigma[2] / turn, int(one.used.sum())
-        each[:, METHODS.index(one.method)] = told
+        each[:, COMBINED_METHODS.index(one.method)] = told
     estimate = found.estimate
     if not estimate.determined[2]:
         return _Zero(start, float("inf"), GROUND, "; ".join(estimate.reasons), count, each)
     value, sigma = start + float(estimate.value[2]) / turn, float(estimate.sigma[2]) / turn
-    return _Zero(value, sigma, estimate.method, found.told(), count, each)
+    return _Zero(value, sigma, estimate.method, found.summary(), count, each)
 
 
 def _sorted(times: Int64, means: Floats) -> tuple[Int64, Floats]:
@@ -492,7 +488,9 @@ def cloud_of(start: np.ndarray, end: np.ndarray, estimate: Floats, uncertainty: 
     threshold, value = (np.full(estimate.shape[1], np.nan) for _ in range(2))
     sigma = np.full(estimate.shape[1], np.inf)
     for at in range(estimate.shape[1]):
-        chosen[:, at], _ = choose(np.where(np.isfinite(estimate[:, at]), uncertainty[:, at], np.nan))
+        chosen[:, at], _ = choose_estimates(
+            np.where(np.isfinite(estimate[:, at]), uncertainty[:, at], np.nan)
+        )
         if not chosen[:, at].any():
             continue
         mine, errors = estimate[chosen[:, at], at], uncertainty[chosen[:, at], at]
@@ -540,7 +538,7 @@ def flipper_table(
             continue
         plain, turned = (before, after) if flipped else (after, before)
         try:
-            found = separate(*_corrections(plain, turned), _covariance(plain, turned))
+            found = separate_flipped(*_corrections(plain, turned), _covariance(plain, turned))
         except CalibrationError as error:
             missing.append(f"{utc_text(at)}: {error.message}")
             continue
@@ -587,7 +585,7 @@ def _flipper_table(rows: Sequence[tuple[int, int, Flipped]], model: Model) -> xr
             "value": (each, np.array([row[2].value for row in rows]), {"units": "nT"}),
             "sigma": (each, np.array([row[2].sigma for row in rows]), {"units": "nT"}),
             "covariance": ((*each, "other"), np.array([row[2].covariance for row in rows])),
-            "told": (one, np.array([row[2].told() for row in rows], dtype=np.str_)),
+            "told": (one, np.array([row[2].summary() for row in rows], dtype=np.str_)),
             "units": ("parameter", np.array(["nT"] * len(PARTS), dtype="U8")),
             "start": (one, np.array([row[0] for row in rows], dtype=np.int64), {"scale": "TT2000"}),
             "end": (one, np.array(ends, dtype=np.int64), {"scale": "TT2000"}),

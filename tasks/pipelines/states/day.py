@@ -68,7 +68,7 @@ from inflight.tasks.archive import (
     ArchiveIndex,
     Need,
     ambient_of,
-    kept_readings,
+    cached_readings,
     load_samples,
     saturated,
 )
@@ -232,7 +232,7 @@ def states_window(
         `slower` which part of it is sure to help. Attributes
         `method`, `applied` (yes or no), `verdict`, `remark`.
     """
-    with threadpool_limits(1), kept_readings():
+    with threadpool_limits(1), cached_readings():
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)

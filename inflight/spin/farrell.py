@@ -1,25 +1,29 @@
-"""Farrell 1995.
+"""Sensor angles and zero levels from spin fits (Farrell et al. 1995), and the bending of a boom.
 
-Sensors that are not quite where they should be: exact directions, exact and first-order removal.
+Takes: spin fits of a triad (`inflight.spin.fits.fit_spins`): constants C0 and phasors ``Z = C2 - i C1`` of
+sensors 1 and 2 (spin plane) and 3 (spin axis). Makes (`calibrate_farrell`): `FarrellFit`, elevations, tilt,
+azimuth difference, gain ratio and zero levels with their covariance; `SensorAngles`, whose `remove` turns
+readings into apparent fields; and (`measure_boom_bending`) the azimuth of an outer from an inner triad.
 
-Farrell et al. (1995), eqs. (2) to (20), with sensor 2 at the azimuth 90 degrees + dph2, whose direction is
-therefore ``(-dph2, 1, dth2)`` to first order: eq. (13) starts with *minus* dph2 Bsp cos wt.
+Directions, eqs. (2) to (20), to first order; `SensorAngles.matrix` is exact::
 
-Lines through spin fits: errors in both variables, local weights, scores that are correlated in time.
+    R1 = (1, dph1, dth1),  R2 = (-dph2, 1, dth2),  R3 = (dth3 cos ph3, dth3 sin ph3, 1)
 
-Zero levels over time from the intercepts of spin fits, beside those from before the flight.
+Slope/Intercept: C0 of sensor 1 or 2 against that of sensor 3; the slope is the elevation dth, the intercept
+the zero level (eq. 23) only where O3 is known: it is ``O1 - dth1 O3``. An elevation is the slope of nT
+against nT, ``slope / S3`` of nT against counts (eq. 34), ``slope S1 / S3`` of counts against counts.
 
-Slope/Intercept and Beta/Phi: sensor angles and zero levels from spin fits (Farrell et al. 1995, V).
+Beta/Phi: Z3 against Z1 gives the tilt and its azimuth (eqs. 24, 25); Z2 against Z1 the total phase
+``90 deg + dph2 - dph1`` (eq. 31). Only differences of azimuths show; dph1 comes from before the flight.
 
-The constants of the spin-plane sensors against that of the spin-axis sensor: the slope is the elevation, the
-intercept the zero level (eq. 23). The phasor of the spin-axis sensor against that of sensor 1: the tilt and
-its azimuth (eqs. 24 and 25, with the sign of 24 reversed). That of sensor 2 against sensor 1: the total phase
-(eq. 31, reversed). Only differences of azimuths show; that of sensor 1 comes from before the flight.
+Misprints of the paper, corrected here: (13) begins with *minus* dph2 Bsp cos wt; (24) has the reversed sign:
+``ph3 - dph1 = arg(Z3 / Z1)``; (31) has its ratio inverted and its sign reversed:
+``90 deg + dph2 - dph1 = arg(Z2 / Z1)``; (32) has the wrong sign, (33) the right one; (35) after (32, 33)
+counts dph^2 twice.
 
-Bending of a boom from two magnetometers on it (Farrell et al. 1995, section VI, Fig. 6).
-
-Both triads see one spin-plane field; the outer one, turned by the bend, sees it at another phase:
-``dph = arg(Z1_out / Z1_in)``. What the field does between two spins is in both and cancels.
+Lines have errors along both axes (Fuller 1987, section 1.2), local weights, and scores that are correlated in
+time. Bending (section VI, Fig. 6): both triads see one spin-plane field, the outer one turned by the bend,
+``dph = arg(Z1_out / Z1_in)``; what the field does between two spins is in both and cancels.
 """
 
 from __future__ import annotations
@@ -39,8 +43,57 @@ from inflight.lsq import TO_SIGMA, WEIGHTED_RMS, biweight, biweight_slope, long_
 from inflight.spin.fits import SpinFits
 from inflight.time import DAY, SECOND, Int64, utc_text
 
-#: The inverse of directions nearer to a plane than this is not trusted.
-_FLAT = 0.05
+Complexes = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarrellSettings:
+    """Numbers of the fits of lines to spin fits.
+
+    Attributes
+    ----------
+    least_determinant : float
+        Three directions whose determinant is smaller lie nearly in a plane and are not inverted. Assumed.
+    around : int
+        Fits around each whose median residual is its scatter: regions differ by orders of magnitude. Assumed.
+    rounds : int
+        Rounds of weights and line. Assumed.
+    quiet_percent : float
+        Part of the fits, those of least residual, that gives the noise of the instrument: the field only adds
+        to it. Assumed.
+    most_noise : float
+        A line is refused when noise makes more than this part of the variance along x. Assumed.
+    fewest : int
+        Fits that a line or a window needs. Assumed.
+    own_scatter : int
+        Points of a window from which on its own scatter gives the error of its mean; with fewer that of the
+        whole span is taken. Assumed.
+    spins : int
+        Spins that are averaged before lines are fitted. Within one spin a compressed field changes along all
+        axes at once, and what it does near the spin period leaks into both constants: a slope that no angle
+        has, half a sigma for an hour of single spins. Over several spins the leak of the one and the mean of
+        the other have no frequency in common. Measured: docs/science/farrell.md.
+    seen : float
+        Sigmas of a tilt from which on its azimuth is given. Level of significance: 0.3 %.
+    """
+
+    least_determinant: float = 0.05
+    around: int = 101
+    rounds: int = 8
+    quiet_percent: float = 10.0
+    most_noise: float = 0.5
+    fewest: int = 10
+    own_scatter: int = 30
+    spins: int = 8
+    seen: float = 3.0
+
+
+FARRELL = FarrellSettings()
+
+#: Parameters of a `FarrellFit` in order, and their units.
+NAMES = ("elevation_1", "elevation_2", "tilt_x", "tilt_y", "azimuth_2 - azimuth_1", "gain_ratio")
+
+UNITS = ("rad", "rad", "rad", "rad", "rad", "1")
 
 
 @dataclass(frozen=True)
@@ -89,7 +142,7 @@ class SensorAngles:
             When the three directions lie in a plane.
         """
         matrix = self.matrix()
-        if abs(float(np.linalg.det(matrix))) < _FLAT:
+        if abs(float(np.linalg.det(matrix))) < FARRELL.least_determinant:
             raise CalibrationError(
                 f"the three sensors' directions are nearly in one plane: {matrix.round(3).tolist()}",
                 remedy="see the angles and their sigmas before they are used",
@@ -131,7 +184,7 @@ def _vectors(given: Floats) -> Floats:
     return given
 
 
-def phase_between(fits: SpinFits, first: int, second: int) -> npt.NDArray[np.float64]:
+def azimuth_between(fits: SpinFits, first: int, second: int) -> npt.NDArray[np.float64]:
     """Return the azimuth of one sensor from another at every fit, radians in (-pi, pi]; (fit,).
 
     ``arg(Z_second / Z_first) = atan2(C1, C2) of the first - atan2(C1, C2) of the second``: eqs. (24) and (31)
@@ -141,25 +194,7 @@ def phase_between(fits: SpinFits, first: int, second: int) -> npt.NDArray[np.flo
     return np.asarray(np.angle(phasor[:, second] * np.conj(phasor[:, first])))
 
 
-Complexes = npt.NDArray[np.complex128]
-
-#: The scatter around a line is that of this many fits around each: regions differ by orders of magnitude.
-_AROUND = 101
-
-#: Rounds of weights and line.
-_ROUNDS = 8
-
-#: The quietest part of the fits, whose residual is the instrument's: nature only adds to it.
-_QUIET = 10.0
-
-#: A line is refused when noise makes more than this part of the variance along x.
-_MOST_NOISE = 0.5
-
-#: Fits that a line needs for a scatter that can be believed.
-FEWEST = 10
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Line:
     """A regression through zero after each group's own mean is taken off (or none is).
 
@@ -170,8 +205,8 @@ class Line:
     scores : ndarray, shape (fit,)
         What each fit adds to the slope's error; their long-run covariance is the slope's.
     weight : ndarray, shape (fit,)
-    left : ndarray, shape (fit,)
-        Residuals.
+    residual : ndarray, shape (fit,)
+        Along y.
     reliability : float
         Part of the weighted variance along x that is no noise.
     plain : complex
@@ -181,7 +216,7 @@ class Line:
     slope: complex
     scores: Complexes
     weight: Floats
-    left: Complexes
+    residual: Complexes
     reliability: float
     plain: complex
 
@@ -212,50 +247,47 @@ def fit_line(
     CalibrationError
         Too few fits, or an x that hardly changes.
     """
-    if x.size < FEWEST:
+    if x.size < FARRELL.fewest:
         raise CalibrationError(
-            f"{x.size} whole spin fits found, at least {FEWEST} needed", remedy="take a longer span"
+            f"{x.size} whole spin fits found, at least {FARRELL.fewest} needed", remedy="take a longer span"
         )
     z, v = np.asarray(x, dtype=np.complex128), np.asarray(y, dtype=np.complex128)
-    weight, kept, answer = np.ones(x.size), 1.0, np.ones(x.size)
-    for turn in range(_ROUNDS):
+    weight, kept, slope_weight = np.ones(x.size), 1.0, np.ones(x.size)
+    for turn in range(FARRELL.rounds):
         across, along = _centred(v, weight, group), _centred(z, weight, group)
         square = float(np.sum(weight * np.abs(along) ** 2))
         error = kept * float(np.sum(weight * noise))
         cross = complex(np.sum(weight * np.conj(along) * across))
-        _refuse_flat(square, error, weight, x.size)
+        if not square > 0 or error > FARRELL.most_noise * square:
+            total = max(float(weight.sum()), 1e-300)
+            raise CalibrationError(
+                f"what the line is fitted along changes by {np.sqrt(square / total):.3g} nT rms over {x.size}"
+                f" fits, and {np.sqrt(error / total):.3g} nT of that is noise",
+                remedy="take a span in which the field changes more, or fits of more spins",
+            )
         slope = cross / (square - error)
-        left = across - slope * along
-        if turn < _ROUNDS - 1:
-            weight, answer = _weights(left, real=np.isrealobj(x))
-            kept = _kept_noise(weight, left, slope, noise)
-    # Weights follow the residuals: the slope gives way by more than they say.
-    give = float(np.sum(answer * np.abs(along) ** 2)) / square
-    scores = weight * (np.conj(along) * left + slope * kept * noise) / (square - error) / give
-    return Line(slope, np.asarray(scores), weight, np.asarray(left), 1.0 - error / square, cross / square)
-
-
-def _kept_noise(weight: Floats, left: Complexes, slope: complex, noise: Floats) -> float:
-    """Return what part of the noise along x the weights have left, which favour small residuals.
-
-    Residuals that are all noise along x keep what the biweight keeps of a Gaussian's variance.
-    """
-    total = float(np.sum(weight * np.abs(left) ** 2))
-    part = abs(slope) ** 2 * float(np.sum(weight * noise)) / total if total > 0 else 0.0
-    return 1.0 - min(part, 1.0) * (1.0 - WEIGHTED_RMS**2)
-
-
-def _refuse_flat(square: float, error: float, weight: Floats, count: int) -> None:
-    if not square > 0 or error > _MOST_NOISE * square:
-        total = max(float(weight.sum()), 1e-300)
-        raise CalibrationError(
-            f"what the line is fitted along changes by {np.sqrt(square / total):.3g} nT rms over {count}"
-            f" fits, and {np.sqrt(error / total):.3g} nT of that is noise",
-            remedy="take a span in which the field changes more, or fits of more spins",
-        )
+        residual = across - slope * along
+        if turn < FARRELL.rounds - 1:
+            weight, slope_weight = _robust_weights(residual, real=np.isrealobj(x))
+            # Residuals that are all noise along x keep what the biweight keeps of a Gaussian's variance.
+            total = float(np.sum(weight * np.abs(residual) ** 2))
+            part = abs(slope) ** 2 * float(np.sum(weight * noise)) / total if total > 0 else 0.0
+            kept = 1.0 - min(part, 1.0) * (1.0 - WEIGHTED_RMS**2)
+    # Weights follow the residuals: the slope answers by more than with fixed weights.
+    response = float(np.sum(slope_weight * np.abs(along) ** 2)) / square
+    scores = weight * (np.conj(along) * residual + slope * kept * noise) / (square - error) / response
+    return Line(
+        slope=slope,
+        scores=np.asarray(scores),
+        weight=weight,
+        residual=np.asarray(residual),
+        reliability=1.0 - error / square,
+        plain=cross / square,
+    )
 
 
 def _centred(values: Complexes, weight: Floats, group: Int64 | None) -> Complexes:
+    """Return values less the weighted mean of their group."""
     if group is None:
         return values
     return np.asarray(values - group_means(values, weight, group)[group])
@@ -268,37 +300,39 @@ def group_means(values: Complexes, weight: Floats, group: Int64) -> Complexes:
     return np.asarray((parts[0] + 1j * parts[1]) / np.where(total > 0, total, np.nan))
 
 
-def _weights(left: Complexes, *, real: bool) -> tuple[Floats, Floats]:
-    """Return weights from the scatter between neighbours, less far outside, and by how much these give way.
+def _robust_weights(residual: Complexes, *, real: bool) -> tuple[Floats, Floats]:
+    """Return the weights of fits by the scatter around each, and the slope of weight times residual.
 
-    From their differences: by residuals from zero, fits of a drifting sensor that happen to be near the line
-    would pull it to themselves.
+    The scatter is that of the differences of neighbours: by residuals from zero, fits of a drifting sensor
+    that happen to be near the line would draw it to themselves.
     """
-    step = np.abs(np.diff(left, prepend=left[:1] + left[0] - left[1]))
+    step = np.abs(np.diff(residual, prepend=residual[:1] + residual[0] - residual[1]))
     scatter = TO_SIGMA / np.sqrt(2.0) * _median_around(step)
-    scatter = np.maximum(scatter, np.percentile(scatter, _QUIET))
-    size = np.abs(left)
+    scatter = np.maximum(scatter, np.percentile(scatter, FARRELL.quiet_percent))
+    size = np.abs(residual)
     usual = np.maximum(TO_SIGMA * _median_around(size), scatter)
     known = usual > 0
-    pull = np.divide(size, usual, out=np.zeros_like(size), where=known)
+    scaled = np.divide(size, usual, out=np.zeros_like(size), where=known)
     base = np.divide(1.0, scatter**2, out=np.ones_like(size), where=scatter > 0)
-    weight = base * biweight(pull)
-    # In a plane the weight gives way along the residual only.
-    answer = base * biweight_slope(pull) if real else 0.5 * (weight + base * biweight_slope(pull))
+    weight = base * biweight(scaled)
+    slope_weight = base * biweight_slope(scaled)
+    if not real:
+        # In a plane the weight changes along the residual only.
+        slope_weight = 0.5 * (weight + slope_weight)
     most = float(weight.max())
-    return (weight / most, answer / most) if most > 0 else (np.ones(size.size), np.ones(size.size))
+    return (weight / most, slope_weight / most) if most > 0 else (np.ones(size.size), np.ones(size.size))
 
 
 def _median_around(values: Floats) -> Floats:
-    return np.asarray(median_filter(values, min(_AROUND, 2 * (values.size // 2) - 1), mode="nearest"))
+    return np.asarray(median_filter(values, min(FARRELL.around, 2 * (values.size // 2) - 1), mode="nearest"))
 
 
 def instrument_noise(fits: SpinFits) -> Floats:
     """Return the noise of one reading by the residual of the quietest fits; (component,).
 
-    Every fit's residual holds the field's own fluctuations, too; these are no error of C0, which is the mean
-    of the field there was. The tenth of the fits with the least residual tell the instrument's, or an upper
-    bound of it.
+    Every fit's residual also holds fluctuations of the field; these are no error of C0, which is the mean of
+    the field there was. The tenth of the fits with the least residual give the noise of the instrument, or an
+    upper bound of it.
     """
     freedom = fits.count - fits.value.shape[-1]
     known = fits.determined & (freedom > 0)
@@ -308,12 +342,12 @@ def instrument_noise(fits: SpinFits) -> Floats:
         own = rms[known[:, k], k]
         if own.size:
             usual = float(np.median(freedom[known[:, k], k]))
-            level = np.sqrt(stats.chi2.ppf(_QUIET / 100.0, usual) / usual)
-            out[k] = float(np.percentile(own, _QUIET)) / level
+            level = np.sqrt(stats.chi2.ppf(FARRELL.quiet_percent / 100.0, usual) / usual)
+            out[k] = float(np.percentile(own, FARRELL.quiet_percent)) / level
     return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Points:
     """Means of neighbouring fits, what the lines are fitted to; arrays along ``point``, nT.
 
@@ -324,7 +358,7 @@ class Points:
     constant, phasor : ndarray, shape (point, component)
     noise : ndarray, shape (point, component, coefficient)
         Variances by the instrument's noise.
-    doubt : ndarray, shape (component,)
+    relative_sigma : ndarray, shape (component,)
         Relative standard deviation of these.
     """
 
@@ -333,7 +367,7 @@ class Points:
     constant: Floats
     phasor: Complexes
     noise: Floats
-    doubt: Floats
+    relative_sigma: Floats
 
     @property
     def time(self) -> Int64:
@@ -352,7 +386,7 @@ class Points:
             nT per unit of the fits.
         spins : int
         """
-        together = max(1, min(spins // fits.spins, len(fits) // (2 * FEWEST)))
+        together = max(1, min(spins // fits.spins, len(fits) // (2 * FARRELL.fewest)))
         block = fits.turn // (together * fits.spins)
         first = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
         count = np.diff(np.append(first, len(fits)))
@@ -363,14 +397,19 @@ class Points:
         phasor = np.add.reduceat(np.asarray(fits.phasor * unit), first) / number
         noise = np.add.reduceat(noise_variance(fits), first) / number[..., None] ** 2 * unit[:, None] ** 2
         start, end = fits.start[first], fits.end[first + count - 1]
-        doubt = noise_doubt(fits)
-        means = constant[kept], np.asarray(phasor[kept], dtype=np.complex128)
-        return cls(start[kept], end[kept], *means, noise[kept], doubt)
+        return cls(
+            start=start[kept],
+            end=end[kept],
+            constant=constant[kept],
+            phasor=np.asarray(phasor[kept], dtype=np.complex128),
+            noise=noise[kept],
+            relative_sigma=noise_uncertainty(fits),
+        )
 
 
-def noise_doubt(fits: SpinFits) -> Floats:
+def noise_uncertainty(fits: SpinFits) -> Floats:
     """Return the relative standard deviation of the squares of `instrument_noise`; (component,)."""
-    part = _QUIET / 100.0
+    part = FARRELL.quiet_percent / 100.0
     out = np.zeros(fits.value.shape[1])
     for k in range(out.size):
         freedom = (fits.count[:, k] - fits.value.shape[-1])[fits.determined[:, k]]
@@ -392,11 +431,7 @@ def noise_variance(fits: SpinFits) -> Floats:
     return np.asarray(unit * noise[None, :, None] ** 2)
 
 
-#: Points of a window whose scatter tells the error of its mean; with fewer the whole span's is taken.
-_OWN_SCATTER = 30
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Intercepts:
     """Zero levels of the spin-plane sensors, one row a window.
 
@@ -447,8 +482,8 @@ class Intercepts:
             },
         )
 
-    def told(self) -> str:
-        """Say the last window's zero levels."""
+    def summary(self) -> str:
+        """Return the last window's zero levels in words."""
         both = " and ".join(
             f"{value:+.3f} +- {sigma:.3f} nT"
             for value, sigma in zip(self.zero[-1], self.sigma[-1], strict=True)
@@ -471,10 +506,17 @@ class Intercepts:
             raise SamplesError(f"{before.size} zero levels found", remedy="give those of sensors 1 and 2")
         change_sigma = np.hypot(self.sigma, preflight_sigma)
         rate, rate_sigma = _rates(self)
-        return ZeroDrift(self, before, self.zero - before, change_sigma, rate, rate_sigma)
+        return ZeroDrift(
+            levels=self,
+            preflight=before,
+            change=self.zero - before,
+            change_sigma=change_sigma,
+            rate=rate,
+            rate_sigma=rate_sigma,
+        )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ZeroDrift:
     """Zero levels against those from before the flight; arrays (window, 2) or (2,), nT and nT a day.
 
@@ -501,8 +543,8 @@ class ZeroDrift:
             }
         )
 
-    def told(self) -> str:
-        """Say what has moved, a line a sensor."""
+    def summary(self) -> str:
+        """Return what has moved, in words, sensor by sensor."""
         when = utc_text(int(self.levels.time[-1]))
         rows = []
         for k in range(2):
@@ -514,7 +556,7 @@ class ZeroDrift:
         return "; ".join(rows)
 
 
-def intercepts_of(
+def find_intercepts(
     points: Points,
     lines: list[Line],
     slope_sigma: Floats,
@@ -548,27 +590,27 @@ def intercepts_of(
     sigma = np.sqrt(own**2 + common**2 + (slopes * np.nan_to_num(known[1])) ** 2)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(group)) + 1, [group.size]])
     return Intercepts(
-        points.start[edges[:-1]],
-        points.end[edges[1:] - 1] + 1,
-        intercept,
-        intercept + slopes * known[0],
-        sigma,
-        common,
-        known,
+        start=points.start[edges[:-1]],
+        end=points.end[edges[1:] - 1] + 1,
+        intercept=intercept,
+        zero=intercept + slopes * known[0],
+        sigma=sigma,
+        common=common,
+        spin_axis_zero=known,
     )
 
 
 def _errors_of_means(line: Line, group: Int64, windows: int) -> Floats:
-    """Return the standard deviation of each window's mean residual, correlation in time respected."""
-    left, weight = line.left.real, line.weight
+    """Return the standard deviation of each window's mean residual, with its correlation in time."""
+    residual, weight = line.residual.real, line.weight
     edges = np.searchsorted(group, np.arange(windows + 1))
     # Scaled so that the mean of a window's entries is its weighted mean.
     mean_weight = np.bincount(group, weight) / np.bincount(group)
-    parts = left * weight / mean_weight[group]
+    parts = residual * weight / mean_weight[group]
     whole = sigma_of_mean(parts) * np.sqrt(parts.size)
     return np.array(
         [
-            sigma_of_mean(parts[a:b]) if b - a >= _OWN_SCATTER else whole / np.sqrt(b - a)
+            sigma_of_mean(parts[a:b]) if b - a >= FARRELL.own_scatter else whole / np.sqrt(b - a)
             for a, b in pairwise(edges)
         ]
     )
@@ -588,31 +630,18 @@ def _rates(levels: Intercepts) -> tuple[Floats, Floats]:
         away = days - np.average(days, weights=1.0 / own)
         part = away / own / np.sum(away**2 / own)
         rate[k] = part @ levels.zero[:, k]
-        left = levels.zero[:, k] - np.average(levels.zero[:, k], weights=1.0 / own) - rate[k] * away
-        # Zero levels that wander more than their errors let the rate be no surer than they wander.
+        residual = levels.zero[:, k] - np.average(levels.zero[:, k], weights=1.0 / own) - rate[k] * away
+        # Where zero levels scatter by more than their errors, the error of the rate grows with the scatter.
         freedom = days.size - 2
-        excess = max(float(np.sum(left**2 / own)) / freedom, 1.0)
+        excess = max(float(np.sum(residual**2 / own)) / freedom, 1.0)
         wide = float(stats.t.ppf(0.8413, freedom))
         sigma[k] = np.hypot(wide * np.sqrt(part**2 @ own * excess), part @ levels.common[:, k])
     return rate, sigma
 
 
-NAMES = ("elevation_1", "elevation_2", "tilt_x", "tilt_y", "azimuth_2 - azimuth_1", "gain_ratio")
-
-UNITS = ("rad", "rad", "rad", "rad", "rad", "1")
-
-#: Within one spin a field that is compressed changes along all axes at once, and what it does near the spin
-#: period leaks into both constants: a slope that no angle has, half a sigma for an hour of single spins.
-#: Over several spins the leak of the one and the mean of the other have no frequency in common.
-SPINS = 8
-
-#: The azimuth of a tilt is told when the tilt is this many sigmas.
-_SEEN = 3.0
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FarrellFit:
-    """What the tones and constants of a span of spin fits tell.
+    """Angles, gain ratio and zero levels from the tones and constants of a span of spin fits.
 
     Attributes
     ----------
@@ -661,7 +690,7 @@ class FarrellFit:
         size, along = self._polar()
         across = np.array([-along[1], along[0]])
         sigma = float(np.sqrt(across @ self.covariance[2:4, 2:4] @ across))
-        if size < _SEEN * sigma:
+        if size < FARRELL.seen * sigma:
             return float("nan"), float("nan")
         azimuth = float(np.arctan2(self.value[3], self.value[2])) + self.azimuth_1[0]
         return (azimuth + np.pi) % (2 * np.pi) - np.pi, float(np.hypot(sigma / size, self.azimuth_1[1]))
@@ -697,19 +726,19 @@ class FarrellFit:
         )
         return table.merge(self.intercepts.table().rename({"value": "zero", "sigma": "zero_sigma"}))
 
-    def told(self) -> str:
-        """Say the angles in degrees and the zero levels in nT."""
+    def summary(self) -> str:
+        """Return the angles in degrees and the zero levels in nT, in words."""
         degrees, sigma = np.rad2deg(self.value), np.rad2deg(self.sigma)
         parts = [f"{NAMES[i]} {degrees[i]:+.4f} +- {sigma[i]:.4f} deg" for i in range(5)]
         parts.append(f"gain ratio {self.value[5]:.6f} +- {self.sigma[5]:.6f}")
-        return "; ".join([*parts, self.intercepts.told()])
+        return "; ".join([*parts, self.intercepts.summary()])
 
 
-def farrell(
+def calibrate_farrell(
     fits: SpinFits,
     *,
     sensitivity: Floats | None = None,
-    spins: int = SPINS,
+    spins: int = FARRELL.spins,
     window: float | None = None,
     azimuth_1: tuple[float, float] = (0.0, 0.0),
     spin_axis_zero: tuple[float, float] | None = None,
@@ -742,9 +771,9 @@ def farrell(
         raise SamplesError(f"fits of {fits.value.shape[1]} sensors found, 3 needed", remedy="give the triad")
     # While the field jumps, neither its mean nor its tone is one of the spin's.
     whole = fits.where(np.asarray(fits.determined.all(axis=1) & ~fits.changing.any(axis=1)))
-    if len(whole) < FEWEST:
+    if len(whole) < FARRELL.fewest:
         raise CalibrationError(
-            f"{len(whole)} of {len(fits)} spin fits are whole, at least {FEWEST} needed",
+            f"{len(whole)} of {len(fits)} spin fits are whole, at least {FARRELL.fewest} needed",
             remedy="take a longer span, or see why the phase or the readings are missing",
         )
     unit = np.ones(3) if sensitivity is None else np.asarray(sensitivity, dtype=np.float64)
@@ -755,19 +784,26 @@ def farrell(
     both = noise[..., 1] + noise[..., 2]
     tilt = fit_line(phasor[:, 0], phasor[:, 2], both[:, 0])
     turned = fit_line(phasor[:, 0], phasor[:, 1], both[:, 0])
-    value, covariance = _joined(lines, tilt, turned, _gain_ratio(phasor, both, turned.weight))
-    # Both slopes lean on one estimate of the noise of sensor 3.
-    leaning = np.array([line.slope.real * (1.0 / line.reliability - 1.0) for line in lines])
-    covariance[:2, :2] += np.outer(leaning, leaning) * points.doubt[2] ** 2
+    value, covariance = _six_parameters(lines, tilt, turned, _gain_ratio(phasor, both, turned.weight))
+    # Both slopes use one estimate of the noise of sensor 3.
+    shared = np.array([line.slope.real * (1.0 / line.reliability - 1.0) for line in lines])
+    covariance[:2, :2] += np.outer(shared, shared) * points.relative_sigma[2] ** 2
     slope_sigma = np.sqrt(np.diag(covariance)[:2])
-    intercepts = intercepts_of(points, lines, slope_sigma, group, spin_axis_zero)
-    span = int(whole.start[0]), int(whole.end[-1]) + 1
-    plain = np.array([line.plain.real for line in lines])
-    sure = np.array([line.reliability for line in lines])
-    return FarrellFit(value, covariance, intercepts, plain, sure, azimuth_1, len(whole), span)
+    intercepts = find_intercepts(points, lines, slope_sigma, group, spin_axis_zero)
+    return FarrellFit(
+        value=value,
+        covariance=covariance,
+        intercepts=intercepts,
+        plain_slope=np.array([line.plain.real for line in lines]),
+        reliability=np.array([line.reliability for line in lines]),
+        azimuth_1=azimuth_1,
+        used=len(whole),
+        span=(int(whole.start[0]), int(whole.end[-1]) + 1),
+    )
 
 
 def _windows(time: Int64, window: float | None) -> Int64:
+    """Return the number of the window of each point, from 0; `window` in days."""
     if window is None:
         return np.zeros(time.size, dtype=np.int64)
     if not window > 0:
@@ -785,7 +821,7 @@ def _gain_ratio(phasor: Complexes, noise: Floats, weight: Floats) -> tuple[float
     return ratio, scores
 
 
-def _joined(
+def _six_parameters(
     lines: list[Line], tilt: Line, turned: Line, ratio: tuple[float, Floats]
 ) -> tuple[Floats, Floats]:
     """Return the six parameters and their covariance from the scores of all lines together.
@@ -822,7 +858,7 @@ def _joined(
     return value, long_run_covariance(scores)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BoomBending:
     """Azimuth of the outer triad from the inner one in windows of time.
 
@@ -864,7 +900,7 @@ class BoomBending:
         )
 
 
-def boom_bending(
+def measure_boom_bending(
     outer: SpinFits, inner: SpinFits, *, window: float | None = None, mounted: float = 0.0
 ) -> BoomBending:
     """Return the bend of the boom by the spin phase of its outer against its inner magnetometer.
@@ -891,9 +927,9 @@ def boom_bending(
     _, a, b = np.intersect1d(outer.turn, inner.turn, return_indices=True)
     good = outer.determined[a, 0] & inner.determined[b, 0]
     a, b = a[good], b[good]
-    if a.size < FEWEST:
+    if a.size < FARRELL.fewest:
         raise CalibrationError(
-            f"{a.size} spins have fits of both magnetometers, at least {FEWEST} needed",
+            f"{a.size} spins have fits of both magnetometers, at least {FARRELL.fewest} needed",
             remedy="take a longer span, or see whether both were fitted against one phase",
         )
     noise = noise_variance(inner)[b, 0, 1:3].sum(axis=-1)
@@ -902,18 +938,20 @@ def boom_bending(
     product = line.weight * np.conj(inner.phasor[b, 0]) * outer.phasor[a, 0]
     step = np.zeros(a.size) if window is None else (outer.time[a] - outer.time[a][0]) // round(window * DAY)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(step)) + 1, [a.size]])
-    found = [_angle(product[low:high]) for low, high in pairwise(edges)]
+    found = [_mean_angle(product[low:high]) for low, high in pairwise(edges)]
     value, sigma = np.array(found).T
     turned = (value - mounted + np.pi) % (2 * np.pi) - np.pi
     starts, ends = outer.start[a][edges[:-1]], outer.end[a][edges[1:] - 1] + 1
-    return BoomBending(starts, ends, turned, sigma, mounted, np.diff(edges))
+    return BoomBending(
+        start=starts, end=ends, value=turned, sigma=sigma, mounted=mounted, fits=np.diff(edges)
+    )
 
 
-def _angle(product: np.ndarray) -> tuple[float, float]:
+def _mean_angle(product: np.ndarray) -> tuple[float, float]:
     """Return the angle of a sum of complex numbers and its standard deviation."""
-    if product.size < FEWEST:
+    if product.size < FARRELL.fewest:
         raise CalibrationError(
-            f"a window has {product.size} spins with both magnetometers, at least {FEWEST} needed",
+            f"a window has {product.size} spins with both magnetometers, at least {FARRELL.fewest} needed",
             remedy="take longer windows",
         )
     total = product.mean()

@@ -1,14 +1,17 @@
-r"""Sets, scatter, averaging (scorecard only).
+r"""Published studies of zero levels: averaging over spins, sets of averages (IMP-8), scatter with hours.
 
-Corrections of sets of successive averages, their scatter and trend (IMP-8: 72 sets of 1440, table 3).
+Takes: readings of a spinning or a stabilised spacecraft. Makes:
 
-How the scatter of a recovered offset falls with the hours used.
-
-Averages over whole spins *and* whole samples: what else of a field that turns with the spacecraft stays.
-
-In despun axes a field fixed to the spacecraft, or an offset in the spin plane, turns once a spin. The mean
-of N samples T_s apart leaves the part :math:`|\sin(\pi N T_s/T) / (N \sin(\pi T_s/T))|` of it. Five whole
-spins of 1 s leave a third of it when they are sampled every 1.5 s: three or four samples do not close.
+- `average_spans`, and the rule it must obey (`check_averaging`). In despun axes a field fixed to the
+spacecraft, or
+  an offset in the spin plane, turns once a spin. The mean of N samples T_s apart leaves the part
+  :math:`|\sin(\pi N T_s/T) / (N \sin(\pi T_s/T))|` of it (`remaining_part`): five whole spins of 1 s leave a
+  third when they are sampled every 1.5 s, because 3.33 samples are no whole number. `largest_leak` is table 1
+  of Hedgecock's tests on IMP-8 and Helios; its last number of the second part is a misprint (0.93 for 0.644).
+- `correlation_sets`: the corrections of sets of successive averages by minimum correlation, their mean and
+trend
+  (IMP-8: 72 sets of 1440, table 3).
+- `scatter_with_hours`: how the scatter of a recovered offset falls with the hours used (Plaschke 2019).
 """
 
 from __future__ import annotations
@@ -23,22 +26,56 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import long_run_covariance, robust_fit, robust_sigma
 from inflight.time import DAY, SECOND, Int64
-from inflight.zero_level.combination import Method
-from inflight.zero_level.estimate import BOUND, Estimate, Question, informed
-from inflight.zero_level.intervals import AXES, Bools, Intervals
-from inflight.zero_level.methods import MINIMUM_CORRELATION, balance, joint_equations, least_variance
+from inflight.zero_level import (
+    AXES,
+    MINIMUM_CORRELATION,
+    Bools,
+    Estimate,
+    Estimator,
+    Intervals,
+    Question,
+    zero_of_minimum_correlation,
+)
 
-#: Averages of a set, and parts of a set whose scatter says what the set tells.
-SET, _PARTS = 1440, 12
+#: Averages of a set (IMP-8).
+SET = 1440
 
-#: Fewest sets of a trend, and of a scatter.
-_FEWEST = 3
+#: Published for the solar wind, (hours, nT): Plaschke, How many solar wind data are sufficient for accurate
+#: fluxgate magnetometer offset determinations?, Geosci. Instrum. Method. Data Syst. 8, 285 (2019).
+PUBLISHED = ((20.0, 0.3), (40.0, 0.2))
 
-_ROUNDS, _SETTLED, _STRIDE = 60, 1e-4, 0.2
+
+@dataclass(frozen=True, kw_only=True)
+class StudySettings:
+    """Numbers of the studies.
+
+    Attributes
+    ----------
+    parts : int
+        Parts of a set whose scatter gives its error. Assumed.
+    fewest : int
+        Fewest sets of a mean or a trend. Assumed.
+    block_s : float
+        Intervals drawn together, s: neighbours are correlated. Assumed.
+    tolerance : float
+        An average that leaves more than this part of a turning field is no average over spins. Derived: 2 nT
+        of spin-plane offset leave 0.1 nT, the accuracy sought.
+    windows : int
+        Averages among which the largest leak is found. Assumed.
+    """
+
+    parts: int = 12
+    fewest: int = 3
+    block_s: float = 3600.0
+    tolerance: float = 0.05
+    windows: int = 4000
+
+
+STUDY = StudySettings()
 
 
 @dataclass(frozen=True)
-class Sets:
+class OffsetSets:
     """Offsets of sets, one after the other.
 
     Attributes
@@ -55,19 +92,19 @@ class Sets:
     end: Int64
 
     @property
-    def told(self) -> Bools:
-        """Sets that tell an offset; (set,)."""
+    def determined(self) -> Bools:
+        """Sets that determine an offset; (set,)."""
         return np.asarray(np.isfinite(self.value).all(axis=1))
 
     def mean(self) -> Estimate:
-        """Return the mean of the sets, its covariance from their scatter; outlying sets lose their say.
+        """Return the mean of the sets, its covariance from their scatter; outlying sets are down-weighted.
 
         Raises
         ------
         CalibrationError
-            Fewer than three sets tell an offset.
+            Fewer than three sets determine an offset.
         """
-        used = self._enough()
+        used = self._sufficient()
         value, sigma = self.value[used], self.sigma[used]
         fits = [robust_fit(np.ones((len(value), 1)), value[:, i], sigma[:, i] ** 2, 1.0) for i in range(3)]
         mean = np.array([fit.value[0] for fit in fits])
@@ -79,29 +116,29 @@ class Sets:
         size = np.sqrt(np.maximum(np.diag(shared), 1e-300))
         covariance = shared * np.outer(spread / size, spread / size)
         lost = int((~used).sum() + sum(fit.outlying for fit in fits))
-        told = f"{lost} of {used.size} sets have no zero nearby, or one far from those of the others"
+        why = f"{lost} of {used.size} sets have no zero nearby, or one far from those of the others"
         return Estimate(
-            f"{MINIMUM_CORRELATION}, sets",
-            mean,
-            covariance,
-            np.full(3, True),
-            influence,
-            used,
-            self.start,
-            self.end,
-            np.zeros((3, 3)),
-            (told,) if lost else (),
+            method=f"{MINIMUM_CORRELATION}, sets",
+            solution=mean,
+            covariance=covariance,
+            determined=np.full(3, True),
+            influence=influence,
+            used=used,
+            start=self.start,
+            end=self.end,
+            systematic=np.zeros((3, 3)),
+            reasons=(why,) if lost else (),
         )
 
     def trend(self) -> SetTrend:
-        """Return the line c = a t + b of each axis, t in days from the middle; outlying sets lose their say.
+        """Return the line c = a t + b of each axis, t in days from the middle, with robust weights.
 
         Raises
         ------
         CalibrationError
-            Fewer than three sets tell an offset.
+            Fewer than three sets determine an offset.
         """
-        used = self._enough()
+        used = self._sufficient()
         middle = (self.start // 2 + self.end // 2)[used]
         centre = round(float(np.mean(middle - middle[0]))) + int(middle[0])
         days = (middle - centre) / DAY
@@ -113,11 +150,11 @@ class Sets:
         scatter = np.array([robust_sigma(fit.left) for fit in fits])
         return SetTrend(line[0], error[0], line[1], error[1], scatter, centre, int(used.sum()))
 
-    def _enough(self) -> Bools:
-        used = self.told
-        if used.sum() < _FEWEST:
+    def _sufficient(self) -> Bools:
+        used = self.determined
+        if used.sum() < STUDY.fewest:
             raise CalibrationError(
-                f"{int(used.sum())} of {used.size} sets tell an offset, {_FEWEST} needed",
+                f"{int(used.sum())} of {used.size} sets tell an offset, {STUDY.fewest} needed",
                 remedy="take a longer span, or larger sets",
             )
         return used
@@ -181,9 +218,9 @@ def correlation_sets(
     averages: Floats,
     size: int = SET,
     good: Bools | None = None,
-    bound: float = BOUND,
+    bound: float = Question.bound,
     free: tuple[bool, bool, bool] = (True, True, True),
-) -> Sets:
+) -> OffsetSets:
     """Find the offset of each set of successive averages by minimum correlation along all axes at once.
 
     Parameters
@@ -195,7 +232,7 @@ def correlation_sets(
         Averages of a set.
     good : ndarray of bool, shape (time,), optional
     bound : float
-        A set whose zero lies further out, or nowhere, tells nothing; nT.
+        A set whose zero lies further out, or nowhere, determines nothing; nT.
     free : tuple of bool
         Axes to estimate; the others are 0.
 
@@ -205,55 +242,22 @@ def correlation_sets(
         No whole set.
     """
     cadence = float(np.median(np.diff(tt2000))) / SECOND
-    parts = max(size // _PARTS, 16)
-    intervals = Intervals.of(tt2000, averages, parts * cadence, good, fewest=_PARTS // 2)
-    number = (intervals.start - intervals.start[0]) // round(parts * cadence * SECOND) // _PARTS
+    parts = max(size // STUDY.parts, 16)
+    intervals = Intervals.of(tt2000, averages, parts * cadence, good, fewest=STUDY.parts // 2)
+    number = (intervals.start - intervals.start[0]) // round(parts * cadence * SECOND) // STUDY.parts
     rows = [np.flatnonzero(number == one) for one in np.unique(number)]
-    rows = [row for row in rows if row.size >= _PARTS // 2]
+    rows = [row for row in rows if row.size >= STUDY.parts // 2]
     question = Question(free, bound=bound)
-    found = np.array([_zero(intervals.where(row), question) for row in rows]).reshape(-1, 2, 3)
+    found = np.array([zero_of_minimum_correlation(intervals.where(row), question) for row in rows]).reshape(
+        -1, 2, 3
+    )
     start = np.array([intervals.start[row[0]] for row in rows], dtype=np.int64)
     end = np.array([intervals.end[row[-1]] for row in rows], dtype=np.int64)
-    return Sets(found[:, 0], found[:, 1], start, end)
-
-
-def _zero(part: Intervals, question: Question) -> Floats:
-    """Return the offset of one set and its error; NaN when there is no zero within the bound; (2, 3)."""
-    found = [_from(part, question, first) for first in question.begins(least_variance(part, question))]
-    told = [one for one in found if np.isfinite(one).all() and not part.around(one[0])]
-    if not told:
-        return np.full((2, 3), np.nan)
-    return max(told, key=lambda one: abs(float(np.log(balance(part, one[0])))))
-
-
-def _from(part: Intervals, question: Question, offset: Floats) -> Floats:
-    """Return the zero found from an offset, and its error; NaN when there is none; (2, 3)."""
-    free = np.asarray(question.free)
-    for _ in range(_ROUNDS):
-        scores, slopes = joint_equations(part, offset)
-        # A set that tells little has a large error, and shows in the scatter of the sets.
-        inverse, _ = informed(slopes, free, 0.0)
-        step = inverse @ scores.sum(axis=0)
-        step = step * min(1.0, _STRIDE * question.bound / max(float(np.abs(step).max()), 1e-300))
-        offset = offset + step
-        if np.abs(offset).max() >= question.bound:
-            break
-        if np.abs(step).max() < _SETTLED:
-            influence = scores @ inverse.T
-            return np.stack([offset, np.sqrt(np.sum(influence**2, axis=0)) + 1e-9])
-    return np.full((2, 3), np.nan)
-
-
-#: Published for the solar wind, (hours, nT): Plaschke, How many solar wind data are sufficient for accurate
-#: fluxgate magnetometer offset determinations?, Geosci. Instrum. Method. Data Syst. 8, 285 (2019).
-PUBLISHED = ((20.0, 0.3), (40.0, 0.2))
-
-#: Intervals drawn together, seconds: neighbours are alike.
-_BLOCK_S = 3600.0
+    return OffsetSets(found[:, 0], found[:, 1], start, end)
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ScatterWithHours:
     """Scatter of a method's offset against hours of record.
 
     Attributes
@@ -265,15 +269,15 @@ class Scatter:
         Standard deviation of the draws, robust, nT.
     stated : ndarray, shape (length, 3)
         Median of the errors that the draws state, nT.
-    told : ndarray, shape (length,)
-        Part of the draws that told every axis.
+    determined_part : ndarray, shape (length,)
+        Part of the draws that determined every axis.
     """
 
     method: str
     hours: Floats
     scatter: Floats
     stated: Floats
-    told: Floats
+    determined_part: Floats
 
     def table(self) -> xr.Dataset:
         """Return `value` (the scatter) with the stated sigma along hours and axis."""
@@ -281,7 +285,7 @@ class Scatter:
             {
                 "value": (("hours", "axis"), self.scatter, {"units": "nT"}),
                 "sigma": (("hours", "axis"), self.stated, {"units": "nT"}),
-                "told": ("hours", self.told),
+                "told": ("hours", self.determined_part),
             },
             coords={"hours": self.hours, "axis": list(AXES)},
             attrs={"method": self.method},
@@ -290,16 +294,16 @@ class Scatter:
 
 def scatter_with_hours(
     intervals: Intervals,
-    method: Method,
+    method: Estimator,
     used: Bools | None,
     hours: Floats,
     generator: np.random.Generator,
     draws: int = 60,
     question: Question | None = None,
-) -> Scatter:
+) -> ScatterWithHours:
     """Draw sets of whole hours from a record, with repetition, and estimate each.
 
-    Sets longer than the record repeat its hours: they say what more of the *same* weather would give.
+    Sets longer than the record repeat its hours: they show what more of the *same* weather would give.
 
     Parameters
     ----------
@@ -314,9 +318,9 @@ def scatter_with_hours(
     Raises
     ------
     CalibrationError
-        No length told an offset in half of its draws.
+        No length determined an offset in half of its draws.
     """
-    block = (intervals.start - intervals.start[0]) // round(_BLOCK_S * 1e9)
+    block = (intervals.start - intervals.start[0]) // round(STUDY.block_s * 1e9)
     kind = np.ones(len(intervals), dtype=bool) if used is None else used
     members = [np.flatnonzero((block == one) & kind) for one in np.unique(block)]
     rows, name = [], ""
@@ -337,33 +341,25 @@ def scatter_with_hours(
         raise CalibrationError(
             "no number of hours tells an offset in half of its draws", remedy="take a longer record"
         )
-    return Scatter(
+    return ScatterWithHours(
         name, np.asarray(hours, dtype=np.float64), np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]), np.array([row[2] for row in rows]),
     )  # fmt: skip
 
 
 def _row(values: Floats, draws: int) -> tuple[Floats, Floats, float]:
-    """Return robust scatter, median stated error, and the part of draws that told."""
+    """Return robust scatter, median stated error, and the part of draws that determined every axis."""
     if len(values) < 2:
         return np.full(3, np.nan), np.full(3, np.nan), len(values) / draws
     low, high = np.percentile(values[:, 0], [15.865, 84.135], axis=0)
     return 0.5 * (high - low), np.median(values[:, 1], axis=0), len(values) / draws
 
 
-#: An average that leaves more than this part of a turning field is no average over spins: 2 nT of spin-plane
-#: offset leave 0.1 nT, the accuracy sought.
-TOLERANCE = 0.05
-
-#: Averages looked at for the largest leak.
-_WINDOWS = 4000
-
-
 class AveragingWarning(UserWarning):
     """An average leaves part of the field that turns with the spacecraft."""
 
 
-def remaining(spin_period: float, sampling: float, samples: int) -> float:
+def remaining_part(spin_period: float, sampling: float, samples: int) -> float:
     """Return which part of a field that turns with the spin the mean of some samples leaves, 0 to 1.
 
     Parameters
@@ -381,7 +377,7 @@ def remaining(spin_period: float, sampling: float, samples: int) -> float:
 
 
 @dataclass(frozen=True)
-class Rule:
+class AveragingRule:
     """How an averaging time fits the spin and the samples.
 
     Attributes
@@ -398,11 +394,11 @@ class Rule:
 
     @property
     def kept(self) -> bool:
-        """Whether next to nothing stays."""
-        return self.remaining <= TOLERANCE
+        """Whether no more than `StudySettings.tolerance` stays."""
+        return self.remaining <= STUDY.tolerance
 
-    def told(self) -> str:
-        """Say what stays and why."""
+    def summary(self) -> str:
+        """Return what stays and why, in words."""
         parts = [
             f"{number:.3f} {name}"
             for number, name in ((self.spins, "spins"), (self.samples, "samples"))
@@ -412,8 +408,10 @@ class Rule:
         return f"averages leave {100 * self.remaining:.1f} % of a field that turns with the spacecraft{why}"
 
 
-def rule_of(spin_period: float, sampling: float, averaging: float, *, strict: bool = False) -> Rule:
-    """Hold an averaging time against spin and samples; warn when a turning field stays.
+def check_averaging(
+    spin_period: float, sampling: float, averaging: float, *, strict: bool = False
+) -> AveragingRule:
+    """Check an averaging time against spin and samples; warn when a turning field stays.
 
     Parameters
     ----------
@@ -425,7 +423,8 @@ def rule_of(spin_period: float, sampling: float, averaging: float, *, strict: bo
     Raises
     ------
     CalibrationError
-        Periods that are not positive, or, if strict, an average that leaves more than `TOLERANCE`.
+        Periods that are not positive, or, if strict, an average that leaves more than
+        `StudySettings.tolerance`.
     """
     if min(spin_period, sampling, averaging) <= 0 or averaging < sampling:
         raise CalibrationError(
@@ -435,14 +434,14 @@ def rule_of(spin_period: float, sampling: float, averaging: float, *, strict: bo
     samples = averaging / sampling
     low = int(np.floor(samples + 1e-9))
     counts = {low, low if abs(samples - low) < 1e-6 else low + 1}
-    rule = Rule(
-        averaging / spin_period, samples, max(remaining(spin_period, sampling, one) for one in counts)
+    rule = AveragingRule(
+        averaging / spin_period, samples, max(remaining_part(spin_period, sampling, one) for one in counts)
     )
     if not rule.kept:
         remedy = "take a whole multiple of both the spin period and the sampling time"
         if strict:
-            raise CalibrationError(rule.told(), remedy=remedy)
-        warnings.warn(f"{rule.told()}; {remedy}", AveragingWarning, stacklevel=2)
+            raise CalibrationError(rule.summary(), remedy=remedy)
+        warnings.warn(f"{rule.summary()}; {remedy}", AveragingWarning, stacklevel=2)
     return rule
 
 
@@ -461,7 +460,7 @@ def largest_leak(
     turning : tuple of float
         c1, c2, nT.
     """
-    time = sampling * np.arange(round(_WINDOWS * averaging / sampling))
+    time = sampling * np.arange(round(STUDY.windows * averaging / sampling))
     window = np.floor(time / averaging + 1e-9).astype(np.int64)
     phase = 2.0 * np.pi * np.fmod(time, spin_period) / spin_period
     field = (turning[0] + 1j * turning[1]) * np.exp(1j * phase)
@@ -470,7 +469,7 @@ def largest_leak(
     return float(np.abs(means).max())
 
 
-def averages(
+def average_spans(
     tt2000: Int64, field: Floats, averaging: float, good: Bools | None = None, coverage: float = 1.0
 ) -> tuple[Int64, Floats]:
     """Return middles and means of successive spans of a despun field.
@@ -482,7 +481,7 @@ def averages(
     field : ndarray, shape (time, 3)
         nT, despun.
     averaging : float
-        s; see `rule_of`.
+        s; see `check_averaging`.
     good : ndarray of bool, shape (time,), optional
     coverage : float
         Spans with fewer than this part of the samples that fit are NaN: a hole in a span breaks the rule.
