@@ -577,7 +577,7 @@ class Survey:
         What each calibration interval fits anew.
     fixed : tuple of Term
         Parameters of the vector sensor that the model holds fixed: candidates like any other.
-    channels : dict of str to Told
+    channels : dict of str to ChannelSummary
         Every channel of one number a time that changes.
     still : tuple of str
         Channels that do not change in the span.

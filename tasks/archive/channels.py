@@ -214,7 +214,7 @@ class DerivedChannels:
     reader : ChannelReader
     days : sequence of datetime64[D]
         All days of the span: placebos come from other days of it.
-    told : mapping of str to Told
+    told : mapping of str to ChannelSummary
         Means, which stand in for what is missing.
     shifts : mapping of str to float
         Placebo, such as ``heater~1`` -> seconds.
