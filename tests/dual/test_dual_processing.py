@@ -259,7 +259,7 @@ def test_a_training_survives_its_table():
     again = training_from_dataset(training_to_dataset(training))
     for name in ("centre", "covariance", "correction", "occupancy", "transitions", "number"):
         assert_array_equal(getattr(again, name), getattr(training, name))
-    assert again.drift_rate.bend.tolist() == training.drift_rate.bend.tolist()
+    assert again.drift_rate.slope_walk.tolist() == training.drift_rate.slope_walk.tolist()
     assert (again.start, again.end, again.reference) == (training.start, training.end, training.reference)
     with pytest.raises(CalibrationError, match="train anew"):
         training_from_dataset(training_to_dataset(training).assign_attrs(dual_training=9))

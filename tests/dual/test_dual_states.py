@@ -72,7 +72,7 @@ def test_a_combination_that_was_never_seen_is_predicted():
     on[:, 2] *= ~(on[:, 0] & on[:, 1]).astype(bool)
     made = case(322, on=on, units=3)
     units = find_units(told(made)[1])
-    unseen = units.unseen()
+    unseen = units.unobserved()
     assert len(unseen) == 1
     predicted, spread = units.centre(unseen)
     seen, _ = units.centre(units.occupancy)
@@ -138,5 +138,5 @@ def test_a_drift_that_nobody_looks_at_keeps_a_covariance():
     rate = DriftRate(*(np.full(3, one) for one in (1e-2, 1e-2, 0.0)))
     track = DriftFilter.start(rate)
     for _ in range(200):
-        track.forward(10.0)
+        track.predict(10.0)
         assert (np.linalg.eigvalsh(track.covariance) >= -1e-9 * track.covariance[:, 0, 0].max()).all()
