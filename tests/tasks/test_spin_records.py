@@ -88,7 +88,7 @@ def test_a_long_reason_is_kept_whole(model, monkeypatch):
     def refused(*_):
         raise CalibrationError(message, remedy="none")
 
-    monkeypatch.setattr(spin_tables, "combined", refused)
+    monkeypatch.setattr(spin_tables, "combine_methods", refused)
     table = zero_level_table([day_of(NEW)], model, [NEW, NEW + 1])
     assert str(table["reason"].values[0]) == message
     source = "as told by " + "this and " * 20 + "that"
