@@ -20,10 +20,10 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test cases lint bench golden docs lock format clean
+.PHONY: help setup demo test test-slow cases lint bench golden docs lock format clean
 
 help:  ## list the targets
-	@awk 'BEGIN {FS = ":.*## "} /^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk 'BEGIN {FS = ":.*## "} /^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(VENV)/.installed  ## make the environment in .venv from the lock file (runs once)
 
@@ -46,7 +46,10 @@ demo: setup  ## simulate a month, run the whole chain, show what came out (under
 	$(BIN)/inflight --workspace $(DEMO) demo --days $(DAYS)
 
 test: setup  ## run the tests
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile -m "not slow" $(ARGS)
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile -m "not slow" --durations 40 $(ARGS)
+
+test-slow: setup  ## run the long physics cases and real records that 'make test' leaves out
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist load -m slow --durations 40 $(ARGS)
 
 cases: setup  ## diagnose missions with hidden effects, print the score table (half an hour)
 	$(BIN)/python -m tests.physics_cases --seeds $(SEEDS) --jobs $(WORKERS)
