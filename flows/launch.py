@@ -11,7 +11,7 @@ from inflight.catalog import Workspace
 from inflight.errors import SettingsError
 from inflight.flows.runner import PlainRunner, progress_shown_by, using_runner
 from inflight.flows.settings import prefect_settings
-from inflight.tasks import Progress, RunReport
+from inflight.tasks import Progress, RunReport, as_settings_error
 
 
 def run_embedded(
@@ -52,7 +52,9 @@ def run_embedded(
         try:
             return RunReport.from_json(getattr(prefect_flows, name)(**_given(workspace, parameters, workers)))
         except (ParameterBindError, ParameterTypeError) as error:
-            raise _wrong_parameters(name, error) from None
+            raise SettingsError(
+                f"parameters of {name}: {error}", remedy=f"inflight {name} --help lists the options"
+            ) from None
 
 
 def run_plain(
@@ -74,13 +76,9 @@ def run_plain(
         try:
             return RunReport.from_json(step(**_given(workspace, parameters, workers)))
         except ValidationError as error:
-            raise _wrong_parameters(name, error) from None
+            raise as_settings_error(error) from None
 
 
 def _given(workspace: Workspace, parameters: Mapping[str, Any], workers: int | None) -> dict[str, Any]:
     given = {"workspace": workspace.root.resolve()} | dict(parameters)
     return given if workers is None else given | {"workers": workers}
-
-
-def _wrong_parameters(name: str, error: Exception) -> SettingsError:
-    return SettingsError(f"parameters of {name}: {error}", remedy=f"inflight {name} --help lists the options")
