@@ -17,8 +17,8 @@ _COLOURS = {"error": "#a01830", "hint": "#8a5a00"}
 
 
 def text(*paragraphs: str) -> pn.viewable.Viewable:
-    """Return paragraphs, which are HTML that is escaped already."""
-    inside = "".join(f"<div>{one}</div>" for one in paragraphs)
+    """Return paragraphs, plain text or `Markup`."""
+    inside = str(render("text.html", paragraphs=paragraphs))
     return pn.pane.HTML(inside, stylesheets=_STYLES, sizing_mode="stretch_width", margin=(5, 10))
 
 

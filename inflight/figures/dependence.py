@@ -14,6 +14,7 @@ from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
 from inflight.diagnosis import LagProfile
+from inflight.figures.page import render
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -144,17 +145,13 @@ def response_figures(found: FieldResponse) -> list[figure]:
 def response_key() -> str:
     """Return the key of all response figures as HTML: one for the page leaves the small ones their room."""
     marks = (
-        (_BRANCHES["rising"][0], "&#9650;", "before, channel rising"),
-        (_BRANCHES["falling"][0], "&#9660;", "before, channel falling"),
-        (_BRANCHES["all"][0], "&#9679;", "before, a channel without branches"),
-        ("#111111", "&#8943;", "after"),
-        (_CHANCE, "&#9632;", "chance"),
+        (_BRANCHES["rising"][0], "\u25b2", "before, channel rising"),
+        (_BRANCHES["falling"][0], "\u25bc", "before, channel falling"),
+        (_BRANCHES["all"][0], "\u25cf", "before, a channel without branches"),
+        ("#111111", "\u22ef", "after"),
+        (_CHANCE, "\u25a0", "chance"),
     )
-    said = "".join(
-        f'<span style="margin-right:1.4rem"><span style="color:{colour}">{mark}</span> {text}</span>'
-        for colour, mark, text in marks
-    )
-    return f"<p>{said}</p>"
+    return render("key.html", marks=marks)
 
 
 def _envelope(plot: figure, found: FieldResponse, axis: int) -> None:

@@ -15,7 +15,7 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-#: Heading; paragraphs, which are HTML that is escaped already; figures, which are Bokeh models.
+#: Heading; paragraphs, plain text or `Markup`; figures, which are Bokeh models.
 Section: TypeAlias = tuple[str, Sequence[str], Sequence[Any]]
 
 #: A section without its heading; a heading, and what makes the rest when somebody looks at it.
@@ -108,9 +108,9 @@ def paragraph(text: str, *, kind: str = "", bold: str = "") -> Markup:
     return render("paragraph.html", text=text, kind=kind, bold=bold)
 
 
-def bullet_list(items: Iterable[str], *, kind: str = "", before: str = "") -> Markup:
-    """Return a list of items, with a line `before` it."""
-    return render("list.html", items=items, kind=kind, before=before)
+def bullet_list(items: Iterable[str], *, kind: str = "", before: str = "", ordered: bool = False) -> Markup:
+    """Return a list of items, numbered when `ordered`, with a line `before` it."""
+    return render("list.html", items=items, kind=kind, before=before, ordered=ordered)
 
 
 def facts_table(facts: Mapping[str, Any], *, code: bool = False) -> Markup:

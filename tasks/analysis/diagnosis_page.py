@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,6 +58,7 @@ from inflight.figures import (
     ledger_table,
     most_significant,
     order_figure,
+    paragraph,
     response_figures,
     response_key,
     rivals_apart,
@@ -106,7 +106,7 @@ def fails_here(seen: BeforeAfter) -> Section:
         )
     return (
         "Where it fails",
-        [f'<p class="quiet">{escape(" ".join(note))}</p>'],
+        [paragraph(" ".join(note), kind="quiet")],
         plots + along_field_figures(along),
     )
 
@@ -121,7 +121,7 @@ def follows(seen: BeforeAfter, found: Diagnosis) -> Section:
         "a loop: hysteresis or a lag."
     )
     plots = [plot for one in found_ones for plot in response_figures(one)]
-    return "What it follows", [f'<p class="quiet">{escape(note)}</p>', response_key()] if plots else [], plots
+    return "What it follows", [paragraph(note, kind="quiet"), response_key()] if plots else [], plots
 
 
 def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
@@ -148,7 +148,7 @@ def spectrum(seen: BeforeAfter, context: Context) -> Section:
     )
     return (
         "Spectrum along each axis",
-        [f'<p class="quiet">{escape(note)}</p>'],
+        [paragraph(note, kind="quiet")],
         axis_spectrum_figures(before, after, drawn_periods(known), lines),
     )
 
@@ -167,7 +167,7 @@ def which_effect(search: Search, context: Context, found: Diagnosis) -> Section:
         "candidate alone."
     )
     text = [
-        f'<p class="quiet">{escape(note)}</p>',
+        paragraph(note, kind="quiet"),
         candidate_table(found.candidates, trials(search, context, names), rivals),
         unscorable_list(found.unscorable),
     ]
@@ -197,7 +197,7 @@ def error_falls(seen: BeforeAfter, search: Search, context: Context, found: Diag
         f"Daily sizes and the distribution are those of means of {seen.series.step_s:g} s, "
         "so they lie below the sizes at the native cadence."
     )
-    return "How the error falls", [f'<p class="quiet">{escape(note)}</p>'], plots
+    return "How the error falls", [paragraph(note, kind="quiet")], plots
 
 
 def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
@@ -214,7 +214,7 @@ def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
     if signature is not None and signature.period_s:
         plots.append(_folded(seen, signature.period_s))
     note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
-    return "Form of what was found", [f'<p class="quiet">{escape(note)}</p>'] if plots else [], plots
+    return "Form of what was found", [paragraph(note, kind="quiet")] if plots else [], plots
 
 
 def _folded(seen: BeforeAfter, period: float) -> Any:
@@ -241,17 +241,22 @@ def stands_for(search: Search, found: Diagnosis) -> Section:
         for shift in shifts_of(search, option, one.coefficients)
         if shift.coefficient in {value["name"] for value in most_significant(fields["coefficients"])}
     ]
-    text = [
-        '<p class="quiet">Correlations of errors, the whole span as one calibration interval: pairs near '
-        "+1 or -1 are one parameter to these data.</p>"
+    text: list[str] = [
+        paragraph(
+            "Correlations of errors, the whole span as one calibration interval: pairs near +1 or -1 are one "
+            "parameter to these data.",
+            kind="quiet",
+        )
     ]
     pairs = strongest_pairs(talk)
     if pairs:
-        text.append(f"<p>Strongest of what was found: {escape('; '.join(pairs))}.</p>")
+        text.append(paragraph(f"Strongest of what was found: {'; '.join(pairs)}."))
     if shifts:
         text.append(
-            "<p>What each found coefficient does to the calibration when it is there but ignored (straight "
-            "in the coefficient; the whole span as one interval):</p>"
+            paragraph(
+                "What each found coefficient does to the calibration when it is there but ignored (straight "
+                "in the coefficient; the whole span as one interval):"
+            )
         )
         text.append(shift_table(shifts))
     return "What stands for what", text, [cross_talk_figure(talk)]
@@ -430,7 +435,7 @@ def _ledger(
         "The search changes nothing: 'inflight add' puts an effect into a new version of the model, "
         "'inflight undo' returns to the version before it, 'inflight drop' takes out any effect."
     )
-    text = [ledger_table(found.rounds), facts_list(listed), f'<p class="quiet">{escape(note)}</p>']
+    text = [ledger_table(found.rounds), facts_list(listed), paragraph(note, kind="quiet")]
     return "Ledger", text, []
 
 

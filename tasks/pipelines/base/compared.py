@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from math import isfinite
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from inflight.figures import Later, Section, html_table
+from inflight.figures import Later, Section, bullet_list, html_table
 from inflight.residual import Line, NoiseFloor, ParameterScatter, Size
 from inflight.tasks.pipelines.base.parts import TextLine
 
@@ -158,8 +157,8 @@ def fails_text(report: CompareReport) -> list[str]:
     """Return the structures of a residual as HTML."""
     if not report.fails_where:
         return [f"No structure stands out by five sigma between blocks of one {report.block}."]
-    listed = "".join(f"<li>{escape(one.sentence)}</li>" for one in report.fails_where)
-    return [f"<ol>{listed}</ol>", "Each structure is measured after the stronger ones were taken off."]
+    listed = bullet_list([one.sentence for one in report.fails_where], ordered=True)
+    return [listed, "Each structure is measured after the stronger ones were taken off."]
 
 
 def wandering_text(report: CompareReport) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from math import floor, log10
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from inflight.errors import InflightError
-from inflight.figures import Section
+from inflight.figures import Section, paragraph
 
 #: Numbers smaller than this are written with an exponent.
 _PLAIN = 1e-4
@@ -46,15 +45,14 @@ class Part:
 
     def say(self, text: str, quiet: bool = False) -> None:
         """Add a paragraph of plain text."""
-        opening = '<p class="quiet">' if quiet else "<p>"
-        self.text.append(f"{opening}{escape(text)}</p>")
+        self.text.append(paragraph(text, kind="quiet" if quiet else ""))
 
     def lack(self, what: str, why: str) -> None:
         """Say what is not there, with its reason."""
         self.absent[what] = why
         whole = why[:1].upper() + why[1:]
         whole = whole if whole.endswith(".") else f"{whole}."
-        self.text.append(f'<p class="absent"><b>{escape(what)}</b>: not told. {escape(whole)}</p>')
+        self.text.append(paragraph(f": not told. {whole}", kind="absent", bold=what))
 
     def attempt(self, what: str, make: Callable[[], None]) -> None:
         """Do a piece of the section; when the span does not suffice for it, say so."""

@@ -474,9 +474,7 @@ def _of_nine(part: Part, table: xr.Dataset) -> None:
             whole.ignored, whole.shift, whole.before, whole.after, strict=True
         )
     ]
-    part.text.append(
-        f'<div class="wide"><details><summary>all causes</summary>{html_table(head, rows)}</details></div>'
-    )
+    part.text.append(html_table(head, rows, kind="wide", folded="all causes"))
 
 
 def _matrix(table: xr.Dataset) -> dict[str, Any]:

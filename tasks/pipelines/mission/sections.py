@@ -178,8 +178,7 @@ def _coefficient_table(rows: Sequence[dict[str, Any]]) -> str:
         cells.append(
             (row["name"], with_error(row["value"], row["sigma"]), row["unit"], determined, before, shift)
         )
-    listed = html_table(head, cells)
-    return f'<div class="wide"><details open><summary>all values</summary>{listed}</details></div>'
+    return html_table(head, cells, kind="wide", folded="all values", opened=True)
 
 
 def trend(found: ChainResults) -> Part:

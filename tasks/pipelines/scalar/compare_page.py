@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from inflight.figures import (
     Inside,
     Later,
     axis_figure,
+    bullet_list,
     daily_figure,
     dependence_figure,
     histogram_figure,
@@ -146,18 +146,18 @@ def _told(report: CompareReport) -> list[str]:
         f"{report.left_out} samples without a measurement are "
         f"left out; {report.outliers} outliers count in this table, but not in the spectra and dependences."
     )
-    return [html_table(head, cells), escape(note)]
+    return [html_table(head, cells), note]
 
 
 def _known(report: CompareReport) -> list[str]:
     names = ", ".join(name.split(".", 1)[-1] for name in report.determined) or "none"
-    text = [f"Parameters that the span's data determine by themselves: {escape(names)}."]
+    text = [f"Parameters that the span's data determine by themselves: {names}."]
     if len(report.determined) < len(report.directions) or not report.determined:
-        listed = "".join(f"<li>{escape(line)}</li>" for line in report.directions)
-        text.append(
+        before = (
             f"The data determine {len(report.directions)} combinations, in units of each prior's sigma, "
-            f"best known first; everything else stays at its prior:<ol>{listed}</ol>"
+            "best known first; everything else stays at its prior:"
         )
+        text.append(bullet_list(report.directions, before=before, ordered=True))
     return text
 
 
@@ -216,4 +216,4 @@ def _lines(report: CompareReport) -> list[str]:
         "residual itself it shows at sidebands. Amplitudes along an axis are those of a field that acts "
         "there alone."
     )
-    return [html_table(head, rows), escape(note)]
+    return [html_table(head, rows), note]

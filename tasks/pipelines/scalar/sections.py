@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from html import escape
-
 import numpy as np
 import xarray as xr
 
 from inflight.catalog import Catalog
-from inflight.figures import Section, html_table, parameter_figures
+from inflight.figures import Section, bullet_list, html_table, paragraph, parameter_figures
 from inflight.tasks.pipelines.base import newest_table
 from inflight.time import to_utc
 
@@ -40,12 +38,12 @@ def _parameters(cat: Catalog, comparison: str) -> list[Section]:
         return []
     others = {kind: newest_table(cat, f"{comparison}-{kind}") for kind in _USED}
     kind, used = next(((name, table) for name, table in others.items() if table is not None), ("day", daily))
-    told = [
-        "<p>Circles are each day's own values with bars of one sigma; empty ones the day alone does not "
-        f"determine. Lines are the table by {escape(kind)}.</p>",
+    text = [
+        "Circles are each day's own values with bars of one sigma; empty ones the day alone does not "
+        f"determine. Lines are the table by {kind}.",
         *_at_prior(daily),
     ]
-    return [("Parameters over days", told, parameter_figures(daily, used)), ("Values", _values(used), [])]
+    return [("Parameters over days", text, parameter_figures(daily, used)), ("Values", _values(used), [])]
 
 
 def _at_prior(table: xr.Dataset) -> list[str]:
@@ -55,8 +53,8 @@ def _at_prior(table: xr.Dataset) -> list[str]:
     if not left:
         return []
     return [
-        f"<p>No day determines by itself: {escape(', '.join(left))}. What the table has of them is what was "
-        "known before, or part of a combination that is determined.</p>"
+        f"No day determines by itself: {', '.join(left)}. What the table has of them is what was "
+        "known before, or part of a combination that is determined."
     ]
 
 
@@ -73,7 +71,7 @@ def _values(table: xr.Dataset) -> list[str]:
         for at, name in enumerate(recent["parameter"].values)
     ]
     note = "The newest intervals of the table that products take; a dash where one does not determine it."
-    return [html_table(("parameter", "unit", *spans), rows), f'<p class="quiet">{note}</p>']
+    return [html_table(("parameter", "unit", *spans), rows), paragraph(note, kind="quiet")]
 
 
 def _value(cell: xr.Dataset) -> str:
@@ -108,8 +106,7 @@ def _zero_row(table: xr.Dataset, place: int) -> tuple[str, str, str]:
 def _reason(table: xr.Dataset) -> list[str]:
     """Return what the newest interval's value rests on, line by line as the methods tell it."""
     lines = str(table["reason"].values[-1]).splitlines()
-    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-    return [f'<p class="quiet">What the newest one rests on:</p><ul class="quiet">{items}</ul>']
+    return [bullet_list(lines, kind="quiet", before="What the newest one rests on:")]
 
 
 def _bare(name: str) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from inflight.figures import (
     daily_figure,
     html_table,
     mean_turn_figure,
+    paragraph,
     tone_dependence_figure,
     tone_name,
     tones_over_time_figure,
@@ -146,7 +146,7 @@ def _told(report: SpinCompareReport) -> list[str]:
         f"{floor.low_nT:.5f} to {floor.high_nT:.5f}): how much a turn's tones differ from the next turn's. "
         f"{report.left_out} samples of turns with too few readings are left out."
     )
-    return [html_table(("tone", "pre-flight, nT", "calibrated, nT"), rows), f"<p>{escape(note)}</p>"]
+    return [html_table(("tone", "pre-flight, nT", "calibrated, nT"), rows), paragraph(note)]
 
 
 def _legend(report: SpinCompareReport) -> str:

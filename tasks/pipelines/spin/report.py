@@ -91,7 +91,7 @@ def _twelve(found: SpinResults) -> Part:
         "window's own estimate decided."
     )
     head = ("parameter", "unit", "pre-flight", "in use", "from", "decision", "why")
-    part.text.append(f'<div class="wide told">{html_table(head, rows)}</div>')
+    part.text.append(html_table(head, rows, kind="wide told"))
     remaining = ", ".join(one["name"] for one in part.fields["items"] if one["origin"] == "ground")
     part.fields["ground"] = remaining.split(", ") if remaining else []
     part.say(f"These remain at their ground values: {remaining or 'none'}. The spin tells nothing of them.")
@@ -130,7 +130,7 @@ def _days(found: SpinResults) -> Part:
     ]
     if rows:
         head = ("day", "replaced", "by", "unit", "why")
-        part.text.append(f'<div class="wide told">{html_table(head, rows)}</div>')
+        part.text.append(html_table(head, rows, kind="wide told"))
     part.plots.append(parameter_days_figure(table, found.selected))
     if table.sizes["interval"] > 1:
         part.plots.append(moved_figure(table))
@@ -313,7 +313,7 @@ def _phase(found: SpinResults) -> Part:
         for one in items[-_SHOWN:]
     ]
     head = ("day", "bridged, %", "at a jump, %", "no phase, %", "what the phase tells", "sub-intervals")
-    part.text.append(f'<div class="wide told">{html_table(head, rows)}</div>')
+    part.text.append(html_table(head, rows, kind="wide told"))
     return part
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ from inflight.figures import (
     PLANES,
     Later,
     before_after_figure,
+    bullet_list,
     correction_figure,
     difference_figure,
     html_table,
@@ -332,27 +332,23 @@ def _residual_text(report: DualCompareReport) -> list[str]:
         "there no more than elsewhere: that is the floor. A constant error is not in these numbers.",
         "A correction is judged on stretches that it was not learnt from (held out). The slope tells how "
         "much of what it takes off is in the outboard reading: one where it is right.",
-        f'<div class="wide told">{html_table(head, rows)}</div>',
+        html_table(head, rows, kind="wide told"),
     ]
     if not np.isfinite(report.joined("before")).any():
         told.append("Nothing switched in the span between readings: there are no steps to draw.")
-    listed = "".join(
-        f"<li>{_days_told(days)} left as measured:{_as_list(reason)}</li>"
+    # What speaks against each correction that was tried, for the days of one reason.
+    listed = [
+        bullet_list(reason.replace("+-", "±").split("; "), before=f"{_days_told(days)} left as measured:")
         for (applied, reason), days in _reasons(report).items()
         if applied != "yes"
-    )
-    listed += "".join(f"<li>{escape(_sentence(one))}</li>" for one in constant_sentences(report.constants))
-    return [*told, f"<ul>{listed}</ul>"] if listed else told
+    ]
+    sentences = [_sentence(one) for one in constant_sentences(report.constants)]
+    return [*told, bullet_list([*listed, *sentences])] if listed or sentences else told
 
 
 def _verdict(one: DualDayRows) -> str:
     """Return why a day is corrected; its method has a column of its own."""
-    return escape(one.reason.removeprefix(f"{one.method}: ").replace("+-", "±"))
-
-
-def _as_list(reason: str) -> str:
-    """Return what speaks against each correction that was tried."""
-    return f"<ul>{''.join(f'<li>{escape(one)}</li>' for one in reason.replace('+-', '±').split('; '))}</ul>"
+    return one.reason.removeprefix(f"{one.method}: ").replace("+-", "±")
 
 
 def _number(value: float) -> str:
@@ -393,8 +389,7 @@ def _step_figures(report: DualCompareReport) -> list[Any]:
 def _fails_text(report: DualCompareReport) -> list[str]:
     if not report.fails_where:
         return ["No state, unit or current goes with what is left at the switchings, by four sigma."]
-    listed = "".join(f"<li>{escape(one.sentence(unit))}</li>" for one, unit in report.fails_where)
-    return [f"<ol>{listed}</ol>"]
+    return [bullet_list([one.sentence(unit) for one, unit in report.fails_where], ordered=True)]
 
 
 def _states_text(report: DualCompareReport) -> list[str]:
@@ -425,7 +420,7 @@ def _states_text(report: DualCompareReport) -> list[str]:
         "window that knew the state.",
         "Points are stretches between switchings, ellipses two standard deviations of a state's points. "
         "Points move away from their ellipse where the difference drifts.",
-        f'<div class="wide told">{html_table(head, rows)}</div>',
+        html_table(head, rows, kind="wide told"),
     ]
 
 
@@ -481,11 +476,11 @@ def _units_text(report: DualCompareReport) -> list[str]:
         rows.append(
             (
                 str(one.unit),
-                escape(" or ".join(one.channels)) or "a unit without housekeeping",
+                " or ".join(one.channels) or "a unit without housekeeping",
                 str(one.switchings),
                 _vector(table["unit"].values[row]),
                 _vector(table["unit_correction"].values[row], error),
-                escape(one.reason),
+                one.reason,
             )
         )
     head = (
@@ -496,7 +491,7 @@ def _units_text(report: DualCompareReport) -> list[str]:
         "outboard x, y, z (nT)",
         "why no channel",
     )
-    return [f'<div class="wide told">{html_table(head, rows)}</div>']
+    return [html_table(head, rows, kind="wide told")]
 
 
 def _state_figures(report: DualCompareReport) -> list[Any]:
