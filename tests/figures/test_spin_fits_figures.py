@@ -1,18 +1,13 @@
 """Figures of the spin show what the results hold."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 from bokeh.embed import file_html
 from bokeh.resources import INLINE
+from farrell_cases import record, sensors
 
 from docs.figures.spin_fits import phase_figure, phasor_figure, slope_figure, zero_figure
 from inflight.spin import calibrate_farrell, fit_spins, phase_from_pulses
 from inflight.time import SECOND
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "spin"))
-from farrell_cases import record, sensors
 
 
 def test_the_figures_of_a_record_are_drawn_with_its_numbers():

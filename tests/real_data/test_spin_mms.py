@@ -1,17 +1,14 @@
 """Solar wind and magnetosheath of MMS 1, spun again with known angles: are they found within their sigmas?"""
 
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from farrell_cases import TURN, sensors, truth_of
 
 from inflight.spin import calibrate_farrell, check_period, fit_spins, respin
 from inflight.time import SECOND
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "spin"))
-from farrell_cases import TURN, sensors, truth_of
 
 ROOT = Path(__file__).parents[2]
 FOLDER = Path(os.environ.get("INFLIGHT_REAL_DATA", ROOT.parent / "shared" / "data"))

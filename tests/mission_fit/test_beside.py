@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from beside_cases import LINEAR, MadeUp, model_with, nights, warm_days, with_noise
 
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
@@ -23,7 +24,6 @@ from inflight.mission_fit import (
 )
 from inflight.tasks.pipelines.mission.parameter_sections import day_night
 from inflight.time import DAY
-from tests.chain.beside_cases import LINEAR, MadeUp, model_with, nights, warm_days, with_noise
 
 XZ = "vector_sensor.misalignment[xz]"
 FIELD = (0.4, 0.0, -0.65)

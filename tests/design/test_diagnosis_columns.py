@@ -1,21 +1,17 @@
 """Columns of candidates against the model's exact chain, and of the calibration against its own Jacobian."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
+from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples
 
 from inflight.calibration import SCALE, kernel_parameters, kernel_scale
 from inflight.calibration.scalar import _fill
 from inflight.design import Rows, Term, design, sensor_matrices, term_of
 from inflight.design.columns import term_columns
 from inflight.model import Model, make_effect, rows_of
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "core"))
-from effect_cases import MISSION, PREFLIGHT, SENSORS, true_samples
 
 #: Effects whose column is taken of one evaluation, and such inside an instrument's equation.
 ADDITIVE = [
