@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.thresholds import published_jumps
 from inflight.arrays import Floats
-from inflight.dual import Readings, Training, process, train
+from inflight.dual import Readings, Training, correction_by_states, train
 from inflight.time import SECOND
 
 SAMPLES, UNITS, SWITCHES, TRAINED = 1_000_000, 4, 300, 200_000
@@ -48,15 +48,15 @@ def peak_memory(task: Callable[[], object]) -> float:
 def processing_time() -> list[str]:
     """Return what was measured, a line each."""
     readings, stray = mission()
-    training: Training = train(readings.part(slice(0, TRAINED)))
-    found = process(readings, training)
+    training: Training = train(readings.select(slice(0, TRAINED)))
+    found = correction_by_states(readings, training)
 
     # A new object each time: what is derived of readings is kept with them.
     def again() -> Readings:
-        return readings.part(slice(None))
+        return readings.select(slice(None))
 
     rivals: dict[str, Callable[[], object]] = {
-        "processing": lambda: process(again(), training),
+        "processing": lambda: correction_by_states(again(), training),
         "published thresholds": lambda: published_jumps(again().difference, sum_threshold=0.7),
         "reading the memory": lambda: (readings.inboard.sum(), readings.outboard.sum()),
     }

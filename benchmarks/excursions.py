@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from inflight.arrays import Floats
-from inflight.residual import SIGNIFICANCE, CurrentSteps, noise_of, readings_of
+from inflight.residual import SIGNIFICANCE, CurrentSteps, channel_noise, clean_readings
 from inflight.time import SECOND, Int64
 
 #: A reading is away from the level from this many sigma on.
@@ -38,8 +38,8 @@ def find_excursions(
         `time` is where it was farthest away, `after` that reading and `before` the level then;
         `start` and `end` are the readings around the part that was more than half as far.
     """
-    times, values = readings_of(stamps, current, resolution)
-    noise, smallest_step = noise_of(values, resolution)
+    times, values = clean_readings(stamps, current, resolution)
+    noise, smallest_step = channel_noise(values, resolution)
     seconds = (times - times[0]) / SECOND
     cadence = float(np.median(np.diff(seconds)))
     size = min(2 * round(1.5 * longest / cadence) + 1, values.size)

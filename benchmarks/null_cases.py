@@ -14,21 +14,21 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.diagnosis import (
-    Carriers,
     Index,
-    Present,
+    ModelColumns,
     Search,
-    activity,
+    TimeVariableColumns,
+    active_blocks,
     batches,
     drifts,
     episodes,
-    folds_of,
-    grouped,
+    group_by_size,
+    make_folds,
     projected,
     score,
     steps,
 )
-from inflight.lsq import Evidence, half_inverse, promised_t
+from inflight.lsq import GramBlocks, expected_gain_t, inverse_square_root
 
 
 def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[int, list[str]]:
@@ -59,7 +59,17 @@ def additions(search: Search, residuals: Sequence[int] | None = None) -> dict[in
 
 def replace_residual(search: Search, residual: int) -> Search:
     """Return a search of another residual of the same evidence, nothing taken."""
-    return replace(search, residual=residual, accepted=[], rounds=[], forms={}, banned=set(), dropped=set())
+    return Search.begin(
+        search.raw,
+        search.white,
+        search.library,
+        search.requested_intervals,
+        search.days,
+        search.rules,
+        search.within,
+        time_variable=search.time_variable,
+        residual=residual,
+    )
 
 
 def suspects(search: Search, residuals: Sequence[int]) -> list[int]:
@@ -78,15 +88,15 @@ def suspects(search: Search, residuals: Sequence[int]) -> list[int]:
 
 
 def _reached(
-    search: Search, evidence: Evidence, present: Present, columns: Sequence[Index], y: Index
+    search: Search, evidence: GramBlocks, present: ModelColumns, columns: Sequence[Index], y: Index
 ) -> Floats:
     """Return which residuals have a candidate beyond the rules' t and gain; (residual,) of bool."""
-    gain, t = score_many(evidence, present, columns, y, folds_of(len(evidence)))
+    gain, t = score_many(evidence, present, columns, y, make_folds(len(evidence)))
     return np.asarray(((t > search.rules.t) & (gain > search.rules.gain)).any(axis=0))
 
 
 def score_many(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
+    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: Index, folds: Sequence[Index]
 ) -> tuple[Floats, Floats]:
     """Return held-out gain and t of all candidates on several residuals; (candidate, residual) each.
 
@@ -105,8 +115,8 @@ def score_many(
         blocks = _turned(evidence.gram[fold], present, train)
         train = projected(train, present)
         loss0[fold] = blocks[:, y, y]
-        for positions, columns in grouped(candidates):
-            half = half_inverse(train[columns[:, :, None], columns[:, None, :]])
+        for positions, columns in group_by_size(candidates):
+            half = inverse_square_root(train[columns[:, :, None], columns[:, None, :]])
             right = train[columns[:, :, None], y]
             gamma = -np.matmul(half, np.matmul(half.transpose(0, 2, 1), right))
             own = blocks[:, columns[:, :, None], columns[:, None, :]]
@@ -116,13 +126,13 @@ def score_many(
             promised[np.ix_(fold, positions)] = square
     whole = loss0.sum(axis=0)
     gain = gained.sum(axis=0) / np.where(whole > 0, whole, 1.0)
-    active = np.broadcast_to(activity(evidence, candidates)[:, :, None], gained.shape)
+    active = np.broadcast_to(active_blocks(evidence, candidates)[:, :, None], gained.shape)
     flat = (len(evidence), -1)
-    t = promised_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
+    t = expected_gain_t(gained.reshape(flat), promised.reshape(flat), active.reshape(flat))
     return gain, t.reshape(gain.shape)
 
 
-def _turned(blocks: Floats, present: Present, train: Floats) -> Floats:
+def _turned(blocks: Floats, present: ModelColumns, train: Floats) -> Floats:
     """Return blocks whose columns have lost what the model's explain of them in the training blocks."""
     p = present.columns
     if not p.size:
@@ -133,11 +143,11 @@ def _turned(blocks: Floats, present: Present, train: Floats) -> Floats:
     return np.asarray(blocks - across - across.transpose(0, 2, 1) + inner)
 
 
-def _small(search: Search, residuals: Sequence[int]) -> tuple[Evidence, list[str], list[str]]:
+def _small(search: Search, residuals: Sequence[int]) -> tuple[GramBlocks, list[str], list[str]]:
     """Return calibration, model and carriers with some residuals, and the names of the first two."""
     base = [name for term in search.library.base for name in term.columns]
     refined = [name for term in search.library.refined for name in term.columns]
-    names = list(dict.fromkeys([*base, *refined, *search.carriers.names]))
+    names = list(dict.fromkeys([*base, *refined, *search.time_variable.names]))
     small = search.raw.select(names)
     kept = [*range(len(names)), *(len(names) + np.asarray(residuals))]
     return (
@@ -153,18 +163,18 @@ def _small(search: Search, residuals: Sequence[int]) -> tuple[Evidence, list[str
 
 
 def _absorbed(
-    search: Search, small: Evidence, base: Sequence[str], refined: Sequence[str]
-) -> tuple[Evidence, Present]:
+    search: Search, small: GramBlocks, base: Sequence[str], refined: Sequence[str]
+) -> tuple[GramBlocks, ModelColumns]:
     sigma = np.asarray([s for term in search.library.base for s in term.sigma])
-    wide = small.absorbed(base, search.intervals, search.precision(small, base, sigma))
+    wide = small.marginalise(base, search.intervals, search.precision(small, base, sigma))
     own = np.asarray([s for term in search.library.refined for s in term.sigma])
-    return wide, Present(wide.index(refined), search.precision(wide, refined, own))
+    return wide, ModelColumns(wide.index(refined), search.precision(wide, refined, own))
 
 
 def _timed(search: Search, residuals: Sequence[int]) -> Floats:
     """Return which residuals a drift or a step may be added to; (residual,) of bool."""
     small, base, refined = _small(search, residuals)
-    found = drifts(small, search.carriers) + steps(small, search.carriers)
+    found = drifts(small, search.time_variable) + steps(small, search.time_variable)
     reached = np.zeros(len(residuals), dtype=bool)
     for batch in batches(found):
         functions = {name: told for change in batch for name, told in change.functions.items()}
@@ -177,9 +187,9 @@ def _timed(search: Search, residuals: Sequence[int]) -> Floats:
 def _episode(search: Search, residual: int) -> bool:
     """Return True when an episode of clock or bias may be added to a residual."""
     small, base, refined = _small(search, [residual])
-    carriers = Carriers(
-        clock=tuple(name for name in search.carriers.clock if name not in base),
-        bias=tuple(name for name in search.carriers.bias if name not in base),
+    carriers = TimeVariableColumns(
+        clock=tuple(name for name in search.time_variable.clock if name not in base),
+        bias=tuple(name for name in search.time_variable.bias if name not in base),
     )
     evidence = search.forms["raw"]
     found = episodes(small, evidence, carriers, evidence.residuals[residual])
@@ -188,5 +198,5 @@ def _episode(search: Search, residual: int) -> bool:
     functions = {name: told for change in found for name, told in change.functions.items()}
     wide, present = _absorbed(search, small.expand(functions), base, refined)
     columns = [wide.index(list(change.functions)) for change in found]
-    scores = score(wide, present, columns, wide.residuals[0], folds_of(len(wide), True))
+    scores = score(wide, present, columns, wide.residuals[0], make_folds(len(wide), True))
     return bool(np.any((scores.t > search.rules.t) & (scores.gain > search.rules.gain)))

@@ -1,6 +1,6 @@
 """The search: ranking 300 candidates of 3000 days, and the pass against reading, decoding and BLAS.
 
-Evidence of 3000 days is made from random rows with the structure of real evidence: nine parameters,
+Gram blocks of 3000 days is made from random rows with the structure of real evidence: nine parameters,
 a few of a model, 300 candidates of three columns, 200 blocks. The ranking reads nothing else.
 """
 
@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.nine import timed
 from inflight.catalog import Catalog, Workspace
-from inflight.diagnosis import Present, family_wise, flip_ratios, flip_signs, folds_of, score
-from inflight.lsq import Evidence
+from inflight.diagnosis import ModelColumns, draw_signs, family_wise_p, make_folds, score, sign_flip_ratios
+from inflight.lsq import GramArrays, GramBlocks
 from inflight.time import DAY, SECOND
 
 #: Blocks of a mission of 3000 days, candidates, columns of each, rows that stand for a block's.
@@ -24,10 +24,10 @@ BLOCKS, CANDIDATES, WIDTH, ROWS = 200, 300, 3, 1500
 
 @dataclass(frozen=True)
 class Made:
-    """Evidence with its candidates' columns."""
+    """GramBlocks with its candidates' columns."""
 
-    evidence: Evidence
-    present: Present
+    evidence: GramBlocks
+    present: ModelColumns
     candidates: list[np.ndarray] = field(default_factory=list)
 
 
@@ -43,9 +43,9 @@ def synthetic(blocks: int = BLOCKS, candidates: int = CANDIDATES) -> Made:
     gram = gram.astype(np.float32)  # as the forms of a search hold them
     names = (*(f"c{place}" for place in range(width - 1)), "residual")
     start = np.arange(blocks, dtype=np.int64) * 15 * DAY
-    evidence = Evidence(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
+    evidence = GramArrays(names, gram, start, start + 15 * DAY, np.full(blocks, float(ROWS)), np.ones(width))
     columns = [np.arange(2 + WIDTH * place, 2 + WIDTH * (place + 1)) for place in range(candidates)]
-    return Made(evidence, Present(np.array([0, 1]), np.zeros(2)), columns)
+    return Made(evidence, ModelColumns(np.array([0, 1]), np.zeros(2)), columns)
 
 
 def ranking(draws: int = 2000) -> list[str]:
@@ -54,12 +54,12 @@ def ranking(draws: int = 2000) -> list[str]:
     y = len(made.evidence.names) - 1
 
     def scored() -> object:
-        return score(made.evidence, made.present, made.candidates, y, folds_of(len(made.evidence)))
+        return score(made.evidence, made.present, made.candidates, y, make_folds(len(made.evidence)))
 
     def flipped() -> object:
-        signs, units = flip_signs(len(made.evidence), draws, 0)
-        observed, drawn = flip_ratios(made.evidence, made.present, made.candidates, y, signs, units)
-        return family_wise(observed, drawn)
+        signs, units = draw_signs(len(made.evidence), draws, 0)
+        observed, drawn = sign_flip_ratios(made.evidence, made.present, made.candidates, y, signs, units)
+        return family_wise_p(observed, drawn)
 
     with threadpool_limits(1):
         begun = time.perf_counter()
@@ -80,12 +80,21 @@ def evidence_pass(cat: Catalog, days: int = 8) -> list[str]:
     from inflight.tasks.analysis import block_evidence
     from inflight.tasks.analysis import diagnosis as diagnose
     from inflight.tasks.archive import ArchiveIndex, ChannelReader, DerivedChannels, load_samples
+    from inflight.tasks.pipelines import learns_states
 
     mission = Workspace.open(cat.workspace).mission()
-    made = diagnose.planned(cat, mission, diagnose.DiagnoseSettings())
+    made = diagnose.plan_pass(cat, mission, diagnose.DiagnoseSettings())
     plan, index = made.plan, made.index
-    reader = ChannelReader(cat, mission, plan.channel_needs, index, plan.cadence_ns, plan.span)
-    derived = DerivedChannels(reader, plan.days, plan.told, plan.library.placebos)
+    reader = ChannelReader(
+        cat,
+        mission,
+        plan.channel_needs,
+        index,
+        plan.cadence_ns,
+        plan.span,
+        by_levels=learns_states(mission, "main"),
+    )
+    derived = DerivedChannels(reader, plan.days, plan.channel_summaries, plan.library.placebos)
     some = plan.blocks[2 : 2 + days]
     columns = len(plan.library.columns)
     rows = int(DAY / plan.cadence_ns)

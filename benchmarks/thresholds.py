@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.dual import Places
+from inflight.dual import Rows
 from inflight.errors import SettingsError
 
 
@@ -45,7 +45,7 @@ def false_alarm_probability(threshold: float, *, components: str = "sum") -> flo
 
 def published_jumps(
     difference: Floats, *, sum_threshold: float | None = None, component_threshold: float | None = None
-) -> Places:
+) -> Rows:
     """Return the samples that differ from the one before by more than a threshold (equations 6 and 7).
 
     Parameters

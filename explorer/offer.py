@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from inflight.catalog import Catalog, Workspace
-from inflight.mission import Mission, is_told_by_states
+from inflight.mission import Mission
 from inflight.tasks import Versions
-from inflight.tasks.pipelines import product_of
+from inflight.tasks.pipelines import find_pipeline, product_of
 
 #: Days shown when nobody asked for a span: reading more takes longer than one cares to wait unasked.
 UNASKED_DAYS = 30
@@ -30,6 +30,8 @@ class Offer:
         The model in use, as a person calls it.
     tables : tuple of str
         Names of the comparison's certified tables.
+    note : str
+        What is said where products would be, of a comparison that makes tables and no product.
     """
 
     comparison: str
@@ -40,8 +42,7 @@ class Offer:
     archived: int
     model: str
     tables: tuple[str, ...]
-    #: Two sensors that comparisons of their own calibrate: this one makes tables and no product.
-    is_apart: bool = False
+    note: str = ""
 
     @property
     def is_empty(self) -> bool:
@@ -68,7 +69,7 @@ def offer_of(cat: Catalog, mission: Mission, comparison: str) -> Offer:
     MissionError, ModelError
         When the mission's model files are wrong.
     """
-    entry = mission.comparisons[comparison]
+    entry, pipeline = mission.comparisons[comparison], find_pipeline(mission, comparison)
     products = [day.day for day in cat.days(product_of(comparison), states=("published",))]
     archived = {
         day.day
@@ -86,7 +87,7 @@ def offer_of(cat: Catalog, mission: Mission, comparison: str) -> Offer:
         len(archived),
         Versions(cat, mission, comparison).used.told,
         tuple(sorted(name for name in names if _is_of(name, comparison, mission))),
-        entry.kind == "dual" and not is_told_by_states(mission, comparison),
+        pipeline.note if pipeline else "",
     )
 
 
@@ -111,7 +112,7 @@ def first_step(workspace: Workspace, offer: Offer) -> str:
             f"This workspace holds no measurements yet. Put the delivered files into {workspace.data} (or "
             f"name their folder), and type: inflight ingest{where}"
         )
-    if offer.products or (offer.tables and offer.is_apart):
+    if offer.products or (offer.tables and offer.note):
         return ""
     return (
         f"The archive has {offer.archived} days, and nothing is calibrated yet. Type: "

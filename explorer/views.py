@@ -12,7 +12,6 @@ from inflight.explorer.offer import Offer
 from inflight.explorer.sitting import Days, Sitting
 from inflight.explorer.watching import Place, later_tabs
 from inflight.figures import Section
-from inflight.tasks.pipelines.relation import NO_PRODUCT
 
 
 class View(Protocol):
@@ -40,8 +39,8 @@ class MeasurementView:
 
     def look_at(self, offer: Offer, days: Days | None) -> None:
         """Measure the residual of a span and show it; say why when there is none."""
-        if offer.is_apart:
-            self._place.put(drawing.hint(f"{NO_PRODUCT[:1].upper()}{NO_PRODUCT[1:]}: see Tables."))
+        if offer.note:
+            self._place.put(drawing.hint(f"{offer.note[:1].upper()}{offer.note[1:]}: see Tables."))
         elif days is None or not offer.products:
             self._place.put(drawing.hint("There are no products to hold against the measurements yet."))
         else:

@@ -7,9 +7,7 @@ from typing import Any
 
 from inflight.catalog import Catalog, Workspace
 from inflight.flows.span import Span
-from inflight.mission import is_told_by_states
-from inflight.tasks.pipelines import ReprocessSettings, plan
-from inflight.tasks.pipelines.states import days_to_do
+from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
 
 
 def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -31,18 +29,17 @@ def plan_span(workspace: Workspace, start: str, end: str, settings: Mapping[str,
         first day, last day and number of days of each.
     """
     span = Span.model_validate({"start": start, "end": end}).as_text()
-    wanted = ReprocessSettings.model_validate(settings)
+    asked = ReprocessSettings.model_validate(settings)
     cat, mission = Catalog(workspace.root), workspace.mission()
-    planned = plan(cat, mission, *span, wanted)
-    todo, unchanged = planned.batches, planned.unchanged
-    if is_told_by_states(mission, wanted.comparison):
-        days, unchanged = days_to_do(cat, planned)
-        todo = planned.in_batches(days)
+    pipeline = pipeline_of(mission, asked.comparison, asked)
+    planned = pipeline.make_plan(cat, mission, asked, span)
+    days, unchanged = pipeline.days_to_do(cat, planned)
+    todo = planned.in_batches(days)
     batches = [[str(batch[0]), str(batch[-1]), len(batch)] for batch in todo]
     return {
         "context": planned.context,
         "days": {
-            "planned": sum(len(batch) for batch in todo),
+            "planned": len(days),
             "unchanged": len(unchanged),
             "no_work": len(planned.no_work),
         },

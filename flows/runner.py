@@ -16,15 +16,14 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
 from inflight.errors import InflightError
-from inflight.tasks import Progress
-from inflight.tasks.archive import each_result, result_of
+from inflight.tasks import Progress, batch_mapper, counted, result_of
 
 if TYPE_CHECKING:
     from distributed import Client
     from prefect.client.schemas.objects import State, TaskRun
     from prefect.tasks import Task
 
-    from inflight.tasks.pipelines import Mapper
+    from inflight.tasks import Mapper
 
 #: Seconds before the second, third and fourth try.
 RETRY_DELAYS: list[float] = [1.0, 10.0, 60.0]
@@ -67,13 +66,7 @@ class PlainRunner:
 
     def mapper(self, client: Client) -> Mapper:
         """Return what runs batches on the client."""
-
-        def run_batches(
-            stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
-        ) -> Iterator[Any]:
-            return _counted(self.progress, stage, each_result(client, function, arguments), len(arguments))
-
-        return run_batches
+        return batch_mapper(client, self.progress)
 
 
 class PrefectRunner:
@@ -97,7 +90,7 @@ class PrefectRunner:
             run_batch = _as_task(stage, _run_batch)
             shared = (_unsearched(client), _unsearched(function))
             futures = [run_batch.submit(*shared, _unsearched(batch)) for batch in arguments]
-            return _counted(self.progress, stage, (future.result() for future in futures), len(arguments))
+            return counted(self.progress, stage, (future.result() for future in futures), len(arguments))
 
         return run_batches
 
@@ -142,14 +135,6 @@ def can_pass(error: object) -> bool:
     return isinstance(
         error, KilledWorker | CommClosedError | OperationalError | ConnectionError | TimeoutError
     )
-
-
-def _counted(progress: Progress, stage: str, outcomes: Iterator[Any], total: int) -> Iterator[Any]:
-    """Yield outcomes and report how many there were, so that what is registered keeps their order."""
-    progress(stage, 0, total)
-    for done, outcome in enumerate(outcomes, start=1):
-        progress(stage, done, total)
-        yield outcome
 
 
 def _as_task(name: str, function: Callable[..., Any]) -> Task[..., Any]:

@@ -438,23 +438,3 @@ def sensors_of(mission: Mission, comparison: str = "main") -> dict[str, Sensor]:
             reduction = float((there / here) ** 3) if here > 0 else None
         sensors[name] = Sensor(name, role, instrument.position, instrument.orientation, reduction)
     return sensors
-
-
-def is_told_by_states(mission: Mission, comparison: str) -> bool:
-    """Return True for two sensors on one boom that no scalar sensor calibrates."""
-    return comparison in dual_comparisons(mission) and not is_calibrated_apart(mission, comparison)
-
-
-def is_calibrated_apart(mission: Mission, comparison: str) -> bool:
-    """Return True when scalar or spin comparisons calibrate sensors of a dual one.
-
-    Where one sensor is left without, `Pair.of` says which.
-    """
-    own = set(mission.comparisons[comparison].instruments().values())
-    others = [entry for entry in mission.comparisons.values() if entry.kind in ("scalar", "spin")]
-    return any(entry.instruments()["vector"] in own for entry in others)
-
-
-def dual_comparisons(mission: Mission) -> list[str]:
-    """Return the names of a mission's comparisons of two vector sensors."""
-    return [name for name, entry in mission.comparisons.items() if entry.kind == "dual"]

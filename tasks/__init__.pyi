@@ -8,6 +8,7 @@ from .analysis import (
     open_workbench,
 )
 from .archive import ingest, simulate, simulate_dual, simulate_spinning
+from .batches import Mapper, batch_mapper, counted, each_result, result_of
 from .models import Versions, comparison_of, current_model, find_model, preflight_model
 from .pipelines import ReprocessSettings, reprocess
 from .release import make_release
@@ -24,6 +25,7 @@ from .report import (
 
 __all__ = [
     "DiagnoseSettings",
+    "Mapper",
     "Progress",
     "ReprocessSettings",
     "Revision",
@@ -31,11 +33,14 @@ __all__ = [
     "Versions",
     "Workbench",
     "as_settings_error",
+    "batch_mapper",
     "compare",
     "comparison_of",
+    "counted",
     "current_model",
     "diagnose",
     "diagnose_span",
+    "each_result",
     "find_model",
     "ingest",
     "make_release",
@@ -44,6 +49,7 @@ __all__ = [
     "preflight_model",
     "print_report",
     "reprocess",
+    "result_of",
     "simulate",
     "simulate_dual",
     "simulate_spinning",

@@ -25,6 +25,12 @@ from inflight.model import Layout, Model, make_effect
 #: What a model's text says of the files its effects come from.
 _SOURCE = re.compile(r"^\s*source: (\S+)\n", re.MULTILINE)
 
+#: What is free of an ideal vector sensor, by what it is held against: its effect and parameters.
+_FREE: dict[str, tuple[str, tuple[str, ...]]] = {
+    "scalar": ("vector_sensor", ("scale_factor", "misalignment", "offset")),
+    "spin": ("spinning_sensor", tuple(SpinningSensor.SPIN_RELATED)),
+}
+
 
 @dataclass(frozen=True)
 class UsedModel:
@@ -100,14 +106,11 @@ def ideal_model(mission: Mission, comparison: str = "main", own: tuple[EffectSou
     that the spin tells, with the effect's own wide priors; else readings are taken as delivered.
     """
     name, layout = f"{mission.mission}-ideal", Layout.of(mission, comparison)
-    if layout.kind not in ("scalar", "spin"):
+    if layout.kind not in _FREE:
         return Model(name, mission.mission, comparison, (), layout=layout, own=own)
     sensors = sensors_of(mission, comparison)
     vector = next(sensor for sensor in sensors.values() if sensor.role == "vector")
-    names: tuple[str, ...] = ("scale_factor", "misalignment", "offset")
-    kind = "vector_sensor"
-    if layout.kind == "spin":
-        kind, names = "spinning_sensor", tuple(SpinningSensor.SPIN_RELATED)
+    kind, names = _FREE[layout.kind]
     parts = {part: {"time": "block"} for part in names}
     entry = {"effect": kind, "sensor": vector.name, **parts}
     effects = (make_effect(entry, sensors, mission=mission),)

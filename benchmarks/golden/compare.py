@@ -280,7 +280,9 @@ def compare_floats(
     known = np.isfinite(apart) & np.isfinite(scale) & (scale > 0.0)
     sizes = np.where(known, apart / np.where(known, scale, 1.0), np.inf)
     beyond = int(np.sum(sizes > tolerance * _ROUNDING))
-    told = f"{sizes.max():.2g} {unit} ({apart.size} of {old.size} differ, {beyond} beyond)"
+    worst = np.unravel_index(np.flatnonzero(~same.ravel())[np.argmax(sizes)], old.shape)
+    place = f"most at {[int(one) for one in worst]}"
+    told = f"{sizes.max():.2g} {unit} ({apart.size} of {old.size} differ, {beyond} beyond, {place})"
     item.number(float(sizes.max() / tolerance), name, told)
 
 

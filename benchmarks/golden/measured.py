@@ -85,8 +85,9 @@ PUBLISHED = Case(
             "mission.yaml", ("comparisons:\n", "preflight: models/usgs-bou-published.yaml\ncomparisons:\n")
         ),
         ingest(_DELIVERED, "--end", "2016-01-08"),
-        reprocess("daily"),
-        Keep("end"),
+        # It has no sensor that a scalar calibration could fit.
+        reprocess("daily", ends=1),
+        diagnose(),
         look("model", "show"),
     ),
     folder="usgs-bou-201601",

@@ -1,14 +1,11 @@
 from .normal_equations import (
     NINE,
     NINE_UNITS,
-    RESIDUAL,
     NormalEquations,
     block_equations,
     field_columns,
     joined,
-    larger_scatter,
     nine_columns,
-    places,
 )
 from .product import PERIOD, Distribution, day_parameters, distribute, level2
 from .published import fit_difference, fit_squares, to_sensor_angles
@@ -37,7 +34,6 @@ __all__ = [
     "NINE_UNITS",
     "PARTS",
     "PERIOD",
-    "RESIDUAL",
     "SCALE",
     "SOURCES",
     "UNITS",
@@ -62,10 +58,8 @@ __all__ = [
     "joined",
     "kernel_parameters",
     "kernel_scale",
-    "larger_scatter",
     "level2",
     "nine_columns",
-    "places",
     "reference_of",
     "split_chain",
     "sub_blocks_for",

@@ -1,11 +1,10 @@
-"""Level-2 fields.
+"""Level-2 fields of a day: the calibrated field, its corrections apart, uncertainty and quality.
 
-What is left of the residual, given to the vector as a term of its own (Yin 2010, eq. 3.7).
+Takes aligned samples, a model and a calibration table; makes the Dataset of a day's product.
 
-``B' = (1 - dB'/|B|) B`` with dB' the residual low-passed at a period of 80 s. It makes vector and scalar
-agree on slow scales whatever the cause, and so hides errors: it is the last step, and its size is told.
-
-Level-2: the calibrated field with its corrections apart, uncertainty and quality, one day at a time.
+What is left of the residual may be given to the vector as a term of its own, last of all (Yin 2010,
+eq. 3.7): ``B' = (1 - dB'/|B|) B`` with dB' the residual low-passed at a period of 80 s. It makes vector
+and scalar agree on slow scales whatever the cause, and so hides errors: its size is part of the product.
 """
 
 from __future__ import annotations
@@ -28,20 +27,40 @@ from inflight.lsq import BIWEIGHT_WIDTH, robust_sigma
 from inflight.model import Model
 from inflight.time import SECOND, Int64, to_utc, usual_step
 
+
+@dataclass(frozen=True, kw_only=True)
+class ClosureSettings:
+    """How the residual's slow part is filtered.
+
+    Attributes
+    ----------
+    fewest_samples : int
+        Samples a period at least; assumed.
+    most_samples : int
+        Samples a period at most before the residual is averaged for the filter; assumed.
+    shortest : float
+        A stretch of fewer periods has no slow part; assumed.
+    gap : float
+        A gap longer than this part of a period ends a stretch; assumed.
+    edge : float
+        Samples this near the end of a stretch, in periods, are an edge; assumed.
+    """
+
+    fewest_samples: int = 8
+    most_samples: int = 100
+    shortest: float = 2.0
+    gap: float = 0.5
+    edge: float = 2.0
+
+
+CLOSURE = ClosureSettings()
+
+
 #: Period at which the filter passes half of the amplitude, s.
 PERIOD = 80.0
 
 #: Order of the difference that the filter holds small: it passes 1 / (1 + (f/fc)^6).
 ORDER = 3
-
-#: Samples a period at least, and at most before the residual is averaged for the filter.
-_COARSEST, _FINEST = 8, 100
-
-#: A stretch shorter than so many periods has no slow part; one of gaps longer than this part ends it.
-_SHORTEST, _GAP = 2.0, 0.5
-
-#: Samples this near the end of a stretch, in periods, are an edge.
-_EDGE = 2.0
 
 
 @dataclass(frozen=True)
@@ -147,22 +166,22 @@ def distribute(
     cadence = usual_step(tt2000, 0) / SECOND
     if step.size == 0 or np.any(step <= 0):
         raise SamplesError("stamps do not rise", remedy="align the samples first")
-    if period < _COARSEST * cadence:
+    if period < CLOSURE.fewest_samples * cadence:
         raise SamplesError(
             f"samples every {cadence:g} s have no low-pass at {period:g} s",
-            remedy=f"use a period of at least {_COARSEST * cadence:g} s",
+            remedy=f"use a period of at least {CLOSURE.fewest_samples * cadence:g} s",
         )
     use = np.isfinite(residual) & (True if good is None else good)
     slow, sigma = np.full(residual.size, np.nan), np.full(residual.size, np.nan)
     edge = np.zeros(residual.size, dtype=bool)
     place = np.rint((tt2000 - tt2000[0]) / (cadence * SECOND)).astype(np.int64)
-    for first, last in _stretches(place, use, _GAP * period / cadence):
-        if (place[last] - place[first]) * cadence < _SHORTEST * period:
+    for first, last in _stretches(place, use, CLOSURE.gap * period / cadence):
+        if (place[last] - place[first]) * cadence < CLOSURE.shortest * period:
             continue
         span = slice(first, last + 1)
         slow[span], sigma[span] = _filtered(place[span], residual[span], use[span], period / cadence)
         near = np.minimum(place[span] - place[first], place[last] - place[span]) * cadence
-        edge[span] = near < _EDGE * period
+        edge[span] = near < CLOSURE.edge * period
     strength = np.linalg.norm(field, axis=1)
     done = np.isfinite(slow) & np.isfinite(strength) & (strength > 0)
     term = np.where(done, np.divide(slow, strength, out=np.zeros_like(slow), where=done), 0.0)
@@ -182,7 +201,7 @@ def _stretches(place: Int64, use: np.ndarray, longest: float) -> list[tuple[int,
 
 def _filtered(place: Int64, residual: Floats, use: np.ndarray, period: float) -> tuple[Floats, Floats]:
     """Return the slow part of a stretch and its standard deviation; (time,). `period` is in steps."""
-    bins = max(1, int(period // _FINEST))
+    bins = max(1, int(period // CLOSURE.most_samples))
     count = int(place[-1] - place[0]) // bins + 1
     cell = (place - place[0]) // bins
     weight = np.bincount(cell[use], minlength=count).astype(np.float64)

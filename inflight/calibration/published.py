@@ -1,11 +1,7 @@
-"""Linearised published forms.
+"""The two published linearisations of the scalar calibration, and both published forms of its parameters.
 
-The two published linearisations of the scalar calibration, for comparison with the exact fit.
-
-Both treat the raw readings as nearly right and are linear in products of the parameters; iterated
-they reach the exact least squares (Yin 2010, section 2.2).
-
-The nine parameters in the two published forms: correction side (K, E0) and sensor side (S, U, E0).
+For comparison with the exact fit. Both linearisations treat the raw readings as nearly right and are
+linear in products of the parameters; iterated they reach the exact least squares (Yin 2010, section 2.2).
 
 *Correction side* (Yin 2010, eq. 2.5): ``B = K (E - E0)``; `scale_factor` is the diagonal of K and
 `misalignment` the arccosine of K_xy, K_xz, K_yz, in degrees. These are **not** the angles between
@@ -24,14 +20,14 @@ import numpy as np
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, ModelError
-from inflight.lsq import SINGULAR
+from inflight.lsq import SOLVER
 
 
 def _least_squares(rows: Floats, right: Floats) -> Floats:
     """Solve scaled least squares; a singular system is an error, not an invented number."""
     scale = np.linalg.norm(rows, axis=0)
     found, _, _, singular = np.linalg.lstsq(rows / scale, right, rcond=None)
-    if singular[-1] < SINGULAR * singular[0]:
+    if singular[-1] < SOLVER.singular * singular[0]:
         raise CalibrationError(
             "the directions of the field do not determine nine parameters",
             remedy="use the fit with priors, which says what is determined",

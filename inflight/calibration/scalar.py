@@ -1,19 +1,13 @@
-"""Nine-parameter fit.
+"""Scalar calibration of one block: robust Gauss-Newton for the nine parameters of a vector sensor.
 
-The hot loop: rows of the nine-parameter residual and their weighted Gram matrix.
+Takes readings of vector and scalar sensor, the reference and prior of the nine; makes a `BlockFit`:
+values, covariance and the Gram matrix that later sums are made of.
 
 Residual ``r = |B| - F`` with ``B = K (E - E0) - S`` (Yin 2010, eqs. 2.5, 2.6); S holds the additive
-fields corrected after the sensor's equation. Its derivatives with respect to the entries of K are
-``e_i (E - E0)_j`` and to E0 ``-K^T e``, with e = B/|B|.
-
-Parameters in this module are the nine numbers (K_xx, K_yy, K_zz, K_xy, K_xz, K_yz, E0_x, E0_y, E0_z).
-
-The nine parameters of a model's vector sensor: their reference and prior, and the chain around them.
-
-Scalar calibration of one block: exact robust Gauss-Newton on scaled normal equations.
-
-The nine parameters are those of the effect ``vector_sensor``. Everything else the model holds is
-taken out of the readings first, see `inflight.calibration.scalar.split_chain`.
+fields corrected after the sensor's equation, see `split_chain`. Its derivatives with respect to the
+entries of K are ``e_i (E - E0)_j`` and to E0 ``-K^T e``, with e = B/|B|. The compiled loops work with
+the nine numbers (K_xx, K_yy, K_zz, K_xy, K_xz, K_yz, E0_x, E0_y, E0_z), everything else with the
+parameters of the effect ``vector_sensor``: scale factors, angles (deg), offsets (nT).
 """
 
 from __future__ import annotations
@@ -32,19 +26,69 @@ from inflight.errors import CalibrationError, ModelError
 from inflight.flags import UNUSABLE
 from inflight.lsq import (
     BIWEIGHT_WIDTH,
-    MIN_INFORMATION,
+    SOLVER,
     WEIGHTED_RMS,
     Solution,
+    bartlett_kernel,
     posterior,
+    posterior_covariance,
     robust_sigma,
+    shift_reference,
     solve,
 )
 from inflight.model import Model, ModelEffect, component_names, corrected
 from inflight.samples import PlainSamples
 from inflight.time import Int64
 
-#: Rows handled at once: the block of columns stays in the cache and BLAS forms its Gram matrix.
-_ROWS = 2048
+
+@dataclass(frozen=True, kw_only=True)
+class ScalarSettings:
+    """How the iteration of a block's nine parameters goes and ends.
+
+    Attributes
+    ----------
+    rows : int
+        Rows handled at once: the block of columns stays in the cache and BLAS forms its Gram matrix;
+        measured.
+    sub_block_s : float
+        Seconds of a sub-block of a day: 72 a day; assumed.
+    most_passes : int
+        Passes at most; assumed.
+    edge_pass : int
+        A direction at the edge of what the data determine could come and go for ever: from this pass on the
+        edge rises; assumed.
+    edge_rise : float
+        Factor a pass by which it rises, until the direction stays at its prior; assumed.
+    settled : float
+        The iteration ends when no parameter moves by more than so many of its sigmas: a lengthened step
+        leaves a thousandth of itself to the next, also with outliers; measured.
+    plain : float
+        Data that know every direction so many times better than the prior need no directions; assumed.
+    long : int
+        Blocks of more samples begin with some of them; assumed.
+    thin : int
+        They begin with every so manyth sample; assumed.
+    scale_samples : int
+        Samples that the residual's scale is taken from; assumed.
+    """
+
+    rows: int = 2048
+    sub_block_s: float = 1200.0
+    most_passes: int = 25
+    edge_pass: int = 5
+    edge_rise: float = 1.5
+    settled: float = 10.0
+    plain: float = 1e3
+    long: int = 20_000
+    thin: int = 8
+    scale_samples: int = 10_000
+
+
+SCALAR = ScalarSettings()
+
+#: A plain number for the compiled loops.
+_ROWS = SCALAR.rows
+
 
 #: Columns: nine parameters and the residual.
 WIDTH = 10
@@ -356,29 +400,12 @@ SUB_BLOCKS = 72
 #: Fewest sub-blocks of a shorter block: more would be too short to show correlation over minutes.
 FEWEST_SUB_BLOCKS = 12
 
-_SUB_BLOCK_S = 1200.0
 
 #: Residuals are taken as correlated over this many sub-blocks.
 BARTLETT = 3
 
 #: The equations are linearised at the reference itself when the fit bends the residual by more, nT.
 BEND = 1e-4
-
-_MAX_PASSES = 25
-
-#: A direction at the edge of what the data determine could come and go for ever: from this turn on the
-#: edge rises by this factor a turn, until the direction stays at its prior.
-_EDGE_TURN, _EDGE_RISE = 5, 1.5
-
-#: The iteration ends when no parameter moves by more than this many of its sigmas: a lengthened step
-#: leaves a thousandth of itself to the next, also with outliers (measured).
-_SETTLED = 10.0
-
-#: Data that know every direction so many times better than the prior are solved without ado.
-_PLAIN = 1e3
-
-#: Longer blocks begin with every `_THIN`-th sample; the residual's scale is taken from so many.
-_LONG, _THIN, _SCALE_SAMPLES = 20_000, 8, 10_000
 
 
 @dataclass(frozen=True)
@@ -429,7 +456,7 @@ class BlockFit:
 
 def sub_blocks_for(seconds: float) -> int:
     """Return into how many sub-blocks so many seconds of used samples are cut: one for 20 minutes."""
-    return int(np.clip(seconds / _SUB_BLOCK_S, FEWEST_SUB_BLOCKS, SUB_BLOCKS))
+    return int(np.clip(seconds / SCALAR.sub_block_s, FEWEST_SUB_BLOCKS, SUB_BLOCKS))
 
 
 def fit_block(
@@ -470,11 +497,11 @@ def fit_block(
     data = _Data.of(reading, additive, scalar, good, sub_blocks)
     value, passes = reference.value, 0
     for part in (data.thinned(), data):
-        for turn in range(_MAX_PASSES):
-            least = MIN_INFORMATION * _EDGE_RISE ** max(0, turn - _EDGE_TURN)
+        for turn in range(SCALAR.most_passes):
+            least = SOLVER.min_information * SCALAR.edge_rise ** max(0, turn - SCALAR.edge_pass)
             found = _pass(part, value, prior, passes > 0, least)
             moved, value, passes = found.value - value, found.value, passes + 1
-            settled = np.all(np.abs(moved) <= _SETTLED * np.maximum(found.sigma, 1e-12 * SCALE))
+            settled = np.all(np.abs(moved) <= SCALAR.settled * np.maximum(found.sigma, 1e-12 * SCALE))
             if passes > 1 and settled and bend(value, value - moved, data.strength) <= BEND:
                 break
         else:
@@ -531,21 +558,21 @@ class _Data:
 
     def thinned(self) -> _Data:
         """Every eighth sample of a long block: it brings the fit near its end at an eighth of the cost."""
-        if self.f.size < _LONG:
+        if self.f.size < SCALAR.long:
             return self
-        s = self.s[::_THIN] if self.s.shape[0] > 1 else self.s
-        e, f = self.e[::_THIN], self.f[::_THIN]
+        s = self.s[:: SCALAR.thin] if self.s.shape[0] > 1 else self.s
+        e, f = self.e[:: SCALAR.thin], self.f[:: SCALAR.thin]
         return _Data(
             np.ascontiguousarray(e),
             np.ascontiguousarray(s),
             np.ascontiguousarray(f),
-            -(-self.edges // _THIN),
+            -(-self.edges // SCALAR.thin),
             self.strength,
         )
 
     def sigma(self, value: Floats) -> float:
         """Robust standard deviation of the residual, from some evenly spread samples; nT."""
-        step = max(1, self.f.size // _SCALE_SAMPLES)
+        step = max(1, self.f.size // SCALAR.scale_samples)
         s = self.s[::step] if self.s.shape[0] > 1 else self.s
         some = residuals(kernel_parameters(value), self.e[::step], s, self.f[::step])
         return robust_sigma(some, floor=1e-6)
@@ -584,7 +611,7 @@ def _pass(data: _Data, value: Floats, prior: Reference, weighted: bool, edge: fl
     gram = blocks.sum(axis=0)
     centre, spread = (prior.value - value) / SCALE, prior.sigma / SCALE
     step, covariance, least = posterior(gram, count, centre, spread)
-    if least < _PLAIN:
+    if least < SCALAR.plain:
         # Weak directions need their true weight, or the iteration runs along them for nothing.
         solution = solve(gram, score_scatter(blocks, step, spread), count, centre, spread, edge)
         step, covariance, bread = solution.value, solution.covariance, 1.0
@@ -601,18 +628,16 @@ def score_scatter(blocks: Floats, change: Floats, prior_sigma: Floats) -> Floats
     """
     matrices = blocks[:, :-1, :-1]
     scores = blocks[:, :-1, -1] + matrices @ change
-    lag = np.abs(np.subtract.outer(np.arange(len(blocks)), np.arange(len(blocks))))
-    kernel = np.maximum(0.0, 1.0 - lag / (BARTLETT + 1.0))
+    kernel = bartlett_kernel(len(blocks), BARTLETT)
     scatter = scores.T @ kernel @ scores
     total = matrices.sum(axis=0)
-    unit = prior_sigma[:, None] * prior_sigma[None, :]
-    steadied = np.linalg.pinv(total * unit + np.eye(change.size), hermitian=True) * unit
+    covariance = posterior_covariance(total, prior_sigma)
     # What each pair of sub-blocks shares through the fitted parameters, summed with the kernel.
-    turned = steadied @ matrices
-    flat = turned.reshape(len(blocks), -1)
-    absorbed = float(np.sum(kernel * (flat @ turned.transpose(0, 2, 1).reshape(len(blocks), -1).T)))
-    known = float(np.trace(steadied @ total))
-    kept = 1.0 - absorbed / known if known > 0 else 1.0
+    leverage = covariance @ matrices
+    flat = leverage.reshape(len(blocks), -1)
+    lost = float(np.sum(kernel * (flat @ leverage.transpose(0, 2, 1).reshape(len(blocks), -1).T)))
+    known = float(np.trace(covariance @ total))
+    kept = 1.0 - lost / known if known > 0 else 1.0
     return np.asarray(scatter / max(kept, 0.1))
 
 
@@ -658,18 +683,3 @@ def _gram_at(reference: Floats, data: _Data, found: _Pass) -> Floats:
     root = np.maximum(1.0 - (r / (BIWEIGHT_WIDTH * found.sigma_residual)) ** 2, 0.0)
     theta, scale = kernel_parameters(reference), kernel_scale(reference)
     return np.asarray(gram_elsewhere(theta, data.e, data.s, data.f, root, scale))
-
-
-def shift_reference(gram: Floats, change: Floats) -> Floats:
-    """Express the residual column after a scaled change of the parameters: y becomes ``y + X change``.
-
-    Parameters
-    ----------
-    gram : ndarray, shape (parameter + 1, parameter + 1)
-        Gram matrix of [X | y], scaled columns, nT^2.
-    change : ndarray, shape (parameter,)
-        Scaled.
-    """
-    turn = np.eye(gram.shape[0])
-    turn[-1, :-1] = change
-    return np.asarray(turn @ gram @ turn.T)

@@ -1,8 +1,7 @@
-"""Calibration tables and their jumps.
+"""Calibration tables: how much and when, with covariance and what is behind each number.
 
-Calibration tables: how much and when, with covariance and what is behind each number.
-
-The step a calibration makes in the calibrated field where one interval ends and the next begins.
+Takes the solutions of intervals; makes the table's Dataset, and the step that the calibrated field makes
+where one interval ends and the next begins.
 """
 
 from __future__ import annotations

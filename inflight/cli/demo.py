@@ -79,13 +79,14 @@ def _say(session: Session, text: str) -> None:
 
 
 def _finish(session: Session, workspace: Workspace, report: RunReport, seconds: float) -> None:
-    fields = compare_span(session, workspace).as_json()
+    compared = compare_span(session, workspace)
+    fields = compared.as_json()
     page = workspace.relative(fields["path"])
     added = {"residual": fields["residual"], "path": page, "seconds": round(seconds, 1)}
     total = replace(report, outputs=[*report.outputs, page], extra=report.extra | added)
 
     def show(console: Console) -> None:
-        print_comparison(console, fields)
+        print_comparison(console, compared)
         _print_next(console, workspace, seconds)
 
     session.emit(total.as_json(), show)

@@ -182,23 +182,15 @@ def reprocess(
     )
     parameters = _given(start=start, end=end, settings=settings)
     report = run_flow(session, "reprocess", parameters, workers=workers, prefect=not no_prefect)
-    session.finish(report, [*_not_made(report), *_left_alone(report)])
+    session.finish(report, _run_remarks(session, settings, report))
 
 
-def _not_made(report: RunReport) -> Iterator[str]:
-    """Yield which tables of the chain could not be made, and why."""
-    for name, why in report.extra.get("left_out", {}).items():
-        yield f"table '{name}' is not made: {why}"
+def _run_remarks(session: Session, settings: Mapping[str, Any], report: RunReport) -> Iterator[str]:
+    """Yield what a person must know of a run that no day tells, in the words of the pipeline."""
+    from inflight.tasks.pipelines import ReprocessSettings, pipeline_of
 
-
-def _left_alone(report: RunReport) -> Iterator[str]:
-    """Yield which windows of two sensors are left as measured and why, and where their field may step."""
-    from inflight.tasks.pipelines.states import constant_sentences
-
-    for one in report.extra.get("windows", []):
-        if one["applied"] != "yes":
-            yield f"{one['start']} to {one['end']} is left as measured: {one['verdict']}"
-    yield from constant_sentences(report.extra.get("constant_changes", []))
+    asked = ReprocessSettings.model_validate(settings)
+    yield from pipeline_of(session.open_workspace().mission(), asked.comparison, asked).remarks(report.extra)
 
 
 def backfill(

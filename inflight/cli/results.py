@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,8 +16,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from inflight.catalog import Workspace
-    from inflight.tasks.pipelines.scalar import CompareReport
-    from inflight.tasks.pipelines.states import DualCompareReport
+    from inflight.mission import Mission
+    from inflight.tasks.pipelines import Report
 
 
 def register(app: typer.Typer) -> None:
@@ -40,8 +39,7 @@ def compare(
     workspace = session.open_workspace()
     report = compare_span(session, workspace, start=start, end=end, comparison=comparison, output=output)
     fields = report.as_json()
-    show_fields = print_dual_comparison if fields.get("kind") == "dual" else print_comparison
-    session.emit(fields, lambda console: show_fields(console, fields))
+    session.emit(fields, lambda console: print_comparison(console, report))
     if show and fields["path"]:
         import webbrowser
 
@@ -56,7 +54,7 @@ def compare_span(
     end: str | None = None,
     comparison: str = "main",
     output: Path | None = None,
-) -> CompareReport | DualCompareReport:
+) -> Report:
     """Compare and write the page, into the workspace's reports unless `output` says otherwise.
 
     A workspace that can only be read gets no page unless `output` names a place for it.
@@ -70,11 +68,7 @@ def compare_span(
     from inflight.tasks.analysis import compare as measure
 
     mission = workspace.mission()
-    if comparison not in mission.comparisons:
-        raise SettingsError(
-            f"--comparison: mission {mission.mission!r} has no comparison {comparison!r}",
-            remedy=f"choose one of {', '.join(mission.comparisons)}",
-        )
+    require_comparison(mission, comparison)
     span = Span.model_validate({"start": start, "end": end}).as_text()
     name = "-".join(["compare", comparison, *filter(None, span)])
     page = page_path(output) if output else _page_path_if_writable(workspace.reports / name)
@@ -103,43 +97,25 @@ def _page_path_if_writable(path: Path) -> Path | None:
         return None
 
 
-def print_comparison(console: Console, fields: dict[str, Any]) -> None:
-    """Print residual before and after, what the data determine, where it still fails, and the page."""
-    residual = fields["residual"]
-    for name in ("before", "after"):
-        rms, spread = residual[f"{name}_nT"], residual[f"{name}_less_mean_nT"]
-        console.print(f"residual {name:<7} {rms:8.3f} nT rms, {spread:.3f} nT about its mean", style="bold")
-    if residual["outliers"]:
-        robust, outliers = residual["after"]["robust"], residual["outliers"]
-        console.print(f"  its robust sigma {robust:8.3f} nT; the rms counts {outliers} outliers")
-    if math.isfinite(residual["noise_floor_nT"]):
-        console.print(f"noise floor      {residual['noise_floor_nT']:8.3f} nT")
-    else:
-        console.print("noise floor      unknown: every stretch of the residual has missing samples")
-    determined = (
-        ", ".join(name.rpartition(".")[2] for name in fields["parameters"]["determined"]) or "nothing"
-    )
-    console.print(f"  determined by these data: {determined}", soft_wrap=True, markup=False)
-    for failing in fields["fails_where"]:
-        console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
-    page = fields["path"] or "none, because the workspace cannot be written; --output names another place"
-    console.print(f"  page: {page}", soft_wrap=True)
+def require_comparison(mission: Mission, comparison: str) -> None:
+    """Raise SettingsError unless the mission has a comparison of this name."""
+    if comparison not in mission.comparisons:
+        raise SettingsError(
+            f"--comparison: mission {mission.mission!r} has no comparison {comparison!r}",
+            remedy=f"choose one of {', '.join(mission.comparisons)}",
+        )
 
 
-def print_dual_comparison(console: Console, fields: dict[str, Any]) -> None:
-    """Print how far the field of two sensors steps at switchings, before and after, and what is left."""
-    residual = fields["residual"]
-    if residual["note"]:
-        console.print(residual["note"], soft_wrap=True)
-    else:
-        console.print(f"{residual['what']} ({residual['switchings']} switchings):", soft_wrap=True)
-        for name, label in (("before", "as measured"), ("after", "corrected"), ("noise_floor", "floor")):
-            console.print(f"  {label:<12} {residual[f'{name}_nT']:8.3f} nT", style="bold")
-    for told in fields["verdict"]["told"]:
-        console.print(f"  {told}", soft_wrap=True, markup=False)
-    for failing in fields["fails_where"]:
-        console.print(f"  {failing['sentence']}", soft_wrap=True, markup=False)
-    page = fields["path"] or "none, because the workspace cannot be written; --output names another place"
+def print_summary(console: Console, report: Report) -> None:
+    """Print what a person reads of a report."""
+    for line in report.summary():
+        console.print(line.text, style=line.style or None, soft_wrap=True, markup=False)
+
+
+def print_comparison(console: Console, report: Report) -> None:
+    """Print how well products agree before and after, where they still fail, and the page."""
+    print_summary(console, report)
+    page = report.path or "none, because the workspace cannot be written; --output names another place"
     console.print(f"  page: {page}", soft_wrap=True)
 
 

@@ -1,4 +1,9 @@
-"""inflight/design."""
+"""Design of a residual: which terms it may have, and their columns.
+
+Takes native rows of a comparison and the effects of a model or library; makes terms and candidates
+(`terms`), and their design matrices on bins, outliers left out (`columns`). Nothing is fitted here. Open
+`terms.py` first.
+"""
 
 import lazy_loader
 

@@ -1,19 +1,19 @@
-"""Design matrices, binning, outliers.
+"""Design matrices: columns of the residual, from native samples to the library's cadence.
 
-Columns of the residual: what one unit of each parameter changes, at the library's cadence.
+Takes a day's native rows and the channels on the library's bins; makes `Rows` (`coarsen`): means of the good
+samples of each bin, spikes and bursts left out. Means of bins keep every linear statement: the mean
+residual is the same function of the mean columns. From rows and terms, `design` makes the columns: what one
+unit of each parameter changes.
 
-Sign: a column is the derivative of the corrected residual by the parameter, so that ``y + X d`` is
-the residual after a change d, as in `inflight.calibration.normal_equations`.
+Sign: a column is the derivative of the corrected residual by the parameter, so that ``y + X d`` is the
+residual after a change d, as in `inflight.calibration.normal_equations`. An effect that adds a field is
+evaluated once, for it is linear; one inside an instrument's equation is differenced (central, by the
+parameter's step).
 
-Bursts: stretches in which the residual scatters far beyond what is usual, sample by sample.
-
-What a burst is, is judged by the bends of the residual, each sample against the straight line through its
-neighbours: a switch, a slow field, a storm seen through a clock offset bend at most a few samples. What also
-bends both instruments' readings, or goes with a recorded channel that is as lively, is a signal and stays.
-
-From native samples to the library's cadence: bins of good samples, spikes and bursts left out.
-
-Means of bins keep every linear statement: the mean residual is the same function of the mean columns.
+A burst is a stretch in which the residual scatters far beyond what is usual, sample by sample: each sample is
+held against the straight line through its neighbours (`_second_differences`). A switch, a slow field, a storm
+seen through a clock offset deviate from it in at most a few samples. What also shows in both instruments'
+readings, or goes with a recorded channel that fluctuates as much, is a signal and stays (`is_signal`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from inflight.model import ResidualRows as NativeRows
 from inflight.samples import PlainSamples
 from inflight.time import GAP, SECOND, Int64, utc_text
 
-#: Effects that are the equation of a whole sensor: what stands before them is turned by their matrix.
+#: Effects that are the equation of a whole sensor: their matrix acts on what comes before them.
 EQUATIONS = (VectorSensor, SpinningSensor)
 
 #: Roles whose reading is a vector.
@@ -56,23 +56,23 @@ class Rows:
         nT, at the values the columns are linearised at.
     directions : dict of str to ndarray, shape (time, row, axis)
         Change of each row by a field added at a sensor.
-    turn : dict of str to ndarray, shape (9,)
-        What the sensor's own equation behind an effect does to a change of its reading, row by row.
+    sensor_matrices : dict of str to ndarray, shape (9,)
+        What the sensor's own equation behind an effect does to a change of its reading: K, row by row.
     weight : ndarray, shape (time,)
         Good native samples of each over the usual number; 0 where there are none.
-    kept : RowFilter, optional
+    row_filter : RowFilter, optional
         The filter the residual went through; columns go through it, too.
     """
 
     samples: xr.Dataset
     residual: Floats
     directions: Mapping[str, Floats]
-    turn: Mapping[str, Floats]
+    sensor_matrices: Mapping[str, Floats]
     weight: Floats
-    kept: RowFilter | None = None
+    row_filter: RowFilter | None = None
 
 
-def turns_of(model: Model, tt2000: int) -> dict[str, Floats]:
+def sensor_matrices(model: Model, tt2000: int) -> dict[str, Floats]:
     """Return the matrix of every sensor that has an equation, row by row; (9,) each."""
     found = {}
     for entry in model.effects:
@@ -112,7 +112,7 @@ def term_columns(term: Term, rows: Rows) -> Floats:
     return np.moveaxis(made, 0, -1)
 
 
-def _changed(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:
+def _with_step(values: Mapping[str, Floats], name: str, index: int, step: float) -> dict[str, Floats]:
     moved = dict(values)
     moved[name] = np.array(values[name], dtype=np.float64)
     moved[name][..., index] += step
@@ -124,14 +124,10 @@ def _additive(
 ) -> Floats:
     """Column of an effect that only adds a field: one evaluation, it is linear."""
     entry = term.entry
-    others = {key: value * 0.0 if _is_linear(term, key) else value for key, value in values.items()}
+    others = {key: value * 0.0 if key in term.parameters else value for key, value in values.items()}
     others[name] = others[name] * 0.0
-    field = entry.effect.field(rows.samples, _changed(others, name, index, step), entry.sensor)
+    field = entry.effect.field(rows.samples, _with_step(others, name, index, step), entry.sensor)
     return np.asarray(-np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], field))
-
-
-def _is_linear(term: Term, name: str) -> bool:
-    return name in term.parameters
 
 
 def _differenced(
@@ -141,14 +137,16 @@ def _differenced(
     entry = term.entry
     reading = np.asarray(rows.samples[entry.sensor.role].values, dtype=np.float64)
     up, down = (
-        entry.effect.correct(reading, rows.samples, _changed(values, name, index, sign * step), entry.sensor)
+        entry.effect.correct(
+            reading, rows.samples, _with_step(values, name, index, sign * step), entry.sensor
+        )
         for sign in (1.0, -1.0)
     )
     change = (up - down) / 2.0
     if entry.sensor.role not in _VECTORS:
         return np.asarray(-change[:, None])
-    if not isinstance(entry.effect, EQUATIONS) and entry.sensor.name in rows.turn:
-        change = multiply(rows.turn[entry.sensor.name], change)
+    if not isinstance(entry.effect, EQUATIONS) and entry.sensor.name in rows.sensor_matrices:
+        change = multiply(rows.sensor_matrices[entry.sensor.name], change)
     return np.asarray(np.einsum("tra,ta->tr", rows.directions[entry.sensor.name], change))
 
 
@@ -169,23 +167,71 @@ def design(terms: Sequence[Term], rows: Rows) -> Floats:
         if not np.isfinite(column.sum()):
             column[~np.isfinite(column)] = 0.0
     made = np.moveaxis(found, 0, -1)
-    if rows.kept is None:
+    if rows.row_filter is None:
         return made
-    return np.nan_to_num(rows.kept.keep(made, rows.samples["tt2000"].values, ~unused))
+    return np.nan_to_num(rows.row_filter.keep(made, rows.samples["tt2000"].values, ~unused))
 
 
-#: A burst scatters this many times as much as usual; so much livelier is a channel that makes one.
-FAR = 10.0
+@dataclass(frozen=True, kw_only=True)
+class BurstSettings:
+    """What a burst is.
 
-#: Never is more of a span than this left out as bursts.
-MOST = 0.02
+    Attributes
+    ----------
+    scatter : float
+        A burst scatters this many times as much as usual; a channel that makes one changes so much more;
+        assumed: far from any storm.
+    largest_share : float
+        Part of a span that is left out as bursts at most; more of it is no outlier; assumed.
+    around : int
+        Samples the scatter is the median of, odd; assumed.
+    deviation : float
+        How far a sample must deviate from its neighbours to be in a burst, in usual scatters; assumed.
+    fewest : int
+        Samples a record needs: fewer have no usual scatter; assumed.
+    listed, named : int
+        Bursts listed of a block, and of a span.
+    lively : float
+        An instrument without bursts of its own is lively when it fluctuates so many times as much as usual;
+        assumed.
+    """
 
-#: Samples the scatter is the median of, odd; how far a sample must bend to be in a burst, in usual scatters;
-#: samples a record needs; bursts told of a block, and of a span.
-_BURST_AROUND, _WILD, _FEWEST_SAMPLES, _TOLD, _NAMED = 11, 6.0, 100, 20, 12
+    scatter: float = 10.0
+    largest_share: float = 0.02
+    around: int = 11
+    deviation: float = 6.0
+    fewest: int = 100
+    listed: int = 20
+    named: int = 12
+    lively: float = 2.0
 
-#: An instrument that is not wild itself is lively when it fluctuates so many times as much as usual.
-_LIVELY = 2.0
+
+@dataclass(frozen=True, kw_only=True)
+class BinSettings:
+    """How samples become bins.
+
+    Attributes
+    ----------
+    spike : float
+        A sample is a spike when it is this many sigma from the median of its neighbours, sigma being that
+        of the record or of the samples around, whichever is larger: chance makes one of 4e11 good samples.
+    neighbours, around : int, int
+        Samples of that median, and of that sigma; assumed.
+    fewest : float
+        A bin needs this part of the usual number of good samples; assumed.
+    bridged : int
+        Gaps of a channel up to so many bins are bridged by a straight line; assumed.
+    """
+
+    spike: float = 7.0
+    neighbours: int = 9
+    around: int = 61
+    fewest: float = 0.3
+    bridged: int = 10
+
+
+BURSTS = BurstSettings()
+BINS = BinSettings()
 
 
 class Burst(NamedTuple):
@@ -206,7 +252,7 @@ class Outliers:
     share : float
         Part of the usable samples that bursts hold.
     kept : bool
-        True when the bursts hold too much of the span to be left out; they are in the evidence then.
+        True when the bursts hold too much of the span to be left out; they are in the Gram blocks then.
     bursts : tuple of dict
         ``start``, ``end`` (UTC), ``samples``, ``times_usual`` of the first ones.
     """
@@ -223,7 +269,7 @@ class Outliers:
         """Return the outliers of blocks' reports, in order of time."""
         samples = sum(int(one["burst_samples"]) for one in reports)
         good = sum(float(one["count"]) for one in reports)
-        told = [burst for one in reports for burst in one["bursts"]][:_NAMED]
+        first = [burst for one in reports for burst in one["bursts"]][: BURSTS.named]
         return cls(
             sum(int(one["spikes"]) for one in reports),
             samples,
@@ -237,7 +283,7 @@ class Outliers:
                     "samples": int(count),
                     "times_usual": float(times),
                 }
-                for start, end, count, times in told
+                for start, end, count, times in first
             ),
         )
 
@@ -246,7 +292,7 @@ class Outliers:
         return {"samples": self.spikes + (0 if self.kept else self.burst_samples), **vars(self)}
 
 
-def bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> list[Burst]:
+def find_bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> list[Burst]:
     """Return the bursts of a residual (time, row), whatever made them, in order.
 
     The usual scatter is the record's median one, so that a residual that is lively all the time has none.
@@ -258,32 +304,32 @@ def bursts(residual: Floats, stamps: Int64, usable: npt.NDArray[np.bool_]) -> li
     usable : ndarray of bool, shape (time,)
     """
     place = np.flatnonzero(usable)
-    if place.size < _FEWEST_SAMPLES:
+    if place.size < BURSTS.fewest:
         return []
-    size = _bends(residual[place], stamps[place])
-    local = np.stack([median_filter(row, size=_BURST_AROUND, mode="nearest") for row in size.T], axis=1)
+    size = _second_differences(residual[place], stamps[place])
+    local = np.stack([median_filter(row, size=BURSTS.around, mode="nearest") for row in size.T], axis=1)
     usual = np.array([np.median(row[row > 0]) if (row > 0).any() else np.inf for row in local.T])
     times = (local / usual).max(axis=1)
-    wild = np.asarray((size > _WILD * usual).any(axis=1))
+    wild = np.asarray((size > BURSTS.deviation * usual).any(axis=1))
     return [
         Burst(int(place[first]), int(place[last - 1]) + 1, float(np.median(times[first:last])))
-        for first, last in _stretches(times > FAR, wild, stamps[place])
+        for first, last in _runs_around(times > BURSTS.scatter, wild, stamps[place])
     ]
 
 
-def _bends(values: Floats, stamps: Int64) -> Floats:
-    """Return how far each sample is from the line through its neighbours, in sizes of noise; (time, row)."""
+def _second_differences(values: Floats, stamps: Int64) -> Floats:
+    """Return how far each sample is from the line through its neighbours, in units of noise; (time, row)."""
     seconds = (stamps - stamps[0]) / SECOND
     part = ((seconds[1:-1] - seconds[:-2]) / (seconds[2:] - seconds[:-2]))[:, None]
     off = values[1:-1] - (1.0 - part) * values[:-2] - part * values[2:]
     out = np.abs(off) / np.sqrt(1.0 + part**2 + (1.0 - part) ** 2)
-    # Across a gap the line says nothing.
-    wide = np.diff(seconds) > _BURST_AROUND * np.median(np.diff(seconds))
+    # Across a gap the line has no meaning.
+    wide = np.diff(seconds) > BURSTS.around * np.median(np.diff(seconds))
     out[wide[1:] | wide[:-1]] = 0.0
     return np.asarray(np.pad(out, ((1, 1), (0, 0)), mode="edge"))
 
 
-def _stretches(
+def _runs_around(
     far: npt.NDArray[np.bool_], wild: npt.NDArray[np.bool_], stamps: Int64
 ) -> list[tuple[int, int]]:
     """Return first and last+1 of the stretches around far samples, from the first wild one to the last."""
@@ -291,12 +337,12 @@ def _stretches(
         return []
     core = np.flatnonzero(far)
     step = float(np.median(np.diff(stamps)))
-    apart = (np.diff(core) > 2 * _BURST_AROUND) | (np.diff(stamps[core]) > 2 * _BURST_AROUND * step)
+    apart = (np.diff(core) > 2 * BURSTS.around) | (np.diff(stamps[core]) > 2 * BURSTS.around * step)
     out = []
     for group in np.split(core, np.flatnonzero(apart) + 1):
-        low, high = max(int(group[0]) - _BURST_AROUND, 0), min(int(group[-1]) + _BURST_AROUND + 1, far.size)
+        low, high = max(int(group[0]) - BURSTS.around, 0), min(int(group[-1]) + BURSTS.around + 1, far.size)
         near = np.abs(stamps[low:high] - stamps[group[0]]) <= stamps[group[-1]] - stamps[group[0]] + (
-            _BURST_AROUND * step
+            BURSTS.around * step
         )
         inside = low + np.flatnonzero(wild[low:high] & near)
         if inside.size:
@@ -328,11 +374,13 @@ def is_signal(
     edges : ndarray of int64, shape (bin + 1,)
         TT2000 of the bins.
     """
-    return _both_fluctuate(burst, others, rows, stamps) or _goes_with(burst, others, stamps, channels, edges)
+    return _both_fluctuate(burst, others, rows, stamps) or _follows_channel(
+        burst, others, stamps, channels, edges
+    )
 
 
 def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: ResidualRows, stamps: Int64) -> bool:
-    pair = _readings(rows)
+    pair = _instrument_readings(rows)
     quiet = np.ones(len(stamps), dtype=bool)
     for one in others:
         quiet[max(one.first - 2, 0) : one.last + 2] = False
@@ -340,25 +388,25 @@ def _both_fluctuate(burst: Burst, others: Sequence[Burst], rows: ResidualRows, s
     inside[burst.first : burst.last] = True
     lively, sizes = True, []
     for values in (*pair, rows.residual):
-        ripple = _ripple(values, stamps, rows.good)
+        ripple = _fourth_differences(values, stamps, rows.good)
         there, usual = _median_square(ripple[inside]), _median_square(ripple[quiet])
         sizes.append(max(there - usual, 0.0))
-        lively &= there > _LIVELY**2 * usual
-    return lively and FAR**2 * min(sizes[:-1]) > sizes[-1]
+        lively &= there > BURSTS.lively**2 * usual
+    return lively and BURSTS.scatter**2 * min(sizes[:-1]) > sizes[-1]
 
 
-def _readings(rows: ResidualRows) -> list[Floats]:
-    """Return what each of the two instruments says; (time, component)."""
+def _instrument_readings(rows: ResidualRows) -> list[Floats]:
+    """Return what each of the two instruments reads; (time, component)."""
     if rows.residual.shape[1] == 1:
         size = np.linalg.norm(rows.field, axis=1, keepdims=True)
         return [size, size - rows.residual]
     return list(rows.fields.values())
 
 
-def _ripple(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
-    """Return fourth differences, in sizes of noise; (time,), NaN where neighbours are missing.
+def _fourth_differences(values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
+    """Return fourth differences, in units of noise; (time,), NaN where neighbours are missing.
 
-    The field that an orbit leads through bends by as much as noise does; hardly anything of it is left here.
+    Second differences of the field along an orbit are as large as noise; hardly anything of it remains here.
     """
     known = np.where(good[:, None], values, np.nan)
     out = np.full(len(values), np.nan)
@@ -376,7 +424,7 @@ def _median_square(values: Floats) -> float:
     return float(np.median(known) ** 2) if known.size else 0.0
 
 
-def _goes_with(
+def _follows_channel(
     burst: Burst, others: Sequence[Burst], stamps: Int64, channels: Mapping[str, Floats], edges: Int64
 ) -> bool:
     """Return True when some channel is lively all through the burst and not elsewhere, or is on for it."""
@@ -394,35 +442,24 @@ def _goes_with(
     for values in channels.values():
         change = np.linalg.norm(np.diff(values.reshape(len(values), -1), axis=0), axis=1)
         change = np.where(np.isfinite(change), change, 0.0)
-        least = max(FAR * float(np.sqrt(np.mean(change[quiet] ** 2))), 1e-300)
+        least = max(BURSTS.scatter * float(np.sqrt(np.mean(change[quiet] ** 2))), 1e-300)
         through = change[inside].max() if short else float(np.median(change[inside]))
         if through > least or min(change[at].max(initial=0.0) for at in ends) > least:
             return True
     return False
 
 
-def told_of(found: Sequence[Burst], stamps: Int64, usable: npt.NDArray[np.bool_]) -> dict[str, Any]:
-    """Return what a block's report says of its bursts: how many, how long, and the first ones."""
+def burst_report(found: Sequence[Burst], stamps: Int64, usable: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the part of a block's report that lists its bursts: how many, how long, and the first ones."""
     samples = [int(usable[one.first : one.last].sum()) for one in found]
     return {
         "burst_samples": sum(samples),
         "burst_count": len(found),
         "bursts": [
             [int(stamps[one.first]), int(stamps[one.last - 1]), count, round(one.times_usual, 1)]
-            for one, count in zip(found[:_TOLD], samples, strict=False)
+            for one, count in zip(found[: BURSTS.listed], samples, strict=False)
         ],
     }
-
-
-#: A sample is a spike when it is this many sigma from the median of its neighbours, sigma being that of the
-#: record or of the samples around, whichever is larger.
-_SPIKE, _NEIGHBOURS, _AROUND = 7.0, 9, 61
-
-#: A bin needs this part of the usual number of good samples.
-_LEAST = 0.3
-
-#: Gaps of a channel up to so many bins are bridged by a straight line.
-_BRIDGE = 10
 
 
 def grid(first: int, last: int, cadence_ns: int) -> Int64:
@@ -435,7 +472,7 @@ def bin_means(
     values: Floats, stamps: Int64, edges: Int64, good: npt.NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
     """Return means (bin, ...) and counts (bin,) of the good samples in each bin; NaN where there is none."""
-    # Stamps rise, so that a bin is a run of samples: sums of runs cost one look at the values.
+    # Stamps rise, so that a bin is a run of samples: sums of runs read the values once.
     starts = np.searchsorted(stamps, edges)
     inside = slice(int(starts[0]), int(starts[-1]))
     used = good[inside]
@@ -458,36 +495,36 @@ def _sums_of_runs(values: Floats, starts: Int64) -> Floats:
     return out
 
 
-def spikes(residual: Floats) -> npt.NDArray[np.bool_]:
+def find_spikes(residual: Floats) -> npt.NDArray[np.bool_]:
     """Return which samples stand out from their neighbours; (time,) of a residual (time, row).
 
     The measure is local, so that no effect, however large, is taken for an outlier, nor a lively hour
     for a series of them.
     """
-    if len(residual) < _NEIGHBOURS:
+    if len(residual) < BINS.neighbours:
         return np.zeros(len(residual), dtype=bool)
     filled = np.where(np.isfinite(residual), residual, 0.0)
     known = np.asarray(np.isfinite(residual).all(axis=1))
-    return np.asarray(np.any([_stands_out(row, known) for row in filled.T], axis=0))
+    return np.asarray(np.any([_is_spike(row, known) for row in filled.T], axis=0))
 
 
-def _stands_out(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def _is_spike(row: Floats, known: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """Return which samples of one row (time,) stand out from their neighbours.
 
-    On a slope every sample is the median of its neighbours: what is noise there, second differences tell.
+    On a slope every sample is the median of its neighbours: there the noise is that of second differences.
     """
-    off = np.abs(row - median_filter(row, size=_NEIGHBOURS, mode="nearest"))
-    bend = np.zeros(row.size)
-    bend[1:-1] = np.abs(row[1:-1] - 0.5 * (row[:-2] + row[2:])) * np.sqrt(2.0 / 3.0)
+    off = np.abs(row - median_filter(row, size=BINS.neighbours, mode="nearest"))
+    second = np.zeros(row.size)
+    second[1:-1] = np.abs(row[1:-1] - 0.5 * (row[:-2] + row[2:])) * np.sqrt(2.0 / 3.0)
     sigma = np.full(row.size, 1e-6)
-    for size in (off, bend):
+    for size in (off, second):
         usual = np.median(size[known]) if known.any() else 1.0
-        around = median_filter(size, size=min(_AROUND, row.size), mode="nearest")
+        around = median_filter(size, size=min(BINS.around, row.size), mode="nearest")
         sigma = np.maximum(sigma, TO_SIGMA * np.maximum(usual, around))
-    return np.asarray(off > _SPIKE * sigma)
+    return np.asarray(off > BINS.spike * sigma)
 
 
-def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
+def bin_channel(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> Floats:
     """Put a channel on the bins: means where it is faster, straight lines where it is slower; (bin, ...)."""
     width = int(edges[1] - edges[0])
     flat = np.asarray(values, dtype=np.float64)
@@ -495,17 +532,17 @@ def channel_on(values: Floats, stamps: Int64, edges: Int64, cadence_ns: int) -> 
     if not good.any():
         return np.full((edges.size - 1, *flat.shape[1:]), np.nan)
     if cadence_ns <= width:
-        return bridged(bin_means(flat, stamps, edges, good)[0])
+        return bridge_gaps(bin_means(flat, stamps, edges, good)[0])
     centre = edges[:-1] + width // 2
-    own, told = stamps[good], flat[good].reshape(int(good.sum()), -1)
+    own, known = stamps[good], flat[good].reshape(int(good.sum()), -1)
     after = np.clip(np.searchsorted(own, centre), 1, max(own.size - 1, 1))
     near = np.minimum(np.abs(centre - own[after - 1]), np.abs(own[np.minimum(after, own.size - 1)] - centre))
-    out = np.stack([np.interp(centre, own, column) for column in told.T], axis=-1)
+    out = np.stack([np.interp(centre, own, column) for column in known.T], axis=-1)
     out[near > GAP * cadence_ns] = np.nan
     return out.reshape(edges.size - 1, *flat.shape[1:])
 
 
-def bridged(values: Floats) -> Floats:
+def bridge_gaps(values: Floats) -> Floats:
     """Return the series with its short gaps bridged by straight lines; (bin, ...)."""
     flat = values.reshape(len(values), -1).copy()
     known = np.isfinite(flat).all(axis=1)
@@ -514,7 +551,9 @@ def bridged(values: Floats) -> Floats:
     place, own = np.arange(len(flat)), np.flatnonzero(known)
     after = np.clip(np.searchsorted(own, place), 0, own.size - 1)
     before = np.clip(after - 1, 0, None)
-    short = ~known & (own[after] > place) & (own[before] < place) & (own[after] - own[before] <= _BRIDGE + 1)
+    short = (
+        ~known & (own[after] > place) & (own[before] < place) & (own[after] - own[before] <= BINS.bridged + 1)
+    )
     for column in flat.T:
         column[short] = np.interp(place[short], own, column[own])
     return flat.reshape(values.shape)
@@ -525,7 +564,7 @@ def coarsen(
     rows: NativeRows,
     edges: Int64,
     channels: Mapping[str, xr.Variable],
-    turn: Mapping[str, Floats],
+    matrices: Mapping[str, Floats],
     recorded: Mapping[str, Floats] | None = None,
     keep_bursts: bool = False,
 ) -> tuple[Rows, dict[str, Any]]:
@@ -539,9 +578,9 @@ def coarsen(
     edges : ndarray of int64
         Of the bins.
     channels : mapping of str to Variable
-        Channels and geometry that stand on the bins already.
-    turn : mapping
-        See `inflight.design.columns.Rows`.
+        Channels and geometry that are on the bins already.
+    matrices : mapping
+        Sensor matrices, see `Rows`.
     recorded : mapping of str to ndarray, optional
         Every channel of the mission as it was recorded, on the bins: what goes with one is no outlier.
     keep_bursts : bool
@@ -551,16 +590,16 @@ def coarsen(
     -------
     Rows, dict
         The rows, and sums over the native samples: ``count``, ``square`` of the residual, ``inside``,
-        the scatter within bins, of one row, nT^2, ``spikes``; and of `inflight.design.columns.told_of`.
+        the scatter within bins, of one row, nT^2, ``spikes``; and of `burst_report`.
     """
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     usable = rows.good & np.isfinite(rows.residual).all(axis=1)
-    single, burst, told = _outliers(rows, usable, stamps, edges, recorded or {})
+    single, burst, report = _find_outliers(rows, usable, stamps, edges, recorded or {})
     out = single if keep_bursts else single | burst
     good = usable & ~out
     residual, count = bin_means(rows.residual, stamps, edges, good)
     usual = max(1.0, round((edges[1] - edges[0]) / SECOND / rows.step_s))
-    weight = np.where(count >= _LEAST * usual, np.minimum(count / usual, 1.0), 0.0)
+    weight = np.where(count >= BINS.fewest * usual, np.minimum(count / usual, 1.0), 0.0)
     if "weight" in samples:
         of_samples = np.asarray(samples["weight"].values, dtype=np.float64)
         weight = np.where(weight > 0, weight * bin_means(of_samples, stamps, edges, good)[0], 0.0)
@@ -579,9 +618,9 @@ def coarsen(
         # A row's own, as all other sizes are.
         "inside": max(inside, 0.0) / rows.residual.shape[1],
         "spikes": float((usable & single).sum()),
-    } | told
+    } | report
     binned = _binned(samples, rows, edges, channels, good)
-    return Rows(binned, residual, directions, turn, weight, rows.kept), sums
+    return Rows(binned, residual, directions, matrices, weight, rows.kept), sums
 
 
 def _binned(
@@ -591,7 +630,7 @@ def _binned(
     channels: Mapping[str, xr.Variable],
     good: npt.NDArray[np.bool_],
 ) -> xr.Dataset:
-    """Return readings and field on the bins, beside the channels that stand there already."""
+    """Return readings and field on the bins, with the channels that are there already."""
     stamps = np.asarray(samples["tt2000"].values, dtype=np.int64)
     data: dict[str, xr.Variable] = dict(channels)
     data["tt2000"] = xr.Variable("time", edges[:-1] + (edges[1] - edges[0]) // 2)
@@ -606,22 +645,22 @@ def _binned(
     return xr.Dataset(data)
 
 
-def _outliers(
+def _find_outliers(
     rows: NativeRows,
     usable: npt.NDArray[np.bool_],
     stamps: Int64,
     edges: Int64,
     recorded: Mapping[str, Floats],
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
-    """Return which samples are spikes and which in bursts; (time,), no sample in both, and words on these."""
+    """Return which samples are spikes and which in bursts; (time,), no sample in both; and their report."""
     none = np.zeros(len(stamps), dtype=bool)
     if rows.kept is not None:
-        # What went through a filter has no wild samples left.
-        return none, none, told_of([], stamps, none)
-    single = spikes(np.where(usable[:, None], rows.residual, np.nan))
-    every = bursts(rows.residual, stamps, usable & ~single)
+        # What went through a filter has no wild samples any more.
+        return none, none, burst_report([], stamps, none)
+    single = find_spikes(np.where(usable[:, None], rows.residual, np.nan))
+    every = find_bursts(rows.residual, stamps, usable & ~single)
     wild = [one for one in every if not is_signal(one, every, rows, stamps, recorded, edges)]
     burst = none.copy()
     for one in wild:
         burst[one.first : one.last] = True
-    return single & ~burst, burst, told_of(wild, stamps, usable)
+    return single & ~burst, burst, burst_report(wild, stamps, usable)

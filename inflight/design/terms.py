@@ -1,4 +1,4 @@
-"""What could be missing: candidates made from every channel, every geometry and every effect there is.
+"""What could be missing: terms, candidates, and the library of them.
 
 A *term* is one effect with its columns of the residual; a *candidate* is one or several terms that
 stand or fall together. Candidates of one *mechanism* (the same cause with another lag or width) are
@@ -65,7 +65,7 @@ class Term:
 
 
 def within_span(stamps: npt.NDArray[np.int64], span: Sequence[int]) -> npt.NDArray[np.bool_]:
-    """Return which stamps are at or after a moment, and before the second one if there is one."""
+    """Return which stamps are at or after a time, and before the second one if there is one."""
     inside = stamps >= span[0]
     return inside & (stamps < span[1]) if len(span) == 2 else inside
 
@@ -103,7 +103,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Told:
+class ChannelSummary:
     """What is known of a channel before the pass.
 
     Attributes
@@ -156,6 +156,11 @@ class Library:
     def all_terms(self) -> list[Term]:
         """Terms in the order of their columns: base, refined, candidates'."""
         return [*self.base, *self.refined, *self.terms.values()]
+
+    @property
+    def by_key(self) -> dict[str, Term]:
+        """Every term by its key; of several with one key the last."""
+        return {term.key: term for term in self.all_terms}
 
     @property
     def columns(self) -> list[str]:

@@ -1,17 +1,13 @@
-"""Additions to a model, joint refit.
+"""Additions to a model, and the joint fit of everything the model then holds.
 
-A model fitted anew from the evidence: what it holds free, was given, and has lost, all at once.
+Takes the Gram blocks of a pass (`FitSetup`) and candidates, options of a search, steps or drifts; makes an
+`Addition` (`AdditionMaker`, `addition_of`, `step_of`, `drift_of`): its columns of the Gram blocks, and its
+entries in the model's file. Columns are called as the model calls its values, so that a fit's result goes
+into the model by name (`Addition.put_into`).
 
-Only the columns that the model has are looked at, so that it takes milliseconds whatever the
-library's size. A column of the model may be a combination of the library's: a lag between two of the
-bank, or a parameter times a function of the block.
-
-What is put into a model: its columns of the evidence, and its entries in the model's file.
-
-An addition's columns are called as the model will call its values, so that a fit's result goes into
-the model by name.
-
-Additions bound to a time: drifts, steps and episodes of a sensor's parameters, a bias or a clock.
+`FitSetup.fit` fits what the model holds free, what was added and what was dropped, all at once: a few
+columns, so that it takes milliseconds whatever the library's size. A column of the model may be a
+combination of the library's: a lag between two of the bank, or a parameter times a function of the block.
 """
 
 from __future__ import annotations
@@ -23,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.design import EQUATIONS, Candidate, Library, Term, turns_of
-from inflight.diagnosis.refine import dated_columns, dated_term, mixture
-from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.design import EQUATIONS, Candidate, Library, Term, sensor_matrices
+from inflight.diagnosis.refine import dated_columns, dated_term, lag_weights
+from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option
-from inflight.diagnosis.stepwise import sandwich
-from inflight.diagnosis.time_changes import Carriers, moment_text
+from inflight.diagnosis.stepwise import joint_fit
+from inflight.diagnosis.time_changes import TimeVariableColumns, time_text
 from inflight.effects import ANGLES
 from inflight.errors import ModelError
-from inflight.lsq import Evidence, solve_scaled
+from inflight.lsq import GramBlocks, solve_scaled
 from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, make_effect
 from inflight.samples import parse
@@ -40,13 +36,13 @@ from inflight.time import DAY, to_utc
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the model made from those of the evidence.
+    """A column of the model, made from those of the Gram blocks.
 
     Attributes
     ----------
     name : str
     parts : tuple of (str, float)
-        Columns of the evidence, of one scale, and their weights.
+        Columns of the Gram blocks, of one scale, and their weights.
     factor : ndarray, shape (block,), optional
         Function of the block it is multiplied by.
     """
@@ -56,15 +52,15 @@ class Column:
     factor: Floats | None = None
 
 
-@dataclass(frozen=True)
-class Fitted:
+@dataclass(frozen=True, kw_only=True)
+class JointFit:
     """Values of everything a model lets data move, in one fit.
 
     Attributes
     ----------
     value, sigma : dict of str to float
-        Change of each column from where the evidence is linearised, physical units. The sigma knows
-        how the residual is correlated between blocks, and is the prior's where data tell nothing.
+        Change of each column from where the Gram blocks are linearised, physical units. The sigma allows
+        for the residual's correlation between blocks; it is the prior's where data have no information.
     base_value, base_sigma : dict of str to float
         The same of the calibration's own columns, mean over its intervals.
     in_sample, held_out : float
@@ -80,12 +76,12 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Ground:
-    """What a fit stands on: the evidence as the library has it, and what the calibration absorbs.
+class FitSetup:
+    """What a joint fit needs: the Gram blocks as the library has them, and what the calibration marginalises.
 
     Attributes
     ----------
-    raw : Evidence
+    raw : GramBlocks
     base, refined : tuple of Term
         What each interval fits anew; what the model lets data refine.
     intervals : sequence of sequence of int
@@ -94,7 +90,7 @@ class Ground:
         Of a row, nT^2; it weighs data against what is known beforehand.
     """
 
-    raw: Evidence
+    raw: GramBlocks
     base: tuple[Term, ...]
     refined: tuple[Term, ...]
     intervals: Sequence[Sequence[int]]
@@ -106,7 +102,7 @@ class Ground:
         fixed: Mapping[str, float] | None = None,
         *,
         interleaved: bool = False,
-    ) -> Fitted:
+    ) -> JointFit:
         """Fit the model's own columns and more, all together.
 
         Parameters
@@ -120,36 +116,39 @@ class Ground:
             Hold out every k-th block instead of runs: for effects that lie in few blocks.
         """
         whole, names, sigma = self._model_of(columns, fixed or {})
-        evidence, present = self._beside(whole, names, sigma)
+        evidence, present = self._marginalised(whole, names, sigma)
         value, covariance = self._solved(evidence, present)
-        base = self._base(whole, names, value, covariance)
+        base_value, base_sigma = self._base(whole, names, value, covariance)
         y = evidence.residuals[0]
         scale = evidence.scale[present.columns]
         found = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * scale
-        # A column of which nothing is left beside the calibration is known as well as beforehand.
+        # A column of which the calibration leaves nothing is known as well as beforehand.
         found = np.where(np.diagonal(evidence.total)[present.columns] > 0, found, np.asarray(sigma))
         left = evidence.total[y, y] + 2.0 * evidence.total[y, present.columns] @ value
         left += value @ evidence.total[np.ix_(present.columns, present.columns)] @ value
         rows = max(float(evidence.count.sum()), 1.0)
-        held = score(evidence, present, [], y, folds_of(len(evidence), interleaved)).loss0.sum()
-        return Fitted(
-            dict(zip(names, (value * scale).tolist(), strict=True)),
-            dict(zip(names, found.tolist(), strict=True)),
-            *base,
-            max(float(left), 0.0) / rows,
-            max(float(held), 0.0) / rows,
+        held = score(evidence, present, [], y, make_folds(len(evidence), interleaved)).loss0.sum()
+        return JointFit(
+            value=dict(zip(names, (value * scale).tolist(), strict=True)),
+            sigma=dict(zip(names, found.tolist(), strict=True)),
+            base_value=base_value,
+            base_sigma=base_sigma,
+            in_sample=max(float(left), 0.0) / rows,
+            held_out=max(float(held), 0.0) / rows,
         )
 
-    def absorbed(self, columns: Sequence[Column], fixed: Mapping[str, float]) -> tuple[Evidence, Present]:
+    def marginalised(
+        self, columns: Sequence[Column], fixed: Mapping[str, float]
+    ) -> tuple[GramBlocks, ModelColumns]:
         """Return what the calibration leaves of the model's columns, and which they are with their priors.
 
         Those of `columns` come last.
         """
-        return self._beside(*self._model_of(columns, fixed))
+        return self._marginalised(*self._model_of(columns, fixed))
 
     def _model_of(
         self, columns: Sequence[Column], fixed: Mapping[str, float]
-    ) -> tuple[Evidence, list[str], list[float]]:
+    ) -> tuple[GramBlocks, list[str], list[float]]:
         """Return the evidence of calibration and model, names of the model's columns, and their priors."""
         free = [
             (name, sigma)
@@ -159,14 +158,20 @@ class Ground:
         ]
         names = [name for name, _ in free] + [one.name for one in columns]
         sigma = [sigma for _, sigma in free] + [np.inf] * len(columns)
-        return combined(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed), names, sigma
+        return (
+            combine_columns(self.raw, [*self._base_names, *(n for n, _ in free)], columns, fixed),
+            names,
+            sigma,
+        )
 
-    def _beside(
-        self, whole: Evidence, names: Sequence[str], sigma: Sequence[float]
-    ) -> tuple[Evidence, Present]:
+    def _marginalised(
+        self, whole: GramBlocks, names: Sequence[str], sigma: Sequence[float]
+    ) -> tuple[GramBlocks, ModelColumns]:
         gone = self._base_names
-        evidence = whole.absorbed(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
-        return evidence, Present(evidence.index(names), self._precision(evidence, names, np.array(sigma)))
+        evidence = whole.marginalise(gone, self.intervals, self._precision(whole, gone, self._base_sigma))
+        return evidence, ModelColumns(
+            evidence.index(names), self._precision(evidence, names, np.array(sigma))
+        )
 
     @property
     def _base_names(self) -> list[str]:
@@ -176,24 +181,24 @@ class Ground:
     def _base_sigma(self) -> Floats:
         return np.array([sigma for term in self.base for sigma in term.sigma])
 
-    def _precision(self, evidence: Evidence, names: Sequence[str], sigma: Floats) -> Floats:
+    def _precision(self, evidence: GramBlocks, names: Sequence[str], sigma: Floats) -> Floats:
         scale = evidence.scale[evidence.index(names)]
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(np.isfinite(sigma), self.variance * (scale / sigma) ** 2, 0.0))
 
-    def _solved(self, evidence: Evidence, present: Present) -> tuple[Floats, Floats]:
+    def _solved(self, evidence: GramBlocks, present: ModelColumns) -> tuple[Floats, Floats]:
         """Return values and covariance of the model's columns, scaled."""
         p = present.columns
         if not p.size:
             return np.zeros(0), np.zeros((0, 0))
-        value, covariance = sandwich(evidence, present, evidence.residuals[0])
+        value, covariance = joint_fit(evidence, present, evidence.residuals[0])
         # What is known beforehand is uncertain, too: a column the data do not see keeps its prior's sigma.
         inner = evidence.total[np.ix_(p, p)] + np.diag(present.precision)
         inverse = solve_scaled(inner, np.eye(p.size))
         return value, covariance + self.variance * (inverse * present.precision) @ inverse
 
     def _base(
-        self, whole: Evidence, names: Sequence[str], value: Floats, covariance: Floats
+        self, whole: GramBlocks, names: Sequence[str], value: Floats, covariance: Floats
     ) -> tuple[dict[str, float], dict[str, float]]:
         """Return the calibration's mean shift over its intervals and its error, physical units."""
         gone = self._base_names
@@ -201,17 +206,18 @@ class Ground:
             return {}, {}
         at, others, y = whole.index(gone), whole.index(names), whole.residuals[0]
         prior = np.diag(self._precision(whole, gone, self._base_sigma))
-        shift, turn = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
+        shift, mean_cross = np.zeros(len(gone)), np.zeros((len(gone), len(names)))
         error = np.zeros((len(gone), len(gone)))
         count = len(self.intervals)
         for group in self.intervals:
-            total = whole.gram[np.asarray(group)].sum(axis=0)
-            inverse = solve_scaled(total[np.ix_(at, at)] + prior, np.eye(len(gone)))
-            cross = inverse @ total[np.ix_(at, others)]
-            shift -= (inverse @ total[at, y] + cross @ value) / count
-            turn += cross / count
+            total = whole.rows(at, blocks=np.asarray(group)).sum(axis=0)
+            inverse = solve_scaled(total[:, at] + prior, np.eye(len(gone)))
+            cross = inverse @ total[:, others]
+            shift -= (inverse @ total[:, y] + cross @ value) / count
+            mean_cross += cross / count
             error += self.variance * inverse / count**2
-        sigma = np.sqrt(np.clip(np.diag(error + turn @ covariance @ turn.T), 0.0, None))
+        both = error + mean_cross @ covariance @ mean_cross.T
+        sigma = np.sqrt(np.clip(np.diag(both), 0.0, None))
         scale = whole.scale[at]
         return (
             dict(zip(gone, (shift * scale).tolist(), strict=True)),
@@ -219,18 +225,9 @@ class Ground:
         )
 
 
-def variance_of(white: Evidence, base: Sequence[Term]) -> float:
-    """Return the variance of a row the calibration alone leaves, as the search weighs priors by; nT^2."""
-    names = [name for term in base for name in term.columns]
-    free = white.select(names).absorbed(names, [range(len(white))], np.zeros(len(names)))
-    y = free.residuals[0]
-    each = free.gram[:, y, y] / np.maximum(free.count, 1.0)
-    return float(np.median(each[free.count > 0])) if np.any(free.count > 0) else 1.0
-
-
-def combined(
-    evidence: Evidence, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
-) -> Evidence:
+def combine_columns(
+    evidence: GramBlocks, plain: Sequence[str], columns: Sequence[Column], fixed: Mapping[str, float]
+) -> GramBlocks:
     """Return the evidence of some columns as they are, of combinations, and of the residual after a change.
 
     Parameters
@@ -242,28 +239,27 @@ def combined(
     fixed : mapping of str to float
         Changes that join the residual, physical units.
     """
-    wanted = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
-    small = evidence.select(list(dict.fromkeys(wanted)))
+    needed = [*plain, *(name for one in columns for name, _ in one.parts), *fixed]
+    small = evidence.select(list(dict.fromkeys(needed)))
     names = [*plain, *(one.name for one in columns), "residual"]
-    turn = np.zeros((len(small), len(small.names), len(names)))
+    weights = np.zeros((len(small), len(names), len(small.names)))
     scale = np.ones(len(names))
     origin = small.index(plain)
-    turn[:, origin, np.arange(len(plain))] = 1.0
+    weights[:, np.arange(len(plain)), origin] = 1.0
     scale[: len(plain)] = small.scale[origin]
     for place, one in enumerate(columns, start=len(plain)):
         for name, weight in one.parts:
             index = int(small.index([name])[0])
-            turn[:, index, place] += weight * (1.0 if one.factor is None else one.factor)
+            weights[:, place, index] += weight * (1.0 if one.factor is None else one.factor)
             scale[place] = small.scale[index]
-    turn[:, small.residuals[0], -1] = 1.0
+    weights[:, -1, small.residuals[0]] = 1.0
     for name, change in fixed.items():
         index = int(small.index([name])[0])
-        turn[:, index, -1] += change / small.scale[index]
-    gram = turn.transpose(0, 2, 1) @ small.gram @ turn
-    return replace(small, names=tuple(names), gram=gram, scale=scale)
+        weights[:, -1, index] += change / small.scale[index]
+    return small.combine(names, weights, scale)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Addition:
     """Something put into the model.
 
@@ -275,7 +271,7 @@ class Addition:
     entries : tuple of ModelEffect
         What the model's file gets; at values that do nothing, where the columns are linearised.
     needs : tuple of Term
-        Terms whose columns the evidence must hold.
+        Terms whose columns the Gram blocks must hold.
     interleaved : bool
         It lies in few blocks.
     gains : dict of str to ((str, float), ...)
@@ -325,15 +321,15 @@ class Addition:
         return entry.with_parameters(parameters)
 
 
-@dataclass(frozen=True)
-class Maker:
+@dataclass(frozen=True, kw_only=True)
+class AdditionMaker:
     """Makes additions of one mission, one model and one library.
 
     Attributes
     ----------
     model : Model
-        At the values the evidence is linearised at.
-    raw : Evidence
+        At the values the Gram blocks are linearised at.
+    raw : GramBlocks
         Its blocks say when things change.
     names : frozenset of str
         Names in the model that are not free any more.
@@ -342,8 +338,8 @@ class Maker:
     mission: Mission
     model: Model
     library: Library
-    carriers: Carriers
-    raw: Evidence
+    time_variable: TimeVariableColumns
+    raw: GramBlocks
     names: frozenset[str] = frozenset()
 
     def of_candidate(self, candidate: Candidate, name: str = "", lag_s: float | None = None) -> Addition:
@@ -354,7 +350,7 @@ class Maker:
         lag = candidate.lag_s if lag_s is None else lag_s
         weights = {candidate.name: 1.0}
         if bank and lag != candidate.lag_s:
-            mixed = mixture(lag, tuple(bank))
+            mixed = lag_weights(lag, tuple(bank))
             weights = {
                 one.name: float(w) for one, w in zip(bank.values(), mixed, strict=True) if abs(w) > 1e-12
             }
@@ -368,13 +364,13 @@ class Maker:
             entry = self.entry(term.entry, title, lag if bank else None)
             entries.append(entry)
             own = {one: self.library.terms[by_name[one].terms[place]].columns for one in weights}
-            for index, column in enumerate(names_of(entry, term.parameters)):
+            for index, column in enumerate(value_names(entry, term.parameters)):
                 columns.append(Column(column, tuple((own[one][index], w) for one, w in weights.items())))
         others = list(bank.values()) or [candidate]
         needs = [self.library.terms[key] for one in others for key in one.terms]
-        told = candidate.mechanism if bank else candidate.name
-        told += f"@lag={lag:.4g}s" if bank and lag else ""
-        return Addition(told, tuple(columns), tuple(entries), tuple(needs))
+        label = candidate.mechanism if bank else candidate.name
+        label += f"@lag={lag:.4g}s" if bank and lag else ""
+        return Addition(name=label, columns=tuple(columns), entries=tuple(entries), needs=tuple(needs))
 
     def bank(self, candidate: Candidate) -> dict[float, Candidate]:
         """Return lag -> candidate of a mechanism that is tried with several lags; empty when it is not."""
@@ -392,15 +388,17 @@ class Maker:
 
     def _of_parameter(self, candidate: Candidate) -> Addition:
         term = self.library.terms[candidate.terms[0]]
-        names = names_of(term.entry, term.parameters)
+        names = value_names(term.entry, term.parameters)
         columns = [Column(name, ((own, 1.0),)) for name, own in zip(names, term.columns, strict=True)]
-        return Addition(candidate.name, tuple(columns), (term.entry,), (term,))
+        return Addition(name=candidate.name, columns=tuple(columns), entries=(term.entry,), needs=(term,))
 
     def of_term(self, term: Term, name: str = "") -> Addition:
-        """Return the addition of an effect of no library; the evidence may not have its columns yet."""
-        names = names_of(term.entry, term.parameters)
+        """Return the addition of an effect of no library; the Gram blocks may not have its columns yet."""
+        names = value_names(term.entry, term.parameters)
         columns = [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
-        return Addition(name or term.entry.name, tuple(columns), (term.entry,), (term,))
+        return Addition(
+            name=name or term.entry.name, columns=tuple(columns), entries=(term.entry,), needs=(term,)
+        )
 
     def of_terms(self, name: str, terms: Sequence[Term]) -> Addition:
         """Return the addition of what a search made of a candidate: a lag, a width, a product of its own."""
@@ -409,9 +407,9 @@ class Maker:
         for place, term in enumerate(terms):
             title = self.title(term.entry) + (f"_{place + 1}" if place else "")
             entries.append(self.entry(term.entry, title))
-            names = names_of(entries[-1], term.parameters)
+            names = value_names(entries[-1], term.parameters)
             columns += [Column(one, ((own, 1.0),)) for one, own in zip(names, term.columns, strict=True)]
-        return Addition(name, tuple(columns), tuple(entries), tuple(terms))
+        return Addition(name=name, columns=tuple(columns), entries=tuple(entries), needs=tuple(terms))
 
     def entry(self, origin: ModelEffect, name: str, lag_s: float | None = None) -> ModelEffect:
         """Return an effect like another, with its own name and whole units, at values that do nothing."""
@@ -420,9 +418,9 @@ class Maker:
             given["lag"] = origin.effect.given["lag"]
         elif lag_s:
             given["lag"] = f"{lag_s:.6g} s"
-        told: dict[str, Any] = {"effect": origin.effect.label(), "name": name, "sensor": origin.sensor.name}
+        entry: dict[str, Any] = {"effect": origin.effect.label(), "name": name, "sensor": origin.sensor.name}
         sensors = sensors_of(self.mission, self.model.comparison)
-        return make_effect(told | given, sensors, self.model.own, self.mission)
+        return make_effect(entry | given, sensors, self.model.own, self.mission)
 
     def title(self, origin: ModelEffect) -> str:
         """Return a free name for an effect: its label, and its channels where these decide."""
@@ -439,12 +437,12 @@ class Maker:
             found, number = f"{title}_{number}", number + 1
         return found
 
-    def carrier(self, column: str) -> Term:
+    def term_of(self, column: str) -> Term:
         """Return the term a column is of."""
         return next(term for term in self.library.all_terms if column in term.columns)
 
 
-def names_of(entry: ModelEffect, parameters: Sequence[str]) -> list[str]:
+def value_names(entry: ModelEffect, parameters: Sequence[str]) -> list[str]:
     """Return the names the model calls the values of some parameters by."""
     return [name for key in parameters for name in entry.parameters[key].columns]
 
@@ -458,7 +456,7 @@ def values_of(entry: ModelEffect) -> dict[str, float]:
     }
 
 
-def held_at_nothing(entry: ModelEffect, term: Term) -> dict[str, float] | None:
+def neutral_changes(entry: ModelEffect, term: Term) -> dict[str, float] | None:
     """Return the changes of a term's columns that take its effect out; None when they are not all."""
     kinds = type(entry.effect).parameters()
     fitted = [key for key, kind in kinds.items() if np.isfinite(kind.sigma)]
@@ -471,7 +469,7 @@ def held_at_nothing(entry: ModelEffect, term: Term) -> dict[str, float] | None:
 
 
 #: Effect and parameter of a drift, its neutral values and unit, by what drifts.
-_DRIFTING: dict[str, tuple[str, str, list[float], str]] = {
+_DRIFT_FORMS: dict[str, tuple[str, str, list[float], str]] = {
     "scale": ("affine", "matrix", np.eye(3).ravel().tolist(), "1/d"),
     "angle": ("affine", "matrix", np.eye(3).ravel().tolist(), "deg/d"),
     "offset": ("affine", "shift", [0.0, 0.0, 0.0], "nT/d"),
@@ -480,7 +478,7 @@ _DRIFTING: dict[str, tuple[str, str, list[float], str]] = {
 }
 
 
-def addition_of(maker: Maker, option: Option) -> Addition:
+def addition_of(maker: AdditionMaker, option: Option) -> Addition:
     """Return the addition of what a search took."""
     if option.change is not None:
         if not option.change.at:
@@ -492,8 +490,8 @@ def addition_of(maker: Maker, option: Option) -> Addition:
     return maker.of_terms(option.name, [maker.library.terms[key] for key in option.terms])
 
 
-def drift_of(maker: Maker, kind: str, name: str = "") -> Addition:
-    """Return a drift straight in time: of scale factors, angles or offsets, of the scalar's clock or bias.
+def drift_of(maker: AdditionMaker, kind: str, name: str = "") -> Addition:
+    """Return a drift linear in time: of scale factors, angles or offsets, of the scalar's clock or bias.
 
     It grows from nothing at the middle of the span; calibration intervals still have their own nine. Of
     the vector sensor's parameters it is an affine change of the reading before them.
@@ -504,29 +502,29 @@ def drift_of(maker: Maker, kind: str, name: str = "") -> Addition:
         When the comparison has no such parameters.
     """
     what = kind.removesuffix("_drift")
-    columns = getattr(maker.carriers, what)
+    columns = getattr(maker.time_variable, what)
     if not columns:
         raise ModelError(f"this comparison has nothing that '{kind}' could be of", remedy="try another")
     middle = maker.raw.start / 2 + maker.raw.end / 2
     origin = float(middle.mean())
     days = (middle - origin) / DAY
-    term = maker.carrier(columns[0])
-    entry = _drifting(maker, what, name or maker.free_name(kind), term, int(origin))
-    _, part, _, unit = _DRIFTING[what]
+    term = maker.term_of(columns[0])
+    entry = _drift_entry(maker, what, name or maker.free_name(kind), term, int(origin))
+    _, part, _, unit = _DRIFT_FORMS[what]
     if len(columns) == 1:
-        titles, turn, values = [f"{entry.name}.{what}"], np.eye(1), [f"{entry.name}.{part}*b"]
+        titles, matrix, values = [f"{entry.name}.{what}"], np.eye(1), [f"{entry.name}.{part}*b"]
     else:
         axes = ANGLES if what == "angle" else tuple("xyz")
         titles = [f"{entry.name}.{what}[{axis}]" for axis in axes]
-        turn = _before_the_nine(maker, what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
+        matrix = _before_sensor_matrix(maker, what, term) * (-np.deg2rad(1.0) if what == "angle" else 1.0)
         values = [f"{entry.name}.{part}[{2 * axis if what == 'scale' else axis}]*b" for axis in axes]
     made = tuple(Column(title, ((column, 1.0),), days) for title, column in zip(titles, columns, strict=True))
-    gains = {value: _weighted(titles, row) for value, row in zip(values, turn, strict=True)}
-    return Addition(kind, made, (entry,), (term,), gains=gains, unit=unit)
+    gains = {value: _weights(titles, row) for value, row in zip(values, matrix, strict=True)}
+    return Addition(name=kind, columns=made, entries=(entry,), needs=(term,), gains=gains, unit=unit)
 
 
-def _drifting(maker: Maker, what: str, name: str, term: Term, origin: int) -> ModelEffect:
-    effect, part, neutral, _ = _DRIFTING[what]
+def _drift_entry(maker: AdditionMaker, what: str, name: str, term: Term, origin: int) -> ModelEffect:
+    effect, part, neutral, _ = _DRIFT_FORMS[what]
     timed = {
         "time": "linear",
         "t0": f"{to_utc(origin)}Z",
@@ -534,11 +532,11 @@ def _drifting(maker: Maker, what: str, name: str, term: Term, origin: int) -> Mo
         "value": [[one, 0.0] for one in neutral],
         "free": False,
     }
-    told = {"effect": effect, "name": name, "sensor": term.entry.sensor.name, part: timed}
-    return make_effect(told, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
+    entry = {"effect": effect, "name": name, "sensor": term.entry.sensor.name, part: timed}
+    return make_effect(entry, sensors_of(maker.mission, maker.model.comparison), mission=maker.mission)
 
 
-def _before_the_nine(maker: Maker, what: str, term: Term) -> Floats:
+def _before_sensor_matrix(maker: AdditionMaker, what: str, term: Term) -> Floats:
     """Return what changes of the sensor's own parameters are as changes of its reading; (3, 3).
 
     Rows are those of the reading: relative ones of its axes, or of angles of its own next to 90 deg. A
@@ -556,8 +554,8 @@ def _before_the_nine(maker: Maker, what: str, term: Term) -> Floats:
     return np.array([[xy / kx, 0.0, 0.0], [0.0, xz / kx, across], [0.0, 0.0, yz / ky]])
 
 
-def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addition:
-    """Return a step of a sensor's parameter, or an episode between two moments.
+def step_of(maker: AdditionMaker, kind: str, at: Sequence[int], name: str = "") -> Addition:
+    """Return a step of a sensor's parameter, or an episode between two times.
 
     At edges of blocks its columns are the sensor's own times a function of the block, else columns of
     their own.
@@ -574,37 +572,44 @@ def step_of(maker: Maker, kind: str, at: Sequence[int], name: str = "") -> Addit
     ModelError
         When the comparison has no such parameter.
     """
-    found = tuple(getattr(maker.carriers, kind))
+    found = tuple(getattr(maker.time_variable, kind))
     if not found:
         raise ModelError(f"this comparison has no {kind} that could change", remedy="try another")
     inside = maker.raw.start >= at[0]
     if len(at) == 2:
         inside = inside & (maker.raw.start < at[1])
     label = f"{kind}_{'episode' if len(at) == 2 else 'step'}"
-    title = name or maker.free_name(f"{label}_{_stamp(at[0])}")
-    entries = _dated(maker, kind, title, at, maker.carrier(found[0]))
-    values = [names_of(entry, (_only(entry),)) for entry in entries]
-    source, factor = maker.carrier(found[0]), inside.astype(np.float64)
-    gains = _gains(maker, kind, values, source)
-    told = f"{label}@{'/'.join(moment_text(when) for when in at)}"
+    begin = "".join(c for c in str(to_utc(at[0]))[:16] if c.isalnum())
+    title = name or maker.free_name(f"{label}_{begin}")
+    entries = _step_entries(maker, kind, title, at, maker.term_of(found[0]))
+    # Each of them has one parameter: by how much it steps.
+    values = [value_names(entry, list(type(entry.effect).parameters())[:1]) for entry in entries]
+    source, factor = maker.term_of(found[0]), inside.astype(np.float64)
+    gains = _value_weights(maker, kind, values, source)
+    dated = f"{label}@{'/'.join(time_text(when) for when in at)}"
     if set(at) <= {*maker.raw.start.tolist(), int(maker.raw.end[-1])}:
         parts = zip(values[0], found, strict=True)
         made = tuple(Column(one, ((column, 1.0),), factor) for one, column in parts)
-        return Addition(told, made, entries, (source,), True, gains)
-    parts = zip(values[0], dated_columns(source, found, told), strict=True)
+        return Addition(
+            name=dated, columns=made, entries=entries, needs=(source,), interleaved=True, gains=gains
+        )
+    parts = zip(values[0], dated_columns(source, found, dated), strict=True)
     made = tuple(Column(one, ((column, 1.0),)) for one, column in parts)
-    return Addition(told, made, entries, (dated_term(source, found, told, tuple(at)),), True, gains)
+    term = dated_term(source, found, dated, tuple(at))
+    return Addition(name=dated, columns=made, entries=entries, needs=(term,), interleaved=True, gains=gains)
 
 
-def _dated(maker: Maker, kind: str, title: str, at: Sequence[int], term: Term) -> tuple[ModelEffect, ...]:
-    """Return the effects that say it; a bias that comes and goes is two steps."""
+def _step_entries(
+    maker: AdditionMaker, kind: str, title: str, at: Sequence[int], term: Term
+) -> tuple[ModelEffect, ...]:
+    """Return the entries of a step or an episode; a bias that comes and goes is two steps."""
     sensors = sensors_of(maker.mission, maker.model.comparison)
     when = [f"{to_utc(one)}Z" for one in at]
     if kind != "bias" and len(at) == 2:
-        told = [{"effect": f"{kind}_episode", "name": title, "from": when[0], "to": when[1]}]
+        entries = [{"effect": f"{kind}_episode", "name": title, "from": when[0], "to": when[1]}]
     else:
         names = [title, f"{title}_end"]
-        told = [
+        entries = [
             {"effect": f"{kind}_step", "name": name, "at": one}
             for name, one in zip(names, when, strict=False)
         ]
@@ -613,37 +618,29 @@ def _dated(maker: Maker, kind: str, title: str, at: Sequence[int], term: Term) -
         # The sensor's equation takes the offset off before it scales and turns.
         offset = term.entry.parameters["offset"].value[:, 0].tolist()
         given["about"] = {"value": offset, "free": False}
-    return tuple(make_effect(one | given, sensors, mission=maker.mission) for one in told)
+    return tuple(make_effect(one | given, sensors, mission=maker.mission) for one in entries)
 
 
-def _gains(
-    maker: Maker, kind: str, values: Sequence[Sequence[str]], term: Term
+def _value_weights(
+    maker: AdditionMaker, kind: str, values: Sequence[Sequence[str]], term: Term
 ) -> dict[str, tuple[tuple[str, float], ...]]:
-    """Return how the model's values follow from those of the carrier's columns."""
+    """Return how the model's values follow from those of the columns that change."""
     first = values[0]
-    turn = np.eye(len(first))
+    matrix = np.eye(len(first))
     if kind == "offset":
-        turns = turns_of(maker.model, int(maker.raw.start[0]))
+        matrices = sensor_matrices(maker.model, int(maker.raw.start[0]))
         # Behind the sensor's equation a step of its offset is that step through K.
         affine = term.entry.effect.label() == "affine"
-        turn = -np.eye(3) if affine else np.reshape(turns.get(term.entry.sensor.name, np.eye(3)), (3, 3))
+        own = matrices.get(term.entry.sensor.name, np.eye(3))
+        matrix = -np.eye(3) if affine else np.reshape(own, (3, 3))
     elif kind in ("scale", "angle"):
-        turn = _before_the_nine(maker, kind, term)
+        matrix = _before_sensor_matrix(maker, kind, term)
     gains = {}
     for sign, names in zip((1.0, -1.0), values, strict=False):
         for row, name in enumerate(names):
-            gains[name] = _weighted(first, sign * turn[row])
+            gains[name] = _weights(first, sign * matrix[row])
     return gains
 
 
-def _weighted(names: Sequence[str], weights: Floats) -> tuple[tuple[str, float], ...]:
+def _weights(names: Sequence[str], weights: Floats) -> tuple[tuple[str, float], ...]:
     return tuple((name, float(weight)) for name, weight in zip(names, weights, strict=True))
-
-
-def _only(entry: ModelEffect) -> str:
-    return next(iter(type(entry.effect).parameters()))
-
-
-def _stamp(when: int) -> str:
-    """Return a moment as a part of a name."""
-    return "".join(c for c in str(to_utc(when))[:16] if c.isalnum())

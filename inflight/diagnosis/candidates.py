@@ -1,14 +1,19 @@
-"""Candidates of the library: every effect with every channel and coordinate it may depend on."""
+"""Candidates of the library: every effect with every channel and coordinate it may depend on.
+
+Takes the mission, the present model and what is known of each channel; makes the `Library` of terms and
+candidates that a pass makes columns of (`make_library`): a bank of lags and widths of every channel,
+geometry, the fixed parameters of the sensor, and placebos, the plain fields of shifted channels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from inflight.design import Candidate, Library, Term, Told, term_of
+from inflight.design import Candidate, ChannelSummary, Library, Term, term_of
 from inflight.effects import Effect, family_of, known_effects
 from inflight.errors import InflightError
 from inflight.mission import Mission, Sensor, sensors_of
@@ -16,14 +21,28 @@ from inflight.model import Model, ModelEffect, make_effect
 from inflight.samples import base_channels
 from inflight.time import SECOND, parse_duration
 
-#: First-order responses tried of every channel, s; combinations of neighbours reach what lies between.
-LAGS = (0.0, 60.0, 240.0, 1000.0, 4000.0)
 
-#: Widths of the play operator tried, as parts of the channel's range.
-WIDTHS = (0.15, 0.4)
+@dataclass(frozen=True, kw_only=True)
+class BankSettings:
+    """Lags and widths that every channel is tried with.
 
-#: Lags of placebos.
-FEW_LAGS = (0.0, 240.0)
+    Attributes
+    ----------
+    lags : tuple of float
+        First-order responses, s. They grow four times a step: combinations of neighbours reach what lies
+        between to seven hundredths (tests/diagnosis/test_diagnosis_lags.py).
+    widths : tuple of float
+        Of the play operator, as parts of the channel's range; assumed, the best width is refined.
+    placebo_lags : tuple of float
+        Of placebos, s; assumed: fewer, for they only bound chance.
+    """
+
+    lags: tuple[float, ...] = (0.0, 60.0, 240.0, 1000.0, 4000.0)
+    widths: tuple[float, ...] = (0.15, 0.4)
+    placebo_lags: tuple[float, ...] = (0.0, 240.0)
+
+
+BANK = BankSettings()
 
 #: Kinds of channels that may act on a sensor's scale or by hysteresis; currents do neither.
 THERMAL = frozenset({"temperature", "other", "voltage"})
@@ -59,7 +78,7 @@ WIDE = frozenset({"function_of_channel", "function_of_two", "tolles_lawson"})
 def make_library(
     mission: Mission,
     model: Model,
-    channels: Mapping[str, Told],
+    channels: Mapping[str, ChannelSummary],
     geometry: Sequence[str],
     shifts: Mapping[str, float],
     base: Sequence[Term],
@@ -99,12 +118,12 @@ def make_library(
             library.unscorable.append({"name": label, "family": kind.family, "reason": error.message})
             continue
         for given in options:
-            _offer(library, mission, model, label, given, there, channels, periods)
+            _add_effect(library, mission, model, label, given, there, channels, periods)
     for term in fixed:
         key = f"{term.key}.{term.parameters[0]}"
         own = replace(term, key=key)
         library.add(Candidate(key, key, "sensor", (), (key,)), [own])
-    _offer_placebos(library, mission, model, shifts)
+    _add_placebos(library, mission, model, shifts)
     return library
 
 
@@ -121,20 +140,20 @@ def _refined(model: Model, base: Sequence[Term]) -> list[Term]:
     return found
 
 
-def _offer(
+def _add_effect(
     library: Library,
     mission: Mission,
     model: Model,
     label: str,
     options: Mapping[str, Any],
     there: set[str],
-    channels: Mapping[str, Told],
+    channels: Mapping[str, ChannelSummary],
     periods: tuple[float, float],
 ) -> None:
     """Add the candidates of one effect with one choice of options."""
     kind = known_effects(model.own)[label]
     for sensor in _sensors(kind, mission, model):
-        entry = _made({"effect": label, "sensor": sensor.name, **options}, mission, model)
+        entry = _make({"effect": label, "sensor": sensor.name, **options}, mission, model)
         if entry is None:
             continue
         used = [name for name in entry.effect.channels if name]
@@ -148,12 +167,15 @@ def _offer(
             continue
         if _in_model(model, entry):
             continue
-        if "period" in options and not periods[0] <= _seconds(options["period"]) <= periods[1]:
-            continue
-        _expand(library, mission, model, label, dict(options), entry, mechanism, family, channels)
+        if "period" in options:
+            period = options["period"]
+            seconds = parse_duration(period) / SECOND if isinstance(period, str) else float(period)
+            if not periods[0] <= seconds <= periods[1]:
+                continue
+        _add_forms(library, mission, model, label, dict(options), entry, mechanism, family, channels)
 
 
-def _expand(
+def _add_forms(
     library: Library,
     mission: Mission,
     model: Model,
@@ -162,10 +184,10 @@ def _expand(
     entry: ModelEffect,
     mechanism: str,
     family: str,
-    channels: Mapping[str, Told],
+    channels: Mapping[str, ChannelSummary],
 ) -> None:
     """Add an effect with every lag or width of its bank."""
-    base = _base_channels(entry.effect.channels)
+    base = tuple(dict.fromkeys(one for name in entry.effect.channels if name for one in base_channels(name)))
     common: dict[str, Any] = {
         "mechanism": mechanism,
         "family": family,
@@ -177,15 +199,15 @@ def _expand(
         return
     given = {"effect": label, "sensor": entry.sensor.name, **options}
     if label in SLOW and (lone in channels or not lone):
-        for lag in LAGS if lone not in library.unlagged else (0.0,):
-            made = _made(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
+        for lag in BANK.lags if lone not in library.unlagged else (0.0,):
+            made = _make(given | ({"lag": f"{lag:g} s"} if lag else {}), mission, model)
             if made is not None:
                 term = term_of(made, f"{mechanism}@lag={lag:g}s" if lag else mechanism)
                 library.add(Candidate(term.key, terms=(term.key,), lag_s=lag, **common), [term])
     elif label == "hysteresis" and lone in library.unlagged:
         return
     elif label == "hysteresis" and lone in channels:
-        _offer_plays(library, mission, model, given, channels[lone].spread, common)
+        _add_plays(library, mission, model, given, channels[lone].spread, common)
     else:
         form = "".join(f"@{key}={options[key]}" for key in ("degree", "order") if key in options)
         term = term_of(entry, f"{mechanism}{form}")
@@ -193,7 +215,7 @@ def _expand(
             library.add(Candidate(term.key, terms=(term.key,), **common), [term])
 
 
-def _offer_plays(
+def _add_plays(
     library: Library,
     mission: Mission,
     model: Model,
@@ -202,30 +224,30 @@ def _offer_plays(
     common: dict[str, Any],
 ) -> None:
     """Add a channel with its play of several widths; its own columns are those of its plain field."""
-    plain = _made(
+    plain = _make(
         {"effect": "channel_field", "sensor": given["sensor"], "channel": given["channel"]}, mission, model
     )
     if plain is None:
         return
     direct = term_of(plain, f"channel_field({given['channel']})")
-    for part in WIDTHS:
+    for part in BANK.widths:
         width = float(f"{part * spread:.3g}")
-        made = _made(given | {"width": width}, mission, model)
+        made = _make(given | {"width": width}, mission, model)
         if made is not None:
             key = f"{common['mechanism']}@width={width:g}"
             own = Term(key, made, ("play",), (np.inf,) * 3)
             library.add(Candidate(key, terms=(direct.key, key), **common), [direct, own])
 
 
-def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:
+def _add_placebos(library: Library, mission: Mission, model: Model, shifts: Mapping[str, float]) -> None:
     """Add the plain field of shifted channels, with a few lags."""
     kind = known_effects(model.own)["channel_field"]
     sensors = _sensors(kind, mission, model)
     for name in shifts:
         channel, number = name.split("~")
-        for lag in FEW_LAGS if channel not in library.unlagged else (0.0,):
+        for lag in BANK.placebo_lags if channel not in library.unlagged else (0.0,):
             derived = f"{channel}@lag={lag:g}s~{number}" if lag else name
-            entry = _made(
+            entry = _make(
                 {"effect": "channel_field", "sensor": sensors[0].name, "channel": derived}, mission, model
             )
             if entry is None:
@@ -242,18 +264,18 @@ def _offer_placebos(library: Library, mission: Mission, model: Model, shifts: Ma
 def _sensors(kind: type[Effect], mission: Mission, model: Model) -> list[Sensor]:
     """The sensor an effect's candidates act on: one is enough, the data give the difference only."""
     sensors = list(sensors_of(mission, model.comparison).values())
-    wanted = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))
+    roles = getattr(kind, "acts_on", ("vector", "inboard", "scalar"))
     if mission.comparisons[model.comparison].kind == "platform":
         # The vector sensor gives the direction only: whatever is seen is at the scalar sensor.
-        wanted = ("scalar",)
-    for role in wanted:
+        roles = ("scalar",)
+    for role in roles:
         found = [sensor for sensor in sensors if sensor.role == role]
         if found:
             return found[:1]
     return []
 
 
-def _made(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
+def _make(entry: Mapping[str, Any], mission: Mission, model: Model) -> ModelEffect | None:
     try:
         return make_effect(entry, sensors_of(mission, model.comparison), model.own, mission)
     except InflightError:
@@ -274,13 +296,5 @@ FORM = frozenset({"lag", "width", "degree", "order"})
 
 
 def _mechanism(label: str, options: Mapping[str, Any]) -> str:
-    told = [str(value) for key, value in options.items() if key not in FORM]
-    return f"{label}({', '.join(told)})" if told else label
-
-
-def _base_channels(names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(base for name in names if name for base in base_channels(name)))
-
-
-def _seconds(period: Any) -> float:
-    return parse_duration(period) / SECOND if isinstance(period, str) else float(period)
+    given = [str(value) for key, value in options.items() if key not in FORM]
+    return f"{label}({', '.join(given)})" if given else label

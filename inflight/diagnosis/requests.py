@@ -1,4 +1,9 @@
-"""What a person asks to be added: a name, a channel, or an entry of the model's file, made an addition."""
+"""What a person asks to be added: a name, a channel, or an entry of the model's file, made an addition.
+
+Takes text or a mapping as `inflight add` gets it; makes a `Request` (`find_request`): the addition, and the
+same with every lag of its bank when the lag that fits best is asked for (`best_lag`). `addition_of_entry`
+does the same for an effect of a later version of the model, so that it can be fitted again.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +19,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from inflight.design import Candidate, term_of
-from inflight.diagnosis.additions import Addition, Column, Ground, Maker, drift_of, step_of
-from inflight.diagnosis.refine import profile
-from inflight.diagnosis.scoring import fit, folds_of
+from inflight.diagnosis.additions import Addition, AdditionMaker, Column, FitSetup, drift_of, step_of
+from inflight.diagnosis.refine import profile_lag
+from inflight.diagnosis.scoring import fit, make_folds
 from inflight.diagnosis.time_changes import DRIFTS
 from inflight.effects import channels_of, did_you_mean, known_effects
 from inflight.errors import ModelError
@@ -35,7 +40,7 @@ _TIMED = re.compile(
 #: An effect of a channel as a search names it: of a product, with a lag or a width of its own.
 _MADE = re.compile(r"^(?P<effect>\w+)\((?P<channel>[^()]+)\)(?:@(?P<form>lag|width)=(?P<size>[^@]+))?$")
 
-#: What changes at a moment.
+#: What may change at a time.
 _KINDS = ("offset", "scale", "angle", "bias", "clock")
 
 #: Names listed in a remedy at most.
@@ -43,19 +48,19 @@ _LISTED = 12
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What is to be added.
+class Request:
+    """What a person asks to be added.
 
     Attributes
     ----------
     addition : Addition
     bank : dict of float to Addition
-        The same with every lag of its bank, when the lag that fits best is wanted.
+        The same with every lag of its bank, when the lag that fits best is asked for; else empty.
     """
 
     addition: Addition
     bank: Mapping[float, Addition]
-    maker: Maker
+    maker: AdditionMaker
     candidate: Candidate | None = None
 
     def at_lag(self, lag_s: float) -> Addition:
@@ -63,7 +68,7 @@ class Wanted:
         return self.maker.of_candidate(self.candidate, lag_s=lag_s) if self.candidate else self.addition
 
 
-def find_wanted(maker: Maker, effect: str | Mapping[str, Any]) -> Wanted:
+def find_request(maker: AdditionMaker, effect: str | Mapping[str, Any]) -> Request:
     """Return what a person asks for.
 
     Parameters
@@ -77,24 +82,24 @@ def find_wanted(maker: Maker, effect: str | Mapping[str, Any]) -> Wanted:
     ModelError
         When nothing is called so, or several things are.
     """
-    given = _entry_of(effect)
+    given = _parse_entry(effect)
     if not isinstance(given, str):
-        return Wanted(_of_entry(maker, given), {}, maker)
+        return Request(_addition_of_text(maker, given), {}, maker)
     if given in DRIFTS:
-        return Wanted(drift_of(maker, given), {}, maker)
+        return Request(drift_of(maker, given), {}, maker)
     if timed := _TIMED.match(given):
-        at = [_instant(given, timed[key]) for key in ("at", "end") if timed[key]]
-        return Wanted(step_of(maker, timed["kind"], [_edge(maker, one) for one in at]), {}, maker)
+        at = [_parse_time(given, timed[key]) for key in ("at", "end") if timed[key]]
+        return Request(step_of(maker, timed["kind"], [_snap_to_edge(maker, one) for one in at]), {}, maker)
     candidate, lag = _candidate(maker, given)
     if candidate is None:
-        return Wanted(_of_entry(maker, _made(given)), {}, maker)
+        return Request(_addition_of_text(maker, _parse_made(given)), {}, maker)
     if lag is not None:
-        return Wanted(maker.of_candidate(candidate, lag_s=lag), {}, maker)
+        return Request(maker.of_candidate(candidate, lag_s=lag), {}, maker)
     bank = {one: maker.of_candidate(other) for one, other in maker.bank(candidate).items()}
-    return Wanted(maker.of_candidate(candidate), bank, maker, candidate)
+    return Request(maker.of_candidate(candidate), bank, maker, candidate)
 
 
-def _entry_of(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
+def _parse_entry(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
     """Return an entry of the model's file as a mapping, any other text as it is."""
     if not isinstance(effect, str):
         return dict(effect)
@@ -110,7 +115,7 @@ def _entry_of(effect: str | Mapping[str, Any]) -> str | dict[str, Any]:
     return tree
 
 
-def _candidate(maker: Maker, name: str) -> tuple[Candidate | None, float | None]:
+def _candidate(maker: AdditionMaker, name: str) -> tuple[Candidate | None, float | None]:
     """Return the candidate of a name, and its lag when one is stated that the bank has not."""
     real = [one for one in maker.library.candidates if not one.placebo]
     found = [one for one in real if name in (one.name, one.mechanism)]
@@ -120,8 +125,8 @@ def _candidate(maker: Maker, name: str) -> tuple[Candidate | None, float | None]
         bank = [one for one in real if one.mechanism == lagged["mechanism"] and maker.bank(one)]
         if bank:
             return bank[0], _seconds(name, lagged["lag"])
-    told = list(dict.fromkeys(one.mechanism for one in real))
-    alike = [one for one in told if one.startswith(f"{name}(") or one == f"channel_field({name})"]
+    mechanisms = list(dict.fromkeys(one.mechanism for one in real))
+    alike = [one for one in mechanisms if one.startswith(f"{name}(") or one == f"channel_field({name})"]
     if len(alike) == 1:
         return next(one for one in real if one.mechanism == alike[0]), None
     if len(alike) > 1:
@@ -130,10 +135,10 @@ def _candidate(maker: Maker, name: str) -> tuple[Candidate | None, float | None]
     made = _MADE.match(name)
     if (made["effect"] if made else name) in known_effects(maker.model.own):
         return None, None
-    raise _unknown(maker, name, told)
+    raise _unknown_name(maker, name, mechanisms)
 
 
-def _made(name: str) -> dict[str, Any]:
+def _parse_made(name: str) -> dict[str, Any]:
     """Return the entry of an effect as a search names it; its channel carries the lag."""
     match = _MADE.match(name)
     if match is None:
@@ -146,7 +151,7 @@ def _made(name: str) -> dict[str, Any]:
     return entry
 
 
-def _unknown(maker: Maker, name: str, mechanisms: Sequence[str]) -> ModelError:
+def _unknown_name(maker: AdditionMaker, name: str, mechanisms: Sequence[str]) -> ModelError:
     dead = {one["name"]: one["reason"] for one in maker.library.unscorable}
     if name in dead:
         return ModelError(f"{name!r} cannot be tried: {dead[name]}", remedy="these data cannot show it")
@@ -165,15 +170,15 @@ def _seconds(name: str, lag: str) -> float:
         raise ModelError(f"{name!r}: {error}", remedy="write such as @lag=600s") from None
 
 
-def _instant(name: str, text: str) -> int:
+def _parse_time(name: str, text: str) -> int:
     try:
         return int(to_tt2000(parse_utc(text)))
     except ValueError as error:
         raise ModelError(f"{name!r}: {error}", remedy="write such as offset_step@2024-03-01") from None
 
 
-def _edge(maker: Maker, when: int) -> int:
-    """Return a moment; the edge of blocks beside it when that is within a second."""
+def _snap_to_edge(maker: AdditionMaker, when: int) -> int:
+    """Return a time; the nearest edge of blocks when that is within a second."""
     edges = np.append(maker.raw.start, maker.raw.end[-1])
     near = int(edges[np.argmin(np.abs(edges - when))])
     return near if abs(near - when) < SECOND else when
@@ -182,7 +187,7 @@ def _edge(maker: Maker, when: int) -> int:
 # Entries of a model's file.
 
 
-def _of_entry(maker: Maker, given: Mapping[str, Any]) -> Addition:
+def _addition_of_text(maker: AdditionMaker, given: Mapping[str, Any]) -> Addition:
     """Return the addition of an entry: a candidate's when it is one, else one that needs a pass."""
     sensors = sensors_of(maker.mission, maker.model.comparison)
     entry = make_effect(given, sensors, maker.model.own, maker.mission)
@@ -195,14 +200,16 @@ def _of_entry(maker: Maker, given: Mapping[str, Any]) -> Addition:
                 remedy="name it in the mission YAML, or give the option 'channel'",
             )
     plain = not set(given) & set(entry.parameters)
-    candidate, lag = _matching(maker, entry)
+    candidate, lag = _matching_candidate(maker, entry)
     if candidate is not None and plain:
         return maker.of_candidate(candidate, str(given.get("name") or ""), lag)
     name = maker.free_name(str(given.get("name") or maker.title(entry)))
-    return _apart(maker, make_effect({**given, "name": name}, sensors, maker.model.own, maker.mission))
+    return _outside_library(
+        maker, make_effect({**given, "name": name}, sensors, maker.model.own, maker.mission)
+    )
 
 
-def _apart(maker: Maker, entry: ModelEffect) -> Addition:
+def _outside_library(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     """Return the addition of an effect that is in no library, at values that do nothing."""
     kinds = type(entry.effect).parameters()
     still = {
@@ -217,7 +224,7 @@ def _apart(maker: Maker, entry: ModelEffect) -> Addition:
         for key, timed in entry.parameters.items()
     }
     entry = entry.with_parameters(still)
-    # The evidence is known by the names of its columns: they say what the effect is made of.
+    # Gram blocks are known by the names of their columns: they say what the effect is made of.
     made_of = json.dumps(entry.as_yaml(), sort_keys=True, default=str)
     key = f"{entry.name}#{hashlib.sha256(made_of.encode()).hexdigest()[:12]}"
     term = term_of(entry, key)
@@ -230,22 +237,22 @@ def _apart(maker: Maker, entry: ModelEffect) -> Addition:
     return maker.of_term(term)
 
 
-def _matching(maker: Maker, entry: ModelEffect) -> tuple[Candidate | None, float]:
+def _matching_candidate(maker: AdditionMaker, entry: ModelEffect) -> tuple[Candidate | None, float]:
     """Return the candidate an entry is, whatever its lag, and the lag."""
     if entry.effect.source is not None:
         return None, 0.0
-    told, lag = _told(entry)
+    identity, lag = _identity(entry)
     for candidate in maker.library.candidates:
         term = maker.library.terms[candidate.terms[0]]
         if candidate.placebo or len(candidate.terms) > 1:
             continue
-        own, own_lag = _told(term.entry)
-        if own == told and (own_lag == lag or maker.bank(candidate)):
+        own, own_lag = _identity(term.entry)
+        if own == identity and (own_lag == lag or maker.bank(candidate)):
             return candidate, lag
     return None, lag
 
 
-def _told(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
+def _identity(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
     """Return what an effect is, its name and its values not counted, and its lag, seconds."""
     given = dict(entry.effect.given)
     lag = 0.0
@@ -259,13 +266,13 @@ def _told(entry: ModelEffect) -> tuple[tuple[Any, ...], float]:
     return (entry.effect.label(), entry.sensor.name, options), lag
 
 
-def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
+def addition_of_entry(maker: AdditionMaker, entry: ModelEffect) -> Addition:
     """Return the addition that an effect of a later version of the model is."""
     label = entry.effect.label()
     if label == "affine":
         for key in ("matrix", "shift"):
             if entry.parameters[key].time == "linear":
-                return drift_of(maker, _which_drift(key, entry), entry.name)
+                return drift_of(maker, _drift_kind(key, entry), entry.name)
     for key, kind in (("seconds", "clock_drift"), ("bias", "bias_drift")):
         if (
             key in entry.parameters
@@ -276,19 +283,19 @@ def known_addition(maker: Maker, entry: ModelEffect) -> Addition:
     kind, _, form = label.partition("_")
     if kind in _KINDS and form in ("step", "episode"):
         at = [
-            _instant(entry.name, str(entry.effect.given[key]))
+            _parse_time(entry.name, str(entry.effect.given[key]))
             for key in ("at", "from", "to")
             if key in entry.effect.given
         ]
-        if getattr(maker.carriers, kind):
+        if getattr(maker.time_variable, kind):
             return step_of(maker, kind, at, entry.name)
-    candidate, lag = _matching(maker, entry)
+    candidate, lag = _matching_candidate(maker, entry)
     if candidate is not None:
         return maker.of_candidate(candidate, entry.name, lag)
-    return _apart(maker, entry)
+    return _outside_library(maker, entry)
 
 
-def _which_drift(part: str, entry: ModelEffect) -> str:
+def _drift_kind(part: str, entry: ModelEffect) -> str:
     """Return which drift an affine change that grows with time is."""
     if part == "shift":
         return "offset_drift"
@@ -300,15 +307,15 @@ def _which_drift(part: str, entry: ModelEffect) -> str:
 
 
 def best_lag(
-    ground: Ground, fixed: Mapping[str, float], columns: Sequence[Column], bank: Mapping[float, Addition]
+    setup: FitSetup, fixed: Mapping[str, float], columns: Sequence[Column], bank: Mapping[float, Addition]
 ) -> float:
-    """Return the lag that explains most beside the rest of the model, seconds; 0 when it may be none."""
+    """Return the lag that explains most next to the rest of the model, seconds; 0 when it may be none."""
     tried = [
         Column(f"{lag:g}|{column.name}", column.parts)
         for lag, addition in bank.items()
         for column in addition.columns
     ]
-    evidence, present = ground.absorbed([*columns, *tried], fixed)
+    evidence, present = setup.marginalised([*columns, *tried], fixed)
     count = len(present.columns) - len(tried)
     present = replace(present, columns=present.columns[:count], precision=present.precision[:count])
     places = {
@@ -317,7 +324,7 @@ def best_lag(
     }
     y = evidence.residuals[0]
     if len(places) > 2:
-        found = profile(evidence, present, places, y, folds_of(len(evidence)))
+        found = profile_lag(evidence, present, places, y, make_folds(len(evidence)))
         return found.best if found.best > found.sigma else 0.0
     _, explained = fit(evidence, present, list(places.values()), y)
     return list(places)[int(np.argmax(explained))]

@@ -1,19 +1,18 @@
-"""Residual after the model, context of a verdict.
+"""The residual after the model: its values, its sizes, its structure, and the rows it cannot be corrected in.
 
-What is left: the residual with everything the model explains taken off, its sizes, its structure.
+Takes a state of the search and the `Context` of its verdict (the coarse series, the model, the noise floor);
+makes the residual after calibration, model and everything that was taken (`remaining_residual`), its sizes in
+sample (`native_rms`) and held out (`held_out_rms`), its slow structure (`structure_of`), its correlation time
+(`correlation_s`) and how many independent blocks there are (`effective_blocks`).
 
-Rows of the record that an effect could not be taken off of, because its channel was not recorded there.
-
-In the evidence a missing channel has its usual value, so that its gaps do not cost all other candidates their
-rows. Once an effect that follows it was taken, such rows hold the effect still: they are neither error
-nor structure of a model that has it, and sizes are told of the other rows.
-
-What a verdict is made from beside the search, and the sizes of the residual.
+In the Gram blocks a missing channel has its usual value, so that its gaps do not cost all other candidates
+their rows. Once an effect that follows it was taken, such rows hold the effect still: they are neither error
+nor structure of a model that has it. Sizes are those of the other rows (`with_correctable_rows`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -22,26 +21,69 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.design import Outliers, Rows, Term, design, turns_of
-from inflight.diagnosis.scoring import Present, folds_of, score
+from inflight.design import Outliers, Rows, design, sensor_matrices
+from inflight.diagnosis.scoring import ModelColumns, make_folds, score
 from inflight.diagnosis.search import Option, Search
 from inflight.diagnosis.series import Series
-from inflight.dual import Switched
-from inflight.lsq import Evidence, solve_scaled
+from inflight.dual import JumpAttribution
+from inflight.lsq import GramArrays, GramBlocks, solve_scaled
 from inflight.mission import Mission
 from inflight.model import Model
-from inflight.residual import NoiseFloor, joined_floor, level_of_rows
+from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import Part, parse, product, respond
 from inflight.time import DAY, SECOND, utc_text
 
-#: Lags of the residual's covariance that tell structure from noise, in rows of the series.
-LAGS = 6
 
-#: Structure counts when it is this many sigma from nothing and this part of the noise floor.
-_CLEAR_T, _CLEAR_PART = 3.0, 0.2
+@dataclass(frozen=True, kw_only=True)
+class StructureSettings:
+    """When a residual has structure.
 
-#: The series holds every native sample when there are not more than so many times as many.
-_EVERY = 1.2
+    Attributes
+    ----------
+    lags : int
+        Lags of the residual's covariance that separate structure from noise, in rows of the series; assumed.
+    t, part : float
+        Structure counts when it is this many sigma from nothing and this part of the noise floor: three
+        sigma; a fifth of the floor adds two hundredths to it.
+    every : float
+        The series holds every native sample when there are not more than so many times as many; assumed.
+    """
+
+    lags: int = 6
+    t: float = 3.0
+    part: float = 0.2
+    every: float = 1.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockSettings:
+    """How the residual is described block by block, and over time.
+
+    Attributes
+    ----------
+    forgotten : float
+        A slow response is known where no more than this part of its past weight is missing; assumed.
+    nearly_all, few : float, int
+        Blocks that hold this part of the residual's square between them are named when they are no more than
+        so many; assumed.
+    least_correlation, longest, finest : float, int, int
+        The correlation time is summed until the correlation falls to this, over no more than so many rows, in
+        steps of no more than a so-many-th of the lag; assumed.
+    """
+
+    forgotten: float = 0.2
+    nearly_all: float = 0.9
+    few: int = 12
+    least_correlation: float = 0.02
+    longest: int = 5000
+    finest: int = 8
+
+
+STRUCTURE = StructureSettings()
+BLOCKS = BlockSettings()
+
+#: Lags of the residual's covariance.
+LAGS = STRUCTURE.lags
 
 
 @dataclass(frozen=True)
@@ -60,13 +102,13 @@ class Structure:
     t: float
 
     def is_large(self, noise: float) -> bool:
-        """Return True when it is large enough to matter beside noise of this size, nT."""
-        return self.rms_nT > _CLEAR_PART * noise
+        """Return True when it is large enough to matter next to noise of this size, nT."""
+        return self.rms_nT > STRUCTURE.part * noise
 
     @property
     def is_sure(self) -> bool:
-        """True when it is there beyond doubt."""
-        return self.t > _CLEAR_T
+        """True when it is significant."""
+        return self.t > STRUCTURE.t
 
 
 def structure_of(series: Series, residual: Floats) -> Structure:
@@ -75,13 +117,13 @@ def structure_of(series: Series, residual: Floats) -> Structure:
     good = weight > 0
     blocks = int(series.block.max()) + 1 if series.block.size else 0
     total, count = np.zeros(blocks), np.zeros(blocks)
-    # Within a synthetic turn neighbours tell of its shape: structure goes on from turn to turn.
-    for lag in range(series.turn_rows, series.turn_rows * (LAGS + 1), series.turn_rows):
+    # Within a synthetic turn neighbours have its shape in common: structure goes on from turn to turn.
+    for lag in range(series.turn_rows, series.turn_rows * (STRUCTURE.lags + 1), series.turn_rows):
         both = good[lag:] & good[:-lag] & (series.block[lag:] == series.block[:-lag])
         value = np.einsum("tr,tr->t", residual[lag:], residual[:-lag]) / residual.shape[1]
-        say = np.sqrt(weight[lag:] * weight[:-lag])[both]
-        total += np.bincount(series.block[lag:][both], weights=say * value[both], minlength=blocks)
-        count += np.bincount(series.block[lag:][both], weights=say, minlength=blocks)
+        shared = np.sqrt(weight[lag:] * weight[:-lag])[both]
+        total += np.bincount(series.block[lag:][both], weights=shared * value[both], minlength=blocks)
+        count += np.bincount(series.block[lag:][both], weights=shared, minlength=blocks)
     used = count > 0
     if used.sum() < 3:
         return Structure(0.0, 0.0)
@@ -91,8 +133,8 @@ def structure_of(series: Series, residual: Floats) -> Structure:
     return Structure(float(np.sqrt(max(mean, 0.0))), mean / error if error > 0 else 0.0)
 
 
-def floor_left(series: Series, residual: Floats, samples: float, floor: NoiseFloor) -> NoiseFloor:
-    """Return the noise floor of what is left: that of the native samples, or a clearly lower one.
+def remaining_floor(series: Series, residual: Floats, samples: float, floor: NoiseFloor) -> NoiseFloor:
+    """Return the noise floor of what remains: that of the native samples, or a clearly lower one.
 
     A cause that is as fast as the samples, a switch without a rise time, looks like noise until it is taken
     off. It shows where the series holds every sample.
@@ -100,28 +142,32 @@ def floor_left(series: Series, residual: Floats, samples: float, floor: NoiseFlo
     Parameters
     ----------
     residual : ndarray, shape (sample, row)
-        What is left of the series, nT.
+        What remains of the series, nT.
     samples : float
         Native samples of the span.
     floor : NoiseFloor
         Of the native samples, nothing taken off.
     """
     good = series["weight"] > 0
-    if samples > _EVERY * good.sum() or series.turn_rows > 1:
+    if samples > STRUCTURE.every * good.sum() or series.turn_rows > 1:
         return floor
     days = (series.tt2000 - series.tt2000[0]) // DAY
     edges = np.searchsorted(days, np.arange(int(days[-1]) + 2))
     parts = [slice(a, b) for a, b in pairwise(edges.tolist()) if good[a:b].any()]
-    found = joined_floor([level_of_rows(residual[at], good[at], series.tt2000[at]) for at in parts])
+    found = join_floors([floor_of_rows(residual[at], good[at], series.tt2000[at]) for at in parts])
     return found if found.high_nT < floor.low_nT else floor
 
 
-def residual_left(
-    search: Search, series: Series, terms: Mapping[str, Term], turn: dict[str, Floats], accepted: bool = True
-) -> Floats:
-    """Return the residual after calibration, model and (when asked) what the search took; (sample, row)."""
-    options = search.accepted if accepted else []
-    rows, names, columns = model_columns(search, series, terms, turn, options)
+def remaining_residual(search: Search, context: Context, accepted: bool = True) -> Floats:
+    """Return the residual of the series after calibration, model and what was taken; (sample, row).
+
+    Parameters
+    ----------
+    accepted : bool
+        False leaves what was taken in the residual.
+    """
+    options, series = search.accepted if accepted else (), context.series
+    rows, names, columns = model_columns(search, series, context.sensor_matrices, options)
     present = [name for option in options for name in option.columns]
     values = joint_values(search, present)
     out = rows.residual.copy()
@@ -134,25 +180,22 @@ def residual_left(
 
 
 def model_columns(
-    search: Search,
-    series: Series,
-    terms: Mapping[str, Term],
-    turn: dict[str, Floats],
-    options: Sequence[Option],
+    search: Search, series: Series, sensor_matrices: dict[str, Floats], options: Sequence[Option]
 ) -> tuple[Rows, list[str], Floats]:
     """Return the series as rows, and names and columns of calibration, model and some options on it.
 
     Columns are (sample, row, column) in scaled units; those of changes in time are among them.
     """
-    wanted = [*search.library.base, *search.library.refined]
+    terms = search.library.by_key
+    chosen = [*search.library.base, *search.library.refined]
     used = {key for option in options for key in option.terms}
-    carried = {name for one in options if one.change for name, _ in one.change.functions.values()}
-    used |= {key for key, term in terms.items() if carried & set(term.columns)}
-    wanted += [terms[key] for key in sorted(used - {term.key for term in wanted})]
-    channels = {name for term in wanted for name in term.entry.effect.channels if name}
-    rows = series.rows(turn, made_channels(series, channels))
-    names = [name for term in wanted for name in term.columns]
-    columns = design(wanted, rows)
+    changing = {name for one in options if one.change for name, _ in one.change.functions.values()}
+    used |= {key for key, term in terms.items() if changing & set(term.columns)}
+    chosen += [terms[key] for key in sorted(used - {term.key for term in chosen})]
+    channels = {name for term in chosen for name in term.entry.effect.channels if name}
+    rows = series.rows(sensor_matrices, derived_channels(series, channels))
+    names = [name for term in chosen for name in term.columns]
+    columns = design(chosen, rows)
     for option in options:
         if option.change is not None:
             for name, (column, factor) in option.change.functions.items():
@@ -188,24 +231,25 @@ def joint_values(search: Search, present: list[str]) -> list[tuple[Floats, list[
 
 
 def _base_values(
-    search: Search, group: object, base: list[str], sigma: Floats, names: list[str], common: Floats
+    search: Search, group: Sequence[int], base: list[str], sigma: Floats, names: list[str], common: Floats
 ) -> Floats:
     if not base:
         return np.zeros(0)
-    raw: Evidence = search.raw
-    total = raw.gram[np.asarray(group)].sum(axis=0)
+    raw: GramBlocks = search.raw
+    total = raw.rows(base, blocks=np.asarray(group)).sum(axis=0)
     inner, others, y = raw.index(base), raw.index(names), raw.residuals[search.residual]
-    right = total[inner, y] + (total[np.ix_(inner, others)] @ common if names else 0.0)
+    right = total[:, y] + (total[:, others] @ common if names else 0.0)
     precision = search.precision(raw, base, sigma)
-    return -solve_scaled(total[np.ix_(inner, inner)] + np.diag(precision), right)
+    return -solve_scaled(total[:, inner] + np.diag(precision), right)
 
 
-def made_channels(
+def derived_channels(
     series: Series, names: set[str], shifts: Mapping[str, float] | None = None
 ) -> dict[str, xr.Variable]:
     """Return derived channels on the series' own rows; placebos shifted by `shifts`, seconds."""
     out: dict[str, xr.Variable] = {}
     known = set(series.channels)
+    units = dict(zip(series.features.names, series.features.units, strict=True))
     for name in names:
         if name in known:
             continue
@@ -214,14 +258,9 @@ def made_channels(
             values = series[part.channel] if part.channel in known else np.zeros(len(series.values))
             factors.append(_part(series, part, values, shifts or {}))
         made = product(factors)
-        unit = "*".join(f"({_unit(series, part.channel)})" for part in parse(name).parts)
+        unit = "*".join(f"({units.get(part.channel, '1')})" for part in parse(name).parts)
         out[name] = xr.Variable(("time", "axis")[: made.ndim], made, {"units": unit})
     return out
-
-
-def _unit(series: Series, channel: str) -> str:
-    names = series.features.names
-    return series.features.units[names.index(channel)] if channel in names else "1"
 
 
 def _part(series: Series, part: Part, values: Floats, shifts: Mapping[str, float]) -> Floats:
@@ -233,12 +272,8 @@ def _part(series: Series, part: Part, values: Floats, shifts: Mapping[str, float
     return part.of(values, np.diff(series.tt2000) / SECOND)
 
 
-#: A slow response is known where no more than this part of what it remembers is missing.
-_FORGOTTEN = 0.2
-
-
 @dataclass(frozen=True)
-class Uncorrected:
+class UncorrectableRows:
     """Rows that what was taken cannot be taken off of.
 
     Attributes
@@ -264,26 +299,27 @@ class Uncorrected:
         return [{"channel": name, "part": part} for name, part in self.channels.items()]
 
 
-def uncorrected(search: Search, series: Series, terms: Mapping[str, Term]) -> Uncorrected | None:
+def uncorrectable_rows(search: Search, series: Series) -> UncorrectableRows | None:
     """Return the rows that what a search took cannot be taken off of; None when there are none."""
     rows, weight = np.zeros(len(series.tt2000), dtype=bool), series["weight"]
     channels: dict[str, float] = {}
-    for part in _parts_taken(search, terms):
+    for part in _channels_taken(search):
         lost = unknown_rows(series, part)
         if lost is not None and (share := _weight_part(lost, weight)) > 0:
             rows |= lost
             channels[part.channel] = max(share, channels.get(part.channel, 0.0))
-    # Where hardly anything is left, a model is judged by the whole record or not at all.
+    # Where hardly any row can be corrected, a model is judged by the whole record or not at all.
     if not channels or not (weight[~rows] > 0).any():
         return None
-    return Uncorrected(rows, series, dict(sorted(channels.items(), key=lambda one: -one[1])))
+    return UncorrectableRows(rows, series, dict(sorted(channels.items(), key=lambda one: -one[1])))
 
 
 def _weight_part(rows: np.ndarray, weight: Floats) -> float:
     return float(weight[rows].sum() / max(weight.sum(), 1e-300))
 
 
-def _parts_taken(search: Search, terms: Mapping[str, Term]) -> list[Part]:
+def _channels_taken(search: Search) -> list[Part]:
+    terms = search.library.by_key
     names = {
         name
         for option in search.accepted
@@ -305,7 +341,7 @@ def unknown_rows(series: Series, part: Part) -> np.ndarray | None:
         return None
     if part.lag_s:
         forgotten = respond(lost.astype(np.float64), np.diff(series.tt2000) / SECOND, part.lag_s)
-        lost = forgotten > _FORGOTTEN
+        lost = forgotten > BLOCKS.forgotten
     if part.width:
         slow = replace(part, width=0.0, text="").of(series[part.channel], np.diff(series.tt2000) / SECOND)
         lost = _unsettled(lost, slow, part.width)
@@ -313,7 +349,7 @@ def unknown_rows(series: Series, part: Part) -> np.ndarray | None:
 
 
 def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
-    """Return rows in or after a gap in which a play may still stand where the gap left it; (sample,)."""
+    """Return rows in or after a gap in which a play may still be where it was before the gap; (sample,)."""
     out = lost.copy()
     edges = np.flatnonzero(np.diff(lost.astype(np.int8))) + 1
     for start, end in pairwise([*edges.tolist(), len(lost)]):
@@ -324,24 +360,25 @@ def _unsettled(lost: np.ndarray, values: Floats, width: float) -> np.ndarray:
     return out
 
 
-def known_evidence(
-    search: Search, gaps: Uncorrected, terms: Mapping[str, Term], turn: dict[str, Floats]
-) -> Evidence:
+def correctable_evidence(
+    search: Search, gaps: UncorrectableRows, sensor_matrices: dict[str, Floats]
+) -> GramBlocks:
     """Return the raw form of the model's columns and the residual, of the rows that could be corrected.
 
-    What the lost rows add to the Gram matrices is taken off by the coarse series. Of long records a row
-    of the series is a mean of several of the evidence: what is within the means counts in proportion.
+    What the lost rows add to the Gram matrices is subtracted with the help of the coarse series. Of long
+    records a row of the series is a mean of several of the evidence: what is within the means counts in
+    proportion.
     """
     raw, series = search.raw, gaps.series
     base, sigma = search.base()
     model = [name for term in search.library.refined for name in term.columns]
     model += [name for option in search.accepted for name in option.columns]
-    order = [*raw.index([*base, *model]), raw.residuals[search.residual]]
-    rows, names, columns = model_columns(search, series, terms, turn, search.accepted)
+    order = np.array([*raw.index([*base, *model]), raw.residuals[search.residual]])
+    rows, names, columns = model_columns(search, series, sensor_matrices, search.accepted)
     places = [names.index(name) for name in [*base, *model]]
     values = np.concatenate([columns[:, :, places], rows.residual[:, :, None]], axis=2)
     values *= np.sqrt(series["weight"])[:, None, None]
-    gram = np.array(raw.gram[:, np.array(order)[:, None], np.array(order)], dtype=np.float64)
+    gram = np.array(raw.rows(order, order), dtype=np.float64)
     count = raw.count.copy()
     for block in np.unique(series.block[gaps.rows]):
         own = series.block == block
@@ -353,14 +390,9 @@ def known_evidence(
         every, lost = (_square(values[one]) * bins for one in (own, own & gaps.rows))
         gram[block] -= lost + share * (gram[block] - every)
         count[block] *= 1.0 - share
-    small = replace(
-        raw,
-        names=(*base, *model, raw.names[order[-1]]),
-        gram=gram,
-        count=count,
-        scale=raw.scale[np.array(order)],
-    )
-    return small.absorbed(base, search.intervals, search.precision(raw, base, sigma))
+    names_known = (*base, *model, raw.names[order[-1]])
+    small = GramArrays(names_known, gram, raw.start, raw.end, count, raw.scale[order])
+    return small.marginalise(base, search.intervals, search.precision(raw, base, sigma))
 
 
 def _square(values: Floats) -> Floats:
@@ -368,32 +400,32 @@ def _square(values: Floats) -> Floats:
     return np.asarray(flat.T @ flat)
 
 
-#: Part of the residual's square that a few blocks may hold between them, and how many are few.
-_NEARLY_ALL, _FEW = 0.9, 12
-
-
-@dataclass(frozen=True)
-class Material:
-    """What a verdict needs beside the search.
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """What a verdict needs in addition to the search.
 
     Attributes
     ----------
     model : Model
         The model diagnosed.
     linearised : Model
-        The same at the values the evidence was linearised at.
-    terms : mapping of str to Term
+        The same at the values the Gram blocks were linearised at.
     series : Series
+        The coarse series.
     sums : mapping of str to float
         Over native samples: count, square, inside, spikes, and of the noise floor.
     cadence_s : float
         Of the search.
-    memory_s : float
+    floor : NoiseFloor
+        Of the native samples.
+    context_id, run : str
+        Of the catalog.
+    correlation_time_s : float
         Correlation time the prewhitened form assumes, s.
     outliers : Outliers
         What the pass left out.
-    gaps : Uncorrected, optional
-        Rows that count in no size, and weigh nothing in the series (see `of_known_rows`).
+    gaps : UncorrectableRows, optional
+        Rows that count in no size, and have no weight in the series (see `with_correctable_rows`).
     switched : Switched, optional
         Switchings that two sensors show; residuals are relative to the stretches between those that no
         channel follows.
@@ -402,101 +434,100 @@ class Material:
     mission: Mission
     model: Model
     linearised: Model
-    terms: MutableMapping[str, Term]
     series: Series
     sums: Mapping[str, float]
     cadence_s: float
     floor: NoiseFloor
-    context: str = ""
+    context_id: str = ""
     run: str = ""
-    memory_s: float = 600.0
+    correlation_time_s: float = 600.0
     outliers: Outliers = field(default_factory=Outliers)
-    gaps: Uncorrected | None = None
-    switched: Switched | None = None
+    gaps: UncorrectableRows | None = None
+    switched: JumpAttribution | None = None
 
     @property
-    def turn(self) -> dict[str, Floats]:
-        """K of every vector sensor, row by row; (9,) each."""
-        return turns_of(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
+    def sensor_matrices(self) -> dict[str, Floats]:
+        """The matrix K of every vector sensor, row by row; (9,) each."""
+        return sensor_matrices(self.linearised, int(self.series.tt2000[len(self.series.tt2000) // 2]))
 
 
-def of_known_rows(search: Search, material: Material) -> Material:
-    """Return the material of the rows in which the channels of all that was taken are known.
+def with_correctable_rows(search: Search, context: Context) -> Context:
+    """Return the context of the rows in which the channels of all that was taken are known.
 
     A comparison in a band of frequencies has no such rows: its filter mixes them.
     """
-    if material.mission.comparisons[material.model.comparison].kind == "platform":
-        return material
-    whole = material.series if material.gaps is None else material.gaps.series
-    gaps = uncorrected(search, whole, material.terms)
+    if context.mission.comparisons[context.model.comparison].kind == "platform":
+        return context
+    whole = context.series if context.gaps is None else context.gaps.series
+    gaps = uncorrectable_rows(search, whole)
     if gaps is None:
-        return replace(material, series=whole, gaps=None)
-    return replace(material, series=whole.without(gaps.rows), gaps=gaps)
+        return replace(context, series=whole, gaps=None)
+    return replace(context, series=whole.without(gaps.rows), gaps=gaps)
 
 
-def _evidence(search: Search, material: Material) -> tuple[Evidence, Present, int]:
-    """Return the raw form that sizes are told of, the model's columns in it, and the residual's index."""
-    if material.gaps is None:
+def _evidence_of_sizes(search: Search, context: Context) -> tuple[GramBlocks, ModelColumns, int]:
+    """Return the raw form that sizes are taken from, the model's columns in it, and the residual's index."""
+    if context.gaps is None:
         return search.forms["raw"], search.present(), search.y()
-    evidence = known_evidence(search, material.gaps, material.terms, material.turn)
+    evidence = correctable_evidence(search, context.gaps, context.sensor_matrices)
     return evidence, search.present_in(evidence), evidence.residuals[0]
 
 
-def held_out(search: Search, material: Material) -> float:
+def held_out_rms(search: Search, context: Context) -> float:
     """Return the held-out rms at the cadence of the comparison, nT: of bins, and of what is inside them."""
-    evidence, present, y = _evidence(search, material)
+    evidence, present, y = _evidence_of_sizes(search, context)
     interleaved = any(option.interleaved for option in search.accepted)
     empty: list[Any] = []
-    found = score(evidence, present, empty, y, folds_of(len(evidence), interleaved))
+    found = score(evidence, present, empty, y, make_folds(len(evidence), interleaved))
     mean = float(found.loss0.sum() / max(evidence.count.sum(), 1.0))
-    return float(np.sqrt(max(mean, 0.0) + _inside(material)))
+    return float(np.sqrt(max(mean, 0.0) + _square_within_bins(context)))
 
 
-def _inside(material: Material) -> float:
-    return material.sums.get("inside", 0.0) / max(material.sums.get("count", 1.0), 1.0)
+def _square_within_bins(context: Context) -> float:
+    return context.sums.get("inside", 0.0) / max(context.sums.get("count", 1.0), 1.0)
 
 
-def native_rms(material: Material, search: Search) -> float:
+def native_rms(context: Context, search: Search) -> float:
     """Return the in-sample rms at the cadence of the comparison, nT, after all that was taken."""
-    evidence, present, y = _evidence(search, material)
+    evidence, present, y = _evidence_of_sizes(search, context)
     total = evidence.total
     left = total[y, y] - (
         total[y, present.columns] @ present.solve(total)[:, y] if present.columns.size else 0.0
     )
-    return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _inside(material)))
+    return float(np.sqrt(max(left, 0.0) / max(evidence.count.sum(), 1.0) + _square_within_bins(context)))
 
 
-def effective_blocks(search: Search, material: Material, left: Floats) -> dict[str, Any]:
+def effective_blocks(search: Search, context: Context, residual: Floats) -> dict[str, Any]:
     """Return number and length of the blocks, and how many independent ones there really are.
 
     Neighbours that the residual's correlation ties together count once, and blocks that hold hardly any of
-    the residual's square hardly count: of four days, a storm of some hours may be all that tells.
+    the residual's square hardly count: of four days, a storm of some hours may hold all the information.
     """
     raw, evidence, y = search.raw, search.forms["raw"], search.y()
     length = float(np.median(raw.end - raw.start)) / SECOND
-    memory = correlation_s(material.series, left)
+    correlation = correlation_s(context.series, residual)
     used = int(np.sum(raw.count > 0))
     span = float(raw.end[-1] - raw.start[0]) / SECOND
-    square = np.clip(evidence.gram[:, y, y], 0.0, None)
-    telling = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
-    by_length = min(float(used), span / max(2.0 * memory, 1e-9))
+    square = np.clip(evidence.squares[:, y], 0.0, None)
+    informative = float(square.sum() ** 2 / max(float(np.sum(square**2)), 1e-300))
+    by_length = min(float(used), span / max(2.0 * correlation, 1e-9))
     return {
         "count": used,
         "length_s": length,
-        "correlation_s": memory,
+        "correlation_s": correlation,
         "by_length": by_length,
-        "telling": telling,
-        "independent": min(by_length, telling),
-        "holding": holding(raw, square),
+        "telling": informative,
+        "independent": min(by_length, informative),
+        "holding": dominant_blocks(raw, square),
     }
 
 
-def holding(evidence: Evidence, square: Floats) -> list[dict[str, Any]]:
+def dominant_blocks(evidence: GramBlocks, square: Floats) -> list[dict[str, Any]]:
     """Return the blocks that hold nearly all of the residual's square, in order of time, if they are few."""
     order = np.argsort(-square)
     whole = max(float(square.sum()), 1e-300)
-    most = int(np.searchsorted(np.cumsum(square[order]), _NEARLY_ALL * whole)) + 1
-    if most > _FEW:
+    most = int(np.searchsorted(np.cumsum(square[order]), BLOCKS.nearly_all * whole)) + 1
+    if most > BLOCKS.few:
         return []
     return [
         {
@@ -516,17 +547,12 @@ def correlation_s(series: Series, residual: Floats) -> float:
     if size <= 0:
         return series.step_s
     total, lag = 0.5, 1
-    while lag < min(len(y) // 4, 5000):
+    while lag < min(len(y) // 4, BLOCKS.longest):
         both = good[lag:] & good[:-lag]
         value = float(np.sum(y[lag:] * y[:-lag])) / max(both.sum(), 1) / size
-        if value <= 0.02:
+        if value <= BLOCKS.least_correlation:
             break
-        step = max(1, lag // 8)
+        step = max(1, lag // BLOCKS.finest)
         total += value * step
         lag += step
     return total * series.step_s
-
-
-def left_of(search: Search, material: Material, accepted: bool = True) -> Floats:
-    """Return the residual of the series after calibration, model and what was taken; (sample, row)."""
-    return residual_left(search, material.series, material.terms, material.turn, accepted)

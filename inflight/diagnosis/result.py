@@ -1,8 +1,7 @@
-"""Diagnosis record and its sentence.
+"""The result of a diagnosis: what was found, how sure it is, what remains, and the sentence that says it.
 
-The result of a diagnosis: what was found, how sure it is, what is left.
-
-One sentence a physicist would say.
+Takes numbers and names from `inflight.diagnosis.verdict`; makes records that print themselves as JSON
+(`Diagnosis.as_json`) and one or two sentences (`sentence`).
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from inflight.residual import told_period
+from inflight.residual import format_period
 
 Verdict = Literal["FOUND", "CONFOUNDED", "NOT_IDENTIFIABLE", "UNKNOWN_EFFECT", "NOTHING_LEFT"]
 
@@ -35,9 +34,9 @@ class Coefficient:
         return abs(self.value) > 3.0 * self.sigma > 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FoundEffect:
-    """An effect the search took, and how it stands."""
+    """An effect the search took: values with errors, significance, and rivals."""
 
     name: str
     family: str
@@ -60,20 +59,20 @@ class FoundEffect:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields as the command line prints them."""
-        told = dict(vars(self))
-        told["coefficients"] = [dict(vars(one)) for one in self.coefficients]
-        told["beats_placebo"] = bool(self.placebo_t > 3.0)
-        return told
+        facts = dict(vars(self))
+        facts["coefficients"] = [dict(vars(one)) for one in self.coefficients]
+        facts["beats_placebo"] = bool(self.placebo_t > 3.0)
+        return facts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Signature:
-    """What an effect nobody knows looks like.
+    """Signature of an effect that is in no library.
 
     `amplitude_nT` and `amplitudes` (by axis, with sigma) of a period are half of peak to peak of the folded
     curve; `steps` (by axis, with sigma) of one that switches are what it adds while it is on. Of what is too
     fast for the search, `amplitude_nT` is the rms; `faster_than_s` and `periods_s` (shortest, longest)
-    bound it. Of a unit without housekeeping `switchings` tells how often two sensors saw it switch.
+    bound it. Of a unit without housekeeping `switchings` counts how often two sensors saw it switch.
     """
 
     period_s: float | None = None
@@ -96,7 +95,7 @@ class Signature:
         return dict(vars(self))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Verdict of a span and everything it rests on.
 
@@ -105,7 +104,7 @@ class Diagnosis:
     verdict : str
         About the residual as found.
     sentence : str
-        What a physicist would say.
+        One or two sentences for a physicist.
     effects : tuple of FoundEffect
         What the rounds took.
     confusion_set : tuple of dict
@@ -117,7 +116,7 @@ class Diagnosis:
     signature : Signature or None
         Of an effect that is in no library.
     remaining : dict
-        ``verdict`` and ``signature`` of what is left after the effects.
+        ``verdict`` and ``signature`` of what remains after the effects.
     residual : dict
         Sizes before and after, held out, and the noise floor with its interval; nT at the cadence of
         the comparison. ``uncorrected`` lists channels of the effects and the part of the record each is
@@ -157,80 +156,99 @@ class Diagnosis:
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as the command line prints it: plain numbers, null where there is none."""
-        told = {
+        facts = {
             name: value
             for name, value in vars(self).items()
             if name not in ("effects", "signature", "remaining", "context", "run")
         }
-        told["effects"] = [one.as_json() for one in self.effects]
-        told["signature"] = self.signature.as_json() if self.signature else None
-        left = self.remaining.get("signature")
-        told["remaining"] = {
+        facts["effects"] = [one.as_json() for one in self.effects]
+        facts["signature"] = self.signature.as_json() if self.signature else None
+        remaining = self.remaining.get("signature")
+        facts["remaining"] = {
             "verdict": self.remaining["verdict"],
-            "signature": left.as_json() if left is not None else None,
+            "signature": remaining.as_json() if remaining is not None else None,
         }
-        whole: dict[str, Any] = plain(
-            {"command": "diagnose", "run": self.run, "context": self.context, **told}
+        whole: dict[str, Any] = plain_json(
+            {"command": "diagnose", "run": self.run, "context": self.context, **facts}
         )
         return whole
 
 
-def plain(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """Return a value as JSON has it; what is not finite becomes null."""
     if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
+        return {str(key): plain_json(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
+        return [plain_json(one) for one in value]
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return plain_json(value.tolist())
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return plain_json(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
 
 
-#: Sigmas from which an axis is named; spans that are said; and the part of the smallest effect, or of the
-#: floor, that is a good part of it.
-_CLEAR, _SAID, _GOOD_PART = 3.0, 4, 0.5
+@dataclass(frozen=True, kw_only=True)
+class SentenceSettings:
+    """What a sentence mentions.
 
-#: Part of a record that lacks a channel from which on it is worth a word.
-_WORTH = 0.01
+    Attributes
+    ----------
+    sigmas : float
+        Sigmas from which an axis is named: three.
+    spans, rivals : int
+        Spans of blocks, and rivals, that are listed; assumed.
+    large_part : float
+        Part of the smallest effect, or of the noise floor, that is a large part of it; assumed.
+    missing : float
+        Part of a record that lacks a channel from which on it is mentioned; assumed.
+    """
 
-#: Mechanisms worth a word when the data could not have shown them.
+    sigmas: float = 3.0
+    spans: int = 4
+    rivals: int = 4
+    large_part: float = 0.5
+    missing: float = 0.01
+
+
+SENTENCE = SentenceSettings()
+
+#: Mechanisms that are mentioned when the data could not have shown them.
 MECHANISMS = ("bias", "induced", "remanent", "soft_iron", "heading")
 
 
-def sentence(told: Mapping[str, Any]) -> str:
+def sentence(facts: Mapping[str, Any]) -> str:
     """Return what a diagnosis means, in one or two sentences."""
-    residual = told["residual"]
+    residual = facts["residual"]
+    floor = residual["noise_floor_nT"]
     sizes = (
         f"held-out residual {residual['held_out_before_nT']:.3g} -> {residual['held_out_after_nT']:.3g} nT, "
-        f"noise floor {_size(residual['noise_floor_nT'])}"
+        f"noise floor {f'{floor:.3g} nT' if isfinite(floor) else 'unknown'}"
     )
-    bursts = _of_outliers(told.get("outliers", {}))
-    parts = [_of_effect(effect) for effect in told["effects"]]
+    bursts = _burst_words(facts.get("outliers", {}))
+    parts = [_effect_words(effect) for effect in facts["effects"]]
     if parts:
         text = "; ".join(parts)
         text = f"{text[0].upper()}{text[1:]} ({sizes})."
-        if told["remaining"] == "UNKNOWN_EFFECT":
-            text += f" Something is left: {_of_signature(told['signature'])}."
-            if _may_stand_in(told):
+        if facts["remaining"] == "UNKNOWN_EFFECT":
+            text += f" Something is left: {_signature_words(facts['signature'])}."
+            if _may_stand_in(facts):
                 text += " The effects taken may stand in for the one cause that is missing."
-        return text + _of_gaps(residual.get("uncorrected", ())) + bursts
+        return text + _gap_words(residual.get("uncorrected", ())) + bursts
     return {
-        "NOTHING_LEFT": lambda: f"{_of_noise(residual)} ({sizes}).{_unseen(told)}",
-        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not(told)} ({sizes}).",
+        "NOTHING_LEFT": lambda: f"{_noise_words(residual)} ({sizes}).{_not_visible(facts)}",
+        "NOT_IDENTIFIABLE": lambda: f"Something is there, but {why_not_identifiable(facts)} ({sizes}).",
         "UNKNOWN_EFFECT": lambda: (
-            f"No effect of the library explains it: {_of_signature(told['signature'])} ({sizes})."
+            f"No effect of the library explains it: {_signature_words(facts['signature'])} ({sizes})."
         ),
-    }[told["remaining"]]() + bursts
+    }[facts["remaining"]]() + bursts
 
 
-def _of_noise(residual: Mapping[str, float]) -> str:
+def _noise_words(residual: Mapping[str, float]) -> str:
     floor = residual["noise_floor_nT"]
     more = residual["held_out_after_nT"] ** 2 - floor**2
-    if more > (_GOOD_PART * floor) ** 2:
+    if more > (SENTENCE.large_part * floor) ** 2:
         return (
             f"Nothing is left that has structure, and yet {more**0.5:.3g} nT rms beyond the white level: "
             "wild readings, or something faster than the search"
@@ -238,20 +256,20 @@ def _of_noise(residual: Mapping[str, float]) -> str:
     return "Nothing is left to explain: the residual is noise"
 
 
-def why_not(told: Mapping[str, Any]) -> str:
-    """Return why nothing can be said of what is there: a short span, few blocks that tell, little of it."""
-    blocks, fewest = told["blocks"], told.get("fewest", 0)
+def why_not_identifiable(facts: Mapping[str, Any]) -> str:
+    """Return why no cause can be named: a short span, few blocks with information, little of it."""
+    blocks, fewest = facts["blocks"], facts.get("fewest", 0)
     if blocks.get("by_length", blocks["independent"]) < fewest:
         return f"these data are too short to say what: {blocks['independent']:.0f} independent blocks"
     if blocks["independent"] < fewest:
         holding = blocks.get("holding", [])
         few = f"{len(holding)} of {blocks['count']}" if holding else "a few"
-        when = f": {_spans(holding)}" if holding else ""
+        when = f": {_span_words(holding)}" if holding else ""
         return f"{few} blocks hold nearly all of the residual's square{when}"
     return "its structure is not beyond doubt"
 
 
-def _spans(blocks: Sequence[Mapping[str, Any]]) -> str:
+def _span_words(blocks: Sequence[Mapping[str, Any]]) -> str:
     """Return when blocks are, adjacent ones as one span, the first few of them."""
     spans: list[list[str]] = []
     for one in blocks:
@@ -259,15 +277,15 @@ def _spans(blocks: Sequence[Mapping[str, Any]]) -> str:
             spans[-1][1] = one["end"]
         else:
             spans.append([one["start"], one["end"]])
-    said = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[:_SAID]]
-    return "; ".join(said) + ("; ..." if len(spans) > _SAID else "")
+    said = [f"{_minute(start)} to {_minute(end)}" for start, end in spans[: SENTENCE.spans]]
+    return "; ".join(said) + ("; ..." if len(spans) > SENTENCE.spans else "")
 
 
 def _minute(utc: str) -> str:
     return utc[:16].replace("T", " ")
 
 
-def _of_outliers(outliers: Mapping[str, Any]) -> str:
+def _burst_words(outliers: Mapping[str, Any]) -> str:
     """Return what is to be said of bursts; nothing when there were none."""
     count = outliers.get("burst_count", 0)
     if not count:
@@ -281,73 +299,68 @@ def _of_outliers(outliers: Mapping[str, Any]) -> str:
     return f" {what} of wild readings, {size}, {'was' if count == 1 else 'were'} left out."
 
 
-def _of_gaps(channels: Sequence[Mapping[str, Any]]) -> str:
+def _gap_words(channels: Sequence[Mapping[str, Any]]) -> str:
     """Return which part of the record lacks the channels of what was taken; nothing when it is little."""
-    told = [
-        f"{_percent(one['part'])} for want of {one['channel']}" for one in channels if one["part"] >= _WORTH
+    parts = [
+        f"{_percent(one['part'])} for want of {one['channel']}"
+        for one in channels
+        if one["part"] >= SENTENCE.missing
     ]
-    if not told:
+    if not parts:
         return ""
-    return f" Part of the record could not be corrected, {', '.join(told)}; the sizes are those of the rest."
+    return f" Part of the record could not be corrected, {', '.join(parts)}; the sizes are those of the rest."
 
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.2g}%"
 
 
-def _may_stand_in(told: Mapping[str, Any]) -> bool:
-    """Return True when as much structure is left as a good part of the smallest effect taken."""
-    signature = told["signature"]
+def _may_stand_in(facts: Mapping[str, Any]) -> bool:
+    """Return True when as much structure remains as a large part of the smallest effect taken."""
+    signature = facts["signature"]
     if signature is not None and signature.switchings:
         return False
-    smallest = min(effect.rms_nT for effect in told["effects"])
-    return bool(told["residual"].get("structure_nT", 0.0) > _GOOD_PART * smallest)
+    smallest = min(effect.rms_nT for effect in facts["effects"])
+    return bool(facts["residual"].get("structure_nT", 0.0) > SENTENCE.large_part * smallest)
 
 
-def _unseen(told: Mapping[str, Any]) -> str:
+def _not_visible(facts: Mapping[str, Any]) -> str:
     """Return which whole mechanisms these data cannot show, whether they are there or not."""
-    names = [str(one["name"]) for one in told.get("unscorable", ()) if str(one["name"]).isidentifier()]
+    names = [str(one["name"]) for one in facts.get("unscorable", ()) if str(one["name"]).isidentifier()]
     names = [name.replace("_", " ") for name in names if name in MECHANISMS]
     return f" These data could not have shown: {', '.join(names)}." if names else ""
 
 
-def _size(nanotesla: float) -> str:
-    return f"{nanotesla:.3g} nT" if isfinite(nanotesla) else "unknown"
-
-
-def _article(word: str) -> str:
-    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
-
-
-def _of_effect(effect: FoundEffect) -> str:
-    what = f"{_article(effect.family.replace('_', ' '))} effect"
+def _effect_words(effect: FoundEffect) -> str:
+    family = effect.family.replace("_", " ")
+    what = f"{'an' if family[0] in 'aeiou' else 'a'} {family} effect"
     cause = f" that follows {' and '.join(effect.channels)}" if effect.channels else ""
     if effect.at:
         times = [one.rstrip("Z").removesuffix(":00").replace("T", " ") for one in effect.at]
         cause += f" from {' to '.join(times)}"
-        cause += f" +- {told_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
+        cause += f" +- {format_period(effect.at_sigma_s)}" if effect.at_sigma_s else ""
     lag = f" with a lag of {effect.lag_s:.3g} s" if effect.lag_s > 0 else ""
     axes = f" on {', '.join(effect.axes)}" if effect.axes else ""
     text = f"{what}{cause}{lag}{axes}, {effect.rms_nT:.3g} nT rms ({effect.name})"
     if effect.rivals:
-        text += f", which these data cannot tell from {', '.join(effect.rivals[:4])}"
+        text += f", which these data cannot tell from {', '.join(effect.rivals[: SENTENCE.rivals])}"
     return text
 
 
-def _of_signature(signature: Signature | None) -> str:
+def _signature_words(signature: Signature | None) -> str:
     if signature is None:
         return "structure without a clear shape"
     if signature.switchings:
-        return _of_unit(signature)
+        return _unit_words(signature)
     if signature.period_s:
-        text = f"it repeats every {signature.period_s:.5g} s {_where(signature)}"
-        return text + _shape(signature)
+        text = f"it repeats every {signature.period_s:.5g} s {_axes_words(signature)}"
+        return text + _shape_words(signature)
     if signature.faster_than_s:
-        return _of_fast(signature)
-    return _of_hint(signature)
+        return _fast_words(signature)
+    return _hint_words(signature)
 
 
-def _of_unit(signature: Signature) -> str:
+def _unit_words(signature: Signature) -> str:
     often = "once" if signature.switchings == 1 else f"{signature.switchings} times"
     steps = [
         f"{size:+.3g} +- {sigma:.2g} nT on {name}" for name, (size, sigma) in signature.steps.items() if sigma
@@ -358,7 +371,7 @@ def _of_unit(signature: Signature) -> str:
     )
 
 
-def _where(signature: Signature) -> str:
+def _axes_words(signature: Signature) -> str:
     """Return the axes a period stands out on, the clearest first, with half of peak to peak on each."""
     main = signature.axis
     if main is None:
@@ -366,7 +379,7 @@ def _where(signature: Signature) -> str:
     others = [
         name
         for name, (size, sigma) in signature.amplitudes.items()
-        if name != main and size > _CLEAR * sigma > 0
+        if name != main and size > SENTENCE.sigmas * sigma > 0
     ]
     sizes = {name: signature.amplitudes[name][0] for name in others}
     sizes = {main: float(signature.amplitude_nT or 0.0)} | sizes
@@ -374,7 +387,7 @@ def _where(signature: Signature) -> str:
     return f"on ax{'i' if len(said) == 1 else 'e'}s {' and '.join(said)}, half of peak to peak"
 
 
-def _shape(signature: Signature) -> str:
+def _shape_words(signature: Signature) -> str:
     if signature.shape not in ("sine", "square", "pulse"):
         return ""
     text = f", like a {signature.shape} wave"
@@ -383,23 +396,23 @@ def _shape(signature: Signature) -> str:
     steps = [
         f"{size:+.3g} nT on {name}"
         for name, (size, sigma) in sorted(signature.steps.items(), key=lambda one: one[0] != signature.axis)
-        if name == signature.axis or abs(size) > _CLEAR * sigma > 0
+        if name == signature.axis or abs(size) > SENTENCE.sigmas * sigma > 0
     ]
     return f"{text}, on {signature.duty:.0%} of the time: {' and '.join(steps)}"
 
 
-def _of_fast(signature: Signature) -> str:
+def _fast_words(signature: Signature) -> str:
     """Return what is said of something too fast for the search, and what the slow part looks like."""
     if signature.periods_s is not None:
         short, long = signature.periods_s
         text = f"something with periods of {short:.3g} to {long:.3g} s, not steady enough for a line"
     else:
-        text = f"something faster than {told_period(signature.faster_than_s or 0.0)}"
+        text = f"something faster than {format_period(signature.faster_than_s or 0.0)}"
     text += f", about {signature.amplitude_nT:.3g} nT rms"
-    return f"{text}; of its slow part, {_of_hint(signature)}" if signature.channel else text
+    return f"{text}; of its slow part, {_hint_words(signature)}" if signature.channel else text
 
 
-def _of_hint(signature: Signature) -> str:
+def _hint_words(signature: Signature) -> str:
     if signature.channel:
         text = f"it looks most like something that follows {signature.channel}"
         return (
@@ -413,14 +426,14 @@ def _of_hint(signature: Signature) -> str:
     return f"slow structure of {signature.amplitude_nT:.3g} nT without a shape"
 
 
-def stopped(told: Mapping[str, Any], most: int, ran_out: bool) -> str:
+def stop_reason(facts: Mapping[str, Any], most: int, ran_out: bool) -> str:
     """Return why the rounds ended."""
     if most == 0:
         return "no rounds were asked for"
     if ran_out:
         return f"the limit of {most} additions was reached; raise it to go on"
-    if told["remaining"] == "NOTHING_LEFT":
+    if facts["remaining"] == "NOTHING_LEFT":
         return "what is left is noise"
-    if told["remaining"] == "NOT_IDENTIFIABLE":
-        return f"what is left cannot be told: {why_not(told)}"
+    if facts["remaining"] == "NOT_IDENTIFIABLE":
+        return f"what is left cannot be told: {why_not_identifiable(facts)}"
     return "no candidate is beyond doubt: held-out gain, sign flips and placebos must all agree"

@@ -1,40 +1,55 @@
-"""Held-out score, sign-flip p-values.
+"""Scores of candidates on one form of the Gram blocks: held-out loss, in-sample fit, sign-flip p-values.
 
-Scores of candidates on one form of the evidence: held-out loss, in-sample fit, scores of blocks.
+Takes Gram blocks with the calibration marginalised, the columns the model holds already and those of the
+candidates; makes `Scores` (`score`) and p-values (`sign_flip_ratios`, `family_wise_p`). Candidates are scored
+after the model's columns are projected out (Frisch, Waugh, Lovell), all at once, grouped by their number of
+columns.
 
-Everything is computed after the columns already in the model (P) are projected out (Frisch, Waugh,
-Lovell); all candidates at once, grouped by their number of columns.
-
-Honest significance: signs of whole blocks are flipped, and the largest of all candidates counts.
-
-Under the null hypothesis a block's scores could as well have the other sign. The family-wise p-value
-of a candidate is the part of flips in which *any* candidate reaches its ratio of statistic to mean
-flipped statistic (Westfall and Young's maximum).
+Significance: under the null hypothesis the score statistics of a block could as well have the other sign. The
+family-wise p-value of a candidate is the part of sign flips in which *any* candidate reaches its ratio of the
+statistic to its mean over the flips (Westfall and Young's maximum).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.lsq import Evidence, Fits, hac_t, half_inverse, promised_t, solve_scaled
+from inflight.lsq import GramBlocks, expected_gain_t, hac_t, inverse_square_root, solve_scaled
 
 Index = npt.NDArray[np.int64]
 
-#: A block in which less than this part of a column's largest block is left says nothing of it.
-_QUIET = 1e-2
 
-#: Folds of the cross-validation at most.
-FOLDS = 13
+@dataclass(frozen=True, kw_only=True)
+class ScoringSettings:
+    """Numbers of the scores.
+
+    Attributes
+    ----------
+    quiet : float
+        A block in which less than this part of a column's largest block is left has no information on it;
+        assumed.
+    folds : int
+        Folds of the cross-validation at most (MISSING_EFFECT 2.3: 13).
+    units : int
+        Independent spans whose signs are flipped, at most: a bound on time, assumed.
+    """
+
+    quiet: float = 1e-2
+    folds: int = 13
+    units: int = 120
+
+
+SCORING = ScoringSettings()
 
 
 @dataclass(frozen=True)
-class Present:
-    """What the model holds already: columns, and what is known of them beforehand (scaled 1/sigma^2)."""
+class ModelColumns:
+    """Columns the model holds already, and their prior precision (1/sigma^2, scaled)."""
 
     columns: Index
     precision: Floats
@@ -47,7 +62,54 @@ class Present:
         return solve_scaled(inner, gram[self.columns])
 
 
-@dataclass(frozen=True)
+@dataclass
+class Fits:
+    """What was fitted to all folds but one, fold after fold, to set candidates against each other.
+
+    Parameters
+    ----------
+    evidence : GramBlocks
+    present : ndarray of int
+        Columns of the model.
+    candidates : list of ndarray of int
+        Columns of each candidate.
+    """
+
+    evidence: GramBlocks
+    present: Index
+    candidates: list[Index]
+    folds: list[tuple[Index, Floats, list[Floats]]] = field(default_factory=list)
+
+    def begin(self, fold: Index, own: Floats) -> None:
+        """Begin a fold: its blocks, and the projection (present, column) of the others."""
+        self.folds.append((fold, own, [np.empty(0)] * len(self.candidates)))
+
+    def keep(self, positions: Sequence[int] | Index, gamma: Floats) -> None:
+        """Keep the values (candidate, k) of some candidates in the fold begun last."""
+        fitted = self.folds[-1][2]
+        for place, values in zip(positions, gamma, strict=True):
+            fitted[int(place)] = values
+
+    def apart(self, one: int, other: int) -> Floats | None:
+        """Return the sum of squares between two candidates' contributions; (block,), None if one is not here.
+
+        When one of the two is the truth, it is what each block is expected to prefer it by.
+        """
+        if max(one, other) >= len(self.candidates):
+            return None
+        first, second = self.candidates[one], self.candidates[other]
+        columns = np.concatenate([self.present, first, second])
+        out = np.zeros(len(self.evidence))
+        for fold, own, fitted in self.folds:
+            own_one = own[:, first] @ fitted[one]
+            own_other = own[:, second] @ fitted[other]
+            values = np.concatenate([own_other - own_one, fitted[one], -fitted[other]])
+            blocks = self.evidence.rows(columns, columns, fold)
+            out[fold] = np.einsum("i,bij,j->b", values, blocks, values)
+        return np.maximum(out, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Scores:
     """Scores of candidates on one form.
 
@@ -63,10 +125,10 @@ class Scores:
         In-sample values, scaled.
     explained : ndarray, shape (candidate,)
         In-sample sum of squares explained, nT^2.
-    promised : ndarray, shape (block, candidate)
-        What each block's gain would be if the effect fitted to the other folds were true, nT^2.
+    expected : ndarray, shape (block, candidate)
+        Expected gain of each block if the effect fitted to the other folds were true, nT^2.
     active : ndarray of bool, shape (block, candidate)
-        Blocks in which anything of it is left beside the calibration.
+        Blocks in which the calibration leaves anything of it.
     fits : Fits, optional
         What was fitted to the other folds, to set two candidates against each other.
     """
@@ -77,12 +139,12 @@ class Scores:
     t: Floats
     gamma: list[Floats]
     explained: Floats
-    promised: Floats
+    expected: Floats
     active: npt.NDArray[np.bool_]
     fits: Fits | None
 
-    def behind(self, one: int, other: int) -> float:
-        """Return the t by which one candidate leaves more than another, where either tells anything."""
+    def t_behind(self, one: int, other: int) -> float:
+        """Return the t by which one candidate leaves more than another, in blocks active for either."""
         if one == other:
             return 0.0
         difference = self.loss[:, [one]] - self.loss[:, [other]]
@@ -90,15 +152,17 @@ class Scores:
         apart = self.fits.apart(one, other) if self.fits is not None else None
         if apart is None:
             return float(hac_t(difference, active)[0])
-        return float(promised_t(difference, apart[:, None], active)[0])
+        return float(expected_gain_t(difference, apart[:, None], active)[0])
 
-    def beats(self, placebos: Sequence[int], asked: npt.NDArray[np.bool_], rival_t: float) -> Floats:
+    def t_over_placebo(
+        self, placebos: Sequence[int], pairwise: npt.NDArray[np.bool_], rival_t: float
+    ) -> Floats:
         """Return by which t each candidate leaves less than the best placebo; inf when there is none.
 
         Parameters
         ----------
         placebos : sequence of int
-        asked : ndarray of bool, shape (candidate,)
+        pairwise : ndarray of bool, shape (candidate,)
             Candidates that are set against the placebo one by one, whatever the two have in common.
         rival_t : float
             See `_beyond`.
@@ -109,9 +173,9 @@ class Scores:
         if self.gain[best] <= 0:
             return self.t
         # Most have nothing in common with a placebo: what sets the two apart is what each contributes.
-        apart = self.promised + self.promised[:, [best]]
-        out = promised_t(self.loss[:, [best]] - self.loss, apart, self.active)
-        for place in np.flatnonzero(asked & (self.gain > self.gain[best])).tolist():
+        apart = self.expected + self.expected[:, [best]]
+        out = expected_gain_t(self.loss[:, [best]] - self.loss, apart, self.active)
+        for place in np.flatnonzero(pairwise & (self.gain > self.gain[best])).tolist():
             out[place] = max(out[place], self._beyond(place, best, rival_t))
         return out
 
@@ -120,29 +184,29 @@ class Scores:
 
         A channel that repeats every orbit is much like itself a day before. Were the candidate the truth, it
         would leave less by the square of the difference of the two contributions, block by block. Where it
-        gains clearly less than that (`rival_t`), the placebo tells something that the candidate does not, and
-        neither is the truth.
+        gains clearly less than that (`rival_t`), the placebo explains something that the candidate does not,
+        and neither is the truth.
         """
         apart = self.fits.apart(placebo, place) if self.fits is not None else None
         if apart is None:
             return 0.0
         gained = self.loss[:, placebo] - self.loss[:, place]
-        t = float(promised_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
+        t = float(expected_gain_t(gained[:, None], apart[:, None], self.active[:, [place]])[0])
         return t if t * (float(apart.sum() / gained.sum()) - 1.0) < rival_t else 0.0
 
-    def light(self) -> Scores:
+    def without_fits(self) -> Scores:
         """Return the scores without the fits; candidates are then compared by `hac_t` alone."""
         return replace(self, fits=None)
 
-    def of_whole(self, whole: float) -> Scores:
+    def rescaled(self, whole: float) -> Scores:
         """Return the scores in units in which the held-out loss without a candidate is `whole`, nT^2."""
         own = float(self.loss0.sum())
         unit = whole / own if own > 0 else 1.0
         return replace(
-            self, loss0=self.loss0 * unit, loss=self.loss * unit, promised=self.promised * unit, fits=None
+            self, loss0=self.loss0 * unit, loss=self.loss * unit, expected=self.expected * unit, fits=None
         )
 
-    def only(self, kept: npt.NDArray[np.bool_]) -> Scores:
+    def keep_only(self, kept: npt.NDArray[np.bool_]) -> Scores:
         """Return the scores with nothing gained by the candidates that are not kept."""
         return replace(
             self,
@@ -150,10 +214,10 @@ class Scores:
             gain=self.gain * kept,
             t=self.t * kept,
             explained=self.explained * kept,
-            promised=self.promised * kept,
+            expected=self.expected * kept,
         )
 
-    def joined(self, found: Scores, seen: bool) -> Scores:
+    def extended(self, found: Scores, seen: bool) -> Scores:
         """Return these scores with further candidates behind; all zero when this form does not see them.
 
         Their folds may be others: what they gain is set against the same loss as everybody's.
@@ -164,19 +228,19 @@ class Scores:
 
         gained = more(found.loss0[:, None] - found.loss)
         return Scores(
-            self.loss0,
-            np.concatenate([self.loss, self.loss0[:, None] - gained], axis=1),
-            np.concatenate([self.gain, more(found.gain)]),
-            np.concatenate([self.t, more(found.t)]),
-            [*self.gamma, *found.gamma],
-            np.concatenate([self.explained, more(found.explained)]),
-            np.concatenate([self.promised, more(found.promised)], axis=1),
-            np.concatenate([self.active, found.active], axis=1),
-            self.fits,
+            loss0=self.loss0,
+            loss=np.concatenate([self.loss, self.loss0[:, None] - gained], axis=1),
+            gain=np.concatenate([self.gain, more(found.gain)]),
+            t=np.concatenate([self.t, more(found.t)]),
+            gamma=[*self.gamma, *found.gamma],
+            explained=np.concatenate([self.explained, more(found.explained)]),
+            expected=np.concatenate([self.expected, more(found.expected)], axis=1),
+            active=np.concatenate([self.active, found.active], axis=1),
+            fits=self.fits,
         )
 
 
-def with_changes(
+def append_changes(
     scores: Mapping[str, Scores],
     ratios: Mapping[str, tuple[Floats, Floats]],
     timed: Sequence[tuple[Scores, tuple[Floats, Floats]]],
@@ -186,7 +250,7 @@ def with_changes(
     for form, one in scores.items():
         seen = form == "raw"
         for found, _ in timed:
-            one = one.joined(found, seen)  # noqa: PLW2901 (one form's scores grow)
+            one = one.extended(found, seen)  # noqa: PLW2901 (one form's scores grow)
         own = [(observed * seen, flipped * seen) for _, (observed, flipped) in timed]
         out[form] = one
         out_ratios[form] = (
@@ -196,7 +260,7 @@ def with_changes(
     return out, out_ratios
 
 
-def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[Index]:
+def make_folds(blocks: int, interleaved: bool = False, most: int = SCORING.folds) -> list[Index]:
     """Return the blocks of each fold: contiguous runs, or every k-th for effects bound to a time."""
     count = max(2, min(most, blocks))
     if interleaved:
@@ -204,11 +268,11 @@ def folds_of(blocks: int, interleaved: bool = False, most: int = FOLDS) -> list[
     return [part for part in np.array_split(np.arange(blocks), count) if part.size]
 
 
-def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
+def active_blocks(evidence: GramBlocks, candidates: Sequence[Index]) -> npt.NDArray[np.bool_]:
     """Return in which blocks anything is left of each candidate's columns; (block, candidate)."""
-    own = np.einsum("bii->bi", evidence.gram)
+    own = evidence.squares
     peak = np.maximum(own.max(axis=0), 1e-300)
-    lively = own > _QUIET * peak
+    lively = own > SCORING.quiet * peak
     return (
         np.stack([lively[:, columns].any(axis=1) for columns in candidates], axis=1)
         if candidates
@@ -216,7 +280,7 @@ def activity(evidence: Evidence, candidates: Sequence[Index]) -> npt.NDArray[np.
     )
 
 
-def grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
+def group_by_size(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
     """Return (positions, columns (candidate, k)) of candidates with the same number of columns."""
     sizes = np.array([len(one) for one in candidates])
     out = []
@@ -226,7 +290,7 @@ def grouped(candidates: Sequence[Index]) -> list[tuple[Index, Index]]:
     return out
 
 
-def projected(gram: Floats, present: Present) -> Floats:
+def projected(gram: Floats, present: ModelColumns) -> Floats:
     """Return the Gram matrix of what the model's columns leave of all others."""
     if not present.columns.size:
         return gram
@@ -234,14 +298,14 @@ def projected(gram: Floats, present: Present) -> Floats:
 
 
 def fit(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: int
+    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int
 ) -> tuple[list[Floats], Floats]:
     """Return in-sample values (scaled) and explained sums of squares of every candidate."""
     gram = projected(evidence.total, present)
     gamma: list[Floats] = [np.empty(0)] * len(candidates)
     explained = np.zeros(len(candidates))
-    for positions, columns in grouped(candidates):
-        half = half_inverse(gram[columns[:, :, None], columns[:, None, :]])
+    for positions, columns in group_by_size(candidates):
+        half = inverse_square_root(gram[columns[:, :, None], columns[:, None, :]])
         score = np.einsum("cik,ci->ck", half, gram[columns, y])
         values = -np.einsum("cik,ck->ci", half, score)
         explained[positions] = np.sum(score**2, axis=1)
@@ -251,14 +315,14 @@ def fit(
 
 
 def score(
-    evidence: Evidence, present: Present, candidates: Sequence[Index], y: int, folds: Sequence[Index]
+    evidence: GramBlocks, present: ModelColumns, candidates: Sequence[Index], y: int, folds: Sequence[Index]
 ) -> Scores:
     """Score candidates by cross-validation over blocks.
 
     Parameters
     ----------
-    evidence : Evidence
-        One form, the calibration absorbed.
+    evidence : GramBlocks
+        One form, the calibration marginalised.
     present : Present
         The model's columns.
     candidates : sequence of ndarray
@@ -270,15 +334,16 @@ def score(
     """
     total = evidence.total
     loss0 = np.zeros(len(evidence))
-    loss, promised = np.zeros((2, len(evidence), len(candidates)))
+    loss, expected = np.zeros((2, len(evidence), len(candidates)))
     fits = Fits(evidence, p := present.columns, list(candidates))
-    groups = grouped(candidates)
+    given = evidence.rows(np.append(p, y))
+    groups = group_by_size(candidates)
     for fold, held in zip(folds, evidence.sums(folds), strict=True):
-        blocks = evidence.gram[fold]
+        blocks = given[fold]
         train = total - held
         own = present.solve(train)
         fits.begin(fold, own)
-        base = _quadratic(blocks, p, own[:, y], y)
+        base = _model_loss(blocks, p, own[:, y], y)
         loss0[fold] = base
         for positions, columns in groups:
             inner = train[columns[:, :, None], columns[:, None, :]]
@@ -287,78 +352,91 @@ def score(
                 across = train[columns[:, :, None], p]
                 inner = inner - across @ own[:, columns].transpose(1, 0, 2)
                 right = right - across @ own[:, y]
-            half = half_inverse(inner)
+            half = inverse_square_root(inner)
             gamma = -np.einsum("cik,ck->ci", half, np.einsum("cik,ci->ck", half, right))
             fits.keep(positions, gamma)
-            change, square = _change(blocks, p, own, columns, gamma, y)
+            inner = evidence.products_within(columns, fold)
+            change, square = _loss_change(blocks, inner, p, own, columns, gamma, y)
             loss[np.ix_(fold, positions)] = base[:, None] + change
-            promised[np.ix_(fold, positions)] = square
+            expected[np.ix_(fold, positions)] = square
     whole = float(loss0.sum())
     gain = 1.0 - loss.sum(axis=0) / whole if whole > 0 else np.zeros(len(candidates))
     gamma_all, explained = fit(evidence, present, candidates, y)
-    active = activity(evidence, candidates)
-    t = promised_t(loss0[:, None] - loss, promised, active)
-    return Scores(loss0, loss, gain, t, gamma_all, explained, promised, active, fits)
+    active = active_blocks(evidence, candidates)
+    t = expected_gain_t(loss0[:, None] - loss, expected, active)
+    return Scores(
+        loss0=loss0,
+        loss=loss,
+        gain=gain,
+        t=t,
+        gamma=gamma_all,
+        explained=explained,
+        expected=expected,
+        active=active,
+        fits=fits,
+    )
 
 
-def _quadratic(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
-    """Return the sum of squares of the residual after the model's own columns; (block,)."""
-    out = blocks[:, y, y].copy()
+def _model_loss(blocks: Floats, present: Index, own_y: Floats, y: int) -> Floats:
+    """Return the sum of squares of the residual after the model's own columns; (block,).
+
+    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual.
+    """
+    out = blocks[:, -1, y].copy()
     if present.size:
-        out -= 2.0 * blocks[:, present, y] @ own_y
-        out += np.einsum("i,bij,j->b", own_y, blocks[:, present[:, None], present[None, :]], own_y)
+        out -= 2.0 * blocks[:, :-1, y] @ own_y
+        out += np.einsum("i,bij,j->b", own_y, blocks[:, :-1, present], own_y)
     return np.asarray(out)
 
 
-def _change(
-    blocks: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
+def _loss_change(
+    blocks: Floats, inner: Floats, present: Index, own: Floats, columns: Index, gamma: Floats, y: int
 ) -> tuple[Floats, Floats]:
-    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate)."""
-    linear = np.sum(blocks[:, columns, y] * gamma, axis=2)
-    inner = blocks[:, columns[:, :, None], columns[:, None, :]]
+    """Return by how much candidates change the held-out sum of squares, and their own; (block, candidate).
+
+    `blocks` (block, present + 1, column) are the rows of the model's columns, then of the residual;
+    `inner` (block, candidate, k, k) the products of each candidate's own columns.
+    """
+    linear = np.sum(blocks[:, -1, columns] * gamma, axis=2)
     square = np.sum(np.matmul(inner, gamma[:, :, None])[:, :, :, 0] * gamma, axis=2)
     if not present.size:
         return np.asarray(2.0 * linear + square), square
     # The model's own columns give way: their change is minus the candidate's projection on them.
     beta = -np.einsum("pck,ck->cp", own[:, columns], gamma)
     own_y = own[:, y]
-    model = blocks[:, present[:, None], present[None, :]]
-    across = np.matmul(gamma[:, None, :], blocks[:, columns[:, :, None], present])[:, :, 0, :]
-    linear = linear - across @ own_y + (blocks[:, present, y] - model @ own_y) @ beta.T
+    model = blocks[:, :-1, present]
+    across = np.einsum("bpck,ck->bcp", blocks[:, :-1, columns], gamma)
+    linear = linear - across @ own_y + (blocks[:, :-1, y] - model @ own_y) @ beta.T
     square = square + 2.0 * np.sum(across * beta, axis=2) + np.sum(np.matmul(beta, model) * beta, axis=2)
     return np.asarray(2.0 * linear + square), square
 
 
-def block_scores(evidence: Evidence, present: Present, y: int) -> Floats:
-    """Return each block's scores of every column at the model's own fit; (block, column).
+def block_scores(evidence: GramBlocks, present: ModelColumns, y: int) -> Floats:
+    """Return the score statistics of every column at the model's own fit, block by block; (block, column).
 
     They sum to what the projected columns have in common with the residual.
     """
     total = evidence.total
     own = present.solve(total)
-    gram = evidence.gram
-    if not present.columns.size:
-        return np.asarray(gram[:, :, y])
     p = present.columns
-    right = gram[:, :, y] - gram[:, :, p] @ own[:, y]
+    given = evidence.rows(np.append(p, y))
+    if not p.size:
+        return np.asarray(given[:, -1])
+    right = given[:, -1] - np.einsum("bpc,p->bc", given[:, :-1], own[:, y])
     inner = right[:, p]
     return np.asarray(right - inner @ own)
 
 
-#: Independent spans whose signs are flipped, at most.
-MOST_UNITS = 120
-
-
-def flip_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
+def draw_signs(blocks: int, draws: int, seed: int) -> tuple[Floats, list[Index]]:
     """Return random signs (draw, unit) and the blocks of each unit."""
-    units: list[Index] = np.array_split(np.arange(blocks, dtype=np.int64), min(blocks, MOST_UNITS))
+    units: list[Index] = np.array_split(np.arange(blocks, dtype=np.int64), min(blocks, SCORING.units))
     signs = np.random.default_rng(seed).integers(0, 2, (draws, len(units))) * 2.0 - 1.0
     return np.asarray(signs, dtype=np.float64), units
 
 
-def flip_ratios(
-    evidence: Evidence,
-    present: Present,
+def sign_flip_ratios(
+    evidence: GramBlocks,
+    present: ModelColumns,
     candidates: Sequence[Index],
     y: int,
     signs: Floats,
@@ -371,7 +449,7 @@ def flip_ratios(
     observed = np.zeros(len(candidates))
     flipped = np.zeros((len(signs), len(candidates)))
     for place, columns in enumerate(candidates):
-        half = half_inverse(gram[np.ix_(columns, columns)][None])[0]
+        half = inverse_square_root(gram[np.ix_(columns, columns)][None])[0]
         own = summed[:, columns] @ half
         drawn = np.sum((signs @ own) ** 2, axis=1)
         usual = max(float(drawn.mean()), 1e-300)
@@ -380,7 +458,7 @@ def flip_ratios(
     return observed, flipped
 
 
-def family_wise(observed: Floats, flipped: Floats) -> Floats:
+def family_wise_p(observed: Floats, flipped: Floats) -> Floats:
     """Return p-values (candidate,): how often the largest flipped ratio reaches the observed one."""
     largest = np.sort(flipped.max(axis=1)) if flipped.size else np.zeros(1)
     above = largest.size - np.searchsorted(largest, observed, side="left")

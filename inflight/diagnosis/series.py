@@ -1,7 +1,9 @@
-"""The coarse series beside the evidence: what pictures, signatures and sentences are made from.
+"""The coarse series of a pass: what pictures, signatures and refined forms are made from.
 
-One array (block, sample, feature) of float32; its first feature is the time within the block. A channel is
-stored as NaN where it was not recorded; a series that is read has its usual value there and remembers where.
+Takes a pass's rows (`thin_rows`, `pack_blocks`); makes one array (block, sample, feature) of float32, whose
+first feature is the time within the block, and reads it back as one `Series` in order of time. A channel is
+stored as NaN where it was not recorded; a series that is read has its usual value there, and `missing` says
+where.
 """
 
 from __future__ import annotations
@@ -52,11 +54,11 @@ class Features:
         }
 
     @classmethod
-    def of_json(cls, told: dict[str, Any]) -> Features:
-        """Return the features a store's attributes tell of."""
-        widths = tuple(int(one) for one in told["widths"])
-        lists = {name: tuple(map(str, told[name])) for name in ("names", "units", "sensors")}
-        return cls(lists["names"], widths, lists["units"], lists["sensors"], int(told["rows"]))
+    def of_json(cls, stored: dict[str, Any]) -> Features:
+        """Return the features in a store's attributes."""
+        widths = tuple(int(one) for one in stored["widths"])
+        lists = {name: tuple(map(str, stored[name])) for name in ("names", "units", "sensors")}
+        return cls(lists["names"], widths, lists["units"], lists["sensors"], int(stored["rows"]))
 
 
 def features_of(rows: Rows, channels: Sequence[str]) -> Features:
@@ -77,7 +79,7 @@ def features_of(rows: Rows, channels: Sequence[str]) -> Features:
     return Features(tuple(names), tuple(widths), units, tuple(rows.directions), count)
 
 
-def thin(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
+def thin_rows(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
     """Return stamps (sample,) and features (sample, feature): weighted means of every `step` bins."""
     count = len(rows.weight) // step * step
     weight = rows.weight[:count].reshape(-1, step)
@@ -97,7 +99,7 @@ def thin(rows: Rows, features: Features, step: int) -> tuple[Int64, Floats]:
         part = (np.where(good, flat, 0.0) * factor[:, :, None]).sum(axis=1)
         lost = (~good & (weight[:, :, None] > 0)).any(axis=1)
         if name in channels:
-            # A row without weight has its channels all the same: slow responses run on through it.
+            # A row without weight has its channels all the same: slow responses need them.
             lost |= ~good.any(axis=1)
         part[lost] = np.nan
         columns.append(part)
@@ -131,7 +133,7 @@ class Series:
         Index of the block each sample belongs to.
     missing : dict of str to ndarray of bool, shape (sample,)
         Where a channel was not recorded; those that lack something.
-    kept : RowFilter, optional
+    row_filter : RowFilter, optional
         What the residual went through.
     """
 
@@ -140,7 +142,7 @@ class Series:
     block: np.ndarray
     features: Features
     missing: Mapping[str, np.ndarray] = field(default_factory=dict)
-    kept: RowFilter | None = None
+    row_filter: RowFilter | None = None
 
     @classmethod
     def of(
@@ -172,10 +174,10 @@ class Series:
     @property
     def turn_rows(self) -> int:
         """Rows of a synthetic turn; 1 where nothing is folded."""
-        return self.kept.sectors if isinstance(self.kept, Folding) else 1
+        return self.row_filter.sectors if isinstance(self.row_filter, Folding) else 1
 
     def without(self, rows: np.ndarray) -> Series:
-        """Return the series with some rows (sample,) of bool that weigh nothing."""
+        """Return the series with some rows (sample,) of bool that have no weight."""
         values = self.values.copy()
         values[rows, self.features.place("weight")] = 0.0
         return replace(self, values=values)
@@ -207,7 +209,7 @@ class Series:
         there = self["weight"] > 0
         return np.where(there if part.ndim == 1 else there[:, None], part, np.nan)
 
-    def rows(self, turn: dict[str, Floats], more: dict[str, xr.Variable]) -> Rows:
+    def rows(self, matrices: dict[str, Floats], more: dict[str, xr.Variable]) -> Rows:
         """Return the series as rows, so that columns can be made from it."""
         data = dict(more) | {"tt2000": xr.Variable("time", self.tt2000)}
         for name in (*self.channels, *_ROLES, "field"):
@@ -219,4 +221,4 @@ class Series:
         data["field_direction"] = xr.Variable(("time", "axis"), direction_of(self._measured("field")))
         residual = self["residual"].reshape(len(self.values), -1)
         directions = {name: self.direction(name) for name in self.features.sensors}
-        return Rows(xr.Dataset(data), residual, directions, turn, self["weight"], self.kept)
+        return Rows(xr.Dataset(data), residual, directions, matrices, self["weight"], self.row_filter)

@@ -1,40 +1,100 @@
-"""Forward/backward selection, rivals, few-block test.
+"""Forward and backward selection, rivals, and the few-block test.
 
-Values of what the search took: joint fit, errors that know how the residual is correlated.
+Takes a state of the search (`inflight.diagnosis.search`); makes the next one, step by step, until nothing
+more is justified (`select_effects`), and holds what was taken against everything that could take its place
+(`exchange_and_check`). Values with errors (`estimate`) come from the joint fit of the whole model, with a
+covariance clustered by block (Bartlett's kernel; `joint_fit`).
 
-How what was taken stands against everything that could take its place.
-
-Forward and backward rounds, and the rivals of what they took.
-
-A closer look at what lies in few blocks: its gain in spans no longer than the residual's memory asks for.
-
-Signs of six blocks can be flipped in 64 ways: whatever lies in them can never be sure, however clearly each
-of them tells of it. Where blocks are much longer than the residual remembers, they are cut, and each part's
-gain is held against what the other parts promise (see `inflight.lsq.covariance`).
+The few-block test: signs of six blocks can be flipped in 64 ways, so that whatever lies in them can never be
+significant, however clearly each of them shows it. Where blocks are much longer than the residual's
+correlation time, they are divided, and each part's gain is held against what the other parts predict (see
+`inflight.lsq.covariance`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.design import Term
-from inflight.diagnosis.refine import Trials
-from inflight.diagnosis.residual import Material, correlation_s
-from inflight.diagnosis.scoring import Present, fit, projected
-from inflight.diagnosis.search import FORMS, Option, Round, Rules, Search, Table
-from inflight.lsq import Evidence, gram_inverse, half_inverse, promised_p, taken_over
+from inflight.diagnosis.refine import FormTrials, refine
+from inflight.diagnosis.residual import Context, correlation_s
+from inflight.diagnosis.scoring import ModelColumns, fit, projected
+from inflight.diagnosis.search import FORMS, Option, Rules, ScoreTable, Search
+from inflight.lsq import (
+    GramBlocks,
+    bartlett_covariance,
+    expected_gain_p,
+    gram_inverse,
+    inverse_square_root,
+    regression,
+    sandwich,
+)
 from inflight.time import SECOND
 
-#: Reach of the scores' correlation, in blocks.
-_BARTLETT = 3
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionSettings:
+    """Numbers of the selection that are not in `Rules`.
+
+    Attributes
+    ----------
+    bartlett : int
+        Reach of the scores' correlation in the covariance, in blocks; assumed. (MISSING_EFFECT 2.3 sums 15
+        days; a block is no shorter than the residual's correlation time.)
+    rival_own_t, rival_gain : float
+        A rival must itself reach this t and this part of the winner's gain (MISSING_EFFECT 2.4).
+    contained : float
+        A rival that reproduces this part of an effect's square holds it as a special case; assumed.
+    weak : float
+        An effect of which the calibration and the rest of the model leave less than this part is weakly
+        known; assumed (MISSING_EFFECT 2.4 warns below 0.01).
+    large_gain : float
+        Held-out gain from which an addition may make others weakly known; assumed.
+    exchanges : int
+        Exchanges of an effect for a better one at most, so that a search ends; assumed.
+    few_columns, part_of_best : int, float
+        Coefficients of a cause at most that goes before wider forms, and the part of their gain it must
+        reach; assumed.
+    """
+
+    bartlett: int = 3
+    rival_own_t: float = 2.0
+    rival_gain: float = 0.02
+    contained: float = 0.9999
+    weak: float = 0.02
+    large_gain: float = 0.1
+    exchanges: int = 3
+    few_columns: int = 12
+    part_of_best: float = 0.3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class FewBlockSettings:
+    """Numbers of the few-block test.
+
+    Attributes
+    ----------
+    correlation_times, rows : float, int
+        Parts are at least so many correlation times of the residual, and so many rows, long; assumed.
+    options : int
+        Options tested at most: the best of those that only their p-value keeps out; a bound on time, assumed.
+    """
+
+    correlation_times: float = 10.0
+    rows: int = 20
+    options: int = 6
+
+
+SELECTION = SelectionSettings()
+FEW_BLOCKS = FewBlockSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
     """Values of some columns, all in the model together.
 
@@ -48,7 +108,7 @@ class Estimate:
     retained : float
         Part of the effect's own variance the rest of the model leaves.
     rms : float
-        Size of the contribution that is left beside the rest of the model, nT.
+        Size of the contribution that the rest of the model leaves, nT.
     """
 
     columns: tuple[str, ...]
@@ -59,60 +119,43 @@ class Estimate:
     rms: float
 
 
-def sandwich(evidence: Evidence, present: Present, y: int) -> tuple[Floats, Floats]:
+def joint_fit(evidence: GramBlocks, present: ModelColumns, y: int) -> tuple[Floats, Floats]:
     """Return values and covariance of the model's columns, scaled; clustered by block (Bartlett's kernel).
 
-    Scatter of few blocks that tell nearly all of a column comes out too small, for the fit follows them. No
-    value is surer than rows of white noise of the size of what is left would make it.
+    The scatter of few blocks that hold nearly all information on a column comes out too small, for the fit
+    follows them. No sigma is smaller than that from rows of white noise of the residual's size.
     """
     total = evidence.total
     p = present.columns
     matrix = total[np.ix_(p, p)] + np.diag(present.precision)
     inverse = gram_inverse(matrix)
     value = -inverse @ total[p, y]
-    scores = evidence.gram[:, p, y] + np.einsum("bij,j->bi", evidence.gram[:, p[:, None], p[None, :]], value)
+    blocks = evidence.rows(p, np.append(p, y))
+    scores = blocks[:, :, -1] + np.einsum("bij,j->bi", blocks[:, :, :-1], value)
     count = len(scores)
-    meat = scores.T @ scores
-    own = meat.copy()
-    for lag in range(1, min(_BARTLETT, count - 1) + 1):
-        weight = 1.0 - lag / (_BARTLETT + 1.0)
-        cross = scores[lag:].T @ scores[:-lag]
-        meat += weight * (cross + cross.T)
-    # By chance few blocks look anticorrelated; that is no knowledge.
-    meat = _at_least(meat, own)
+    meat = bartlett_covariance(scores, SELECTION.bartlett)
     free = max(count - p.size / 3.0, 2.0)
     left = total[y, y] + 2.0 * total[y, p] @ value + value @ total[np.ix_(p, p)] @ value
     white = max(float(left), 0.0) / max(float(evidence.count.sum()), 1.0) * total[np.ix_(p, p)]
-    return value, _at_least(inverse @ (meat * count / free) @ inverse, inverse @ white @ inverse)
-
-
-def _at_least(covariance: Floats, least: Floats) -> Floats:
-    """Return a covariance with variances no smaller than those of another one, and its own correlations."""
-    own = np.diag(covariance)
-    raised = np.maximum(own, np.diag(least))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lift = np.sqrt(np.where(own > 0, raised / own, 1.0))
-    out = covariance * lift[:, None] * lift[None, :]
-    out[np.diag_indices_from(out)] = raised
-    return np.asarray(out)
+    return value, sandwich(inverse, meat * count / free, sandwich(inverse, white))
 
 
 def estimate(search: Search, option: Option, form: str = "raw") -> Estimate:
     """Return the values of an accepted option's columns, in the joint fit of the whole model."""
     evidence, present, y = search.forms[form], search.present(form), search.y(form)
-    value, covariance = sandwich(evidence, present, y)
+    value, covariance = joint_fit(evidence, present, y)
     columns = evidence.index(option.columns)
     places = np.array([int(np.flatnonzero(present.columns == column)[0]) for column in columns])
     scale = evidence.scale[columns]
     own, block = value[places], covariance[np.ix_(places, places)]
     kept, rms = _retained(search, option, own, form)
     return Estimate(
-        option.columns,
-        own * scale,
-        np.sqrt(np.clip(np.diag(block), 0.0, None)) * scale,
-        block * np.outer(scale, scale),
-        kept,
-        rms,
+        columns=option.columns,
+        value=own * scale,
+        sigma=np.sqrt(np.clip(np.diag(block), 0.0, None)) * scale,
+        covariance=block * np.outer(scale, scale),
+        retained=kept,
+        rms=rms,
     )
 
 
@@ -132,14 +175,14 @@ def _retained(search: Search, option: Option, gamma: Floats, form: str) -> tuple
 
 
 def centred(search: Search, option: Option) -> Floats:
-    """Return the Gram matrix of an option's columns about constant channels (see `Evidence.centred`)."""
+    """Return the Gram matrix of an option's columns about constant channels (see `GramArrays.centred`)."""
     own = search.raw.index(option.columns)
     # Only a channel has a mean that is none of the effect's doing.
     base = [name for term in search.library.base for name in term.columns] if option.channels else []
     return search.raw.centred(own, search.raw.index(base))
 
 
-def detectable(search: Search, option: Option, form: str = "raw") -> Floats:
+def detectable_amplitude(search: Search, option: Option, form: str = "raw") -> Floats:
     """Return the amplitude of each column that would stand out by three sigma; physical units.
 
     From the scatter of the blocks' scores around the present model, the option not being in it.
@@ -147,15 +190,15 @@ def detectable(search: Search, option: Option, form: str = "raw") -> Floats:
     evidence, y = search.forms[form], search.y(form)
     present = search.present(form, option)
     columns = evidence.index(option.columns)
-    both = Present(
+    both = ModelColumns(
         np.concatenate([present.columns, columns]), np.append(present.precision, np.zeros(columns.size))
     )
-    _, covariance = sandwich(evidence, both, y)
+    _, covariance = joint_fit(evidence, both, y)
     sigma = np.sqrt(np.clip(np.diag(covariance)[-columns.size :], 0.0, None))
     return np.asarray(3.0 * sigma * evidence.scale[columns])
 
 
-def mimics(search: Search, option: Option, gamma: Floats) -> list[tuple[str, float]]:
+def calibration_shifts(search: Search, option: Option, gamma: Floats) -> list[tuple[str, float]]:
     """Return by how much the calibration's parameters shift when the effect is there but ignored.
 
     Parameters
@@ -172,14 +215,14 @@ def mimics(search: Search, option: Option, gamma: Floats) -> list[tuple[str, flo
     names = [name for term in search.library.base for name in term.columns]
     base, own = raw.index(names), raw.index(option.columns)
     total = raw.total
-    shift = taken_over(total, base, own) @ (gamma / raw.scale[own])
+    shift = regression(total, base, own) @ (gamma / raw.scale[own])
     return list(zip(names, (shift * raw.scale[base]).tolist(), strict=True))
 
 
-def within_and_raw(search: Search, option: Option) -> float | None:
+def form_disagreement(search: Search, option: Option) -> float | None:
     """Return how far the raw and the within-day values of an effect disagree, per column (W / k).
 
-    Large values tell of a wrong effect or a wrong form; it is a hint, not a test.
+    Large values hint at a wrong effect or a wrong form; it is no test.
     """
     if option.change is not None:
         return None
@@ -193,15 +236,8 @@ def within_and_raw(search: Search, option: Option) -> float | None:
     return float(difference[seen] @ inverse @ difference[seen] / seen.sum())
 
 
-#: A rival must itself be worth this t, and this part of the winner's gain.
-_RIVAL_OWN_T, _RIVAL_GAIN = 2.0, 0.02
-
-#: A rival that reproduces this part of an effect's square holds it as a special case.
-_CONTAINED = 0.9999
-
-
-@dataclass(frozen=True)
-class Standing:
+@dataclass(frozen=True, kw_only=True)
+class RivalCheck:
     """How an effect of the model stands against everything that could take its place.
 
     Attributes
@@ -226,9 +262,9 @@ class Standing:
     rivals: tuple[tuple[Option, float], ...]
 
 
-def _still(last: Table, rival: Option, form: str) -> float:
-    """Return the sum of squares a rival explains beside all that was taken; 0 when it is taken itself."""
-    place = place_of(last, rival)
+def _explained_beside(last: ScoreTable, rival: Option, form: str) -> float:
+    """Return the sum of squares a rival explains after all that was taken; 0 when it is taken itself."""
+    place = place_in(last, rival)
     scores = last.scores[form]
     return float(scores.loss0.sum() * scores.gain[place]) if place is not None else 0.0
 
@@ -253,12 +289,12 @@ def _contains(search: Search, rival: Option, option: Option, form: str) -> bool:
     left = projected(evidence.total, search.present(form, option))
     gamma, _ = fit(evidence, search.present(form, option), [own], search.y(form))
     shared = left[np.ix_(wide, own)] @ gamma[0]
-    half = half_inverse(left[np.ix_(wide, wide)][None])[0]
+    half = inverse_square_root(left[np.ix_(wide, wide)][None])[0]
     whole = float(gamma[0] @ left[np.ix_(own, own)] @ gamma[0])
-    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > _CONTAINED * whole
+    return whole > 0 and float(np.sum((half.T @ shared) ** 2)) > SELECTION.contained * whole
 
 
-def place_of(table: Table, option: Option) -> int | None:
+def place_in(table: ScoreTable, option: Option) -> int | None:
     """Return where an option stands in a table; None when it is not there."""
     for place, other in enumerate(table.options):
         if other.name == option.name:
@@ -266,17 +302,17 @@ def place_of(table: Table, option: Option) -> int | None:
     return None
 
 
-def form_of(table: Table, place: int) -> str:
+def clearest_form(table: ScoreTable, place: int) -> str:
     """Return the first form that shows an option clearly, else the one where its t is largest."""
     return max(
         FORMS, key=lambda form: float(table.scores[form].t[place]) if form in table.scores else -np.inf
     )
 
 
-def _best_of_each(table: Table, form: str) -> dict[str, int]:
+def _best_of_each(table: ScoreTable, form: str) -> dict[str, int]:
     """Return which option of each mechanism leaves least.
 
-    A change at a wrong moment misses by much in few blocks: hardly any t tells it from the right one.
+    A change at a wrong time misses by much in few blocks: hardly any t separates it from the right one.
     """
     left = table.scores[form].loss.sum(axis=0)
     best: dict[str, int] = {}
@@ -285,17 +321,19 @@ def _best_of_each(table: Table, form: str) -> dict[str, int]:
     return best
 
 
-def standing(search: Search, option: Option, table: Table, last: Table | None = None) -> Standing:
+def check_rivals(
+    search: Search, option: Option, table: ScoreTable, last: ScoreTable | None = None
+) -> RivalCheck:
     """Return how an effect of the model stands against everything that could take its place.
 
     Another form of the same cause, the same channels in the same family, is no rival; nor is what explains
-    as much beside the effect (in the `last` table) as in its place: that is another effect.
+    as much after the effect (in the `last` table) as in its place: that is another effect.
     """
-    place = place_of(table, option)
+    place = place_in(table, option)
     if place is None:
-        gain, t = search.worth(option)
-        return Standing(option, gain, t, 1.0, 0.0, "raw", ())
-    form = "raw" if table.scores["raw"].t[place] > search.rules.t else form_of(table, place)
+        gain, t = search.held_out_worth(option)
+        return RivalCheck(option=option, gain=gain, t=t, p=1.0, placebo_t=0.0, form="raw", rivals=())
+    form = "raw" if table.scores["raw"].t[place] > search.rules.t else clearest_form(table, place)
     scores = table.scores[form]
     best = _best_of_each(table, form)
     rivals: dict[str, tuple[Option, float]] = {}
@@ -306,135 +344,106 @@ def standing(search: Search, option: Option, table: Table, last: Table | None = 
             continue
         if rival.family == "unknown" and set(option.channels) < set(rival.channels):
             continue
-        if last is not None and _still(last, rival, form) > 0.5 * float(
+        if last is not None and _explained_beside(last, rival, form) > 0.5 * float(
             scores.loss0.sum() * scores.gain[other]
         ):
             continue
-        if scores.t[other] < _RIVAL_OWN_T or scores.gain[other] < _RIVAL_GAIN * scores.gain[place]:
+        if (
+            scores.t[other] < SELECTION.rival_own_t
+            or scores.gain[other] < SELECTION.rival_gain * scores.gain[place]
+        ):
             continue
-        behind = scores.behind(other, place)
+        behind = scores.t_behind(other, place)
         near = behind < search.rules.rival_t and not _contains(search, rival, option, form)
         if near and behind < rivals.get(rival.mechanism, (rival, np.inf))[1]:
             rivals[rival.mechanism] = (rival, behind)
-    return Standing(
-        option,
-        float(scores.gain[place]),
-        float(scores.t[place]),
-        float(
-            min(
-                [table.p[one][place] for one in table.p]
-                + [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
-            )
-        ),
-        float(table.beats_placebo[form][place]),
-        form,
-        tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
+    p = [table.p[one][place] for one in table.p]
+    p += [one.p for one in search.rounds if one.name == option.name and one.action == "add"]
+    return RivalCheck(
+        option=option,
+        gain=float(scores.gain[place]),
+        t=float(scores.t[place]),
+        p=float(min(p)),
+        placebo_t=float(table.t_over_placebo[form][place]),
+        form=form,
+        rivals=tuple(sorted(rivals.values(), key=lambda pair: pair[1])),
     )
 
 
-#: An effect of which the calibration and the rest of the model take over all but this part is weakly known.
-WEAK = 0.02
+def select_effects(search: Search, context: Context, shapes_first: bool = False) -> tuple[Search, ScoreTable]:
+    """Add and drop until nothing more is justified; return that state and the last table of scores.
 
-#: Held-out gain from which an addition may make others weakly known.
-_GREAT = 0.1
-
-#: Exchanges of an effect for a better one at most: a search must end.
-_EXCHANGES = 3
-
-#: Coefficients of a cause at most that goes before wider forms, and the part of their gain it must reach.
-_FEW, _PART = 12, 0.3
-
-#: Puts what was taken into its best form.
-Refiner = Callable[[Option], Option]
-
-#: Returns a table with p-values of what flips of signs cannot be sure of.
-Closer = Callable[[Table], Table]
-
-
-def run(
-    search: Search,
-    most: int | None = None,
-    refiner: Refiner | None = None,
-    shapes_first: bool = False,
-    closer: Closer | None = None,
-) -> Table:
-    """Add and drop until nothing more is justified; return the last table of scores.
+    Each round scores everything, adds the best option that passes `Rules` (asking the few-block test when
+    none does), refines its form before the next one is sought, and drops what it made superfluous.
 
     Parameters
     ----------
-    refiner : callable, optional
-        Returns an accepted option in its best form (a lag, a width), before the next one is sought.
-    most : int, optional
-        Additions at most; the rules' own number when absent.
     shapes_first : bool
         What explains most goes first, though it names no cause.
-    closer : callable, optional
-        Asked when nothing passes: returns the table with surer p-values.
     """
-    most = search.rules.rounds if most is None else most
-    for _ in range(most):
+    for _ in range(search.rules.rounds):
         table = search.table()
-        found = winner(table, search, shapes_first)
-        if found is None and closer is not None:
-            table = closer(table)
-            found = winner(table, search, shapes_first)
+        found = best_passing(table, search, shapes_first)
         if found is None:
-            search.ran_out = False
-            return table.light()
-        option, form = found
+            table = few_block_test(search, context, table)
+            found = best_passing(table, search, shapes_first)
+        if found is None:
+            return replace(search, ran_out=False), table.without_fits()
         # What was fitted to folds holds on to the evidence, which grows when the option is refined.
-        table = table.light()
-        place = table.options.index(option)
-        before = {one: estimate(search, one).retained for one in search.accepted}
-        _note(search, "add", option, table, place, form)
-        taken = _taken(search, option, refiner)
-        search.rounds[-1] = replace(search.rounds[-1], name=taken.name)
-        if search.is_hidden(taken):
-            search.hide(taken)
-            _note(search, "undo", taken, table, place, form)
-            continue
-        _drop_idle(search)
-        if option.mechanism not in {one.mechanism for one in search.accepted}:
-            search.banned.add(option.mechanism)
-        if table.scores[form].gain[place] < _GREAT and _swallowed(search, before):
-            search.accepted = list(before)
-            search.recut()
-            search.banned.add(option.mechanism)
-            _note(search, "undo", option, table, place, form)
-    search.ran_out = True
-    return search.table().light()
+        search = _one_round(search, context, table.without_fits(), *found)
+    search = replace(search, ran_out=True)
+    return search, search.table().without_fits()
 
 
-def _taken(search: Search, option: Option, refiner: Refiner | None) -> Option:
-    """Put an option into the model, in its best form; return that."""
-    search.add(option)
-    if refiner is not None:
-        search.swap(option, better := refiner(option))
-        return better
-    return option
+def _one_round(search: Search, context: Context, table: ScoreTable, option: Option, form: str) -> Search:
+    """Return the state after an option was taken, refined, and kept or taken back."""
+    place = table.options.index(option)
+    scores = table.scores[form]
+    gain = float(scores.gain[place])
+    numbers: Any = {"gain": gain, "t": float(scores.t[place]), "p": float(table.p[form][place]), "form": form}
+    before = {one: estimate(search, one).retained for one in search.accepted}
+    search, taken = _add_refined(search, context, option)
+    search = search.noted("add", option, name=taken.name, **numbers)
+    if search.is_hidden(taken):
+        return search.hide(taken).noted("undo", taken, **numbers)
+    search = _drop_superfluous(search)
+    if option.mechanism not in {one.mechanism for one in search.accepted}:
+        search = search.with_banned(option.mechanism)
+    if gain < SELECTION.large_gain and _makes_weak(search, before):
+        search = search.holding(tuple(before)).with_safe_intervals().with_banned(option.mechanism)
+        return search.noted("undo", option, **numbers)
+    return search
 
 
-def polish(search: Search, refiner: Refiner) -> None:
+def _add_refined(search: Search, context: Context, option: Option) -> tuple[Search, Option]:
+    """Return the state with an option in the model, in its best form, and that form."""
+    search, better = refine(search.add(option), context, option)
+    return search.exchange(option, better), better
+
+
+def refine_all(search: Search, context: Context) -> Search:
     """Refine everything once more: what was taken early was refined while the others were missing."""
-    for option in list(search.accepted):
-        search.swap(option, refiner(option))
+    for option in search.accepted:
+        search, better = refine(search, context, option)
+        search = search.exchange(option, better)
+    return search
 
 
-def _swallowed(search: Search, before: dict[Option, float]) -> bool:
-    """Return True when an effect that stood by itself no longer does beside what was added.
+def _makes_weak(search: Search, before: dict[Option, float]) -> bool:
+    """Return True when an effect that was well known no longer is after what was added.
 
     A wide form can hold what is left of several causes and, for a small gain, take them over.
     """
     return any(
-        before.get(option, 0.0) >= WEAK and estimate(search, option).retained < WEAK
+        before.get(option, 0.0) >= SELECTION.weak and estimate(search, option).retained < SELECTION.weak
         for option in search.accepted
     )
 
 
-def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Option, str] | None:
+def best_passing(table: ScoreTable, search: Search, shapes_first: bool = False) -> tuple[Option, str] | None:
     """Return what to add next and the form that shows it, or None when nothing is beyond doubt.
 
-    One that names a cause goes before one that describes a shape (see `_named`), and of the same
+    One that names a cause goes before one that describes a shape (see `_named_causes`), and of the same
     channels the one with fewer coefficients, when it does equally well.
     """
     passing = table.passing(search.rules)
@@ -444,7 +453,7 @@ def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Op
             continue
         scores = table.scores[form]
         loss = scores.loss
-        named = places.tolist() if shapes_first else _named(table, places.tolist(), scores.gain)
+        named = places.tolist() if shapes_first else _named_causes(table, places.tolist(), scores.gain)
         first = min(named, key=lambda place: float(loss[:, place].sum()))
         same = [
             place
@@ -459,11 +468,11 @@ def winner(table: Table, search: Search, shapes_first: bool = False) -> tuple[Op
             key=lambda place: float(loss[:, place].sum()),
             default=first,
         )
-        return table.options[_timely(table, places.tolist(), chosen, form, search.rules.rival_t)], form
+        return table.options[_best_time(table, places.tolist(), chosen, form, search.rules.rival_t)], form
     return None
 
 
-def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: float) -> int:
+def _best_time(table: ScoreTable, places: list[int], chosen: int, form: str, rival_t: float) -> int:
     """Return what to take for a change in time: its steady cause if that does as well, else the best time."""
     option, scores = table.options[chosen], table.scores[form]
     if option.change is None:
@@ -473,7 +482,7 @@ def _timely(table: Table, places: list[int], chosen: int, form: str, rival_t: fl
         for place in places
         if table.options[place].change is None
         and same_cause(table.options[place], option)
-        and scores.behind(place, chosen) < rival_t
+        and scores.t_behind(place, chosen) < rival_t
     ]
     if steady:
         return min(steady, key=lambda place: float(scores.loss[:, place].sum()))
@@ -487,23 +496,27 @@ def _are_forms(one: Option, other: Option) -> bool:
     return one.channels == other.channels and (one.mechanism == other.mechanism or not in_time)
 
 
-def _does_as_well(table: Table, simple: int, wide: int, form: str, rules: Rules) -> bool:
+def _does_as_well(table: ScoreTable, simple: int, wide: int, form: str, rules: Rules) -> bool:
     """Return True when a wider form is no surer, or leaves but a little less: its shape is not seen."""
     scores = table.scores[form]
     left = scores.loss.sum(axis=0)
     little = float(left[simple] - left[wide]) < rules.gain * float(left[simple])
-    return little or scores.behind(simple, wide) < rules.rival_t
+    return little or scores.t_behind(simple, wide) < rules.rival_t
 
 
-def _named(table: Table, places: list[int], gain: Floats) -> list[int]:
+def _named_causes(table: ScoreTable, places: list[int], gain: Floats) -> list[int]:
     """Return those of the passing options that go first: named causes of few coefficients.
 
     A shape in a coordinate, or a form of dozens of coefficients, can mimic several causes at once. It waits
     for those, unless they explain but a small part of what it does; what it mimicked is then left to it.
     """
     best = max(float(gain[place]) for place in places)
-    named = [place for place in places if not table.options[place].agnostic and gain[place] > _PART * best]
-    few = [place for place in named if len(table.options[place].columns) <= _FEW]
+    named = [
+        place
+        for place in places
+        if not table.options[place].agnostic and gain[place] > SELECTION.part_of_best * best
+    ]
+    few = [place for place in named if len(table.options[place].columns) <= SELECTION.few_columns]
     return few or named or places
 
 
@@ -512,75 +525,58 @@ def _simplicity(option: Option) -> tuple[int, bool]:
     return len(option.columns), not option.mechanism.startswith("channel_field")
 
 
-def _drop_idle(search: Search) -> bool:
-    """Drop effects that the others have made superfluous, the idlest first; return whether any was."""
-    dropped = False
+def _drop_superfluous(search: Search) -> Search:
+    """Return the state without effects that the others have made superfluous, the least useful first."""
     while len(search.accepted) > 1:
-        worths = [search.worth(option) for option in search.accepted]
-        place = int(np.argmin([search.rules.standing(worth) for worth in worths]))
+        worths = [search.held_out_worth(option) for option in search.accepted]
+        place = int(np.argmin([search.rules.margin(worth) for worth in worths]))
         gain, t = worths[place]
-        if search.rules.standing(worths[place]) >= 1.0:
-            return dropped
-        option, dropped = search.accepted[place], True
-        search.drop(option)
+        if search.rules.margin(worths[place]) >= 1.0:
+            break
+        option = search.accepted[place]
         # One chance to come back, when others are there: more would go round in circles.
-        (search.banned if option.mechanism in search.dropped else search.dropped).add(option.mechanism)
-        search.rounds.append(
-            Round(len(search.rounds) + 1, "drop", option.name, option.family, gain, t, 1.0, "raw")
-        )
-    return dropped
+        again = option.mechanism in search.dropped
+        search = search.drop(option).noted("drop", option, gain=gain, t=t, p=1.0)
+        if again:
+            search = search.with_banned(option.mechanism)
+        else:
+            search = replace(search, dropped=search.dropped | {option.mechanism})
+    return search
 
 
-def _note(search: Search, action: str, option: Option, table: Table, place: int, form: str) -> None:
-    scores = table.scores[form]
-    search.rounds.append(
-        Round(
-            len(search.rounds) + 1,
-            action,
-            option.name,
-            option.family,
-            float(scores.gain[place]),
-            float(scores.t[place]),
-            float(table.p[form][place]),
-            form,
-        )
-    )
-
-
-def settle(search: Search, refiner: Refiner | None = None) -> list[Standing]:
+def exchange_and_check(search: Search, context: Context) -> tuple[Search, list[RivalCheck]]:
     """Compare every effect of the model with all that could take its place; exchange what does better.
 
     An effect taken early was compared with rivals while the others were still missing; now they are there.
     """
-    tables: dict[str, Table] = {}
-    for _ in range(_EXCHANGES):
+    tables: dict[str, ScoreTable] = {}
+    for _ in range(SELECTION.exchanges):
         tables = {}
-        for option in list(search.accepted):
+        for option in search.accepted:
             tables[option.name] = search.table(without=option)
-            better = _better(search, option, tables[option.name])
+            better = _better_option(search, option, tables[option.name])
             if better is not None:
-                search.drop(option)
-                better = _taken(search, better, refiner)
-                told = len(search.rounds) + 1, "exchange", better.name, better.family
-                search.rounds.append(Round(*told, 0.0, 0.0, 0.0, "raw"))
+                search, better = _add_refined(search.drop(option), context, better)
+                search = search.noted("exchange", better)
                 break
         else:
             break
-    if _drop_idle(search):
-        tables = {}
+    slimmer = _drop_superfluous(search)
+    if slimmer is not search:
+        search, tables = slimmer, {}
     last = search.table() if search.accepted else None
-    return [
-        standing(search, option, tables.get(option.name) or search.table(without=option), last)
+    return search, [
+        check_rivals(search, option, tables.get(option.name) or search.table(without=option), last)
         for option in search.accepted
     ]
 
 
-def _better(search: Search, option: Option, table: Table) -> Option | None:
+def _better_option(search: Search, option: Option, table: ScoreTable) -> Option | None:
     """Return an option that leaves significantly less than an accepted one in its place."""
-    place = place_of(table, option)
+    place = place_in(table, option)
     if place is None:
         return None
-    form = form_of(table, place)
+    form = clearest_form(table, place)
     scores = table.scores[form]
     loss = scores.loss
     passing = table.passing(search.rules)[form]
@@ -589,7 +585,7 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
         for other in np.flatnonzero(passing)
         if not (table.options[other].agnostic and not option.agnostic)
         and not same_cause(table.options[other], option)
-        and scores.behind(place, int(other)) > search.rules.rival_t
+        and scores.t_behind(place, int(other)) > search.rules.rival_t
         and _is_worth(table, int(other), place, form, search.rules.gain)
     ]
     if not others:
@@ -598,7 +594,7 @@ def _better(search: Search, option: Option, table: Table) -> Option | None:
     return table.options[best] if table.options[best].mechanism != option.mechanism else None
 
 
-def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> bool:
+def _is_worth(table: ScoreTable, other: int, place: int, form: str, gain: float) -> bool:
     """Return True unless the other, a product or a wider form of the same channels, explains hardly more."""
     mine, wide = table.options[place], table.options[other]
     same = mine.channels == wide.channels and _simplicity(mine) < _simplicity(wide)
@@ -608,49 +604,42 @@ def _is_worth(table: Table, other: int, place: int, form: str, gain: float) -> b
     return float(left[place] - left[other]) > gain * float(left[place])
 
 
-#: Parts are at least so many correlation times of what is left, and so many rows, long.
-_MEMORIES, _ROWS = 10.0, 20
-
-#: Options looked at closely at most: the best of those that only their p-value keeps out.
-_MOST = 6
-
-
-def look_closer(search: Search, material: Material, table: Table) -> Table:
+def few_block_test(search: Search, context: Context, table: ScoreTable) -> ScoreTable:
     """Return the table with p-values of options that lie in too few blocks for flips, where all else speaks.
 
     Each is a bound of Student's distribution times the number of options: family-wise, as flips are.
     """
     rules, raw = search.rules, table.scores["raw"]
     real = np.array([not option.placebo for option in table.options], dtype=bool)
-    almost = real & (raw.t > rules.t) & (raw.gain > rules.gain) & (table.beats_placebo["raw"] > rules.t)
+    almost = real & (raw.t > rules.t) & (raw.gain > rules.gain) & (table.t_over_placebo["raw"] > rules.t)
     almost &= table.p["raw"] >= rules.p
     places = sorted(np.flatnonzero(almost).tolist(), key=lambda place: float(raw.loss[:, place].sum()))
     if not places:
         return table
     tried = int(real.sum()) * len(table.scores)
     p = table.p["raw"].copy()
-    for place in places[:_MOST]:
-        p[place] = min(p[place], tried * _p_of(search, material, table.options[place]))
+    for place in places[: FEW_BLOCKS.options]:
+        p[place] = min(p[place], tried * _few_block_p(search, context, table.options[place]))
     return replace(table, p=table.p | {"raw": p})
 
 
-def _p_of(search: Search, material: Material, option: Option) -> float:
+def _few_block_p(search: Search, context: Context, option: Option) -> float:
     """Return the probability that an option gains by chance what it gains in parts of blocks."""
-    terms = _terms_of(material, option)
+    terms = _terms_of(search, option)
     if terms is None:
         return 1.0
-    trials = Trials(search, material, option)
+    trials = FormTrials(search, context, option)
     before, after = trials.contribution(option, terms)
-    series = material.series
-    memory = correlation_s(
+    series = context.series
+    correlation = correlation_s(
         series, (after / np.where(trials.root > 0, trials.root, 1.0)).reshape(len(series.tt2000), -1)
     )
-    length = max(_MEMORIES * memory, _ROWS * series.step_s)
+    length = max(FEW_BLOCKS.correlation_times * correlation, FEW_BLOCKS.rows * series.step_s)
     part = ((series.tt2000 - series.tt2000[0]) / (length * SECOND)).astype(np.int64)
     part = np.repeat(part, len(before) // len(part))
     _, part = np.unique(part, return_inverse=True)
-    gained, promised = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
-    return float(promised_p(gained, promised, promised > 0)[0])
+    gained, expected = _summed(before**2 - after**2, part), _summed((before - after) ** 2, part)
+    return float(expected_gain_p(gained, expected, expected > 0)[0])
 
 
 def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:
@@ -658,11 +647,12 @@ def _summed(values: Floats, part: npt.NDArray[np.int64]) -> Floats:
     return np.bincount(part, weights=values).astype(np.float64)[:, None]
 
 
-def _terms_of(material: Material, option: Option) -> list[Term] | None:
+def _terms_of(search: Search, option: Option) -> list[Term] | None:
     """Return the terms whose columns an option is made of; None when the series cannot make them."""
+    terms = search.library.by_key
     if option.change is None or option.terms:
         keys = list(option.terms)
-        return [material.terms[key] for key in keys] if set(keys) <= set(material.terms) else None
+        return [terms[key] for key in keys] if set(keys) <= set(terms) else None
     carried = {column for column, _ in option.change.functions.values()}
-    found = [term for term in material.terms.values() if carried & set(term.columns)]
+    found = [term for term in terms.values() if carried & set(term.columns)]
     return found or None

@@ -1,17 +1,13 @@
-"""Steps, episodes, drifts.
+"""Effects bound to a time: steps of a sensor's parameters, a bias or a clock, episodes, and slow drifts.
 
-Effects bound to a time: steps of a sensor's parameters, a bias or a clock, episodes, and slow drifts.
-
-They need no columns of their own in the pass: a parameter that changes from block to block is its
+Takes Gram blocks and the library's columns that may change in time (`time_variable_columns`); makes `Change`
+candidates. They need no columns of their own in the pass: a parameter that changes from block to block is its
 column times a function of the block.
 
-Which of a library's columns may change in time.
-
-Rows of a residual relative to the mean of their stretch: what stands still between two moments is out.
-
-Where something nobody recorded switches, every stretch between two switchings has a level of its own. With
-these levels free, what is fitted rests on how the residual changes within the stretches, and nothing that
-switches at their edges can pass for it, or spoil its values.
+`Stretches` is a filter of rows. Where something nobody recorded switches, every stretch between two
+switchings has a level of its own: the mean of each stretch is taken off rows and columns. What is fitted
+then rests on how the residual changes within the stretches, and nothing that switches at their edges can
+pass for it.
 """
 
 from __future__ import annotations
@@ -25,22 +21,39 @@ import numpy.typing as npt
 from inflight.arrays import Floats
 from inflight.design import Library
 from inflight.effects import Affine, ScalarBias, TimeShift, VectorSensor
-from inflight.lsq import Evidence
-from inflight.time import Int64, to_utc
+from inflight.lsq import GramBlocks
+from inflight.time import DAY, Int64, to_utc
 
-#: Block edges at which steps are tried, at most.
-MOST_EDGES = 48
-
-#: Episodes that are scored in full, of those a scan over all pairs of edges finds best.
-_EPISODES = 3
-
-#: Columns looked at together: what two changes have in common is nobody's question.
-_BATCH = 36
-
-_DAY_NS = 86_400_000_000_000
-
-#: Drifts there are.
+#: Kinds of drifts.
 DRIFTS = ("scale_drift", "offset_drift", "angle_drift", "clock_drift", "bias_drift")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeSettings:
+    """Which changes in time are tried.
+
+    Attributes
+    ----------
+    edges : int
+        Block edges at which steps are tried, at most: a bound on time, assumed.
+    episodes : int
+        Episodes that are scored in full, of those a scan over all pairs of edges finds best; assumed.
+    longest : int
+        An episode lasts no more than one part in so many of the blocks: more of them is the rule.
+    batch_columns : int
+        Columns scored together: a bound on memory, for products of two changes are never needed.
+    rounding : float
+        Part of a constant's size below which what is left of it is rounding.
+    """
+
+    edges: int = 48
+    episodes: int = 3
+    longest: int = 2
+    batch_columns: int = 36
+    rounding: float = 1e-12
+
+
+CHANGES = ChangeSettings()
 
 
 @dataclass(frozen=True)
@@ -58,7 +71,7 @@ class Change:
     unit : str
         What the coefficient is multiplied by, such as ``/d``.
     sharpness : int
-        How far off the times of `at` may be, ns: blocks are no finer. Of a moment that was sought among the
+        How far off the times of `at` may be, ns: blocks are no finer. Of a time that was refined among the
         rows, its standard deviation.
     """
 
@@ -76,11 +89,11 @@ class Change:
         return len(self.at) == 2
 
     def is_like(self, other: Change) -> bool:
-        """Return True for the same change at times that blocks do not tell apart."""
+        """Return True for the same change at times that blocks cannot separate."""
         return self.mechanism == other.mechanism and self.is_when(other)
 
     def is_when(self, other: Change) -> bool:
-        """Return True for changes of anything at times that blocks do not tell apart."""
+        """Return True for changes of anything at times that blocks cannot separate."""
         if len(self.at) != len(other.at) or not self.at:
             return False
         return all(
@@ -89,7 +102,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Carriers:
+class TimeVariableColumns:
     """Columns of the library that may change in time; empty where there are none."""
 
     offset: tuple[str, ...] = ()
@@ -105,7 +118,7 @@ class Carriers:
 
     @property
     def kinds(self) -> dict[str, tuple[str, tuple[str, ...]]]:
-        """What may change at a moment, those there are: kind -> (family, columns)."""
+        """What may change at a time: kind -> (family, columns), without those that have no column."""
         every = {
             "offset": ("offset_step", self.offset),
             "scale": ("sensor", self.scale),
@@ -113,28 +126,28 @@ class Carriers:
             "bias": ("bias", self.bias),
             "clock": ("clock", self.clock),
         }
-        return {kind: told for kind, told in every.items() if told[1]}
+        return {kind: found for kind, found in every.items() if found[1]}
 
-    def outside(self, base: Sequence[str]) -> Carriers:
-        """Return those of clock and bias that a calibration does not absorb: their episodes can be seen."""
+    def outside(self, base: Sequence[str]) -> TimeVariableColumns:
+        """Return those of clock and bias that no calibration marginalises: their episodes can be seen."""
         clock = tuple(name for name in self.clock if name not in base)
-        return Carriers(clock=clock, bias=tuple(name for name in self.bias if name not in base))
+        return TimeVariableColumns(clock=clock, bias=tuple(name for name in self.bias if name not in base))
 
 
-def moment_text(when: int) -> str:
-    """Return a moment, TT2000, as names have it: UTC, no finer than it is."""
+def time_text(when: int) -> str:
+    """Return a time, TT2000, as names have it: UTC, no finer than it is."""
     text = str(to_utc(when).astype("datetime64[ns]"))
     whole, _, part = text.partition(".")
     return f"{whole}.{part.rstrip('0')}".rstrip(".")
 
 
-def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
-    """Return drifts of everything that may drift, straight in time; factors in days from the middle."""
+def drifts(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
+    """Return drifts of everything that may drift, linear in time; factors in days from the middle."""
     middle = evidence.start / 2 + evidence.end / 2
-    days = (middle - middle.mean()) / _DAY_NS
+    days = (middle - middle.mean()) / DAY
     found = []
     for name in DRIFTS:
-        columns = getattr(carriers, name.removesuffix("_drift"))
+        columns = getattr(changing, name.removesuffix("_drift"))
         if columns and np.ptp(days) > 0:
             functions = {f"{name}.{column}": (column, days) for column in columns}
             family = name.removesuffix("_drift") if name in ("clock_drift", "bias_drift") else "ageing"
@@ -142,14 +155,16 @@ def drifts(evidence: Evidence, carriers: Carriers) -> list[Change]:
     return found
 
 
-def steps(evidence: Evidence, carriers: Carriers) -> list[Change]:
+def steps(evidence: GramBlocks, changing: TimeVariableColumns) -> list[Change]:
     """Return steps of every kind at the edges between blocks."""
     found = []
-    edges = _edges(len(evidence))
+    blocks = len(evidence)
+    places = np.linspace(1, blocks - 1, min(CHANGES.edges, blocks - 1)) if blocks > 3 else np.zeros(0)
+    edges = [int(place) for place in np.unique(places.round())]
     for place, edge in enumerate(edges):
         after = (np.arange(len(evidence)) >= edge).astype(np.float64)
         when, sharp = int(evidence.start[edge]), _sharpness(evidence, edges, place)
-        for name, (family, columns) in carriers.kinds.items():
+        for name, (family, columns) in changing.kinds.items():
             label = f"{name}_step@{to_utc(when).astype('datetime64[s]')}"
             functions = {f"{label}.{column}": (column, after) for column in columns}
             found.append(Change(label, f"{name}_step", family, functions, (when,), sharpness=sharp))
@@ -162,14 +177,14 @@ def batches(changes: Sequence[Change]) -> Iterator[list[Change]]:
         batch: list[Change] = []
         for change in (one for one in changes if one.interleaved is interleaved):
             batch.append(change)
-            if sum(len(one.functions) for one in batch) >= _BATCH:
+            if sum(len(one.functions) for one in batch) >= CHANGES.batch_columns:
                 yield batch
                 batch = []
         if batch:
             yield batch
 
 
-def _sharpness(evidence: Evidence, edges: Sequence[int], place: int) -> int:
+def _sharpness(evidence: GramBlocks, edges: Sequence[int], place: int) -> int:
     """Return how far a step may be from the edge tried, ns: a block, or half way to the next edge tried."""
     starts = [*evidence.start.tolist(), int(evidence.end[-1])]
     edge = edges[place]
@@ -179,28 +194,24 @@ def _sharpness(evidence: Evidence, edges: Sequence[int], place: int) -> int:
     return int(max(blocks, max(np.diff(around)) // 2))
 
 
-def _edges(blocks: int) -> Sequence[int]:
-    if blocks < 4:
-        return []
-    places = np.linspace(1, blocks - 1, min(MOST_EDGES, blocks - 1)).round()
-    return [int(place) for place in np.unique(places)]
-
-
-def episodes(evidence: Evidence, absorbed: Evidence, carriers: Carriers, y: int) -> list[Change]:
+def episodes(
+    evidence: GramBlocks, marginalised: GramBlocks, changing: TimeVariableColumns, y: int
+) -> list[Change]:
     """Return the best episodes of clock and bias, found by a scan over all pairs of edges.
 
     Parameters
     ----------
-    evidence, absorbed : Evidence
-        Before and after the calibration was absorbed; the scan takes blocks as independent.
+    evidence, marginalised : GramBlocks
+        Before and after the calibration was marginalised; the scan takes blocks as independent.
     """
     found = []
     lengths = np.diff([*evidence.start.tolist(), int(evidence.end[-1])])
-    for name, (family, columns) in carriers.kinds.items():
+    for name, (family, columns) in changing.kinds.items():
         if len(columns) != 1 or len(evidence) < 6:
             continue
-        column = int(absorbed.index(columns)[0])
-        for first, last in _best_spans(absorbed.gram[:, column, y], absorbed.gram[:, column, column]):
+        column = int(marginalised.index(columns)[0])
+        score = marginalised.rows(columns)[:, 0, y]
+        for first, last in _best_spans(score, marginalised.squares[:, column]):
             inside = np.zeros(len(evidence))
             inside[first:last] = 1.0
             when = (int(evidence.start[first]), int(evidence.end[last - 1]))
@@ -219,7 +230,7 @@ def _best_spans(score: Floats, information: Floats) -> list[tuple[int, int]]:
     # Against the value of all blocks together: a constant is no episode.
     own_s, own_m = s[last] - s[first], m[last] - m[first]
     rest_s, rest_m = s[-1] - own_s, m[-1] - own_m
-    usable = (own_m > 0) & (rest_m > 0) & (last - first <= (len(s) - 1) // 2)
+    usable = (own_m > 0) & (rest_m > 0) & (last - first <= (len(s) - 1) // CHANGES.longest)
     gain = np.zeros(first.size)
     gain[usable] = (
         own_s[usable] ** 2 / own_m[usable]
@@ -232,12 +243,12 @@ def _best_spans(score: Floats, information: Floats) -> list[tuple[int, int]]:
         span = (int(first[place]), int(last[place]))
         if all(span[1] <= other[0] or span[0] >= other[1] for other in chosen):
             chosen.append(span)
-        if len(chosen) == _EPISODES:
+        if len(chosen) == CHANGES.episodes:
             break
     return chosen
 
 
-def carriers_of(library: Library) -> Carriers:
+def time_variable_columns(library: Library) -> TimeVariableColumns:
     """Return the library's columns that may change in time."""
 
     def columns(kind: type, parameter: str) -> tuple[str, ...]:
@@ -246,17 +257,13 @@ def carriers_of(library: Library) -> Carriers:
                 return tuple(name for name in term.columns if f".{parameter}" in name)
         return ()
 
-    return Carriers(
+    return TimeVariableColumns(
         offset=columns(VectorSensor, "offset") or columns(Affine, "shift"),
         scale=columns(VectorSensor, "scale_factor"),
         clock=columns(TimeShift, "seconds"),
         bias=columns(ScalarBias, "bias"),
         angle=columns(VectorSensor, "misalignment"),
     )
-
-
-#: What is left of a constant by rounding, as part of its size.
-_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -295,6 +302,6 @@ class Stretches:
             mean = np.add.reduceat(kept, begins, axis=0) / count[:, None]
             moved = kept - np.repeat(mean, count, axis=0)
             # A constant leaves nothing, not its rounding: no value can be had of it.
-            moved[np.abs(moved) <= _ROUNDING * np.repeat(np.abs(mean), count, axis=0)] = 0.0
+            moved[np.abs(moved) <= CHANGES.rounding * np.repeat(np.abs(mean), count, axis=0)] = 0.0
             out[used] = moved
         return out.reshape(values.shape)

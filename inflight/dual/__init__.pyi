@@ -1,90 +1,96 @@
-from .assignment import SURE, process
+from .assignment import ASSIGNMENT, correction_by_states
 from .candidates import Candidates, correction_by_both
-from .change_points import Places
+from .change_points import Rows
 from .correction import (
     WHOLE,
+    AppliedPart,
     Correction,
-    Part,
-    leaves_slow_alone,
     no_correction,
+    omits_slow_part,
     part_of_day,
     part_variables,
-    partly,
+    partial_correction,
 )
-from .do_no_harm import Judgement, judge
 from .geometry import Body
 from .gradiometer import (
     FORMS,
-    correction_by_gradiometer,
-    gradiometer_of,
+    correction_by_stored_gradiometer,
+    covariance_of_product,
+    gradiometer_from_table,
     gradiometer_variables,
     has_gradiometer,
-    quadratic,
 )
+from .held_out import HeldOutDecision, decide
 from .product import dual_level2, readings_of
 from .readings import Readings
-from .tracking import Ageing, alone, continued, from_dataset, to_dataset
-from .training import Training, train
-from .unrecorded import (
+from .switching_steps import (
+    JumpAttribution,
     NamedUnit,
-    Remaining,
-    Switched,
+    ResidualStep,
     Switchings,
-    by_state,
+    attribute_jumps,
     name_units,
     quiet_steps,
     quietest_width,
-    regressed,
+    regress_steps,
+    residual_steps_by_state,
     rms,
     steps_across,
-    switched,
     switchings,
 )
+from .tracking import (
+    Ageing,
+    continue_training,
+    standalone_training,
+    training_from_dataset,
+    training_to_dataset,
+)
+from .training import Training, train
 
 __all__ = [
+    "ASSIGNMENT",
     "FORMS",
-    "SURE",
     "WHOLE",
     "Ageing",
+    "AppliedPart",
     "Body",
     "Candidates",
     "Correction",
-    "Judgement",
+    "HeldOutDecision",
+    "JumpAttribution",
     "NamedUnit",
-    "Part",
-    "Places",
     "Readings",
-    "Remaining",
-    "Switched",
+    "ResidualStep",
+    "Rows",
     "Switchings",
     "Training",
-    "alone",
-    "by_state",
-    "continued",
+    "attribute_jumps",
+    "continue_training",
     "correction_by_both",
-    "correction_by_gradiometer",
+    "correction_by_states",
+    "correction_by_stored_gradiometer",
+    "covariance_of_product",
+    "decide",
     "dual_level2",
-    "from_dataset",
-    "gradiometer_of",
+    "gradiometer_from_table",
     "gradiometer_variables",
     "has_gradiometer",
-    "judge",
-    "leaves_slow_alone",
     "name_units",
     "no_correction",
+    "omits_slow_part",
     "part_of_day",
     "part_variables",
-    "partly",
-    "process",
-    "quadratic",
+    "partial_correction",
     "quiet_steps",
     "quietest_width",
     "readings_of",
-    "regressed",
+    "regress_steps",
+    "residual_steps_by_state",
     "rms",
+    "standalone_training",
     "steps_across",
-    "switched",
     "switchings",
-    "to_dataset",
     "train",
+    "training_from_dataset",
+    "training_to_dataset",
 ]

@@ -1,14 +1,13 @@
-"""Bayesian state of each segment.
+"""Which state each segment is in, with probabilities, and the correction that follows from it.
 
-Which state each segment is in, with probabilities; "none of them" is one of the answers.
+Takes readings and a training; makes the correction by states. Segments follow each other as in a hidden
+Markov chain whose states are those of the training, those that are sums of its units, and the unknown one,
+whose points lie anywhere in a box around the others. The probabilities are those of the forward and backward
+recursions. A point farther from all states than their noise allows is unknown, however likely it is
+otherwise. The drift common to all segments is filtered by those that are recognised; its value at the start
+is chosen by trying each state for the first segment.
 
-Segments follow each other as in a hidden Markov chain whose states are those of the training, those that are
-sums of its units, and the unknown one, whose points lie anywhere in a box around the others. A point farther
-from all states than their noise allows is unknown, however well it suits otherwise. The drift common to all
-segments is carried along by those that are recognised; where it stood at the start is told by trying each
-state for the first segment.
-
-Processing: the state of every sample, and the correction that follows from it.
+This is the "processing" of the Venus Express paper (section 3), which takes the nearest state.
 """
 
 from __future__ import annotations
@@ -20,215 +19,71 @@ import numpy.typing as npt
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import FALSE_ALARMS, LONGEST, Places
+from inflight.dual.change_points import CHANGE_POINTS, Rows
 from inflight.dual.correction import TRANSIENT, UNKNOWN, Correction, no_correction
 from inflight.dual.readings import Readings
-from inflight.dual.segments import SHORTEST, Segments, Track, own_drift, segments_of
+from inflight.dual.segments import SEGMENTS, DriftFilter, Segments, own_drift, segments_of
 from inflight.dual.training import Training
 from inflight.flags import Flag
 from inflight.time import SECOND
 
-#: Prior probabilities of a segment: that no known state is right, and (of the rest) that it is one which is
-#: only predicted.
-UNKNOWN_SHARE, _PREDICTED_SHARE = 0.01, 0.1
 
-#: What the prior counts beside the passages seen in training.
-_PASSAGES = 2.0
-
-#: Chance that one segment of all is taken for unknown by its noise.
-_FALSE_UNKNOWN = 1e-3
-
-#: First segments by which beginnings of the drift are compared, and how many sigmas it may have gone.
-_COMPARED, _FARTHEST = 60, 4.0
-
-
-@dataclass(frozen=True)
-class Assignment:
-    """Probabilities of the states of each segment.
+@dataclass(frozen=True, kw_only=True)
+class AssignmentSettings:
+    """Numbers of the assignment of segments to states, and of their correction.
 
     Attributes
     ----------
-    probability : ndarray, shape (segment, state + 1)
-        In the order of the training, last the unknown state; rows of transients are zero.
-    drift : ndarray, shape (segment, axis)
-        Common drift since the start of the training, nT.
+    least_probability : float
+        A state less likely than this is ambiguous. Level of significance; in 36 records with drifting offsets
+        or small units no wrong state had it (docs/science/two-sensors.md).
+    unknown_prior : float
+        Prior probability that no known state is right. Assumed.
+    predicted_prior : float
+        Of the rest, that the state was predicted only, never observed. Assumed.
+    prior_passages : float
+        Passages from one state to the next that the prior adds to those observed in training. Assumed.
+    false_unknown : float
+        Chance that one segment of all is taken for unknown by its noise. Level of significance.
+    compared_segments : int
+        First segments by which starting values of the drift are compared. Assumed, for speed.
+    start_sigmas : float
+        Standard deviations that the drift may have gone since the training. Level of significance.
+    anywhere_points, anywhere_noise : float
+        Where an unknown state lies: the covariance of all points times this, and that of a sample times this.
+        Derived: two and three sigmas.
+    drift_share : float
+        Part of the drift that the outboard sensor may share, which the correction does not follow and its
+        error holds. Assumed: the ratio of a stray field at both sensors; an offset has none.
+    compared_rows : int
+        Rows at which a fallback is compared with the states' corrections, at most. Assumed, for speed.
     """
 
-    probability: Floats
-    drift: Floats
-
-    @property
-    def best(self) -> npt.NDArray[np.int64]:
-        """Place of the most likely state; the number of states means unknown; (segment,)."""
-        return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
-
-
-def assign(segments: Segments, training: Training, drift_sigma: float = 0.0) -> Assignment:
-    """Return the probabilities of the training's states for each segment.
-
-    Parameters
-    ----------
-    drift_sigma : float
-        How far the difference may have drifted since the training beside what the training saw, nT.
-    """
-    chain = _Chain(segments, training)
-    value, variance = _since_training(segments, training, drift_sigma)
-    begins = _beginnings(chain, value, variance)
-    if len(begins) > 1:
-        likely = [chain.follow(begin, variance, _COMPARED) for begin in begins]
-        begins = [begins[int(np.argmax(likely))]]
-    chain.follow(begins[0], variance, len(segments))
-    probability = np.zeros((len(segments), len(training) + 1))
-    probability[chain.steady] = _smoothed(chain.score[chain.steady], training, chain.prior)
-    return Assignment(probability, chain.drift)
+    least_probability: float = 0.95
+    unknown_prior: float = 0.01
+    predicted_prior: float = 0.1
+    prior_passages: float = 2.0
+    false_unknown: float = 1e-3
+    compared_segments: int = 60
+    start_sigmas: float = 4.0
+    anywhere_points: float = 4.0
+    anywhere_noise: float = 9.0
+    drift_share: float = 0.5
+    compared_rows: int = 20_000
 
 
-class _Chain:
-    """The densities of segments under each state, the drift followed."""
-
-    def __init__(self, segments: Segments, training: Training) -> None:
-        self.segments, self.training = segments, training
-        self.steady = np.flatnonzero(~segments.transient)
-        self.limit = float(stats.chi2.isf(_FALSE_UNKNOWN / max(self.steady.size, 1), 3))
-        self.prior = _prior(training)
-        self.spread = training.scatter**2 * np.eye(3)
-        self.unknown = _density_anywhere(segments, training)
-        self.score = np.full((len(segments), len(training) + 1), -np.inf)
-        self.drift = np.zeros((len(segments), 3))
-
-    def point(self, one: int, value: Floats, spread: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return a segment's distances from the states (state, axis), their covariances and squares."""
-        left = self.segments.begin.mean[one] - value - self.training.centre
-        own = own_drift(self.segments, one, self.training.drift_rate)
-        total = self.segments.covariance[one] + own + self.spread + spread + self.training.centre_covariance
-        return left, total, np.einsum("ki,kij,kj->k", left, np.linalg.inv(total), left)
-
-    def follow(self, begin: Floats, variance: Floats, most: int) -> float:
-        """Go through the first segments, the drift from a beginning on; return the log likelihood."""
-        track = Track.start(self.training.drift_rate)
-        track.value = begin.copy()
-        track.covariance[:, 0, 0] = variance
-        likelihood, before = 0.0, self.segments.begin.middle[0]
-        for one in self.steady[:most].tolist():
-            track.forward(float(self.segments.begin.middle[one] - before) / SECOND)
-            track.sloping(self.segments.begin.slope[one], self.segments.slope_variance[one])
-            left, total, far = self.point(one, track.value, track.spread)
-            density = -0.5 * (far + np.linalg.slogdet(total)[1]) - 1.5 * np.log(2.0 * np.pi)
-            self.score[one, :-1] = np.where(far <= self.limit, density, -np.inf)
-            self.score[one, -1] = self.unknown
-            posterior = self.score[one] + np.log(self.prior)
-            likelihood += float(np.logaddexp.reduce(posterior))
-            state = int(np.argmax(posterior))
-            if state < len(self.training):
-                track.seen(left[state], np.diag(total[state]))
-            self.drift[one] = track.value
-            track.through(self.segments, one)
-            before = self.segments.finish.middle[one]
-        return likelihood
+ASSIGNMENT = AssignmentSettings()
 
 
-def _prior(training: Training) -> Floats:
-    """Return the probabilities of the states and, last, of the unknown one."""
-    seen = training.seen
-    predicted = _PREDICTED_SHARE if not seen.all() else 0.0
-    share = np.where(seen, (1.0 - predicted) / seen.sum(), predicted / max((~seen).sum(), 1))
-    return np.append((1.0 - UNKNOWN_SHARE) * share, UNKNOWN_SHARE)
-
-
-def _density_anywhere(segments: Segments, training: Training) -> float:
-    """Return the logarithm of the density of points of an unknown state, 1/nT^3."""
-    noise = segments.noise.of_mean(1) + training.scatter**2 * np.eye(3)
-    points = np.concatenate([training.centre, segments.level[~segments.transient]])
-    wide = 4.0 * np.cov(points.T) + 9.0 * noise
-    return float(-0.5 * np.linalg.slogdet(wide)[1] - 1.5 * np.log(2.0 * np.pi))
-
-
-def _since_training(segments: Segments, training: Training, drift_sigma: float) -> tuple[Floats, Floats]:
-    """Return where the drift is expected to stand at the start, and the variance of that; (axis,) each."""
-    span = max(training.end - training.start, 1)
-    share = float(np.clip((segments.start[0] - training.start) / span, 0.0, 1.0))
-    away = max(float(segments.start[0] - training.end), float(training.start - segments.start[0]), 0.0)
-    if 0.0 < share < 1.0:
-        away = min(share, 1.0 - share) * span
-    # Slopes turn round: what the training saw is the most that one expects.
-    seconds = min(away, span) / SECOND
-    rate = training.drift_rate
-    variance = rate.value * away / SECOND + seconds**2 * np.minimum(rate.slope, rate.bend * seconds / 3.0)
-    return share * training.drift, variance + drift_sigma**2
-
-
-def _beginnings(chain: _Chain, value: Floats, variance: Floats) -> list[Floats]:
-    """Return where the drift may have stood: as expected, or so that a state fits the first segment."""
-    begins = [value]
-    if not chain.steady.size or not variance.max() > 0:
-        return begins
-    first = int(chain.steady[np.argmax(chain.segments.count[chain.steady[:5]])])
-    left, total, _ = chain.point(first, value, np.zeros((3, 3)))
-    sigma = np.sqrt(variance + np.einsum("kii->ki", total))
-    near = (np.abs(left) < _FARTHEST * sigma).all(axis=1) & chain.training.seen
-    return begins + [value + one for one in left[near]]
-
-
-def _smoothed(score: Floats, training: Training, prior: Floats) -> Floats:
-    """Return probabilities (segment, state + 1) by the forward and backward recursions of the chain."""
-    if not len(score):
-        return score
-    score = score - score.max(axis=1, keepdims=True)
-    density = np.exp(score)
-    counts = np.pad(training.transitions, (0, 1))
-    total = counts.sum(axis=1) + _PASSAGES
-    known = training.seen.sum()
-    # Passages among the states seen, and the prior for all others: a full table of predictions is large.
-    seen = counts[:known, :known] / total[:known, None]
-    forward, backward = np.empty_like(density), np.empty_like(density)
-    forward[0] = prior * density[0]
-    forward[0] /= forward[0].sum()
-    for one in range(1, len(density)):
-        expected = prior * float(forward[one - 1] @ (_PASSAGES / total))
-        expected[:known] += forward[one - 1, :known] @ seen
-        forward[one] = expected * density[one]
-        forward[one] /= forward[one].sum()
-    backward[-1] = 1.0
-    for one in range(len(density) - 2, -1, -1):
-        coming = backward[one + 1] * density[one + 1]
-        backward[one] = _PASSAGES / total * float(prior @ coming)
-        backward[one, :known] += seen @ coming[:known]
-        backward[one] /= backward[one].max()
-    both = forward * backward
-    return np.asarray(both / both.sum(axis=1, keepdims=True))
-
-
-#: A state less likely than this is ambiguous.
-SURE = 0.95
-
-#: A drift of the difference may be that of a stray field, of which the outboard sensor has up to about this
-#: part, or of an offset: the correction does not follow it and its error holds it.
-_DRIFT_SHARE = 0.5
-
-#: Rows at which a fallback is compared with the states' corrections.
-_COMPARED_ROWS = 20_000
-
-
-@dataclass(frozen=True)
-class _BySegment:
-    """Corrections of segments: one row each."""
-
-    field: Floats
-    covariance: Floats
-    state: npt.NDArray[np.int64]
-    probability: Floats
-    flag: npt.NDArray[np.uint32]
-
-
-def process(
+def correction_by_states(
     readings: Readings,
     training: Training,
     *,
     fallback: Correction | None = None,
-    shortest: int = SHORTEST,
-    false_alarms: float = FALSE_ALARMS,
-    longest: int = LONGEST,
-    jumps: Places | None = None,
+    shortest: int = SEGMENTS.shortest,
+    false_alarms: float = CHANGE_POINTS.false_alarms,
+    longest: int = CHANGE_POINTS.longest,
+    jumps: Rows | None = None,
     drift_sigma: float = 0.0,
 ) -> Correction:
     """Return the correction of the outboard sensor by the spacecraft's states.
@@ -262,53 +117,232 @@ def process(
     found = _by_segment(segments, training, assigned)
     spans = segments.last - segments.first
     correction = Correction(
-        np.repeat(found.field, spans, axis=0),
-        np.repeat(found.covariance, spans, axis=0),
-        np.repeat(found.state, spans),
-        np.repeat(found.probability, spans),
-        np.repeat(found.flag, spans),
-        "states",
-        applied=True,
+        field=np.repeat(found.field, spans, axis=0),
+        covariance=np.repeat(found.covariance, spans, axis=0),
+        state=np.repeat(found.state, spans),
+        probability=np.repeat(found.probability, spans),
+        flag=np.repeat(found.flag, spans),
+        method="states",
         reason="the spacecraft's states as trained",
         constant_known=training.constant_known,
     )
-    _mark_spikes(correction, readings, segments)
-    _lose_long_gaps(correction, readings, shortest)
+    _widen_at_spikes(correction, readings, segments)
+    _forget_in_long_gaps(correction, readings, shortest)
     if fallback is not None:
-        _fall_back(correction, fallback)
+        _fill_unknown(correction, fallback)
     return correction
 
 
+@dataclass(frozen=True)
+class Assignment:
+    """Probabilities of the states of each segment.
+
+    Attributes
+    ----------
+    probability : ndarray, shape (segment, state + 1)
+        In the order of the training, last the unknown state; rows of transients are zero.
+    drift : ndarray, shape (segment, axis)
+        Common drift since the start of the training, nT.
+    """
+
+    probability: Floats
+    drift: Floats
+
+    @property
+    def best(self) -> npt.NDArray[np.int64]:
+        """Place of the most likely state; the number of states means unknown; (segment,)."""
+        return np.asarray(self.probability.argmax(axis=1), dtype=np.int64)
+
+
+def assign(segments: Segments, training: Training, drift_sigma: float = 0.0) -> Assignment:
+    """Return the probabilities of the training's states for each segment.
+
+    Parameters
+    ----------
+    drift_sigma : float
+        How far the difference may have drifted since the training, beyond what the training observed, nT.
+    """
+    chain = _StateChain(segments, training)
+    value, variance = _drift_since_training(segments, training, drift_sigma)
+    starts = _starting_drifts(chain, value, variance)
+    if len(starts) > 1:
+        likelihood = [chain.follow(start, variance, ASSIGNMENT.compared_segments) for start in starts]
+        starts = [starts[int(np.argmax(likelihood))]]
+    chain.follow(starts[0], variance, len(segments))
+    probability = np.zeros((len(segments), len(training) + 1))
+    probability[chain.steady] = _smoothed(chain.score[chain.steady], training, chain.prior)
+    return Assignment(probability, chain.drift)
+
+
+class _StateChain:
+    """The likelihood of each segment under each state, with the drift filtered.
+
+    Attributes
+    ----------
+    prior : ndarray, shape (state + 1,)
+    score : ndarray, shape (segment, state + 1)
+        Log likelihood; last of the unknown state.
+    drift : ndarray, shape (segment, axis)
+        nT.
+    """
+
+    def __init__(self, segments: Segments, training: Training) -> None:
+        self.segments, self.training = segments, training
+        self.steady = np.flatnonzero(~segments.transient)
+        self.limit = float(stats.chi2.isf(ASSIGNMENT.false_unknown / max(self.steady.size, 1), 3))
+        self.prior = _prior(training)
+        self.spread = training.scatter**2 * np.eye(3)
+        self.unknown = _density_anywhere(segments, training)
+        self.score = np.full((len(segments), len(training) + 1), -np.inf)
+        self.drift = np.zeros((len(segments), 3))
+
+    def residuals(self, one: int, value: Floats, spread: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return a segment's residuals from the states (state, axis), their covariances and squares."""
+        residual = self.segments.begin.mean[one] - value - self.training.centre
+        own = own_drift(self.segments, one, self.training.drift_rate)
+        total = self.segments.covariance[one] + own + self.spread + spread + self.training.centre_covariance
+        return residual, total, np.einsum("ki,kij,kj->k", residual, np.linalg.inv(total), residual)
+
+    def follow(self, start: Floats, variance: Floats, most: int) -> float:
+        """Go through the first segments, the drift from a starting value on; return the log likelihood."""
+        track = DriftFilter.start(self.training.drift_rate)
+        track.value = start.copy()
+        track.covariance[:, 0, 0] = variance
+        likelihood, before = 0.0, self.segments.begin.middle[0]
+        for one in self.steady[:most].tolist():
+            track.predict(float(self.segments.begin.middle[one] - before) / SECOND)
+            track.observe_slope(self.segments.begin.slope[one], self.segments.slope_variance[one])
+            residual, total, distance = self.residuals(one, track.value, track.spread)
+            density = -0.5 * (distance + np.linalg.slogdet(total)[1]) - 1.5 * np.log(2.0 * np.pi)
+            self.score[one, :-1] = np.where(distance <= self.limit, density, -np.inf)
+            self.score[one, -1] = self.unknown
+            posterior = self.score[one] + np.log(self.prior)
+            likelihood += float(np.logaddexp.reduce(posterior))
+            state = int(np.argmax(posterior))
+            if state < len(self.training):
+                track.observe_value(residual[state], np.diag(total[state]))
+            self.drift[one] = track.value
+            track.cross_segment(self.segments, one)
+            before = self.segments.finish.middle[one]
+        return likelihood
+
+
+def _prior(training: Training) -> Floats:
+    """Return the prior probabilities of the states and, last, of the unknown one."""
+    observed = training.observed
+    predicted = ASSIGNMENT.predicted_prior if not observed.all() else 0.0
+    share = np.where(observed, (1.0 - predicted) / observed.sum(), predicted / max((~observed).sum(), 1))
+    return np.append((1.0 - ASSIGNMENT.unknown_prior) * share, ASSIGNMENT.unknown_prior)
+
+
+def _density_anywhere(segments: Segments, training: Training) -> float:
+    """Return the logarithm of the density of points of an unknown state, 1/nT^3."""
+    noise = segments.noise.of_mean(1) + training.scatter**2 * np.eye(3)
+    points = np.concatenate([training.centre, segments.level[~segments.transient]])
+    wide = ASSIGNMENT.anywhere_points * np.cov(points.T) + ASSIGNMENT.anywhere_noise * noise
+    return float(-0.5 * np.linalg.slogdet(wide)[1] - 1.5 * np.log(2.0 * np.pi))
+
+
+def _drift_since_training(
+    segments: Segments, training: Training, drift_sigma: float
+) -> tuple[Floats, Floats]:
+    """Return the predicted drift at the start, and the variance of that; (axis,) each."""
+    span = max(training.end - training.start, 1)
+    share = float(np.clip((segments.start[0] - training.start) / span, 0.0, 1.0))
+    away = max(float(segments.start[0] - training.end), float(training.start - segments.start[0]), 0.0)
+    if 0.0 < share < 1.0:
+        away = min(share, 1.0 - share) * span
+    # Slopes reverse: the duration of the training bounds how long one lasts.
+    seconds = min(away, span) / SECOND
+    rate = training.drift_rate
+    variance = rate.level_walk * away / SECOND + seconds**2 * np.minimum(
+        rate.slope, rate.slope_walk * seconds / 3.0
+    )
+    return share * training.drift, variance + drift_sigma**2
+
+
+def _starting_drifts(chain: _StateChain, value: Floats, variance: Floats) -> list[Floats]:
+    """Return starting values of the drift: the predicted one, and those by which a state fits."""
+    starts = [value]
+    if not chain.steady.size or not variance.max() > 0:
+        return starts
+    first = int(chain.steady[np.argmax(chain.segments.count[chain.steady[:5]])])
+    residual, total, _ = chain.residuals(first, value, np.zeros((3, 3)))
+    sigma = np.sqrt(variance + np.einsum("kii->ki", total))
+    near = (np.abs(residual) < ASSIGNMENT.start_sigmas * sigma).all(axis=1) & chain.training.observed
+    return starts + [value + one for one in residual[near]]
+
+
+def _smoothed(score: Floats, training: Training, prior: Floats) -> Floats:
+    """Return probabilities (segment, state + 1) by the forward and backward recursions of the chain."""
+    if not len(score):
+        return score
+    score = score - score.max(axis=1, keepdims=True)
+    density = np.exp(score)
+    counts = np.pad(training.transitions, (0, 1))
+    passages = ASSIGNMENT.prior_passages
+    total = counts.sum(axis=1) + passages
+    known = training.observed.sum()
+    # Passages among observed states, and the prior for all others: a full table of predictions is large.
+    observed = counts[:known, :known] / total[:known, None]
+    forward, backward = np.empty_like(density), np.empty_like(density)
+    forward[0] = prior * density[0]
+    forward[0] /= forward[0].sum()
+    for one in range(1, len(density)):
+        predicted = prior * float(forward[one - 1] @ (passages / total))
+        predicted[:known] += forward[one - 1, :known] @ observed
+        forward[one] = predicted * density[one]
+        forward[one] /= forward[one].sum()
+    backward[-1] = 1.0
+    for one in range(len(density) - 2, -1, -1):
+        coming = backward[one + 1] * density[one + 1]
+        backward[one] = passages / total * float(prior @ coming)
+        backward[one, :known] += observed @ coming[:known]
+        backward[one] /= backward[one].max()
+    both = forward * backward
+    return np.asarray(both / both.sum(axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class _BySegment:
+    """Corrections of segments: one row each, as those of samples in `Correction`."""
+
+    field: Floats
+    covariance: Floats
+    state: npt.NDArray[np.int64]
+    probability: Floats
+    flag: npt.NDArray[np.uint32]
+
+
 def _by_segment(segments: Segments, training: Training, assigned: Assignment) -> _BySegment:
-    """Return the correction of each segment."""
+    """Return the correction of each segment: the mean over its states, weighted by probability."""
     count, known = len(segments), len(training)
     share = assigned.probability[:, :known]
     total = np.maximum(share.sum(axis=1), 1e-300)[:, None]
     field = share @ training.correction / total
     apart = training.correction[None] - field[:, None]
-    weight = training.sureness * share / total + (1.0 - training.sureness) * _by_time(training)
+    # Where states may have been confused in training any state may be right, as often as it was held.
+    seconds = training.seconds + 1e-9
+    by_time = np.asarray(seconds / seconds.sum())
+    weight = training.confidence * share / total + (1.0 - training.confidence) * by_time
     covariance = np.einsum("sk,kij->sij", weight, training.covariance)
     covariance += np.einsum("sk,ski,skj->sij", weight, apart, apart)
-    covariance[:, range(3), range(3)] += (_DRIFT_SHARE * assigned.drift) ** 2
+    covariance[:, range(3), range(3)] += (ASSIGNMENT.drift_share * assigned.drift) ** 2
     best = assigned.best
-    probability = assigned.probability[np.arange(count), best] * training.sureness
-    lost = best == known
-    state = np.where(lost, UNKNOWN, training.number[np.minimum(best, known - 1)])
-    flag = np.where(lost, np.uint32(Flag.UNKNOWN_STATE), np.uint32(0)).astype(np.uint32)
-    flag[(probability < SURE) & ~segments.transient] |= np.uint32(Flag.AMBIGUOUS_STATE)
-    field[lost], covariance[lost] = np.nan, np.nan
+    probability = assigned.probability[np.arange(count), best] * training.confidence
+    unknown = best == known
+    state = np.where(unknown, UNKNOWN, training.number[np.minimum(best, known - 1)])
+    flag = np.where(unknown, np.uint32(Flag.UNKNOWN_STATE), np.uint32(0)).astype(np.uint32)
+    flag[(probability < ASSIGNMENT.least_probability) & ~segments.transient] |= np.uint32(
+        Flag.AMBIGUOUS_STATE
+    )
+    field[unknown], covariance[unknown] = np.nan, np.nan
     found = _BySegment(field, covariance, state, probability, flag)
-    _bridge(found, segments, training, assigned)
+    _bridge_transients(found, segments)
     return found
 
 
-def _by_time(training: Training) -> Floats:
-    """Return the part of the time in each state; (state,)."""
-    seconds = training.seconds + 1e-9
-    return np.asarray(seconds / seconds.sum())
-
-
-def _bridge(found: _BySegment, segments: Segments, training: Training, assigned: Assignment) -> None:
+def _bridge_transients(found: _BySegment, segments: Segments) -> None:
     """Give transients the mean of their neighbours' corrections, with an error that holds them both."""
     short = np.flatnonzero(segments.transient)
     steady = np.flatnonzero(~segments.transient)
@@ -330,7 +364,7 @@ def _bridge(found: _BySegment, segments: Segments, training: Training, assigned:
         found.covariance[one] += np.einsum("ni,nj->ij", apart, apart)
 
 
-def _mark_spikes(correction: Correction, readings: Readings, segments: Segments) -> None:
+def _widen_at_spikes(correction: Correction, readings: Readings, segments: Segments) -> None:
     """Widen the error of single samples that stand out, by as much as they do: the state is unchanged."""
     rows = segments.spikes
     if not rows.size:
@@ -341,8 +375,8 @@ def _mark_spikes(correction: Correction, readings: Readings, segments: Segments)
     correction.flag[rows] |= np.uint32(Flag.TRANSIENT)
 
 
-def _lose_long_gaps(correction: Correction, readings: Readings, shortest: int) -> None:
-    """Take the state from samples far from any that has both sensors: it may have changed."""
+def _forget_in_long_gaps(correction: Correction, readings: Readings, shortest: int) -> None:
+    """Make the state unknown in samples far from any with both sensors: it may have changed."""
     good = readings.good
     if good.all():
         return
@@ -357,17 +391,17 @@ def _lose_long_gaps(correction: Correction, readings: Readings, shortest: int) -
     correction.flag[lost] = np.uint32(Flag.UNKNOWN_STATE)
 
 
-def _fall_back(correction: Correction, fallback: Correction) -> None:
-    """Put the fallback where the state is unknown or passing, joined to the states' corrections."""
-    wanted = (correction.state < 0) & fallback.known
+def _fill_unknown(correction: Correction, fallback: Correction) -> None:
+    """Put the fallback where the state is unknown or transient, joined to the states' corrections."""
+    filled = (correction.state < 0) & fallback.known
     rows = np.flatnonzero((correction.state >= 0) & correction.known & fallback.known)
     shift, spread = np.zeros(3), np.zeros((3, 3))
     if rows.size:
-        rows = rows[:: max(1, rows.size // _COMPARED_ROWS)]
+        rows = rows[:: max(1, rows.size // ASSIGNMENT.compared_rows)]
         apart = correction.field[rows] - fallback.field[rows]
         if not (correction.constant_known and fallback.constant_known):
             shift = apart.mean(axis=0)
-        left = apart - shift
-        spread = left.T @ left / len(left)
-    correction.field[wanted] = fallback.field[wanted] + shift
-    correction.covariance[wanted] = fallback.covariance[wanted] + spread
+        residual = apart - shift
+        spread = residual.T @ residual / len(residual)
+    correction.field[filled] = fallback.field[filled] + shift
+    correction.covariance[filled] = fallback.covariance[filled] + spread

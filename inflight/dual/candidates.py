@@ -1,39 +1,39 @@
-"""States, gradiometer, both.
+"""Candidates: the corrections that are tried on readings, and the one by states and gradiometer together.
 
-States where states explain the difference, the gradiometer for what is left.
+Takes readings; makes the correctors by name that `held_out.decide` scores: gradiometers of every form,
+``states``, and ``combined``.
 
-A state's field at the outboard sensor is told by the outboard steps of its own units, each with what the
-ambient field did at that moment, and by the gradiometer's matrix, which all units have fitted together but
-which is not quite that of any of them. Both are estimates with covariances, and are averaged by them. What
-the difference does beside its state, such as a current that follows the load, goes through the matrix; so
-does everything while the state is not known.
-
-The corrections that are tried on readings: gradiometers of every form, states, and both together.
+The combined correction takes the field of a state where the state is known, and the gradiometer for what the
+difference does in addition, such as a current that follows the load; while the state is not known it takes
+everything. A state's field at the outboard sensor is estimated twice: by the outboard steps of its own units,
+each with what the ambient field did at that moment, and by the gradiometer's matrix, which all units have
+fitted together but which is not quite that of any of them. Both are averaged by their covariances.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.assignment import process
+from inflight.dual.assignment import correction_by_states
 from inflight.dual.correction import Correction
-from inflight.dual.do_no_harm import Corrector, Expectation
-from inflight.dual.geometry import Body, matrices_near, matrices_of_any_boom
+from inflight.dual.geometry import Body, matrices_near_inboard, matrices_of_any_boom
 from inflight.dual.gradiometer import (
     FORMS,
-    LEAK_SIGMA,
+    GRADIOMETER,
     Gradiometer,
+    correction_by_gradiometer,
+    covariance_of_product,
     fit_forms,
-    gradiometer_correction,
-    quadratic,
-    without_noise,
+    wiener_shrink,
 )
-from inflight.dual.mixing import Noise
+from inflight.dual.held_out import Corrector, GeometryPrior
+from inflight.dual.mixing import DifferenceNoise
 from inflight.dual.readings import Readings
 from inflight.dual.segments import Segments, segments_of
 from inflight.dual.states import States, Units, find_states, find_units
@@ -41,12 +41,193 @@ from inflight.dual.training import (
     Levels,
     OutboardSteps,
     Training,
+    empty_training,
     levels_of,
-    no_states,
     outboard_steps,
-    trained_from,
+    training_from_steps,
 )
 from inflight.errors import InflightError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateSettings:
+    """Numbers that decide whether states are searched for.
+
+    Attributes
+    ----------
+    most_segments : int
+        With more segments than this in a record a spacecraft has no states, unless each is long. Assumed: a
+        torquer in pulses is the gradiometer's.
+    usual_dwell : int
+        Samples of a segment, in the mean, from which more are allowed. Assumed.
+    bearable_segments : int
+        With more segments than this states are never searched for. Assumed, for speed: more take minutes.
+    centre_reach : float
+        A state's centre farther out than so many times the largest difference shows that the clustering
+        failed. Assumed.
+    """
+
+    most_segments: int = 150
+    usual_dwell: int = 120
+    bearable_segments: int = 10_000
+    centre_reach: float = 2.0
+
+
+CANDIDATES = CandidateSettings()
+
+
+class Candidates:
+    """Fits every correction to some of the readings, and to all of them in the end.
+
+    Jumps and states are found in the difference alone, once and for all readings: that uses nothing of the
+    outboard readings that are held out. What a state adds to the outboard sensor is fitted anew each time.
+
+    Parameters
+    ----------
+    readings : Readings
+    body, leak_sigma
+        See `gradiometer.fit_forms`.
+    ambient : ndarray, shape (time, axis), optional
+        See `training.train`; NaN everywhere is the same as none.
+    """
+
+    def __init__(
+        self,
+        readings: Readings,
+        body: Body | None = None,
+        leak_sigma: float = GRADIOMETER.leak_sigma,
+        ambient: Floats | None = None,
+    ) -> None:
+        self.readings, self.ambient = readings, ambient
+        self.body, self.leak_sigma = body, leak_sigma
+
+    def fit(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Corrector]:
+        """Fit to the rows in use; what cannot be fitted is left out.
+
+        Returns
+        -------
+        dict
+            By name: the forms of the gradiometer, ``states`` and ``combined``.
+        """
+        whole = bool(use.all())
+        gradiometers = self.gradiometers if whole else self._gradiometers(use)
+        if not gradiometers:
+            return {}
+        found: dict[str, Corrector] = {
+            name: partial(correction_by_gradiometer, one) for name, one in gradiometers.items()
+        }
+        training = self.training if whole else self._training(use)
+        if training is not None and len(training) > 1:
+            found["states"] = partial(correction_by_states, training=training)
+            found["combined"] = partial(
+                correction_by_both, training=training, gradiometer=gradiometers["matrix"]
+            )
+        return found
+
+    @cached_property
+    def gradiometers(self) -> Mapping[str, Gradiometer]:
+        """By form, fitted to all readings; empty where there are too few."""
+        return self._gradiometers(np.ones(len(self.readings), dtype=bool))
+
+    @cached_property
+    def priors(self) -> list[GeometryPrior]:
+        """Priors by geometry: of the body and of all around it, or of any boom; the likelier first."""
+        full = self.gradiometers.get("matrix")
+        if full is None:
+            return []
+        stray = full.stray(self.readings)
+        noise = DifferenceNoise(full.noise, full.mixing.share, 0.0)
+        nearer = "units nearer to the inboard sensor"
+        if self.body is None:
+            places = {nearer: matrices_of_any_boom()}
+        else:
+            places = {"all units in the body": self.body.matrices, nearer: matrices_near_inboard(self.body)}
+        return [
+            GeometryPrior(
+                readings=self.readings,
+                matrices=matrices,
+                stray=stray,
+                noise=noise,
+                leak_covariance=full.mixing.leak_covariance,
+                units=units,
+            )
+            for units, matrices in places.items()
+        ]
+
+    @cached_property
+    def training(self) -> Training:
+        """States learnt from all readings; one or none where these show no more."""
+        training = self._training(np.ones(len(self.readings), dtype=bool))
+        if training is not None:
+            return training
+        reason = self._no_states_reason or "the stretches between jumps do not form states"
+        return empty_training(self.readings, reason)
+
+    def _gradiometers(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Gradiometer]:
+        if self.readings.defect:
+            return {}
+        forms = [form for form in FORMS if form != "dipole" or self.body is not None]
+        try:
+            return fit_forms(self.readings.select(use), forms, self.body, self.leak_sigma)
+        except InflightError:
+            return {}
+
+    @cached_property
+    def _segments(self) -> Segments | None:
+        return segments_of(self.readings) if self.readings.good.any() else None
+
+    @property
+    def _no_states_reason(self) -> str:
+        """Why no states are searched for; empty where they are."""
+        if self.readings.defect:
+            return self.readings.defect
+        steady = 0 if self._segments is None else int(np.count_nonzero(~self._segments.transient))
+        if not steady:
+            return "no stretch is long enough for a state"
+        most = max(CANDIDATES.most_segments, len(self.readings) // CANDIDATES.usual_dwell)
+        most = min(most, CANDIDATES.bearable_segments)
+        if steady > most:
+            return f"{steady} stretches without a jump, more than {most}: too many for states"
+        return ""
+
+    @cached_property
+    def _states(self) -> tuple[Segments, States, Units, OutboardSteps] | None:
+        if self._no_states_reason or self._segments is None:
+            return None
+        states = find_states(self._segments)
+        # A centre far outside of all differences shows that the clustering failed.
+        reach = float(np.abs(self.readings.difference[self.readings.good]).max())
+        if float(np.abs(states.centre).max(initial=0.0)) > CANDIDATES.centre_reach * reach:
+            return None
+        return self._segments, states, find_units(states), outboard_steps(self.readings, self._segments)
+
+    def _training(self, use: npt.NDArray[np.bool_]) -> Training | None:
+        """Return the training by the steps whose both sides are in use."""
+        if self._states is None:
+            return None
+        segments, states, units, steps = self._states
+        unused = np.concatenate([[0], np.cumsum(~use)])
+        whole = unused[segments.last[steps.after]] == unused[segments.first[steps.before]]
+        levels = self._levels(segments, use)
+        if not whole.any() and levels is None and len(states) > 1:
+            return None
+        kept = OutboardSteps(
+            steps.before[whole], steps.after[whole], steps.step[whole], steps.covariance[whole]
+        )
+        return training_from_steps(segments, states, units, kept, levels)
+
+    def _levels(self, segments: Segments, use: npt.NDArray[np.bool_]) -> Levels | None:
+        if self.ambient is None:
+            return None
+        known = np.where(use[:, None], self.ambient, np.nan)
+        if not (self.readings.good & np.isfinite(known).all(axis=1)).any():
+            return None
+        return levels_of(self.readings, segments, known)
+
+
+def correction_by_both(readings: Readings, training: Training, gradiometer: Gradiometer) -> Correction:
+    """Return the correction by states and gradiometer together, the states found in the readings."""
+    return combined_correction(readings, training, correction_by_states(readings, training), gradiometer)
 
 
 def combined_correction(
@@ -66,32 +247,32 @@ def combined_correction(
     Returns
     -------
     Correction
-        Relative to the training's reference state, unless the training knows the constant part.
+        Relative to the training's reference state, unless the constant part is known.
     """
     good = readings.good
     field = np.full((len(readings), 3), np.nan)
     covariance = np.full((len(readings), 3, 3), np.nan)
     if good.any():
         value, spread = state_fields(training, gradiometer)
-        place = state_places(training, states.state)[good]
+        place = state_rows(training, states.state)[good]
         stray = gradiometer.stray(readings)[good]
         # What leaks of the mean ambient field is as constant as an offset.
         stray += np.median(readings.difference[good] - stray, axis=0)
         base, reference = _reference(training)
         here = np.where(place[:, None] >= 0, training.centre[place], base)
-        kept, variance = without_noise(stray - here, gradiometer.noise)
+        kept, variance = wiener_shrink(stray - here, gradiometer.noise)
         matrix = gradiometer.matrix
         field[good] = np.where(place[:, None] >= 0, value[place], reference) + kept @ matrix.T
         noise = matrix @ gradiometer.noise @ matrix.T
-        error = variance[:, None, None] * noise + quadratic(gradiometer.covariance, kept)
+        error = variance[:, None, None] * noise + covariance_of_product(gradiometer.covariance, kept)
         covariance[good] = error + np.where(place[:, None, None] >= 0, spread[place], 0.0)
     return Correction(
-        field,
-        covariance,
-        states.state,
-        states.probability,
-        states.flag,
-        "combined",
+        field=field,
+        covariance=covariance,
+        state=states.state,
+        probability=states.probability,
+        flag=states.flag,
+        method="combined",
         reason="states, and the gradiometer for what is left",
         constant_known=training.constant_known,
     )
@@ -113,7 +294,7 @@ def state_fields(training: Training, gradiometer: Gradiometer) -> tuple[Floats, 
     noise = matrix @ (gradiometer.noise + training.scatter**2 * np.eye(3)) @ matrix.T
     count = np.maximum(training.segments, 1)[:, None, None]
     scaled = reference + away @ matrix.T
-    spread = quadratic(gradiometer.covariance, away) + noise / count
+    spread = covariance_of_product(gradiometer.covariance, away) + noise / count
     total = spread + training.covariance
     gain = np.einsum("sij,sjk->sik", spread, np.linalg.pinv(total, hermitian=True))
     value = scaled + np.einsum("sij,sj->si", gain, training.correction - scaled)
@@ -124,7 +305,7 @@ def state_fields(training: Training, gradiometer: Gradiometer) -> tuple[Floats, 
     return value, 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
 
 
-def state_places(training: Training, state: np.ndarray) -> np.ndarray:
+def state_rows(training: Training, state: np.ndarray) -> np.ndarray:
     """Return the row of the training's tables of each state's number; -1 where it is unknown."""
     order = np.argsort(training.number)
     found = np.clip(np.searchsorted(training.number[order], state), 0, max(len(training) - 1, 0))
@@ -133,161 +314,8 @@ def state_places(training: Training, state: np.ndarray) -> np.ndarray:
 
 
 def _reference(training: Training) -> tuple[Floats, Floats]:
-    """Return difference and outboard field of the state that the others are told from."""
+    """Return difference and outboard field of the state that the others are relative to."""
     own = int(np.argmax(training.seconds))
     if training.reference >= 0:
         own = int(np.flatnonzero(training.number == training.reference)[0])
     return training.centre[own], training.correction[own]
-
-
-#: A spacecraft that switches more often than this in one record, and more often than once in so many
-#: samples, has no states worth the name: a torquer in pulses is the gradiometer's.
-MOST_SEGMENTS, DWELL = 150, 120
-
-#: So many stretches take minutes: states are then not looked for.
-_BEARABLE = 10_000
-
-_LOST = "the stretches between jumps do not form states"
-
-
-class Candidates:
-    """Fits every correction to some of the readings, and to all of them in the end.
-
-    Jumps and states are told from the difference alone, once and for all readings: that uses nothing of the
-    outboard readings that are held out. What a state adds to the outboard sensor is fitted anew each time.
-
-    Parameters
-    ----------
-    readings : Readings
-    body, leak_sigma
-        See `gradiometer.fit_forms`.
-    ambient : ndarray, shape (time, axis), optional
-        See `training.train`; NaN everywhere is the same as none.
-    """
-
-    def __init__(
-        self,
-        readings: Readings,
-        body: Body | None = None,
-        leak_sigma: float = LEAK_SIGMA,
-        ambient: Floats | None = None,
-    ) -> None:
-        self.readings, self.ambient = readings, ambient
-        self.body, self.leak_sigma = body, leak_sigma
-
-    def fit(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Corrector]:
-        """Fit to the rows in use; what cannot be fitted is left out.
-
-        Returns
-        -------
-        dict
-            By name: the forms of the gradiometer, ``states`` and ``combined``.
-        """
-        whole = bool(use.all())
-        gradiometers = self.gradiometers if whole else self._gradiometers(use)
-        if not gradiometers:
-            return {}
-        found: dict[str, Corrector] = {
-            name: partial(gradiometer_correction, one) for name, one in gradiometers.items()
-        }
-        training = self.training if whole else self._training(use)
-        if training is not None and len(training) > 1:
-            found["states"] = partial(process, training=training)
-            found["combined"] = partial(
-                correction_by_both, training=training, gradiometer=gradiometers["matrix"]
-            )
-        return found
-
-    @cached_property
-    def gradiometers(self) -> Mapping[str, Gradiometer]:
-        """By form, fitted to all readings; empty where there are too few."""
-        return self._gradiometers(np.ones(len(self.readings), dtype=bool))
-
-    @cached_property
-    def expectations(self) -> list[Expectation]:
-        """What geometry lets expect of the body and of all around it, or of any boom; the likelier first."""
-        full = self.gradiometers.get("matrix")
-        if full is None:
-            return []
-        stray = full.stray(self.readings)
-        noise = Noise(full.noise, full.mixing.share, 0.0)
-        nearer = "units nearer to the inboard sensor"
-        if self.body is None:
-            places = {nearer: matrices_of_any_boom()}
-        else:
-            places = {"all units in the body": self.body.matrices, nearer: matrices_near(self.body)}
-        return [
-            Expectation(self.readings, matrices, stray, noise, full.mixing.leak_covariance, units)
-            for units, matrices in places.items()
-        ]
-
-    @cached_property
-    def training(self) -> Training:
-        """States learnt from all readings; one or none where these show no more."""
-        training = self._training(np.ones(len(self.readings), dtype=bool))
-        return no_states(self.readings, self._without or _LOST) if training is None else training
-
-    def _gradiometers(self, use: npt.NDArray[np.bool_]) -> Mapping[str, Gradiometer]:
-        if self.readings.broken:
-            return {}
-        forms = [form for form in FORMS if form != "dipole" or self.body is not None]
-        try:
-            return fit_forms(self.readings.part(use), forms, self.body, self.leak_sigma)
-        except InflightError:
-            return {}
-
-    @cached_property
-    def _segments(self) -> Segments | None:
-        return segments_of(self.readings) if self.readings.good.any() else None
-
-    @property
-    def _without(self) -> str:
-        """Why no states are looked for; empty where they are."""
-        if self.readings.broken:
-            return self.readings.broken
-        steady = 0 if self._segments is None else int(np.count_nonzero(~self._segments.transient))
-        if not steady:
-            return "no stretch is long enough for a state"
-        most = min(max(MOST_SEGMENTS, len(self.readings) // DWELL), _BEARABLE)
-        if steady > most:
-            return f"{steady} stretches without a jump, more than {most}: too many for states"
-        return ""
-
-    @cached_property
-    def _states(self) -> tuple[Segments, States, Units, OutboardSteps] | None:
-        if self._without or self._segments is None:
-            return None
-        states = find_states(self._segments)
-        # A centre far outside of all differences is a clustering that has lost itself.
-        reach = float(np.abs(self.readings.difference[self.readings.good]).max())
-        if float(np.abs(states.centre).max(initial=0.0)) > 2.0 * reach:
-            return None
-        return self._segments, states, find_units(states), outboard_steps(self.readings, self._segments)
-
-    def _training(self, use: npt.NDArray[np.bool_]) -> Training | None:
-        """Return the training by the steps whose both sides are in use."""
-        if self._states is None:
-            return None
-        segments, states, units, steps = self._states
-        unused = np.concatenate([[0], np.cumsum(~use)])
-        whole = unused[segments.last[steps.after]] == unused[segments.first[steps.before]]
-        levels = self._levels(segments, use)
-        if not whole.any() and levels is None and len(states) > 1:
-            return None
-        kept = OutboardSteps(
-            steps.before[whole], steps.after[whole], steps.step[whole], steps.covariance[whole]
-        )
-        return trained_from(segments, states, units, kept, levels)
-
-    def _levels(self, segments: Segments, use: npt.NDArray[np.bool_]) -> Levels | None:
-        if self.ambient is None:
-            return None
-        known = np.where(use[:, None], self.ambient, np.nan)
-        if not (self.readings.good & np.isfinite(known).all(axis=1)).any():
-            return None
-        return levels_of(self.readings, segments, known)
-
-
-def correction_by_both(readings: Readings, training: Training, gradiometer: Gradiometer) -> Correction:
-    """Return the correction by states and gradiometer together, the states told from the readings."""
-    return combined_correction(readings, training, process(readings, training), gradiometer)

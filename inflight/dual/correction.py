@@ -1,12 +1,13 @@
-"""Correction, its slow part.
+"""The correction: what is taken off the outboard sensor, its error, and which part of it is applied.
 
-What is taken off the outboard sensor, how sure that is, and whether it is applied at all.
-
-What of a correction changes slowly, and is left alone where it may be the sensors' own.
+Takes a field with its covariance from one of the methods (states, gradiometer, both); makes the corrected
+field, and, where only a part is applied, the correction of that part.
 
 Sensors drift, and ambient field that leaks into the difference is largest on long times: a correction is
-often sure on short times only. What is slow is that of a whole window; its days find it in the table, so
-that the field does not step between them.
+often reliable on short times only. An `AppliedPart` is a share of what changes within some time; what changes
+more slowly stays in the field. The slow part is that of a whole window of days, kept in the window's table
+(variables `left_alone`, `left_time`, `part_middle`, `part_constant`), so that the field does not step between
+days.
 """
 
 from __future__ import annotations
@@ -24,17 +25,21 @@ from inflight.dual.readings import Readings
 #: Numbers of samples that are in no known state.
 UNKNOWN, TRANSIENT = -1, -2
 
-METHODS = ("states", "gradiometer", "combined", "none")
+#: Values of the slow part that are stored in one width of its means. Assumed: linear between them the slow
+#: part has an error far below its size.
+STORED_PER_WIDTH = 16
+
+_SLOW, _SLOW_TIME, _MEDIANS, _CONSTANT = "left_alone", "left_time", "part_middle", "part_constant"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Correction:
     """Stray field to take off the outboard reading: ``corrected = outboard - field``; spacecraft axes.
 
     Attributes
     ----------
     field : ndarray, shape (time, axis)
-        nT; NaN where nothing can be said.
+        nT; NaN where it is not known.
     covariance : ndarray, shape (time, axis, axis)
         Of the error of `field`, nT^2; NaN where `field` is. Where the constant part is not known it is
         that of the part that changes.
@@ -51,8 +56,8 @@ class Correction:
     reason : str
         Why it is applied or not.
     constant_known : bool
-        Whether the part of the stray field that never changes is in `field`. Two sensors alone cannot tell
-        it from the ambient field and the offsets; without it `field` is relative to one state.
+        Whether the part of the stray field that never changes is in `field`. Two sensors alone cannot
+        separate it from the ambient field and the offsets; without it `field` is relative to one state.
     """
 
     field: Floats
@@ -81,8 +86,8 @@ class Correction:
     def corrected(self, outboard: Floats) -> Floats:
         """Return the corrected outboard field; (time, axis), nT.
 
-        A correction that is not applied leaves the reading as it is, and so do samples about which nothing
-        can be said: these have no `sigma` and carry a flag.
+        A correction that is not applied leaves the reading as it is, and so do samples whose correction is
+        not known: these have no `sigma` and carry a flag.
         """
         if not self.applied:
             return outboard.copy()
@@ -94,40 +99,30 @@ class Correction:
 
 
 def no_correction(count: int, reason: str) -> Correction:
-    """Return the correction that leaves `count` samples alone, and why."""
+    """Return the correction that changes none of `count` samples, and why."""
     nothing = np.full((count, 3), np.nan)
     return Correction(
-        nothing,
-        np.full((count, 3, 3), np.nan),
-        np.full(count, UNKNOWN, dtype=np.int64),
-        np.full(count, np.nan),
-        np.zeros(count, dtype=np.uint32),
-        "none",
+        field=nothing,
+        covariance=np.full((count, 3, 3), np.nan),
+        state=np.full(count, UNKNOWN, dtype=np.int64),
+        probability=np.full(count, np.nan),
+        flag=np.zeros(count, dtype=np.uint32),
+        method="none",
         applied=False,
         reason=reason,
     )
 
 
-#: The variable of a table, and its times.
-_NAME, _TIMES = "left_alone", "left_time"
-
-#: Medians in the window of what is taken off and of what is left alone, and the constant they are told with.
-_MIDDLE, _CONSTANT = "part_middle", "part_constant"
-
-#: Values of the slow part in one width.
-_DENSE = 16
-
-
 @dataclass(frozen=True)
-class Part:
-    """What of a correction is taken off.
+class AppliedPart:
+    """Which part of a correction is taken off.
 
     Attributes
     ----------
     share : float
         1 for all of it.
     seconds : float
-        What changes more slowly than means over so long is left alone; 0 where nothing is.
+        What changes more slowly than means over so long stays in the field; 0 where all is taken off.
     """
 
     share: float = 1.0
@@ -141,21 +136,68 @@ class Part:
         return f"{share} of what changes within {f'{hours:.1f} h' if hours >= 1 else f'{self.seconds:.0f} s'}"
 
 
-WHOLE = Part()
+WHOLE = AppliedPart()
+
+
+def partial_correction(
+    correction: Correction,
+    part: AppliedPart,
+    slope_error: float,
+    slow: Floats | None = None,
+    medians: Floats | None = None,
+) -> Correction:
+    """Return the correction of which only a part is taken off.
+
+    Parameters
+    ----------
+    correction : Correction
+    part : AppliedPart
+        `WHOLE` for all of it, which is returned as it is.
+    slope_error : float
+        How far the share is from that of the stray field, rms: it widens the error of what changes.
+    slow : ndarray, shape (time, axis), optional
+        What of the field is not taken off, as `slow_part_of`, nT, the constant part with it: all that
+        changes of it is an error. Nothing by default.
+    medians : ndarray, shape (kind, axis), optional
+        What changes are relative to, as `medians_of`: that of a window, of which this is a day; else of its
+        own.
+    """
+    known, share = correction.known, part.share
+    if part == WHOLE or not known.any():
+        return correction
+    kept = np.zeros_like(correction.field) if slow is None else slow
+    taken = correction.field - kept
+    taken_median, kept_median = medians_of(correction, kept) if medians is None else medians
+    changes, not_taken = taken - taken_median, kept - kept_median
+    constant_known = correction.constant_known and not part.seconds
+    # A constant that is known does not depend on the share.
+    return replace(
+        correction,
+        field=share * changes + taken_median if constant_known else share * taken,
+        covariance=correction.covariance * (1.0 if constant_known else share**2)
+        + slope_error**2 * _outer(changes)
+        + _outer(not_taken),
+        constant_known=constant_known,
+    )
+
+
+def _outer(vectors: Floats) -> Floats:
+    """Return products of components; from (time, axis) to (time, axis, axis)."""
+    return np.asarray(vectors[:, :, None] * vectors[:, None, :])
 
 
 def slow_part(values: Floats, width: int) -> Floats:
     """Return what of values (time, column) changes more slowly than means over `width` samples.
 
-    A mean of means: a response that is nowhere negative, so that no frequency is left with more than it had.
+    A mean of means, whose response is nowhere negative: no frequency is left with more than it had.
     """
     around = width | 1
     once = ndimage.uniform_filter1d(values, around, axis=0, mode="nearest")
     return np.asarray(ndimage.uniform_filter1d(once, around, axis=0, mode="nearest"))
 
 
-def slow_of(correction: Correction, readings: Readings, seconds: float) -> Floats:
-    """Return what of a correction changes more slowly than means over some seconds; nothing for 0.
+def slow_part_of(correction: Correction, readings: Readings, seconds: float) -> Floats:
+    """Return what of a correction changes more slowly than means over some seconds; zero for 0 s.
 
     Returns
     -------
@@ -169,7 +211,15 @@ def slow_of(correction: Correction, readings: Readings, seconds: float) -> Float
     return slow
 
 
-def part_variables(correction: Correction, readings: Readings, part: Part, constant: Floats) -> xr.Dataset:
+def medians_of(correction: Correction, slow: Floats) -> Floats:
+    """Return the medians of what is taken off and of what is not; (kind, axis), nT."""
+    known = correction.known
+    return np.stack([np.median(one[known], axis=0) for one in (correction.field - slow, slow)])
+
+
+def part_variables(
+    correction: Correction, readings: Readings, part: AppliedPart, constant: Floats
+) -> xr.Dataset:
     """Return what the days of a window share of its part of a correction, as variables of a table.
 
     Parameters
@@ -177,132 +227,80 @@ def part_variables(correction: Correction, readings: Readings, part: Part, const
     correction : Correction
         All of it, of the whole window.
     readings : Readings
-    part : Part
+    part : AppliedPart
     constant : ndarray, shape (axis,)
         The constant that the correction has, nT: windows that are joined later have another.
 
     Returns
     -------
     Dataset
-        With variables `part_middle` (kind, axis), nT, of what is taken off and of what is left alone, and
-        `part_constant` (axis), nT; where the part leaves alone what is slow `left_alone` (left_time, axis),
+        With variables `part_middle` (kind, axis), nT, the medians of what is taken off and of what is not,
+        and `part_constant` (axis), nT; where the slow part is not taken off `left_alone` (left_time, axis),
         nT, and `left_time`, TT2000. Empty for `WHOLE`.
     """
     if part == WHOLE or not correction.known.any():
         return xr.Dataset()
-    slow = slow_of(correction, readings, part.seconds)
+    slow = slow_part_of(correction, readings, part.seconds)
     units = {"units": "nT"}
-    told = xr.Dataset(
+    found = xr.Dataset(
         {
-            _MIDDLE: (("kind", "axis"), middle_of(correction, slow), units),
+            _MEDIANS: (("kind", "axis"), medians_of(correction, slow), units),
             _CONSTANT: (("axis",), np.asarray(constant), units),
         }
     )
     if not part.seconds:
-        return told
+        return found
     known = np.flatnonzero(correction.known)
-    every = max(readings.samples_in(part.seconds) // _DENSE, 1)
+    every = max(readings.samples_in(part.seconds) // STORED_PER_WIDTH, 1)
     rows = known[np.unique(np.append(np.arange(0, known.size, every), known.size - 1))]
-    return told.assign({_NAME: ((_TIMES, "axis"), slow[rows], units)}).assign_coords(
-        {_TIMES: readings.stamps[rows]}
+    return found.assign({_SLOW: ((_SLOW_TIME, "axis"), slow[rows], units)}).assign_coords(
+        {_SLOW_TIME: readings.stamps[rows]}
     )
 
 
+def omits_slow_part(table: xr.Dataset) -> bool:
+    """Return True when the correction of a table does not take off what is slow."""
+    return _SLOW in table
+
+
 def part_of_day(
-    table: xr.Dataset, correction: Correction, readings: Readings, part: Part, constant: Floats
+    table: xr.Dataset, correction: Correction, readings: Readings, part: AppliedPart, constant: Floats
 ) -> tuple[Floats, Floats | None]:
-    """Return the slow part and the medians of a window for `partly`, for the correction of one of its days.
+    """Return slow part and medians for `partial_correction`, for one of the days of a window.
 
     Parameters
     ----------
     table : Dataset
-        With the variables of `part_variables`; without them a day goes by itself.
+        With the variables of `part_variables`; without them a day stands by itself.
     correction, readings, part
         Of the day.
     constant : ndarray, shape (axis,)
         As in `part_variables`, but as the table has it by now.
     """
-    moved = constant - np.asarray(table[_CONSTANT].values) if _CONSTANT in table else np.zeros(3)
-    slow = slow_in_window(table, correction, readings, part.seconds, moved)
-    if _MIDDLE not in table:
+    shift = constant - np.asarray(table[_CONSTANT].values) if _CONSTANT in table else np.zeros(3)
+    slow = slow_in_window(table, correction, readings, part.seconds, shift)
+    if _MEDIANS not in table:
         return slow, None
-    # What is quick has no constant.
-    return slow, np.asarray(table[_MIDDLE].values) + np.stack([moved * (not part.seconds), moved])
-
-
-def leaves_slow_alone(table: xr.Dataset) -> bool:
-    """Return True when the correction of a table leaves alone what is slow."""
-    return _NAME in table
+    # Without its slow part a correction has no constant.
+    return slow, np.asarray(table[_MEDIANS].values) + np.stack([shift * (not part.seconds), shift])
 
 
 def slow_in_window(
-    table: xr.Dataset, correction: Correction, readings: Readings, seconds: float, moved: Floats
+    table: xr.Dataset, correction: Correction, readings: Readings, seconds: float, shift: Floats
 ) -> Floats:
     """Return the slow part of a day's correction, (time, axis) nT, by the table of its window.
 
-    A day outside of the window has that of its own correction; `moved` (axis,) nT is by how much the constant
-    of the window's has moved since.
+    A day outside of the window has that of its own correction; `shift` (axis,) nT is by how much the constant
+    of the window has changed since.
     """
     times = (
-        np.asarray(table[_TIMES].values, dtype=np.int64)
-        if leaves_slow_alone(table)
+        np.asarray(table[_SLOW_TIME].values, dtype=np.int64)
+        if omits_slow_part(table)
         else np.zeros(0, np.int64)
     )
     if not times.size or readings.stamps[0] > times[-1] or readings.stamps[-1] < times[0]:
-        return slow_of(correction, readings, seconds)
+        return slow_part_of(correction, readings, seconds)
     since = (readings.stamps - times[0]).astype(np.float64)
     known = (times - times[0]).astype(np.float64)
-    values = np.asarray(table[_NAME].values)
-    return np.stack([np.interp(since, known, one) for one in values.T], axis=1) + moved
-
-
-def middle_of(correction: Correction, slow: Floats) -> Floats:
-    """Return the medians of what is taken off and of what is left alone; (kind, axis), nT."""
-    known = correction.known
-    return np.stack([np.median(one[known], axis=0) for one in (correction.field - slow, slow)])
-
-
-def partly(
-    correction: Correction,
-    part: Part,
-    away: float,
-    slow: Floats | None = None,
-    middle: Floats | None = None,
-) -> Correction:
-    """Return the correction of which only a part is taken off.
-
-    Parameters
-    ----------
-    correction : Correction
-    part : Part
-        `WHOLE` for all of it, which is returned as it is.
-    away : float
-        How far the share is from that of the stray field, rms: it widens the error of what changes.
-    slow : ndarray, shape (time, axis), optional
-        What of the field is left alone, as `slow_of`, nT, the constant part with it: all that changes of it
-        is an error. Without it nothing is.
-    middle : ndarray, shape (kind, axis), optional
-        What changes are told from, as `middle_of`: that of a window, of which this is a day; else of its own.
-    """
-    known, share = correction.known, part.share
-    if part == WHOLE or not known.any():
-        return correction
-    left = np.zeros_like(correction.field) if slow is None else slow
-    taken = correction.field - left
-    taken_middle, left_middle = middle_of(correction, left) if middle is None else middle
-    changes, stays = taken - taken_middle, left - left_middle
-    constant_known = correction.constant_known and not part.seconds
-    # A constant that is known is no matter of the share.
-    return replace(
-        correction,
-        field=share * changes + taken_middle if constant_known else share * taken,
-        covariance=correction.covariance * (1.0 if constant_known else share**2)
-        + away**2 * _squares(changes)
-        + _squares(stays),
-        constant_known=constant_known,
-    )
-
-
-def _squares(vectors: Floats) -> Floats:
-    """Return products of components; from (time, axis) to (time, axis, axis)."""
-    return np.asarray(vectors[:, :, None] * vectors[:, None, :])
+    values = np.asarray(table[_SLOW].values)
+    return np.stack([np.interp(since, known, one) for one in values.T], axis=1) + shift

@@ -1,4 +1,13 @@
-"""Where the spacecraft's dipole stands: its matrix, its fitted place, what geometry says alone."""
+"""Where the spacecraft's units stand, and the matrix from the difference to the outboard sensor that follows.
+
+Takes the positions of both sensors and the box in which all units stand; makes the matrices of dipoles in it,
+their mean and spread (the prior of every fit), and the fitted place of one dipole. Without positions: the
+matrices of dipoles nearer to the inboard sensor, wherever the boom points.
+
+A dipole of moment m has the field ``G m`` with ``G = (3 r r^T - 1) / r^3``, so that the outboard field is
+``G_out (G_in - G_out)^-1 d`` of the difference d. On one line with the sensors that is ``k / (1 - k) d`` with
+``k = (r_in / r_out)^3`` (Ness et al. 1971).
+"""
 
 from __future__ import annotations
 
@@ -11,17 +20,40 @@ from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.dipole import unit_dipole
-from inflight.dual.mixing import Whitened
+from inflight.dual.mixing import WhitenedRows
 from inflight.errors import CalibrationError
 
-_DRAWS = 600
 
-#: Of a boom of which nothing is known: size of a dipole's field at the outboard beside that at the inboard
-#: sensor, and the places of dipoles on each axis in distances of the inboard sensor.
-_RATIOS, _ANYWHERE = (0.02, 0.75), 0.4
+@dataclass(frozen=True, kw_only=True)
+class GeometrySettings:
+    """Numbers of the geometry of units and sensors.
 
-#: Units outside of the body that was told are so far from the inboard sensor: logarithm, in baselines.
-_AWAY = (-1.5, 3.0)
+    Attributes
+    ----------
+    draws : int
+        Places of dipoles that are drawn. Assumed: chances of one in a thousand are estimated from these and
+        the draws of the sensors' drift (`held_out.HELD_OUT`).
+    ratios : (float, float)
+        Of a boom of unknown geometry: range of the size of a dipole's field at the outboard sensor over
+        that at the inboard one. Assumed.
+    offset : float
+        Of the same: the places of dipoles on each axis, in distances of the inboard sensor. Assumed.
+    log_distance : (float, float)
+        Units outside of the stated body are so far from the inboard sensor: logarithm, in baselines. Assumed;
+        those whose ratio of fields is not in `ratios` are left out.
+    outliers : float
+        Matrices farther from the median than so many standard deviations in any element are left out: next
+        to a sensor they have no bound. Assumed.
+    """
+
+    draws: int = 600
+    ratios: tuple[float, float] = (0.02, 0.75)
+    offset: float = 0.4
+    log_distance: tuple[float, float] = (-1.5, 3.0)
+    outliers: float = 6.0
+
+
+GEOMETRY = GeometrySettings()
 
 
 @dataclass(frozen=True)
@@ -32,28 +64,28 @@ class Body:
     ----------
     positions : ndarray, shape (2, 3)
         Of the inboard and the outboard sensor.
-    middle, reach : ndarray, shape (3,)
-        Middle and half the size of the box in which all units stand.
+    centre, half_size : ndarray, shape (3,)
+        Of the box in which all units stand.
     """
 
     positions: Floats
-    middle: Floats
-    reach: Floats
+    centre: Floats
+    half_size: Floats
 
-    def places(self, count: int = _DRAWS) -> Floats:
+    def places(self, count: int = GEOMETRY.draws) -> Floats:
         """Return places in the box, the same each time; (count, axis), m."""
         drawn = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 3))
-        return np.asarray(self.middle + drawn * self.reach)
+        return np.asarray(self.centre + drawn * self.half_size)
 
     @cached_property
     def matrices(self) -> Floats:
-        """Those of dipoles all over the body, (place, 3, 3); those next to a sensor are left out."""
-        return _inner(np.array([dipole_matrix(self.positions, place) for place in self.places()]))
+        """Of dipoles all over the body, (place, 3, 3); those next to a sensor are left out."""
+        return _without_outliers(np.array([dipole_matrix(self.positions, place) for place in self.places()]))
 
     @property
     def spread(self) -> Floats:
         """Standard deviation of the units' places on each axis, m."""
-        return np.asarray(np.maximum(self.reach, 1e-6 * self.baseline) / np.sqrt(3.0))
+        return np.asarray(np.maximum(self.half_size, 1e-6 * self.baseline) / np.sqrt(3.0))
 
     @property
     def baseline(self) -> float:
@@ -82,7 +114,7 @@ def dipole_matrix(positions: Floats, place: Floats) -> Floats:
 def matrices_of_any_boom() -> Floats:
     """Return matrices of dipoles that stand nearer to the inboard sensor than to the outboard one.
 
-    Nothing is known of where: the boom points anywhere, the sensors are close together or far apart.
+    The boom points anywhere; the sensors are close together or far apart.
 
     Returns
     -------
@@ -90,63 +122,69 @@ def matrices_of_any_boom() -> Floats:
     """
     random = np.random.default_rng(3)
     drawn = []
-    for turn in Rotation.random(_DRAWS, rng=random):
-        ratio = random.uniform(*_RATIOS)
+    for rotation in Rotation.random(GEOMETRY.draws, rng=random):
+        ratio = random.uniform(*GEOMETRY.ratios)
         sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
-        inside = dipole_matrix(sensors, random.uniform(-_ANYWHERE, _ANYWHERE, 3))
-        drawn.append(turn.as_matrix() @ inside @ turn.as_matrix().T)
-    return _inner(np.array(drawn))
+        inside = dipole_matrix(sensors, random.uniform(-GEOMETRY.offset, GEOMETRY.offset, 3))
+        drawn.append(rotation.as_matrix() @ inside @ rotation.as_matrix().T)
+    return _without_outliers(np.array(drawn))
 
 
-def matrices_near(body: Body) -> Floats:
+def matrices_near_inboard(body: Body) -> Floats:
     """Return matrices of dipoles nearer to the inboard than to the outboard sensor, (place, 3, 3).
 
-    Of units outside of the body that was told: where the sensors are is still known. The units are in any
-    direction from the inboard sensor, at any distance of which the field's ratio is that of `_RATIOS`.
+    Of units outside of the stated body: the sensors' positions are still known. The units are in any
+    direction from the inboard sensor, at any distance of which the field's ratio is that of `GEOMETRY`.
     """
     random = np.random.default_rng(4)
-    away = random.normal(size=(4 * _DRAWS, 3))
-    away *= (np.exp(random.uniform(*_AWAY, len(away))) / np.linalg.norm(away, axis=1))[:, None]
+    away = random.normal(size=(4 * GEOMETRY.draws, 3))
+    away *= (np.exp(random.uniform(*GEOMETRY.log_distance, len(away))) / np.linalg.norm(away, axis=1))[
+        :, None
+    ]
     places = body.positions[0] + body.baseline * away
     near, far = (np.linalg.norm(places - one, axis=1) for one in body.positions)
     ratio = (near / far) ** 3
-    places = places[(ratio > _RATIOS[0]) & (ratio < _RATIOS[1])]
-    return _inner(np.array([dipole_matrix(body.positions, place) for place in places]))
+    places = places[(ratio > GEOMETRY.ratios[0]) & (ratio < GEOMETRY.ratios[1])]
+    return _without_outliers(np.array([dipole_matrix(body.positions, place) for place in places]))
 
 
-def spread_at(matrix: Floats) -> Floats:
-    """Return how matrices of units differ on a boom of which nothing is known but a fitted matrix; (9, 9).
+def matrix_spread(matrix: Floats) -> Floats:
+    """Return the covariance of units' matrices on a boom of unknown geometry with a fitted matrix; (9, 9).
 
     The boom points anywhere: the spread is the same in all elements.
     """
     size = float(np.trace(matrix)) / 3.0
-    ratio = float(np.clip(size / (1.0 + size), *_RATIOS)) if size > 0 else _RATIOS[0]
+    ratio = float(np.clip(size / (1.0 + size), *GEOMETRY.ratios)) if size > 0 else GEOMETRY.ratios[0]
     sensors = np.array([[1.0, 0.0, 0.0], [ratio ** (-1.0 / 3.0), 0.0, 0.0]])
-    single = np.cov(Body(sensors, np.zeros(3), np.full(3, _ANYWHERE)).matrices.reshape(-1, 9).T)
+    single = np.cov(Body(sensors, np.zeros(3), np.full(3, GEOMETRY.offset)).matrices.reshape(-1, 9).T)
     return np.asarray(np.trace(single) / 9.0 * np.eye(9))
 
 
-def known_from(matrices: Floats) -> tuple[Floats, Floats]:
-    """Return what matrices of single places say of that of all units: mean (9,) and covariance (9, 9)."""
+def matrix_prior(matrices: Floats) -> tuple[Floats, Floats]:
+    """Return the prior of the matrix of all units, from single places: mean (9,) and covariance (9, 9)."""
     flat = matrices.reshape(-1, 9)
     spread_of_one = np.cov(flat.T)
     # Several units at once make matrices that no single place makes: as far away, in any direction.
     return flat.mean(axis=0), spread_of_one + np.trace(spread_of_one) / 9.0 * np.eye(9)
 
 
-def _inner(drawn: Floats) -> Floats:
-    """Return matrices without those next to a sensor, which have no bound."""
+def _without_outliers(drawn: Floats) -> Floats:
+    """Return matrices (place, 3, 3) without those next to a sensor, which have no bound."""
     flat = drawn.reshape(-1, 9)
-    return np.asarray(drawn[np.all(np.abs(flat - np.median(flat, axis=0)) <= 6.0 * _spread(flat), axis=1)])
+    low, high = np.quantile(flat, [0.16, 0.84], axis=0)
+    sigma = np.asarray(0.5 * (high - low) + 1e-12)
+    away = np.abs(flat - np.median(flat, axis=0))
+    return np.asarray(drawn[np.all(away <= GEOMETRY.outliers * sigma, axis=1)])
 
 
-def _spread(drawn: Floats) -> Floats:
-    low, high = np.quantile(drawn, [0.16, 0.84], axis=0)
-    return np.asarray(0.5 * (high - low) + 1e-12)
+def fit_place(body: Body, regression: WhitenedRows) -> tuple[Floats, Floats]:
+    """Fit the place of one dipole in the body, by least squares.
 
-
-def fit_place(body: Body, told: Whitened) -> tuple[Floats, Floats]:
-    """Fit the place of one dipole in the body.
+    Parameters
+    ----------
+    body : Body
+    regression : WhitenedRows
+        Rows of the matrix, with errors of size one.
 
     Returns
     -------
@@ -165,12 +203,12 @@ def fit_place(body: Body, told: Whitened) -> tuple[Floats, Floats]:
     def matrix(place: Floats) -> Floats:
         return dipole_matrix(body.positions, place)
 
-    def misfit(place: Floats) -> Floats:
-        rows = np.einsum("kij,kj->ki", told.design, matrix(place)) - told.wanted
-        return np.concatenate([rows.ravel(), (place - body.middle) / spread])
+    def residuals(place: Floats) -> Floats:
+        rows = np.einsum("kij,kj->ki", regression.design, matrix(place)) - regression.target
+        return np.concatenate([rows.ravel(), (place - body.centre) / spread])
 
-    starts = body.middle + spread * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    fits = [least_squares(misfit, start, x_scale=spread) for start in starts]
+    starts = body.centre + spread * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    fits = [least_squares(residuals, start, x_scale=spread) for start in starts]
     best = min(fits, key=lambda one: float(one.cost))
     if not np.all(np.isfinite(best.x)):
         raise CalibrationError("no place of a dipole fits", remedy="use another form")

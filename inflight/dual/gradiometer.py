@@ -1,33 +1,20 @@
-"""Difference-to-outboard matrix.
+"""Gradiometers: the outboard sensor's stray field as a matrix times the difference of both sensors.
 
-Principal directions of the difference of two sensors: one source after the other.
-
-A unit that switches, whatever its current does, moves the difference along one direction. The direction in
-which the difference varies most (beyond its noise) is that of the strongest unit when it stands out; what
-moves along it is regressed out of the outboard sensor, and the next direction is sought in what is left. The
-idea is Constantinescu et al. (2020); here the variances are of weighted contrasts, with the sensors' white
-noise taken out, so that slow ambient field and noise choose no direction.
-
-The outboard sensor's stray field from the difference of both sensors: Ness et al. (1971), and beyond it.
+Takes readings in which the spacecraft's field changes; makes a `Gradiometer` of one of five forms, its
+correction of readings with an error, and its variables of a table.
 
 A dipole on the boom's axis makes ``k`` times its inboard field at the outboard sensor, so that the ambient
 field is ``B = (B_out - k B_in) / (1 - k)`` and the stray field at the outboard sensor ``k / (1 - k) d`` with
-``d = B_in - B_out``. Units off the axis have other factors: in general the stray field is a matrix times
-``d``. Its forms are one ratio, one for each axis, the strongest directions of ``d`` (`principal`), the
-matrix of a dipole whose place is fitted, and the full matrix.
+``d = B_in - B_out`` (Ness et al. 1971). Units off the axis have other factors: in general the stray field is
+a matrix times ``d``. Its forms are one ratio, one for each axis, the strongest directions of ``d``
+(`principal`), the matrix of a dipole whose place is fitted, and the full matrix. The principal directions are
+those of Constantinescu et al. (2020), here of weighted contrasts with the sensors' white noise taken out.
 
-What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted beside the
-matrix (`mixing`) and taken out before: otherwise the field that is measured would be changed in proportion
-to itself. What of ``d`` is the sensors' noise is not taken over: `bands` weighs it on each time scale.
-
-A gradiometer's correction of readings, without the noise of the difference.
-
-A matrix takes the difference's noise to the outboard sensor with the stray field. The difference is
-therefore cut into bands of time scale, and in each of them, stretch by stretch, as much is kept as stands
-above the noise (James and Stein's shrinkage by ``1 - c N / P``): a step keeps its edge, a quiet hour adds no
-noise.
-
-A gradiometer beside the states of a table, and its correction with a constant that days share.
+What of ``d`` is ambient field, let in by sensors that are not aligned or scaled alike, is fitted with the
+matrix (`mixing`) and subtracted before: otherwise the field that is measured would be changed in proportion
+to itself. The matrix takes the noise of ``d`` to the outboard sensor, too. `wiener_shrink` therefore divides
+the difference into bands of time scale and keeps of each, locally, as much as exceeds the noise (James and
+Stein's ``1 - c N / P``): a step keeps its edge, a quiet hour adds no noise.
 """
 
 from __future__ import annotations
@@ -41,67 +28,84 @@ from scipy import ndimage
 
 from inflight.arrays import Floats
 from inflight.dual.correction import UNKNOWN, Correction
-from inflight.dual.geometry import Body, dipole_matrix, fit_place, known_from, matrices_of_any_boom, spread_at
+from inflight.dual.geometry import (
+    Body,
+    dipole_matrix,
+    fit_place,
+    matrices_of_any_boom,
+    matrix_prior,
+    matrix_spread,
+)
 from inflight.dual.mixing import (
     ELEMENTS,
+    DifferenceNoise,
     Mixing,
-    Moments,
-    Noise,
+    SecondMoments,
+    difference_noise,
     fit_mixing,
-    moments_of,
-    noise_of,
+    second_moments,
     usable_cells,
 )
 from inflight.dual.noise import noise_floor
 from inflight.dual.readings import Cells, Readings, cells_of
 from inflight.errors import CalibrationError, SettingsError
 
-
-def principal_directions(square: Floats, noise: Floats) -> Floats:
-    """Return the directions of the difference in the order of their variance over that of the noise.
-
-    Parameters
-    ----------
-    square : ndarray, shape (3, 3)
-        Sum of squares of the difference, its noise taken out.
-    noise : ndarray, shape (3, 3)
-        Covariance of the difference's noise, nT^2.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Row r is what the difference is projected on for source r. Projections on different rows are
-        uncorrelated in stray field and in noise.
-    """
-    level = np.trace(noise) / 3.0
-    root = np.linalg.cholesky(noise + 1e-6 * max(level, 1e-12) * np.eye(3))
-    inverse = np.linalg.inv(root)
-    whitened = inverse @ square @ inverse.T
-    _, vector = np.linalg.eigh(0.5 * (whitened + whitened.T))
-    # Projection of the whitened difference: v^T root^-1 d.
-    return np.asarray(vector[:, ::-1].T @ inverse)
-
-
-#: Forms of the matrix, from the fewest numbers to the most.
+#: Forms of the matrix, from the fewest parameters to the most.
 FORMS = ("ratio", "axes", "dipole", "principal", "matrix")
 
-#: Standard deviation of an element of the leak before anything is seen: a percent is a poor calibration.
-LEAK_SIGMA = 0.01
 
-_FEWEST = 256
+@dataclass(frozen=True, kw_only=True)
+class GradiometerSettings:
+    """Numbers of the fit of a gradiometer.
 
-#: Part of the units' spread that one matrix leaves and no regression shows, where all three axes of the
-#: difference are in use: six units are taken for usual, of which a matrix fits three.
-_UNSEEN = 0.5
+    Attributes
+    ----------
+    leak_sigma : float
+        Prior standard deviation of an element of the leak. Assumed: one per cent is a poor calibration.
+    fewest_samples : int
+        Good samples that a fit needs. Assumed.
+    hidden_share : float
+        Part of the units' spread that one matrix leaves and no regression shows, where all three axes of the
+        difference are in use. Derived: six units are taken for usual, of which a matrix fits three
+        (tests/dual/test_hard_cases.py).
+    band_scales : int
+        Scales, an octave each, of a band whose own matrix is compared. Assumed.
+    held_variance : float
+        Part of the weighted variance of the difference that the principal directions hold. Assumed.
+    """
 
-#: Scales, an octave each, of a band that is asked for a matrix of its own.
-_BAND = 2
+    leak_sigma: float = 0.01
+    fewest_samples: int = 256
+    hidden_share: float = 0.5
+    band_scales: int = 2
+    held_variance: float = 0.99
 
-#: Part of the weighted variance of the difference that the principal directions must hold.
-_HELD = 0.99
+
+@dataclass(frozen=True, kw_only=True)
+class ShrinkSettings:
+    """Numbers of the shrinkage of the difference's noise.
+
+    Attributes
+    ----------
+    least_power : float
+        Power over that of the noise below which nothing is kept of a band: c of James and Stein's rule.
+        Assumed.
+    stretch : int
+        A band's power is a mean over so many of its own lengths. Assumed.
+    slowest : int
+        The slowest band is of this part of the record; what is slower is kept: one eighth. Assumed.
+    """
+
+    least_power: float = 2.0
+    stretch: int = 4
+    slowest: int = 8
 
 
-@dataclass(frozen=True)
+GRADIOMETER = GradiometerSettings()
+SHRINK = ShrinkSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Gradiometer:
     """A fitted gradiometer: ``stray at the outboard sensor = matrix e``, ``e = d - leak B``.
 
@@ -112,10 +116,10 @@ class Gradiometer:
     mixing : Mixing
         The matrix in this form, and the leak.
     covariance : ndarray, shape (9, 9)
-        Of the elements of the matrix, row by row: of the mean over units and of their scatter, that which
-        shows and that which geometry lets expect.
+        Of the elements of the matrix, row by row: of the mean over units and of their scatter, as the
+        regression shows it and as geometry predicts it.
     value, value_covariance : ndarray, shape (parameter,), (parameter, parameter)
-        The numbers of the form.
+        The parameters of the form.
     noise : ndarray, shape (3, 3)
         Covariance of the white noise of the difference, nT^2.
     facts : mapping
@@ -157,7 +161,7 @@ def fit_gradiometer(
     readings: Readings,
     form: str = "matrix",
     body: Body | None = None,
-    leak_sigma: float = LEAK_SIGMA,
+    leak_sigma: float = GRADIOMETER.leak_sigma,
 ) -> Gradiometer:
     """Fit a gradiometer of one form; as `fit_forms`."""
     return fit_forms(readings, (form,), body, leak_sigma)[form]
@@ -167,7 +171,7 @@ def fit_forms(
     readings: Readings,
     forms: Sequence[str] = FORMS,
     body: Body | None = None,
-    leak_sigma: float = LEAK_SIGMA,
+    leak_sigma: float = GRADIOMETER.leak_sigma,
 ) -> dict[str, Gradiometer]:
     """Fit gradiometers to readings in which the spacecraft's field changes.
 
@@ -177,10 +181,10 @@ def fit_forms(
     forms : sequence of str
         Of `FORMS`.
     body : Body, optional
-        Where sensors and units are, spacecraft axes. Where given, every form starts from what geometry says;
-        ``dipole`` needs it.
+        Where sensors and units are, spacecraft axes. Where given, it is the prior of every form; ``dipole``
+        needs it.
     leak_sigma : float
-        Standard deviation of the elements of the leak before the fit: how well the two sensors are aligned
+        Prior standard deviation of the elements of the leak: how well the two sensors are aligned
         and scaled to each other. 0 when they are perfect.
 
     Raises
@@ -199,55 +203,61 @@ def fit_forms(
             "a dipole has no place", remedy="say where the sensors' positions and the spacecraft's body are"
         )
     good = readings.good
-    if good.sum() < _FEWEST:
+    if good.sum() < GRADIOMETER.fewest_samples:
         raise CalibrationError(
-            f"{good.sum()} samples with both sensors found, at least {_FEWEST} needed",
+            f"{good.sum()} samples with both sensors found, at least {GRADIOMETER.fewest_samples} needed",
             remedy="take a longer span",
         )
     every = cells_of(readings.outboard[good], readings.difference[good])
-    noise = noise_of(every, noise_floor(every, readings.difference[good], readings.noise), leak_sigma)
+    noise = difference_noise(every, noise_floor(every, readings.difference[good], readings.noise), leak_sigma)
     cells = usable_cells(every, noise)
-    prior = known_from(matrices_of_any_boom() if body is None else body.matrices)
+    prior = matrix_prior(matrices_of_any_boom() if body is None else body.matrices)
     mixing = fit_mixing(cells, noise, prior, leak_sigma)
-    told = moments_of(cells, mixing, noise)
-    value, covariance = told.solve(ELEMENTS, prior)
+    moments = second_moments(cells, mixing, noise)
+    value, covariance = moments.solve(ELEMENTS, prior)
     mixing = replace(mixing, matrix=value.reshape(3, 3))
-    scatter = told.scatter(mixing.matrix) * np.eye(9)
-    full = Gradiometer("matrix", mixing, covariance + scatter, value, covariance, noise.covariance)
-    made = {form: full if form == full.form else as_form(full, told, form, prior, body) for form in forms}
-    unseen = _unseen(full, told, body) + _between_scales(full, every, cells, noise, prior)
-    return {form: replace(one, covariance=one.covariance + unseen) for form, one in made.items()}
+    full = Gradiometer(
+        form="matrix",
+        mixing=mixing,
+        covariance=covariance + moments.scatter(mixing.matrix) * np.eye(9),
+        value=value,
+        value_covariance=covariance,
+        noise=noise.covariance,
+    )
+    made = {form: full if form == full.form else as_form(full, moments, form, prior, body) for form in forms}
+    hidden = _hidden_spread(full, moments, body) + _between_scales(full, every, cells, noise, prior)
+    return {form: replace(one, covariance=one.covariance + hidden) for form, one in made.items()}
 
 
-def _unseen(full: Gradiometer, told: Moments, body: Body | None) -> Floats:
+def _hidden_spread(full: Gradiometer, moments: SecondMoments, body: Body | None) -> Floats:
     """Return the units' spread that no regression shows, as a covariance of the matrix's elements; (9, 9).
 
-    A matrix fits three units with directions of their own. What more of them make beside it is uncorrelated
-    with the difference as a whole, like ambient field: only geometry tells how large it may be.
+    A matrix fits three units with directions of their own. What more of them make in addition is uncorrelated
+    with the difference as a whole, like ambient field: only geometry bounds it.
     """
-    if len(_held_directions(told, full.noise)) < 3:
+    if len(_held_directions(moments, full.noise)) < 3:
         return np.zeros((9, 9))
     if body is None:
-        return _UNSEEN * spread_at(full.matrix)
-    return np.asarray(_UNSEEN * np.cov(body.matrices.reshape(-1, 9).T))
+        return GRADIOMETER.hidden_share * matrix_spread(full.matrix)
+    return np.asarray(GRADIOMETER.hidden_share * np.cov(body.matrices.reshape(-1, 9).T))
 
 
 def _between_scales(
-    full: Gradiometer, every: Cells, cells: Cells, noise: Noise, prior: tuple[Floats, Floats]
+    full: Gradiometer, every: Cells, cells: Cells, noise: DifferenceNoise, prior: tuple[Floats, Floats]
 ) -> Floats:
-    """Return what matrices of single bands of scale scatter by, as a covariance of its elements; (9, 9).
+    """Return the scatter of matrices of single bands of scale, as a covariance of its elements; (9, 9).
 
-    The matrix is that of the units whose scales the ambient field leaves alone; those that change slowly may
-    stand elsewhere. Each band's own matrix tells so, beyond its error, where that is small enough; bands
-    count as the difference has power in them. A variance of every element makes three times as much power.
+    The matrix is that of the units on whose scales the ambient field is quiet; those that change slowly may
+    stand elsewhere. Each band's own matrix shows it, beyond its error; bands count as the difference has
+    power in them. A variance of every element makes three times as much power.
     """
     scatter = total = 0.0
     scales = np.unique(cells.scale)
-    for band in np.array_split(scales, max(len(scales) // _BAND, 1)):
-        here = every.part(np.isin(every.scale, band))
+    for band in np.array_split(scales, max(len(scales) // GRADIOMETER.band_scales, 1)):
+        here = every.select(np.isin(every.scale, band))
         share = np.unique(here.scale).size * here.count / here.count.sum() / (2.0 * here.scale)
         power = np.einsum("c,cij->ij", share, here.covariance[:, 3:, 3:])
-        own = moments_of(cells.part(np.isin(cells.scale, band)), full.mixing, noise)
+        own = second_moments(cells.select(np.isin(cells.scale, band)), full.mixing, noise)
         value, covariance = own.solve(ELEMENTS, prior)
         away = (value - full.matrix.ravel()).reshape(3, 3)
         found = float(np.einsum("ki,ij,kj->", away, power, away))
@@ -258,83 +268,103 @@ def _between_scales(
 
 
 def as_form(
-    full: Gradiometer, told: Moments, form: str, prior: tuple[Floats, Floats], body: Body | None = None
+    full: Gradiometer,
+    moments: SecondMoments,
+    form: str,
+    prior: tuple[Floats, Floats],
+    body: Body | None = None,
 ) -> Gradiometer:
     """Return another form of a fitted full matrix, from the moments it was fitted to."""
     if form == "dipole" and body is not None:
-        return _as_dipole(full, told, body)
+        return _as_dipole(full, moments, body)
     facts: dict[str, float | list[float]] = {}
     if form == "principal":
-        directions = _held_directions(told, full.noise)
+        directions = _held_directions(moments, full.noise)
         basis = np.einsum("ki,rj->krij", np.eye(3), directions).reshape(-1, 3, 3)
         facts = {"directions": float(len(directions))}
     elif form == "ratio":
         basis = np.eye(3)[None]
     else:
         basis = np.einsum("ki,kj->kij", np.eye(3), np.eye(3))
-    value, covariance = told.solve(basis, prior)
+    value, covariance = moments.solve(basis, prior)
     if form == "ratio":
         # stray = k / (1 - k) d
         sigma = float(np.sqrt(covariance[0, 0])) / (1.0 + float(value[0])) ** 2
         facts = {"ratio": float(value[0] / (1.0 + value[0])), "sigma": sigma}
-    return _with_matrix(
-        full, told, form, np.einsum("p,pij->ij", value, basis), (basis, value, covariance), facts
-    )
+    matrix = np.einsum("p,pij->ij", value, basis)
+    return _with_matrix(full, moments, form, matrix, (basis, value, covariance), facts)
+
+
+def _as_dipole(full: Gradiometer, moments: SecondMoments, body: Body) -> Gradiometer:
+    """Return the matrix of the dipole that fits best; its slope is linearised at the fitted place."""
+    place, slope = fit_place(body, moments.whitened(full.matrix, moments.excess(full.matrix)))
+    matrix = dipole_matrix(body.positions, place)
+    at_place = moments.whitened(matrix, moments.excess(matrix))
+    design = np.einsum("kij,pkj->pki", at_place.design, slope).reshape(3, 9)
+    covariance = np.linalg.inv(design @ design.T + np.diag(body.spread**-2))
+    sigma = np.sqrt(np.diag(covariance))
+    facts: dict[str, float | list[float]] = {"place_m": place.tolist(), "sigma_m": sigma.tolist()}
+    return _with_matrix(full, moments, "dipole", matrix, (slope, place, covariance), facts)
 
 
 def _with_matrix(
     full: Gradiometer,
-    told: Moments,
+    moments: SecondMoments,
     form: str,
     matrix: Floats,
     fitted: tuple[Floats, Floats, Floats],
     facts: dict[str, float | list[float]],
 ) -> Gradiometer:
+    """Return a form by its matrix and `fitted`: basis or slope, value and covariance of its parameters."""
     basis, value, covariance = fitted
     flat = basis.reshape(len(basis), 9)
     return Gradiometer(
-        form,
-        replace(full.mixing, matrix=matrix),
-        flat.T @ covariance @ flat + told.scatter(matrix) * np.eye(9),
-        value,
-        covariance,
-        full.noise,
-        facts,
+        form=form,
+        mixing=replace(full.mixing, matrix=matrix),
+        covariance=flat.T @ covariance @ flat + moments.scatter(matrix) * np.eye(9),
+        value=value,
+        value_covariance=covariance,
+        noise=full.noise,
+        facts=facts,
     )
 
 
-def _held_directions(told: Moments, noise: Floats) -> Floats:
+def _held_directions(moments: SecondMoments, noise: Floats) -> Floats:
     """Return the fewest principal directions that hold nearly all of the difference's weighted variance."""
-    square = told.square.sum(axis=(0, 1))
+    square = moments.square.sum(axis=(0, 1))
     directions = principal_directions(square, noise)
     power = np.einsum("ri,ij,rj->r", directions, square, directions)
     held = np.cumsum(power) / max(float(power.sum()), 1e-300)
-    return directions[: int(np.searchsorted(held, _HELD)) + 1]
+    return directions[: int(np.searchsorted(held, GRADIOMETER.held_variance)) + 1]
 
 
-def _as_dipole(full: Gradiometer, told: Moments, body: Body) -> Gradiometer:
-    place, slope = fit_place(body, told.whitened(full.matrix, told.excess(full.matrix)))
-    matrix = dipole_matrix(body.positions, place)
-    at_place = told.whitened(matrix, told.excess(matrix))
-    design = np.einsum("kij,pkj->pki", at_place.design, slope).reshape(3, 9)
-    covariance = np.linalg.inv(design @ design.T + np.diag(body.spread**-2))
-    sigma = np.sqrt(np.diag(covariance))
-    facts: dict[str, float | list[float]] = {"place_m": place.tolist(), "sigma_m": sigma.tolist()}
-    return _with_matrix(full, told, "dipole", matrix, (slope, place, covariance), facts)
+def principal_directions(square: Floats, noise: Floats) -> Floats:
+    """Return the directions of the difference in the order of their variance over that of the noise.
+
+    Parameters
+    ----------
+    square : ndarray, shape (3, 3)
+        Sum of squares of the difference, its noise taken out.
+    noise : ndarray, shape (3, 3)
+        Covariance of the difference's noise, nT^2.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Row r is what the difference is projected on for source r. Projections on different rows are
+        uncorrelated in stray field and in noise.
+    """
+    level = np.trace(noise) / 3.0
+    root = np.linalg.cholesky(noise + 1e-6 * max(level, 1e-12) * np.eye(3))
+    inverse = np.linalg.inv(root)
+    whitened = inverse @ square @ inverse.T
+    _, vector = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    # Projection of the whitened difference: v^T root^-1 d.
+    return np.asarray(vector[:, ::-1].T @ inverse)
 
 
-#: Power over that of the noise below which nothing is kept of a band.
-_ABOVE = 2.0
-
-#: A stretch of a band is so many of its own lengths.
-_AROUND = 4
-
-#: The slowest band is of this part of the record; what is slower is kept.
-_SLOWEST = 8
-
-
-def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Correction:
-    """Return what a gradiometer takes off the outboard sensor, with its error.
+def correction_by_gradiometer(gradiometer: Gradiometer, readings: Readings) -> Correction:
+    """Return the correction of the outboard sensor by a gradiometer, with its error.
 
     The median of the correction is zero: what is constant in the difference may be offsets of the sensors.
 
@@ -350,22 +380,27 @@ def gradiometer_correction(gradiometer: Gradiometer, readings: Readings) -> Corr
     covariance = np.full((count, 3, 3), np.nan)
     if good.any():
         stray = gradiometer.stray(readings)[good]
-        kept, variance = without_noise(stray, gradiometer.noise)
+        kept, variance = wiener_shrink(stray, gradiometer.noise)
         kept -= np.median(kept, axis=0)
-        field[good] = kept @ gradiometer.matrix.T
-        covariance[good] = _error(gradiometer, kept, variance, readings.outboard[good])
+        matrix, outboard = gradiometer.matrix, readings.outboard[good]
+        field[good] = kept @ matrix.T
+        # Noise that was kept, the matrix's error on the difference, and the leak's on the ambient field.
+        noise = matrix @ gradiometer.noise @ matrix.T
+        error = variance[:, None, None] * noise + covariance_of_product(gradiometer.covariance, kept)
+        ambient = outboard - np.median(outboard, axis=0)
+        covariance[good] = error + covariance_of_product(gradiometer.leak_effect, ambient)
     return Correction(
-        field,
-        covariance,
-        np.full(count, UNKNOWN, dtype=np.int64),
-        np.full(count, np.nan),
-        np.zeros(count, dtype=np.uint32),
-        "gradiometer",
+        field=field,
+        covariance=covariance,
+        state=np.full(count, UNKNOWN, dtype=np.int64),
+        probability=np.full(count, np.nan),
+        flag=np.zeros(count, dtype=np.uint32),
+        method="gradiometer",
         reason=f"gradiometer of form '{gradiometer.form}'",
     )
 
 
-def without_noise(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
+def wiener_shrink(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
     """Return a series less what is no more than white noise in each band, and the rest's error.
 
     Parameters
@@ -385,32 +420,23 @@ def without_noise(series: Floats, noise: Floats) -> tuple[Floats, Floats]:
     whiten = np.linalg.pinv(np.linalg.cholesky(noise + 1e-9 * max(float(np.trace(noise)), 1e-18) * np.eye(3)))
     smooth, width = series, 1
     kept, variance = np.zeros_like(series), np.zeros(len(series))
-    while 2 * width + 1 <= max(len(series) // _SLOWEST, 1):
+    while 2 * width + 1 <= max(len(series) // SHRINK.slowest, 1):
         wider = 2 * width + 1
         slower = ndimage.uniform_filter1d(series, wider, axis=0, mode="nearest")
         band = smooth - slower
         level = 1.0 / width - 1.0 / wider
         power = np.mean((band @ whiten.T) ** 2, axis=1)
-        around = ndimage.uniform_filter1d(power, min(_AROUND * wider, len(series)), mode="nearest") / level
-        share = np.clip(1.0 - _ABOVE / np.maximum(around, 1e-12), 0.0, 1.0)
+        around = (
+            ndimage.uniform_filter1d(power, min(SHRINK.stretch * wider, len(series)), mode="nearest") / level
+        )
+        share = np.clip(1.0 - SHRINK.least_power / np.maximum(around, 1e-12), 0.0, 1.0)
         kept += share[:, None] * band
         variance += level * (share + (1.0 - share) ** 2 * np.clip(around - 1.0, 0.0, None))
         smooth, width = slower, wider
     return kept + smooth, variance + 1.0 / width
 
 
-def _error(gradiometer: Gradiometer, kept: Floats, variance: Floats, outboard: Floats) -> Floats:
-    """Return the covariance of a correction's error; (time, axis, axis), nT^2.
-
-    Noise that was kept, the matrix's error on the difference, and the leak's on the ambient field.
-    """
-    matrix = gradiometer.matrix
-    noise = matrix @ gradiometer.noise @ matrix.T
-    total = variance[:, None, None] * noise + quadratic(gradiometer.covariance, kept)
-    return np.asarray(total + quadratic(gradiometer.leak_effect, outboard - np.median(outboard, axis=0)))
-
-
-def quadratic(covariance: Floats, vectors: Floats) -> Floats:
+def covariance_of_product(covariance: Floats, vectors: Floats) -> Floats:
     """Return the covariance of a matrix times vectors, from that of its elements.
 
     Parameters
@@ -449,7 +475,7 @@ def gradiometer_variables(gradiometer: Gradiometer, readings: Readings) -> xr.Da
         "noise": (_MATRIX, gradiometer.noise, {"units": "nT2"}),
         "leak_covariance": (_ELEMENTS, mixing.leak_covariance, {"units": "1"}),
         "covariance": (_ELEMENTS, gradiometer.covariance, {"units": "1"}),
-        "middle": (("axis",), _middle(gradiometer, readings), {"units": "nT"}),
+        "middle": (("axis",), _median_stray(gradiometer, readings), {"units": "nT"}),
     }
     attrs = {f"{_NAME}share": float(mixing.share), f"{_NAME}form": gradiometer.form}
     return xr.Dataset({_NAME + name: one for name, one in arrays.items()}, attrs=attrs)
@@ -460,28 +486,32 @@ def has_gradiometer(table: xr.Dataset) -> bool:
     return f"{_NAME}matrix" in table
 
 
-def gradiometer_of(table: xr.Dataset) -> Gradiometer:
+def gradiometer_from_table(table: xr.Dataset) -> Gradiometer:
     """Return the gradiometer of a table, of form ``matrix``."""
-    told = {
+    stored = {
         name: np.asarray(table[_NAME + name].values)
         for name in ("matrix", "leak", "noise", "leak_covariance", "covariance")
     }
     share = float(table.attrs[f"{_NAME}share"])
-    mixing = Mixing(told["matrix"], told["leak"], told["leak_covariance"], share)
     return Gradiometer(
-        "matrix", mixing, told["covariance"], told["matrix"].ravel(), told["covariance"], told["noise"]
+        form="matrix",
+        mixing=Mixing(stored["matrix"], stored["leak"], stored["leak_covariance"], share),
+        covariance=stored["covariance"],
+        value=stored["matrix"].ravel(),
+        value_covariance=stored["covariance"],
+        noise=stored["noise"],
     )
 
 
-def correction_by_gradiometer(table: xr.Dataset, readings: Readings) -> Correction:
+def correction_by_stored_gradiometer(table: xr.Dataset, readings: Readings) -> Correction:
     """Return the correction of a table's gradiometer; its constant is that of the whole table."""
-    gradiometer = gradiometer_of(table)
-    found = gradiometer_correction(gradiometer, readings)
+    gradiometer = gradiometer_from_table(table)
+    found = correction_by_gradiometer(gradiometer, readings)
     if not readings.good.any():
         return found
-    away = _middle(gradiometer, readings) - np.asarray(table[f"{_NAME}middle"].values)
+    away = _median_stray(gradiometer, readings) - np.asarray(table[f"{_NAME}middle"].values)
     return replace(found, field=found.field + gradiometer.matrix @ away)
 
 
-def _middle(gradiometer: Gradiometer, readings: Readings) -> Floats:
+def _median_stray(gradiometer: Gradiometer, readings: Readings) -> Floats:
     return np.asarray(np.median(gradiometer.stray(readings)[readings.good], axis=0))

@@ -1,16 +1,14 @@
-"""White noise, sensor drift.
+"""Noise of both sensors: white noise of the difference, and what the sensors do slowly by themselves.
 
-The white noise of the difference where a spacecraft hardly rests: in the quiet scales and frequencies.
+`noise_floor` takes cells and the difference; makes the covariance of its white noise, even where the
+spacecraft hardly rests. Second differences hold the tone of a wheel as well as noise, and each scale holds
+the tones of an octave. White noise is the same everywhere: no scale and no band of frequency has less.
+Digital filters, means of samples, and readings interpolated between two stamps remove it near half the
+sampling frequency, though: the quiet bands must agree with each other, lest all the noise that a filter
+passes be taken for stray field.
 
-Second differences hold the tone of a wheel as well as noise, and each scale holds the tones of an octave.
-White noise is the same everywhere: no scale and no band of frequency has less. Digital filters, means of
-samples, and readings between two stamps take it away near half the sampling frequency, though: the quiet
-bands must agree with each other, lest all the noise that a filter passes be taken for stray field.
-
-What two sensors at rest do by themselves, slowly: flicker noise and drifting offsets.
-
-White noise is seen where a spacecraft rests; what changes as slowly as units do cannot be told from them by
-the difference alone. So much is therefore allowed for, and no correction is made of less.
+`draw_slow_noise` draws flicker noise, a random walk and a line. What sensors do as slowly as units change
+cannot be separated from them by the difference alone; so much is allowed for (`held_out`).
 """
 
 from __future__ import annotations
@@ -23,26 +21,78 @@ from scipy import signal
 from inflight.arrays import Floats
 from inflight.dual.readings import Cells, robust_covariance
 
-#: Cells of a scale that tell the noise.
-_FEWEST_CELLS = 12
 
-#: Samples of a spectrum's segment, segments that there are at least and at most, and bands of frequency.
-_SEGMENT, _FEWEST, _MOST, _BANDS = 256, 8, 400, 16
+@dataclass(frozen=True, kw_only=True)
+class NoiseFloorSettings:
+    """Numbers of the white noise in quiet scales and quiet bands of frequency.
 
-#: The noise is the mean of so many bands, from this one on: the quietest of all may be quiet by chance.
-_QUIET, _FIRST = 4, 1
+    Attributes
+    ----------
+    fewest_cells : int
+        Cells of a scale that estimate the noise at least. Assumed.
+    shortest_scale : int
+        The shortest scale at which a filter leaves noise, samples. Derived: the scale of one sample ends at
+        half the sampling frequency.
+    segment : int
+        Samples of a segment of the spectrum. Assumed.
+    fewest_segments, most_segments : int
+        Segments without overlap at least, and segments used at most. Assumed; the latter for speed.
+    bands : int
+        Bands of frequency of equal width. Assumed.
+    quiet_bands, first_band : int
+        The noise is the mean of so many of the quietest bands, from this place on. Assumed: the quietest may
+        be quiet by chance (tests/dual/test_noise_floor.py holds the mean of 20 records to 4 %).
+    agreement : float
+        The variances of these bands differ by no more than this factor. Assumed: in the edge of a filter
+        neighbours differ by more.
+    trend_frequencies : int
+        Lowest frequencies of a segment, left out because they show its trend. Assumed.
+    """
 
-#: Their variances differ by no more than this factor: in the edge of a filter neighbours differ by more.
-_ALIKE = 2.0
+    fewest_cells: int = 12
+    shortest_scale: int = 2
+    segment: int = 256
+    fewest_segments: int = 8
+    most_segments: int = 400
+    bands: int = 16
+    quiet_bands: int = 4
+    first_band: int = 1
+    agreement: float = 2.0
+    trend_frequencies: int = 3
 
-#: Frequencies below which a segment shows its trend.
-_TREND = 3
 
-#: The shortest scale that a filter leaves its noise.
-_SHORTEST = 2
+@dataclass(frozen=True, kw_only=True)
+class SlowNoiseSettings:
+    """Numbers of what two sensors do slowly by themselves.
 
-#: nT^2
-_LEAST = 1e-300
+    `python -m tests.dual.hard_table --first-seed 400 --seeds 6` shows what corrections do to sensors that
+    drift otherwise (docs/science/two-sensors.md).
+
+    Attributes
+    ----------
+    drift_at_once, drift_in_hour : float
+        How far two sensors drift apart within minutes, by their temperatures, and in an hour, growing with
+        the root of time; nT, rms about the mean of the time. Assumed, from offsets of space fluxgates, which
+        move by some 0.1 nT in a day and by about 1 nT in a month (here 0.15 and 0.8).
+    student_freedom : float
+        Sensors are not alike: the drift of a pair has Student's distribution with so many degrees of
+        freedom. Assumed: more than three times the usual one in one pair of seventeen.
+    flicker : float
+        Flicker noise of the difference in a record over the white noise of one sample, standard
+        deviations. Assumed.
+    draws : int
+        Series that are drawn of each. Assumed.
+    """
+
+    drift_at_once: float = 0.03
+    drift_in_hour: float = 0.03
+    student_freedom: float = 3.0
+    flicker: float = 0.5
+    draws: int = 3
+
+
+NOISE_FLOOR = NoiseFloorSettings()
+SLOW_NOISE = SlowNoiseSettings()
 
 
 def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
@@ -58,18 +108,22 @@ def noise_floor(cells: Cells, difference: Floats, noise: Floats) -> Floats:
         From the shortest times, nT^2. A tone at a high frequency raises it, a filter lowers it.
     """
     spectrum, filtered = noise_of_bands(difference)
-    found = _of_scales(cells.part(cells.scale >= _SHORTEST)) if filtered else [noise, *_of_scales(cells)]
+    if filtered:
+        found = _of_scales(cells.select(cells.scale >= NOISE_FLOOR.shortest_scale))
+    else:
+        found = [noise, *_of_scales(cells)]
     if spectrum is not None:
         found.append(spectrum)
     return min(found, key=np.trace, default=noise)
 
 
 def _of_scales(cells: Cells) -> list[Floats]:
+    """Return the covariance of the difference in the usual cells of each scale, nT^2."""
     found = []
     for scale in np.unique(cells.scale):
         own = cells.covariance[cells.scale == scale, 3:, 3:]
         size = np.einsum("cii->c", own)
-        if size.size >= _FEWEST_CELLS:
+        if size.size >= NOISE_FLOOR.fewest_cells:
             # The cells around the median, in all elements at once.
             usual = np.abs(np.argsort(np.argsort(size)) - size.size // 2) <= size.size // 8
             found.append(own[usual].mean(axis=0))
@@ -94,22 +148,19 @@ def noise_of_bands(series: Floats) -> tuple[Floats | None, bool]:
         The highest frequencies are a filter's: so are the shortest times.
     """
     bands = _bands(series)
-    first = _agreeing(bands)
-    found = None if first is None else np.asarray(np.mean(bands[first : first + _QUIET], axis=0))
-    return found, bool(bands) and first != _FIRST
-
-
-def _agreeing(bands: list[Floats]) -> int | None:
-    """Return the place of the first of the quietest bands that agree with each other; None for none."""
-    for first in range(_FIRST, len(bands) - _QUIET + 1):
-        if _size(bands[first + _QUIET - 1]) <= _ALIKE * _size(bands[first]):
-            return first
-    return None
+    quiet = NOISE_FLOOR.quiet_bands
+    first: int | None = None
+    for place in range(NOISE_FLOOR.first_band, len(bands) - quiet + 1):
+        if _size(bands[place + quiet - 1]) <= NOISE_FLOOR.agreement * _size(bands[place]):
+            first = place
+            break
+    found = None if first is None else np.asarray(np.mean(bands[first : first + quiet], axis=0))
+    return found, bool(bands) and first != NOISE_FLOOR.first_band
 
 
 def _size(covariance: Floats) -> float:
     """Return the geometric mean of the axes' variances, nT^2."""
-    return float(np.exp(np.mean(np.log(np.maximum(np.diag(covariance), _LEAST)))))
+    return float(np.exp(np.mean(np.log(np.maximum(np.diag(covariance), 1e-300)))))
 
 
 def _bands(series: Floats) -> list[Floats]:
@@ -120,46 +171,33 @@ def _bands(series: Floats) -> list[Floats]:
     series : ndarray, shape (time, axis)
         nT, finite. Too short for bands where it has fewer than some thousand samples.
     """
-    starts = np.arange(0, len(series) - _SEGMENT + 1, _SEGMENT // 2)
-    if starts.size < 2 * _FEWEST:
+    length = NOISE_FLOOR.segment
+    starts = np.arange(0, len(series) - length + 1, length // 2)
+    if starts.size < 2 * NOISE_FLOOR.fewest_segments:
         return []
-    if starts.size > _MOST:
-        starts = starts[np.linspace(0, starts.size - 1, _MOST).astype(np.int64)]
-    window = signal.windows.hann(_SEGMENT, sym=False)
-    segments = signal.detrend(series[starts[:, None] + np.arange(_SEGMENT)], axis=1)
+    most = NOISE_FLOOR.most_segments
+    if starts.size > most:
+        starts = starts[np.linspace(0, starts.size - 1, most).astype(np.int64)]
+    window = signal.windows.hann(length, sym=False)
+    segments = signal.detrend(series[starts[:, None] + np.arange(length)], axis=1)
     # White noise of variance v: real and imaginary part of each coefficient have the variance v.
     unit = np.sqrt(2.0 / np.sum(window**2))
-    spectrum = unit * np.fft.rfft(segments * window[:, None], axis=1)[:, _TREND:-1]
+    spectrum = unit * np.fft.rfft(segments * window[:, None], axis=1)[:, NOISE_FLOOR.trend_frequencies : -1]
     found = [
         robust_covariance(np.concatenate([band.real, band.imag], axis=1).reshape(-1, series.shape[1]))
-        for band in np.array_split(spectrum, _BANDS, axis=1)
+        for band in np.array_split(spectrum, NOISE_FLOOR.bands, axis=1)
     ]
     return sorted(found, key=_size)
 
 
-#: How far two sensors drift apart within minutes, by their temperatures, and in an hour, which grows with the
-#: root of time; nT, rms about the mean of the time. Offsets of space fluxgates move by some 0.1 nT in a day,
-#: and by about 1 nT in a month.
-AT_ONCE, DRIFT = 0.03, 0.03
-
-#: Sensors are not alike: how much a pair wanders has Student's distribution with so many degrees of freedom.
-TAIL = 3.0
-
-#: Flicker noise of the difference in a record beside the white noise of one sample, one standard deviation.
-FLICKER = 0.5
-
-#: Series that are drawn of each.
-DRAWS = 3
-
-
-def drift_in(seconds: float, hourly: float = DRIFT) -> float:
+def expected_drift(seconds: float, hourly: float = SLOW_NOISE.drift_in_hour) -> float:
     """Return how far two sensors drift apart in a time, nT, rms about its mean."""
-    return float(np.hypot(AT_ONCE, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
+    return float(np.hypot(SLOW_NOISE.drift_at_once, hourly * np.sqrt(max(seconds, 0.0) / 3600.0)))
 
 
 @dataclass(frozen=True)
-class Wandering:
-    """How sensors wander in a record: draws of flicker noise and of a walk, and a line; each (time, draw).
+class SlowNoise:
+    """Slow noise of sensors in a record: draws of flicker noise and of a walk, and a line; (time, draw) each.
 
     Attributes
     ----------
@@ -176,8 +214,8 @@ class Wandering:
     line: Floats
 
 
-def wandering(count: int, draws: int = DRAWS) -> Wandering:
-    """Return how sensors wander in a record of `count` samples."""
+def draw_slow_noise(count: int, draws: int = SLOW_NOISE.draws) -> SlowNoise:
+    """Return slow noise of sensors in a record of `count` samples, the same each time."""
     random = np.random.default_rng(5)
     frequency = np.fft.rfftfreq(count)
     spectrum = random.normal(size=(draws, frequency.size)) + 1j * random.normal(size=(draws, frequency.size))
@@ -186,4 +224,4 @@ def wandering(count: int, draws: int = DRAWS) -> Wandering:
     flicker = np.fft.irfft(spectrum, count, axis=1).T
     walk = np.cumsum(random.normal(0.0, 1.0 / np.sqrt(count), (count, draws)), axis=0)
     line = np.sqrt(12.0) * (np.arange(count) / count - 0.5)
-    return Wandering(np.asarray(FLICKER * flicker / flicker.std(axis=0)), walk, line[:, None])
+    return SlowNoise(np.asarray(SLOW_NOISE.flicker * flicker / flicker.std(axis=0)), walk, line[:, None])

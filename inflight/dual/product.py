@@ -1,4 +1,8 @@
-"""The level-2 product of two sensors: both readings, the correction apart, the field, and how sure it is."""
+"""The level-2 product of two sensors: both readings, the correction apart, the field and its uncertainty.
+
+Takes a model with aligned samples and a correction; makes the readings in spacecraft axes, and the product as
+a Dataset. Its variables are listed at `dual_level2`.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +30,7 @@ def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArra
     model : Model
         Its effects are taken out of the readings first, all but fields added at the inboard sensor: a fit of
         the difference puts what a source adds to it there. Taken out, the difference would no longer show
-        the source, and what it adds at the outboard sensor could not be told.
+        the source, and what it adds at the outboard sensor could not be estimated.
     samples : Dataset
         Aligned raw samples with `inboard`, `outboard` (time, axis), `flag` and `tt2000`.
 
@@ -48,8 +52,10 @@ def readings_of(model: Model, samples: xr.Dataset) -> tuple[Readings, npt.NDArra
     bad = (flag & np.uint32(UNUSABLE)) != 0
     fields = []
     for role in ("inboard", "outboard"):
-        turned = layout.sensor(role).rotation.apply(np.asarray(corrected[role].values, dtype=np.float64))
-        fields.append(np.where(bad[:, None], np.nan, turned))
+        in_spacecraft = layout.sensor(role).rotation.apply(
+            np.asarray(corrected[role].values, dtype=np.float64)
+        )
+        fields.append(np.where(bad[:, None], np.nan, in_spacecraft))
     readings = Readings(np.asarray(samples["tt2000"].values, dtype=np.int64), fields[0], fields[1])
     if not readings.good.any():
         raise SamplesError(
@@ -78,9 +84,9 @@ def dual_level2(
         `inboard`, `outboard`, `correction`, `field_spacecraft` (time, axis) nT, spacecraft axes, with
         ``field = outboard - correction`` where attribute `applied` is ``yes`` and the correction is known;
         `uncertainty` (time, axis) nT, 1 sigma of the part of `field_spacecraft` that changes: white noise of
-        the outboard sensor and the correction's error, NaN where nothing is known of the stray field;
+        the outboard sensor and the correction's error, NaN where the stray field is not known;
         `state`, `probability`, `flag`, `tt2000` (time). Attributes `method`, `applied`, `reason` and
-        `constant_known`: two sensors alone do not tell the stray field that never changes.
+        `constant_known`: two sensors alone do not show the stray field that never changes.
     """
     field = correction.corrected(readings.outboard)
     good = np.isfinite(readings.outboard).all(axis=1)
@@ -93,15 +99,27 @@ def dual_level2(
     masks, names = meanings()
     axes = "spacecraft"
     variables = {
-        "inboard": (_VECTOR, readings.inboard, _told("calibrated reading of the inboard sensor", axes)),
-        "outboard": (_VECTOR, readings.outboard, _told("calibrated reading of the outboard sensor", axes)),
+        "inboard": (
+            _VECTOR,
+            readings.inboard,
+            _vector_attrs("calibrated reading of the inboard sensor", axes),
+        ),
+        "outboard": (
+            _VECTOR,
+            readings.outboard,
+            _vector_attrs("calibrated reading of the outboard sensor", axes),
+        ),
         "correction": (
             _VECTOR,
             correction.field,
-            _told("stray field at the outboard sensor", axes) | {"applied": _yes(correction.applied)},
+            _vector_attrs("stray field at the outboard sensor", axes) | {"applied": _yes(correction.applied)},
         ),
-        "field_spacecraft": (_VECTOR, field, _told("field of the outboard sensor less the correction", axes)),
-        "uncertainty": (_VECTOR, sigma, _told("one sigma of the part that changes", axes)),
+        "field_spacecraft": (
+            _VECTOR,
+            field,
+            _vector_attrs("field of the outboard sensor less the correction", axes),
+        ),
+        "uncertainty": (_VECTOR, sigma, _vector_attrs("one sigma of the part that changes", axes)),
         "state": (_SCALAR, correction.state.astype(np.int32), {"unknown": -1, "transient": -2}),
         "probability": (_SCALAR, correction.probability, {"units": "1"}),
         "flag": (_SCALAR, bits, {"flag_masks": masks, "flag_meanings": names}),
@@ -120,8 +138,8 @@ def dual_level2(
     )
 
 
-def _told(what: str, frame: str) -> dict[str, object]:
-    return {"units": "nT", "long_name": what, "frame": frame}
+def _vector_attrs(long_name: str, frame: str) -> dict[str, object]:
+    return {"units": "nT", "long_name": long_name, "frame": frame}
 
 
 def _yes(value: bool) -> str:

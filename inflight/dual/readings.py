@@ -1,13 +1,15 @@
-"""Readings, multiscale covariances.
+"""Readings of two sensors on one time base, and covariances of what they hold.
 
-The readings of two sensors on one time base, their difference and its noise.
+Takes stamps and the readings of both sensors in spacecraft axes; makes their difference, the white noise of
+it, and second moments in cells of time and scale.
 
-Covariances of both sensors' readings on many time scales, stretch by stretch.
+A *contrast* is the mean over a block of samples less that over as many before it, times the root of half
+their number (Haar's wavelet): white noise has the same variance on every scale, a constant gives zero. A
+*cell* is a run of neighbouring contrasts of one scale; its covariance shows how large the ambient field and
+the spacecraft's field were there and then.
 
-A contrast is the mean over some samples less that over as many before them, times the root of half their
-number: white noise gives the same variance on every scale, a constant gives nothing, and contrasts that do
-not overlap hold all there is to know. A cell is a stretch of contrasts on one scale. Where the ambient field
-is restless, or the spacecraft switches, the cell shows it.
+The difference is equation 3 of the Venus Express paper (Delva et al.). Robust covariances follow
+Gnanadesikan and Kettenring (1972).
 """
 
 from __future__ import annotations
@@ -25,22 +27,76 @@ from inflight.errors import SamplesError
 from inflight.lsq import TO_SIGMA
 from inflight.time import GAP, SECOND, Int64, usual_step
 
-#: The noise is estimated from about this many samples, in stretches spread evenly over the record.
-_NOISE_SAMPLES = 200_000
 
-_STRETCH = 2_000
+@dataclass(frozen=True, kw_only=True)
+class WhiteNoiseSettings:
+    """Numbers of the white noise of a series, by second differences and robust covariances.
 
-#: Standard deviation of a Gaussian over the size that three quarters of its values stay below.
-_THREE_QUARTERS = 0.86930
+    Attributes
+    ----------
+    most_samples : int
+        Samples that the noise is estimated from at most. Assumed, for speed.
+    stretch : int
+        Samples of each of the evenly spread stretches that a longer record is reduced to. Assumed.
+    quartile_to_sigma : float
+        Standard deviation of a Gaussian over the upper quartile of its absolute values. Derived: one over
+        the Gaussian quantile of 0.875.
+    trim_distance : float
+        Squared distance (whitened, three axes) up to which values count in a trimmed covariance. Level of
+        significance of 1 %: chi-square with three degrees of freedom.
+    trim_variance : float
+        Part of the variance of Gaussian values that lies within `trim_distance`. Derived:
+        ``P(chi2_5 < 11.345) / 0.99``.
+    least_eigenvalue : float
+        Smallest eigenvalue of a robust covariance over its largest. Assumed: medians of pairs of axes need
+        not make a positive matrix.
+    """
 
-#: Changes along one direction, beside those along another, below which a sensor does not see it; power.
-_BLIND = 1e-10
+    most_samples: int = 200_000
+    stretch: int = 2_000
+    quartile_to_sigma: float = 0.86930
+    trim_distance: float = 11.345
+    trim_variance: float = 0.9647
+    least_eigenvalue: float = 1e-3
 
-#: Samples that tell so.
-_FEWEST = 16
 
-#: Squared distance of the 99 % ellipsoid in three axes, and the part of the variance that is left inside.
-_INSIDE, _KEPT = 11.345, 0.9647
+@dataclass(frozen=True, kw_only=True)
+class DefectSettings:
+    """Numbers that tell an axis that stands still.
+
+    Attributes
+    ----------
+    power_ratio : float
+        Power of the changes along the quietest direction over that along the liveliest, below which a sensor
+        measures nothing along the former. Assumed: rounding of double precision, far below any noise.
+    fewest_samples : int
+        Samples that show it. Assumed.
+    """
+
+    power_ratio: float = 1e-10
+    fewest_samples: int = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellSettings:
+    """Numbers of the cells of time and scale.
+
+    Attributes
+    ----------
+    longest : int
+        The longest blocks are this part of the record: one sixteenth. Assumed; see `python -m
+        tests.dual_cases` for what the whole method makes of it.
+    contrasts : int
+        Neighbouring contrasts of one cell. Assumed: a variance to about a third, in short runs of time.
+    """
+
+    longest: int = 16
+    contrasts: int = 31
+
+
+WHITE_NOISE = WhiteNoiseSettings()
+DEFECTS = DefectSettings()
+CELLS = CellSettings()
 
 
 @dataclass(frozen=True)
@@ -104,33 +160,26 @@ class Readings:
         return white_covariance(self.difference[self.good])
 
     @cached_property
-    def broken(self) -> str:
-        """Why these are no readings of two sensors; empty where they may be.
+    def defect(self) -> str:
+        """Why these cannot be readings of two working sensors; empty where they can.
 
-        Noise alone moves all axes: one that stands still is stuck, turned into whatever axes.
+        Noise alone changes all axes of a working sensor, in whatever axes it is given.
         """
-        if np.count_nonzero(self.good) < _FEWEST:
+        if np.count_nonzero(self.good) < DEFECTS.fewest_samples:
             return ""
-        moves = [
-            np.linalg.eigvalsh(change.T @ change)
-            for change in (
-                np.diff(one[self.good], axis=0) for one in (self.inboard, self.outboard, self.difference)
-            )
-        ]
-        for name, power in zip(("inboard", "outboard"), moves, strict=False):
-            if power[0] <= _BLIND * power[-1]:
+        power = []
+        for field in (self.inboard, self.outboard, self.difference):
+            change = np.diff(field[self.good], axis=0)
+            power.append(np.linalg.eigvalsh(change.T @ change))
+        for name, own in zip(("inboard", "outboard"), power, strict=False):
+            if own[0] <= DEFECTS.power_ratio * own[-1]:
                 return f"the {name} sensor reads one value along an axis"
-        alike = moves[2] <= _BLIND**2 * moves[1][-1]
-        if alike.all():
+        same = power[2] <= DEFECTS.power_ratio**2 * power[1][-1]
+        if same.all():
             return "the difference of both sensors never changes"
-        return "the difference of both sensors never changes along an axis" if alike.any() else ""
+        return "the difference of both sensors never changes along an axis" if same.any() else ""
 
-    def span(self, start: int, end: int) -> Readings:
-        """Return the readings of the half-open TT2000 span ``[start, end)``."""
-        first, last = np.searchsorted(self.stamps, [start, end])
-        return self.part(slice(int(first), int(last)))
-
-    def part(self, rows: slice | npt.NDArray[np.bool_]) -> Readings:
+    def select(self, rows: slice | npt.NDArray[np.bool_]) -> Readings:
         """Return some of the readings, in their order."""
         return Readings(self.stamps[rows], self.inboard[rows], self.outboard[rows])
 
@@ -138,8 +187,8 @@ class Readings:
         """Return the rows of stretches without a gap in the stamps; missing readings do not end one."""
         if not len(self):
             return []
-        cuts = np.flatnonzero(np.diff(self.stamps) > GAP * self.step) + 1
-        edges = [0, *cuts.tolist(), len(self)]
+        breaks = np.flatnonzero(np.diff(self.stamps) > GAP * self.step) + 1
+        edges = [0, *breaks.tolist(), len(self)]
         return [slice(first, last) for first, last in pairwise(edges)]
 
 
@@ -159,72 +208,67 @@ def white_covariance(values: Floats) -> Floats:
     """
     if len(values) < 3:
         return np.zeros((values.shape[1], values.shape[1]))
-    return robust_covariance(_bends(values)) / 6.0
+    return robust_covariance(_second_differences(values)) / 6.0
+
+
+def _second_differences(values: Floats) -> Floats:
+    """Return second differences, of stretches spread over a long record."""
+    if len(values) <= WHITE_NOISE.most_samples:
+        return np.asarray(values[:-2] - 2.0 * values[1:-1] + values[2:])
+    stretch = WHITE_NOISE.stretch
+    starts = np.linspace(0, len(values) - stretch, WHITE_NOISE.most_samples // stretch).astype(np.int64)
+    parts = np.stack([values[first : first + stretch] for first in starts])
+    return np.asarray(parts[:, :-2] - 2.0 * parts[:, 1:-1] + parts[:, 2:]).reshape(-1, values.shape[1])
 
 
 def robust_covariance(values: Floats) -> Floats:
     """Return the covariance about zero of values (time, axis) by medians; (axis, axis).
 
-    The median and the upper quartile of the absolute values, whichever tells more, of each axis and, for
-    pairs of axes, of sum and difference (Gnanadesikan and Kettenring 1972). Values most of which are zero
-    have no such median: their mean square is taken.
+    By the squared scale of each axis and, for pairs of axes, of sum and difference (Gnanadesikan and
+    Kettenring 1972).
     """
     width = values.shape[1]
     covariance = np.zeros((width, width))
-    variance = np.array([_square_scale(one) for one in values.T])
+    variance = np.array([_robust_variance(one) for one in values.T])
     unit = values / np.sqrt(np.where(variance > 0, variance, 1.0))
     for i in range(width):
         covariance[i, i] = variance[i]
         for j in range(i):
-            wide, narrow = _square_scale(unit[:, i] + unit[:, j]), _square_scale(unit[:, i] - unit[:, j])
+            wide = _robust_variance(unit[:, i] + unit[:, j])
+            narrow = _robust_variance(unit[:, i] - unit[:, j])
             share = (wide - narrow) / (wide + narrow) if wide + narrow > 0 else 0.0
             covariance[i, j] = covariance[j, i] = share * np.sqrt(variance[i] * variance[j])
-    return _positive(covariance)
+    # Medians of pairs need not fit together: the nearest matrix without small eigenvalues.
+    value, vector = np.linalg.eigh(covariance)
+    floor = WHITE_NOISE.least_eigenvalue * value.max()
+    return np.asarray((vector * np.clip(value, floor, None)) @ vector.T)
 
 
-def _bends(values: Floats) -> Floats:
-    """Return second differences, of stretches spread over a long record."""
-    if len(values) <= _NOISE_SAMPLES:
-        return np.asarray(values[:-2] - 2.0 * values[1:-1] + values[2:])
-    starts = np.linspace(0, len(values) - _STRETCH, _NOISE_SAMPLES // _STRETCH).astype(np.int64)
-    parts = np.stack([values[first : first + _STRETCH] for first in starts])
-    return np.asarray(parts[:, :-2] - 2.0 * parts[:, 1:-1] + parts[:, 2:]).reshape(-1, values.shape[1])
+def _robust_variance(values: Floats) -> float:
+    """Return the variance about zero by median and upper quartile of the absolute values, the larger.
+
+    Values most of which are zero have no such median: their mean square is taken.
+    """
+    size = np.abs(values)
+    half, quartile = size.size // 2, (3 * size.size) // 4
+    ranked = np.partition(size, (half, quartile))
+    # Of readings coarser than their noise the median alone may be zero, or one step too small.
+    scale = max(TO_SIGMA * float(ranked[half]), WHITE_NOISE.quartile_to_sigma * float(ranked[quartile]))
+    return scale**2 if scale > 0 else float(np.mean(values**2))
 
 
 def trimmed_covariance(values: Floats) -> Floats:
     """Return the covariance about zero of values (time, axis) without the farthest; (axis, axis).
 
     Those within the 99 % ellipsoid of the `robust_covariance` are taken, and what Gaussian values lose by
-    that is put back: as sure as the plain covariance nearly, which the medians are not.
+    that is put back: nearly as precise as the plain covariance, which medians are not.
     """
     first = robust_covariance(values)
     if not first.max() > 0:
         return first
     weight = np.linalg.inv(first + 1e-12 * np.trace(first) * np.eye(len(first)))
-    near = values[np.einsum("ti,ij,tj->t", values, weight, values) < _INSIDE]
-    return np.asarray(near.T @ near / max(len(near), 1) / _KEPT)
-
-
-def _square_scale(values: Floats) -> float:
-    size = np.abs(values)
-    half, most = size.size // 2, (3 * size.size) // 4
-    ranked = np.partition(size, (half, most))
-    # Of readings coarser than their noise the median alone may be zero, or one step too small.
-    scale = max(TO_SIGMA * float(ranked[half]), _THREE_QUARTERS * float(ranked[most]))
-    return scale**2 if scale > 0 else float(np.mean(values**2))
-
-
-def _positive(matrix: Floats) -> Floats:
-    """Return the nearest matrix without negative eigenvalues: medians of pairs need not fit together."""
-    value, vector = np.linalg.eigh(matrix)
-    return np.asarray((vector * np.clip(value, 1e-3 * value.max(), None)) @ vector.T)
-
-
-#: The longest blocks are this part of the record.
-_LONGEST = 16
-
-#: Contrasts of one cell.
-_CELL = 31
+    near = values[np.einsum("ti,ij,tj->t", values, weight, values) < WHITE_NOISE.trim_distance]
+    return np.asarray(near.T @ near / max(len(near), 1) / WHITE_NOISE.trim_variance)
 
 
 @dataclass(frozen=True)
@@ -255,13 +299,13 @@ class Cells:
         """Return in which of so many blocks of time each cell is, from 0; (cell,)."""
         return np.asarray(self.row * number // (int(self.row.max(initial=0)) + 1), dtype=np.int64)
 
-    def part(self, use: npt.NDArray[np.bool_]) -> Cells:
+    def select(self, use: npt.NDArray[np.bool_]) -> Cells:
         """Return some of the cells."""
         return Cells(self.covariance[use], self.count[use], self.scale[use], self.row[use])
 
 
-def cells_of(*series: Floats, longest: int = _LONGEST) -> Cells:
-    """Return the cells of series of samples that are all there.
+def cells_of(*series: Floats, longest: int = CELLS.longest) -> Cells:
+    """Return the cells of series of samples without gaps.
 
     Parameters
     ----------
@@ -276,14 +320,19 @@ def cells_of(*series: Floats, longest: int = _LONGEST) -> Cells:
     parts = []
     for block in scales_of(count, longest):
         values, middle, share = contrasts(sums, block)
-        parts.append(_cells(values, middle, block, share))
+        first = np.arange(0, max(len(values) - CELLS.contrasts // 2, 1), CELLS.contrasts)
+        number = np.diff(np.append(first, len(values)))
+        products = values[:, :, None] * values[:, None, :]
+        covariance = np.add.reduceat(products, first, axis=0) / number[:, None, None]
+        rows = np.asarray(middle[first + number // 2], dtype=np.int64)
+        parts.append(Cells(covariance, share * number, np.full(first.size, block, dtype=np.int64), rows))
     if not parts:
         none = np.zeros(0, dtype=np.int64)
         return Cells(np.zeros((0, columns, columns)), np.zeros(0), none, none)
-    return joined_cells(parts)
+    return concatenate_cells(parts)
 
 
-def scales_of(count: int, longest: int = _LONGEST) -> list[int]:
+def scales_of(count: int, longest: int = CELLS.longest) -> list[int]:
     """Return the lengths of blocks in a record of `count` samples: powers of two up to that part of it.
 
     Half the record is always among them where they go so far: else half of it could be slower than all.
@@ -293,7 +342,7 @@ def scales_of(count: int, longest: int = _LONGEST) -> list[int]:
     return [*powers, most] if longest == 2 and powers and most > powers[-1] else powers
 
 
-def joined_cells(parts: Sequence[Cells]) -> Cells:
+def concatenate_cells(parts: Sequence[Cells]) -> Cells:
     """Return the cells of several stretches together; their rows are those in the stretch."""
     return Cells(
         np.concatenate([one.covariance for one in parts]),
@@ -308,7 +357,7 @@ def running_sums(series: Floats) -> Floats:
     zero = np.zeros((1, series.shape[1]))
     if not len(series):
         return zero
-    # Sums of many large numbers would lose the noise: the mean says nothing in a contrast.
+    # Sums of many large numbers would lose the noise; contrasts do not depend on the mean.
     return np.concatenate([zero, np.cumsum(series - series.mean(axis=0), axis=0)])
 
 
@@ -327,12 +376,3 @@ def contrasts(sums: Floats, block: int) -> tuple[Floats, npt.NDArray[np.int64], 
     middle = np.arange(block, len(sums) - block, stride)
     values = (sums[middle + block] - 2.0 * sums[middle] + sums[middle - block]) / np.sqrt(2.0 * block)
     return values, middle.astype(np.int64), stride / (2.0 * block)
-
-
-def _cells(values: Floats, middle: npt.NDArray[np.int64], block: int, share: float) -> Cells:
-    first = np.arange(0, max(len(values) - _CELL // 2, 1), _CELL)
-    number = np.diff(np.append(first, len(values)))
-    products = values[:, :, None] * values[:, None, :]
-    covariance = np.add.reduceat(products, first, axis=0) / number[:, None, None]
-    rows = np.asarray(middle[first + number // 2], dtype=np.int64)
-    return Cells(covariance, share * number, np.full(first.size, block, dtype=np.int64), rows)

@@ -1,8 +1,12 @@
-"""Stationary segments, common drift.
+"""Segments of the difference between two jumps, and the drift that all of them share.
 
-Stretches of the difference between two jumps: their levels, and what drifts within them.
+Takes readings; makes *segments*: the stretches between neighbouring change points of the difference, with
+their levels, and the mean and slope at both *ends*. A segment shorter
+than the minimum dwell is a *transient*, in no state.
 
-The drift of the difference that all states share: how fast it goes, and where it stands.
+The drift of the difference, of the sensors' offsets or of units that warm up, is common to all segments: a
+value and a slope for each axis, a random walk each, at the rates of `DriftRate`. `DriftFilter` is the Kalman
+filter that follows it from segment to segment.
 """
 
 from __future__ import annotations
@@ -15,76 +19,55 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.dual.change_points import (
-    FALSE_ALARMS,
-    LONGEST,
-    Places,
+    CHANGE_POINTS,
+    Rows,
     StepNoise,
-    confirmed,
+    confirm_jumps,
     find_jumps,
+    find_spikes,
     level_noise,
-    spikes,
-    without_tails,
+    winsorise,
 )
 from inflight.dual.readings import Readings
 from inflight.errors import SamplesError
 from inflight.time import SECOND, Int64
 
-#: A stretch with fewer samples than this is no state but a passing disturbance or a transition.
-SHORTEST = 10
 
-
-@dataclass(frozen=True)
-class Segments:
-    """Stretches between jumps, in the order of time; d is the difference of the two sensors, nT.
+@dataclass(frozen=True, kw_only=True)
+class SegmentSettings:
+    """Numbers of segments and of their drift.
 
     Attributes
     ----------
-    first, last : ndarray of int64, shape (segment,)
-        Half-open rows of the readings; rows without a reading belong to the segment before them.
-    start, end : ndarray of int64, shape (segment,)
-        TT2000 of the first and of the last good sample.
-    count : ndarray of int64, shape (segment,)
-        Good samples.
-    level : ndarray, shape (segment, axis)
-        Mean of d.
-    begin, finish : Ends
-        The first and the last samples, at most `window`; both the whole of a segment shorter than twice that.
-    covariance : ndarray, shape (segment, axis, axis)
-        Of the noise of the mean at either end, nT^2.
-    slope_variance : ndarray, shape (segment, axis)
-        Of the noise of the slope at either end, nT^2/s^2.
-    transient : ndarray of bool, shape (segment,)
-        Too short to be a state.
-    noise : StepNoise
-        Of d, without its drift.
-    window : int
-        Samples.
-    spikes : ndarray of int64, shape (spike,)
-        Rows of single samples that stand out from their neighbours; they count nowhere.
+    shortest : int
+        Minimum dwell, samples: a stretch with fewer is no state but a disturbance or a transition. Assumed.
+    median_square : float
+        Median of a squared Gaussian of variance one. Derived: chi-square with one degree of freedom.
+    median_scatter : float
+        Standard deviation of the median of n squares of noise, relative, times the root of n. Derived:
+        ``1 / (2 f(m) m)`` with the density f and median m of chi-square with one degree of freedom.
+    drift_sigmas : float
+        The median square of slopes must exceed noise by so many of its standard deviations to count as
+        drift. Level of significance: two sigmas.
+    fewest_groups : int
+        Groups of slopes that show how fast slopes change at least. Assumed.
+    slope_bound : float
+        The variance of the slope never exceeds so many times the usual one. Assumed: two sigmas.
+    own_drift_bound : float
+        A change within a segment is its own when its square exceeds so many times the variance of its noise.
+        Assumed: two sigmas.
     """
 
-    first: Places
-    last: Places
-    start: Int64
-    end: Int64
-    count: Places
-    level: Floats
-    begin: Ends
-    finish: Ends
-    covariance: Floats
-    slope_variance: Floats
-    transient: npt.NDArray[np.bool_]
-    noise: StepNoise
-    window: int
-    spikes: Places
+    shortest: int = 10
+    median_square: float = 0.4549
+    median_scatter: float = 2.3
+    drift_sigmas: float = 2.0
+    fewest_groups: int = 6
+    slope_bound: float = 4.0
+    own_drift_bound: float = 4.0
 
-    def __len__(self) -> int:
-        return int(self.first.size)
 
-    @property
-    def seconds(self) -> Floats:
-        """Time between the middles of both ends; (segment,), s, 0 where they are one."""
-        return np.asarray((self.finish.middle - self.begin.middle) / SECOND)
+SEGMENTS = SegmentSettings()
 
 
 class Ends(NamedTuple):
@@ -103,15 +86,70 @@ class Ends(NamedTuple):
     slope: Floats
 
 
+@dataclass(frozen=True, kw_only=True)
+class Segments:
+    """Segments: stretches between jumps, in the order of time; d is the difference of the two sensors, nT.
+
+    Attributes
+    ----------
+    first, last : ndarray of int64, shape (segment,)
+        Half-open rows of the readings; rows without a reading belong to the segment before them.
+    start, end : ndarray of int64, shape (segment,)
+        TT2000 of the first and of the last good sample.
+    count : ndarray of int64, shape (segment,)
+        Good samples.
+    level : ndarray, shape (segment, axis)
+        Mean of d.
+    begin, finish : Ends
+        The first and the last samples, at most `end_length`; both are all of a segment shorter than twice
+        that.
+    covariance : ndarray, shape (segment, axis, axis)
+        Of the noise of the mean at either end, nT^2.
+    slope_variance : ndarray, shape (segment, axis)
+        Of the noise of the slope at either end, nT^2/s^2.
+    transient : ndarray of bool, shape (segment,)
+        Too short to be a state.
+    noise : StepNoise
+        Of d, without its drift.
+    end_length : int
+        Samples.
+    spikes : ndarray of int64, shape (spike,)
+        Rows of single samples that stand out from their neighbours; they count nowhere.
+    """
+
+    first: Rows
+    last: Rows
+    start: Int64
+    end: Int64
+    count: Rows
+    level: Floats
+    begin: Ends
+    finish: Ends
+    covariance: Floats
+    slope_variance: Floats
+    transient: npt.NDArray[np.bool_]
+    noise: StepNoise
+    end_length: int
+    spikes: Rows
+
+    def __len__(self) -> int:
+        return int(self.first.size)
+
+    @property
+    def seconds(self) -> Floats:
+        """Time between the middles of both ends; (segment,), s, 0 where they are one."""
+        return np.asarray((self.finish.middle - self.begin.middle) / SECOND)
+
+
 def segments_of(
     readings: Readings,
     *,
-    shortest: int = SHORTEST,
-    false_alarms: float = FALSE_ALARMS,
-    longest: int = LONGEST,
-    jumps: Places | None = None,
+    shortest: int = SEGMENTS.shortest,
+    false_alarms: float = CHANGE_POINTS.false_alarms,
+    longest: int = CHANGE_POINTS.longest,
+    jumps: Rows | None = None,
 ) -> Segments:
-    """Cut readings where their difference jumps.
+    """Divide readings into segments where their difference jumps.
 
     Parameters
     ----------
@@ -132,72 +170,67 @@ def segments_of(
     rows = np.flatnonzero(readings.good)
     if not rows.size:
         raise SamplesError("no sample has both sensors", remedy="take a span where both measured")
-    # Copying a million rows costs more than looking whether one is missing.
+    # Copying a million rows costs more than checking whether one is missing.
     d = readings.difference if rows.size == len(readings) else readings.difference[rows]
-    lone = np.flatnonzero(spikes(d))
-    if lone.size:
+    spikes = np.flatnonzero(find_spikes(d))
+    if spikes.size:
         d = d.copy()
-        d[lone] = 0.5 * (d[lone - 1] + d[lone + 1])
-    d = without_tails(d)
-    places, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
-    places = confirmed(d, places)
+        d[spikes] = 0.5 * (d[spikes - 1] + d[spikes + 1])
+    d = winsorise(d)
+    found, noise = find_jumps(d, false_alarms=false_alarms, longest=longest)
+    found = confirm_jumps(d, found)
     if jumps is not None:
-        places = np.unique(np.searchsorted(rows, jumps))
-    edges = np.concatenate([[0], places[(places > 0) & (places < rows.size)], [rows.size]]).astype(np.int64)
-    edges, transient = _without_short(edges, shortest)
-    level = level_noise(d, edges[1:-1], noise)
-    # Where the drift is a random walk longer stretches are less sure than shorter ones.
-    best = int(np.argmin(np.einsum("sii->s", level.covariance)))
-    window = int(level.length[best] if best + 1 < level.length.size else noise.length[-1])
-    return _measured(readings, rows, d, edges, transient, (level, window), rows[lone])
-
-
-def _without_short(edges: Places, shortest: int) -> tuple[Places, npt.NDArray[np.bool_]]:
-    """Return edges with neighbouring short stretches joined, and which stretches are short."""
+        found = np.unique(np.searchsorted(rows, jumps))
+    edges = np.concatenate([[0], found[(found > 0) & (found < rows.size)], [rows.size]]).astype(np.int64)
+    # Neighbouring stretches below the minimum dwell are one transient.
     short = np.diff(edges) < shortest
     kept = np.ones(edges.size, dtype=bool)
     kept[1:-1] = ~(short[:-1] & short[1:])
-    return edges[kept], short[kept[:-1]]
+    edges, transient = edges[kept], short[kept[:-1]]
+    level = level_noise(d, edges[1:-1], noise)
+    # Where the drift is a random walk the means of longer stretches are less precise than of shorter ones.
+    best = int(np.argmin(np.einsum("sii->s", level.covariance)))
+    end_length = int(level.length[best] if best + 1 < level.length.size else noise.length[-1])
+    return _measured(readings, rows, d, edges, transient, (level, end_length), rows[spikes])
 
 
 def _measured(
     readings: Readings,
-    rows: Places,
+    rows: Rows,
     d: Floats,
-    edges: Places,
+    edges: Rows,
     transient: npt.NDArray[np.bool_],
     measured: tuple[StepNoise, int],
-    lone: Places,
+    spikes: Rows,
 ) -> Segments:
+    """Return the segments between edges (rows of d) with their levels, ends and errors."""
     count = np.diff(edges)
-    noise, window = measured
-    width = np.where(count >= 2 * window, window, count)
+    noise, end_length = measured
+    width = np.where(count >= 2 * end_length, end_length, count)
     good = readings.stamps if rows.size == len(readings) else readings.stamps[rows]
-    begin = _end(d, good, edges[:-1], edges[:-1] + width)
-    finish = _end(d, good, edges[1:] - width, edges[1:])
     half = np.maximum(width // 2, 1)
     apart = np.maximum(good[edges[:-1] + width - 1] - good[edges[:-1]], 1) / SECOND / 2.0
     slope_noise = 2.0 * np.einsum("sii->si", noise.of_mean(half)) / apart[:, None] ** 2
     last = np.append(rows[edges[1:-1]], len(readings)).astype(np.int64)
     return Segments(
-        np.concatenate([[0], last[:-1]]).astype(np.int64),
-        last,
-        good[edges[:-1]],
-        good[edges[1:] - 1],
-        count,
-        _means(d, edges[:-1], edges[1:]),
-        begin,
-        finish,
-        noise.of_mean(width),
-        np.where(width[:, None] > 1, slope_noise, np.inf),
-        transient,
-        noise,
-        window,
-        lone,
+        first=np.concatenate([[0], last[:-1]]).astype(np.int64),
+        last=last,
+        start=good[edges[:-1]],
+        end=good[edges[1:] - 1],
+        count=count,
+        level=_means(d, edges[:-1], edges[1:]),
+        begin=_end(d, good, edges[:-1], edges[:-1] + width),
+        finish=_end(d, good, edges[1:] - width, edges[1:]),
+        covariance=noise.of_mean(width),
+        slope_variance=np.where(width[:, None] > 1, slope_noise, np.inf),
+        transient=transient,
+        noise=noise,
+        end_length=end_length,
+        spikes=spikes,
     )
 
 
-def _end(d: Floats, stamps: Int64, first: Places, last: Places) -> Ends:
+def _end(d: Floats, stamps: Int64, first: Rows, last: Rows) -> Ends:
     """Return mean and slope of ranges of rows; the slope by the means of both halves."""
     middle = first + np.maximum((last - first) // 2, 1)
     both = np.minimum(middle, last - 1)
@@ -207,11 +240,11 @@ def _end(d: Floats, stamps: Int64, first: Places, last: Places) -> Ends:
     return Ends(centre, _means(d, first, last), (late - early) / apart[:, None])
 
 
-def _means(values: Floats, first: Places, last: Places) -> Floats:
+def _means(values: Floats, first: Rows, last: Rows) -> Floats:
     """Return the mean of each half-open range of rows; (range, axis)."""
     if not first.size:
         return np.empty((0, values.shape[1]))
-    # Between two ranges lies what does not count; a range that ends the record has no such part.
+    # `reduceat` alternates between ranges and the rows between them; at the record's end there are none.
     bounds = np.stack([first, np.minimum(last, len(values) - 1)], axis=1).ravel()
     sums = np.add.reduceat(values, bounds, axis=0)[::2]
     ends = last == len(values)
@@ -221,16 +254,27 @@ def _means(values: Floats, first: Places, last: Places) -> Floats:
     return np.asarray(sums / (last - first)[:, None])
 
 
-#: Median of a squared Gaussian of variance one.
-_MEDIAN_SQUARE = 0.4549
+class DriftRate(NamedTuple):
+    """How fast the difference drifts; each of shape (axis,).
 
-#: The fewest groups of slopes that tell how fast they change.
-_GROUPS = 6
+    Attributes
+    ----------
+    slope : ndarray
+        Variance of the slope, nT^2/s^2.
+    slope_walk : ndarray
+        Rate of variance by which the slope changes, a random walk, nT^2/s^3.
+    level_walk : ndarray
+        Rate of variance by which the drift itself walks in addition, nT^2/s.
+    """
+
+    slope: Floats
+    slope_walk: Floats
+    level_walk: Floats
 
 
 @dataclass
-class Track:
-    """The common drift as it is carried along: its value and its slope, each axis for itself.
+class DriftFilter:
+    """Kalman filter of the common drift: its value and its slope, each axis for itself.
 
     Attributes
     ----------
@@ -247,137 +291,120 @@ class Track:
     rate: DriftRate
 
     @classmethod
-    def start(cls, rate: DriftRate) -> Track:
+    def start(cls, rate: DriftRate) -> DriftFilter:
         """Return a drift of zero whose slope is not known."""
         covariance = np.zeros((3, 2, 2))
         covariance[:, 1, 1] = rate.slope
         return cls(np.zeros(3), np.zeros(3), covariance, rate)
-
-    def forward(self, seconds: float) -> None:
-        """Let time pass in which nothing is seen."""
-        self.value = self.value + seconds * self.slope
-        move = np.array([[1.0, seconds], [0.0, 1.0]])
-        self.covariance = move @ self.covariance @ move.T
-        walk = self.rate.bend * seconds
-        self.covariance[:, 0, 0] += self.rate.value * seconds + walk * seconds**2 / 3.0
-        self.covariance[:, 0, 1] += walk * seconds / 2.0
-        self.covariance[:, 1, 0] += walk * seconds / 2.0
-        # The slope stays what slopes usually are, however long nobody looks.
-        free = self.covariance[:, 1, 1] + walk
-        known = np.minimum(free, 4.0 * self.rate.slope)
-        # Value and slope stay as much alike: else the covariance would be none, and the drift run away.
-        alike = np.sqrt(np.where(free > 0, known / np.where(free > 0, free, 1.0), 1.0))
-        self.covariance[:, 1, 1] = known
-        self.covariance[:, 0, 1] *= alike
-        self.covariance[:, 1, 0] *= alike
-
-    def sloping(self, slope: Floats, variance: Floats) -> None:
-        """Take the slope within a segment into account, which does not need its state."""
-        total = self.covariance[:, 1, 1] + variance
-        gain = np.where(total > 0, self.covariance[:, :, 1].T / np.where(total > 0, total, 1.0), 0.0).T
-        left = slope - self.slope
-        self.value, self.slope = self.value + gain[:, 0] * left, self.slope + gain[:, 1] * left
-        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 1, :]
-
-    def through(self, segments: Segments, one: int) -> None:
-        """Go from a segment's beginning to its end, between which the drift itself is seen."""
-        seconds = float(segments.seconds[one])
-        if not seconds > 0:
-            return
-        known = self.covariance[:, 0, 0].copy()
-        value = self.value
-        self.forward(seconds)
-        expected = np.maximum(self.covariance[:, 0, 0] - known, 0.0)
-        noise = 2.0 * np.diag(segments.covariance[one])
-        gain = expected / np.maximum(expected + noise, 1e-300)
-        change = segments.finish.mean[one] - segments.begin.mean[one]
-        self.value = self.value + gain * (change - (self.value - value))
-        self.covariance[:, 0, 0] = known + gain * noise
-        self.covariance[:, 0, 1] = self.covariance[:, 1, 0] = 0.0
-        self.sloping(segments.finish.slope[one], segments.slope_variance[one])
-
-    def seen(self, left: Floats, variance: Floats) -> None:
-        """Take a segment in a known state into account: what is left of it, and the variance; (axis,)."""
-        gain = self.covariance[:, :, 0] / variance[:, None]
-        self.value, self.slope = self.value + gain[:, 0] * left, self.slope + gain[:, 1] * left
-        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 0, :]
 
     @property
     def spread(self) -> Floats:
         """Covariance of the value; (axis, axis)."""
         return np.diag(self.covariance[:, 0, 0])
 
+    def predict(self, seconds: float) -> None:
+        """Advance the time without an observation."""
+        self.value = self.value + seconds * self.slope
+        move = np.array([[1.0, seconds], [0.0, 1.0]])
+        self.covariance = move @ self.covariance @ move.T
+        walk = self.rate.slope_walk * seconds
+        self.covariance[:, 0, 0] += self.rate.level_walk * seconds + walk * seconds**2 / 3.0
+        self.covariance[:, 0, 1] += walk * seconds / 2.0
+        self.covariance[:, 1, 0] += walk * seconds / 2.0
+        # The variance of the slope is bounded by that of usual slopes, however long the gap.
+        free = self.covariance[:, 1, 1] + walk
+        known = np.minimum(free, SEGMENTS.slope_bound * self.rate.slope)
+        # Value and slope keep their correlation: else the matrix would not stay positive, and the drift
+        # would run away.
+        correlated = np.sqrt(np.where(free > 0, known / np.where(free > 0, free, 1.0), 1.0))
+        self.covariance[:, 1, 1] = known
+        self.covariance[:, 0, 1] *= correlated
+        self.covariance[:, 1, 0] *= correlated
 
-class DriftRate(NamedTuple):
-    """How fast the difference drifts; each of shape (axis,).
+    def observe_slope(self, slope: Floats, variance: Floats) -> None:
+        """Update with the slope within a segment, which does not need its state."""
+        total = self.covariance[:, 1, 1] + variance
+        gain = np.where(total > 0, self.covariance[:, :, 1].T / np.where(total > 0, total, 1.0), 0.0).T
+        innovation = slope - self.slope
+        self.value, self.slope = self.value + gain[:, 0] * innovation, self.slope + gain[:, 1] * innovation
+        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 1, :]
 
-    Attributes
-    ----------
-    slope : ndarray
-        Variance of the slope, nT^2/s^2.
-    bend : ndarray
-        Variance by which the slope changes, nT^2/s^3.
-    value : ndarray
-        Variance by which the drift itself wanders beside that, nT^2/s.
-    """
+    def observe_value(self, innovation: Floats, variance: Floats) -> None:
+        """Update with a segment in a known state: its residual, and the residual's variance; (axis,) each."""
+        gain = self.covariance[:, :, 0] / variance[:, None]
+        self.value, self.slope = self.value + gain[:, 0] * innovation, self.slope + gain[:, 1] * innovation
+        self.covariance = self.covariance - gain[:, :, None] * self.covariance[:, None, 0, :]
 
-    slope: Floats
-    bend: Floats
-    value: Floats
+    def cross_segment(self, segments: Segments, one: int) -> None:
+        """Go from a segment's beginning to its end, between which the drift itself is observed."""
+        seconds = float(segments.seconds[one])
+        if not seconds > 0:
+            return
+        known = self.covariance[:, 0, 0].copy()
+        value = self.value
+        self.predict(seconds)
+        predicted = np.maximum(self.covariance[:, 0, 0] - known, 0.0)
+        noise = 2.0 * np.diag(segments.covariance[one])
+        gain = predicted / np.maximum(predicted + noise, 1e-300)
+        change = segments.finish.mean[one] - segments.begin.mean[one]
+        self.value = self.value + gain * (change - (self.value - value))
+        self.covariance[:, 0, 0] = known + gain * noise
+        self.covariance[:, 0, 1] = self.covariance[:, 1, 0] = 0.0
+        self.observe_slope(segments.finish.slope[one], segments.slope_variance[one])
 
 
 def drift_rate(segments: Segments) -> DriftRate:
     """Return how fast the segments drift; zero where they do so by no more than noise."""
     zero = np.zeros(3)
     # A stretch that is too short for a slope has an infinite variance.
-    told = ~segments.transient & np.isfinite(segments.slope_variance).all(axis=1)
-    steady = np.flatnonzero(told)
+    sloped = ~segments.transient & np.isfinite(segments.slope_variance).all(axis=1)
+    steady = np.flatnonzero(sloped)
     if steady.size < 3:
         return DriftRate(zero, zero, zero)
     noise, slope = segments.slope_variance[steady], segments.begin.slope[steady]
-    usual, bend = _sloping(slope, noise, segments.begin.middle[steady] / SECOND)
+    usual, slope_walk = _slope_rates(slope, noise, segments.begin.middle[steady] / SECOND)
     long = np.flatnonzero(~segments.transient & (segments.seconds > 0))
     if not long.size:
-        return DriftRate(usual, bend, zero)
+        return DriftRate(usual, slope_walk, zero)
     span = segments.seconds[long]
     mean = 0.5 * (segments.begin.slope[long] + segments.finish.slope[long])
     change = segments.finish.mean[long] - segments.begin.mean[long]
     error = 2.0 * np.einsum("sii->si", segments.covariance[long])
     error += 0.5 * span[:, None] ** 2 * segments.slope_variance[long]
-    wander = _beyond(change - mean * span[:, None], error, span)
-    return DriftRate(usual, bend, wander)
+    level_walk = _excess_variance(change - mean * span[:, None], error, span)
+    return DriftRate(usual, slope_walk, level_walk)
 
 
-def _sloping(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floats]:
+def _slope_rates(slope: Floats, noise: Floats, at: Floats) -> tuple[Floats, Floats]:
     """Return the variance of slopes, and that a second by which they change; (axis,) each.
 
-    The largest that groups of any size show: one slope is often lost in its noise where the mean of many is
-    not. Slopes are not taken to change less than turns a usual one round in the whole record.
+    The largest over groups of any size: one slope is often lost in its noise where the mean of many is not.
+    The slope walks at least as fast as reverses a usual one in the whole record.
     """
-    usual, bend = np.zeros(3), np.zeros(3)
+    usual, walk = np.zeros(3), np.zeros(3)
     size = 1
-    while len(slope) // size >= _GROUPS:
+    while len(slope) // size >= SEGMENTS.fewest_groups:
         edges = np.arange(0, len(slope) - size + 1, size)
         weight = 1.0 / np.maximum(noise, 1e-300)
         error = 1.0 / np.add.reduceat(weight, edges, axis=0)
         mean = np.add.reduceat(slope * weight, edges, axis=0) * error
         middle = np.add.reduceat(at, edges) / np.diff(np.append(edges, len(slope)))
         seconds = np.maximum(np.diff(middle), 1e-9)
-        usual = np.maximum(usual, _beyond(mean, error, np.ones(edges.size)))
-        bend = np.maximum(bend, _beyond(np.diff(mean, axis=0), error[1:] + error[:-1], seconds))
+        usual = np.maximum(usual, _excess_variance(mean, error, np.ones(edges.size)))
+        change = _excess_variance(np.diff(mean, axis=0), error[1:] + error[:-1], seconds)
+        walk = np.maximum(walk, change)
         size *= 2
     least = usual / max(float(at[-1] - at[0]) if at.size else 0.0, 1e-9)
-    return usual, np.asarray(np.where(usual > 0, np.maximum(bend, least), 0.0))
+    return usual, np.asarray(np.where(usual > 0, np.maximum(walk, least), 0.0))
 
 
-def _beyond(values: Floats, noise: Floats, unit: Floats) -> Floats:
+def _excess_variance(values: Floats, noise: Floats, unit: Floats) -> Floats:
     """Return the variance of values (row, axis) a unit (row,) beyond their noise; (axis,), 0 if no more."""
     ratio = values**2 / noise
-    middle = np.median(ratio, axis=0) / _MEDIAN_SQUARE
-    # The median of n squares of noise alone scatters by 2.3 / sqrt(n).
-    over = middle - 1.0 > 2.0 * 2.3 / np.sqrt(len(values))
-    size = np.median((values**2 / _MEDIAN_SQUARE - noise) / unit[:, None], axis=0)
-    return np.asarray(np.where(over, np.maximum(size, 0.0), 0.0))
+    median = np.median(ratio, axis=0) / SEGMENTS.median_square
+    significant = median - 1.0 > SEGMENTS.drift_sigmas * SEGMENTS.median_scatter / np.sqrt(len(values))
+    size = np.median((values**2 / SEGMENTS.median_square - noise) / unit[:, None], axis=0)
+    return np.asarray(np.where(significant, np.maximum(size, 0.0), 0.0))
 
 
 def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
@@ -394,5 +421,5 @@ def own_drift(segments: Segments, one: int, rate: DriftRate) -> Floats:
     if not segments.seconds[one] > 0:
         whole = segments.begin.slope[one] * seconds
         noise = np.where(seconds > 0, segments.slope_variance[one], 0.0) * seconds**2
-    allowed = 4.0 * noise + seconds * rate.value + seconds**2 * rate.slope
+    allowed = SEGMENTS.own_drift_bound * noise + seconds * rate.level_walk + seconds**2 * rate.slope
     return np.diag(np.where(whole**2 > allowed, whole**2, 0.0))

@@ -1,31 +1,20 @@
-"""Clustering of segments, units.
+"""States of the spacecraft, and the units whose sums make them.
 
-Vectors by which the difference changes, up to their sign, and which of them are sums of others.
+Takes segments; makes *states*, the points in the three-dimensional space of the difference to which segments
+return (Venus Express paper, section 2), and *units*, the vectors by which the difference changes when
+something is switched. Every change from one state to the next is a signed sum of units (linear
+superposition), so that states that were never observed can be predicted.
 
-States told by the sequence of steps alone, whatever the difference drifts in between.
+All segments share a drift (`segments.DriftFilter`), so that a state is recognised after days although its
+point has moved. How many states there are, how fast the drift walks and how much the points scatter is chosen
+by the probability of all points, in which a state of its own could lie anywhere (Laplace's approximation).
 
-A step is known to the noise of short stretches however far the level has moved since a state was last seen.
 Where all steps of a record are sums of a few vectors, and each vector is added and taken off in turn, the
-accumulated steps name the states. That a wrong reading of the steps passes this test halves in likelihood
-with every step beyond one for each vector, so that a record of some length proves itself.
+accumulated steps name the states whatever the drift does (`labels_by_steps`). The chance that a wrong
+decoding passes this test halves with every step beyond one for each vector.
 
-The spacecraft's states: which stretches of the difference have the same level, drift aside.
-
-Every segment is a point in the space of the difference (Venus Express paper, section 2). All points share a
-slow drift c(t), of the sensors' offsets or of units that warm up: within a segment it is seen, between two
-segments it is a random walk, so that it is carried along by a Kalman filter and a state is recognised after
-days although its point has moved. How many states there are is chosen by the probability of all points, in
-which a state of its own could lie anywhere, and so is a scatter of the states' points beyond noise.
-
-A step common to all later segments, of an offset for instance, cannot be told from new states.
-
-Units that switch separately: vectors whose sums make the spacecraft's states.
-
-Every change from one state to the next is a sum of switched units (Venus Express paper, section 2: linear
-superposition). A change seen often is taken for one unit; one that is the sum or difference of two or three
-others, within its uncertainty and not by chance, is taken for several that switched together. So states
-that were never seen can be predicted. What two sensors cannot tell: which of a unit's two states is "on",
-and whether a vector is one unit or several that always switch together.
+What two sensors cannot show: which of a unit's two states is "on", whether a vector is one unit or several
+that always switch together, and whether a step common to all later segments is an offset or a new state.
 """
 
 from __future__ import annotations
@@ -42,46 +31,484 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.correction import TRANSIENT
-from inflight.dual.segments import DriftRate, Segments, Track, drift_rate, own_drift
+from inflight.dual.segments import DriftFilter, DriftRate, Segments, drift_rate, own_drift
 from inflight.time import SECOND
 
 Occupancy = npt.NDArray[np.int64]
 
-#: Chance that a change is not recognised as a unit's, or a sum's, by its noise.
-_MISSED = 1e-3
+Labels = npt.NDArray[np.int64]
 
-#: A sum is believed when fewer than this many agree by accident.
-_ACCIDENTS = 0.05
 
-#: Most units that are taken to switch at once.
-_TOGETHER = 3
+@dataclass(frozen=True, kw_only=True)
+class StateSettings:
+    """Numbers of the search for states.
+
+    Attributes
+    ----------
+    false_states : float
+        Chance that one segment of all is taken for a new state by its noise. Level of significance.
+    scatters : tuple of float
+        Scatters of the states' points that are tried, in standard deviations of one sample. Assumed: half a
+        decade apart.
+    drifts : tuple of float
+        Walks of the drift over the whole record that are tried besides that of segments, in the same unit.
+        Assumed: half a decade apart.
+    rounds : int
+        Rounds of assignment and new centres at most; they end when labels stay. Assumed.
+    anywhere_points, anywhere_noise : float
+        Where a state lies before any is observed: the covariance of all points times this, and that of a
+        sample times this. Derived: two and three sigmas.
+    """
+
+    false_states: float = 1e-3
+    scatters: tuple[float, ...] = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
+    drifts: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0)
+    rounds: int = 6
+    anywhere_points: float = 4.0
+    anywhere_noise: float = 9.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitSettings:
+    """Numbers of the search for units, and of states proven by steps.
+
+    Attributes
+    ----------
+    missed : float
+        Chance that a change is not recognised as a unit's, or a sum's, by its noise. Level of significance.
+    accidents : float
+        A sum is accepted when fewer than this many agree by accident. Level of significance.
+    together : int
+        Units that are taken to switch at once, at most. Assumed.
+    proof_steps : int
+        Steps beyond one for each vector that prove a decoding. Derived: one wrong decoding in 2^10 passes.
+    fewest_switchings : int
+        Each vector must be observed so often: else errors may have made two of one. Assumed.
+    least_difference : float
+        Two vectors differ by no less than this part of the smaller one. Assumed.
+    most_vectors : int
+        With more distinct steps than this they are no sums of a few vectors. Assumed.
+    most_predicted : int
+        With more units than this only combinations near to an observed one are predicted. Derived: 256
+        combinations at most.
+    near_switchings : int
+        Units by which such a combination differs from an observed one, at most. Assumed.
+    """
+
+    missed: float = 1e-3
+    accidents: float = 0.05
+    together: int = 3
+    proof_steps: int = 10
+    fewest_switchings: int = 3
+    least_difference: float = 0.1
+    most_vectors: int = 24
+    most_predicted: int = 8
+    near_switchings: int = 2
+
+
+STATES = StateSettings()
+UNITS = UnitSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
+class States:
+    """States found in segments.
+
+    Attributes
+    ----------
+    centre : ndarray, shape (state, axis)
+        Difference in the state, without the drift, nT; states are numbered as they appear.
+    covariance : ndarray, shape (state, axis, axis)
+        Of `centre`, nT^2.
+    count : ndarray of int64, shape (state,)
+        Segments.
+    label : ndarray of int64, shape (segment,)
+        State of each segment; `TRANSIENT` (-2) for one too short.
+    drift, drift_end : ndarray, shape (segment, axis)
+        Common drift at the beginning and end of each segment, nT; 0 at the first.
+    drift_rate : DriftRate
+    scatter : float
+        Standard deviation of a state's points beyond noise, nT, any axis.
+    occupancy : ndarray of int64, shape (state, unit), optional
+        Which units are switched, where the steps prove it.
+    confidence : float
+        Probability that no doubtful choice of a state misled the drift, and with it later choices.
+    """
+
+    centre: Floats
+    covariance: Floats
+    count: Labels
+    label: Labels
+    drift: Floats
+    drift_end: Floats
+    drift_rate: DriftRate
+    scatter: float
+    occupancy: Occupancy | None = None
+    confidence: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.centre)
+
+
+def find_states(segments: Segments) -> States:
+    """Return the states of segments, their number chosen by the data.
+
+    Notes
+    -----
+    For each of a few scatters and walks of the drift segments are assigned in turn, the drift filtered, until
+    labels stay; states closer than their noise allows are merged. The choice of the lowest criterion
+    ``sum(r^T S^-1 r + ln det S) + sum(ln det W - ln det C)`` is taken: residuals r and covariances S of
+    segments, covariances C of the states' centres and W of their places before any is observed (Laplace's
+    approximation of the probability of the points).
+    """
+    sample = float(np.sqrt(np.trace(segments.noise.of_mean(1)) / 3.0))
+    rate = drift_rate(segments)
+    length = max(float(segments.end[-1] - segments.start[0]) / SECOND, 1.0)
+    rates = [rate]
+    for size in STATES.drifts:
+        walk = np.maximum(rate.level_walk, (size * sample) ** 2 / length)
+        rates.append(rate._replace(level_walk=walk))
+    proven = labels_by_steps(segments, rates, [size * sample for size in STATES.scatters])
+    tried = []
+    for one in rates:
+        for size in STATES.scatters:
+            if proven is None:
+                tried.append(_cluster(segments, one, size * sample))
+            else:
+                tried.append(_with_labels(segments, one, size * sample, proven))
+    return min(tried, key=lambda found: found[0])[1]
+
+
+def _cluster(segments: Segments, rate: DriftRate, scatter: float) -> tuple[float, States]:
+    """Return criterion and states of segments for one walk of the drift and one scatter."""
+    found = _Clustering(segments, rate, scatter)
+    if not found.steady.size:
+        return 0.0, found.states()
+    found.assign_all(may_add=True)
+    for _ in range(STATES.rounds):
+        found.update_centres()
+        while found.merge():
+            pass
+        before = found.label.copy()
+        found.assign_all(may_add=False)
+        if np.array_equal(before, found.label):
+            break
+    found.update_centres()
+    confidence = float(np.exp(-found.confusion.sum()))
+    return found.criterion(), replace(found.states(), confidence=confidence)
+
+
+def _with_labels(
+    segments: Segments, rate: DriftRate, scatter: float, proven: ProvenStates
+) -> tuple[float, States]:
+    """Return criterion and states of known labels, which are numbered as they appear."""
+    found = _Clustering(segments, rate, scatter)
+    found.given = proven.label
+    found.assign_all(may_add=True)
+    for _ in range(2):
+        found.update_centres()
+        found.assign_all(may_add=False)
+    found.update_centres()
+    return found.criterion(), replace(found.states(), occupancy=proven.occupancy)
+
+
+class _Clustering:
+    """Segments assigned one after the other, with a new state where none fits.
+
+    Attributes
+    ----------
+    centre, covariance : ndarray, shape (state, axis) and (state, axis, axis)
+    label : ndarray of int64, shape (segment,)
+    drift, drift_end, drift_covariance : ndarray
+        Of the common drift at each segment.
+    confusion : ndarray, shape (segment,)
+        Probability that the choice was wrong and moved the drift.
+    """
+
+    def __init__(self, segments: Segments, rate: DriftRate, scatter: float) -> None:
+        self.segments, self.rate, self.scatter = segments, rate, scatter
+        self.steady = np.flatnonzero(~segments.transient)
+        self.spread = scatter**2 * np.eye(3)
+        self.limit = float(stats.chi2.isf(STATES.false_states / max(self.steady.size, 1), 3))
+        self.centre, self.covariance = np.empty((0, 3)), np.empty((0, 3, 3))
+        count = len(segments)
+        self.label = np.full(count, TRANSIENT, dtype=np.int64)
+        self.drift, self.drift_end = np.zeros((count, 3)), np.zeros((count, 3))
+        self.drift_covariance = np.zeros((count, 3, 3))
+        self.own = np.array([self.spread + own_drift(segments, one, rate) for one in range(count)])
+        self.cost = 0.0
+        self.given: Labels | None = None
+        self.confusion = np.zeros(count)
+        self.anywhere = self._log_volume()
+
+    def _log_volume(self) -> float:
+        """Return the log determinant of the covariance of states' places before any is observed."""
+        noise = self.segments.noise.of_mean(1) + self.scatter**2 * np.eye(3)
+        points = self.segments.level[self.steady]
+        wide = STATES.anywhere_noise * noise
+        if len(points) >= 2:
+            wide = STATES.anywhere_points * np.cov(points.T) + wide
+        return float(np.linalg.slogdet(wide)[1])
+
+    def assign_all(self, *, may_add: bool) -> None:
+        """Assign all segments once; without `may_add` to the nearest state, however far."""
+        track = DriftFilter.start(self.rate)
+        self.cost = 0.0
+        before = self.segments.begin.middle[0] if len(self.segments) else 0
+        for one in self.steady.tolist():
+            track.predict(float(self.segments.begin.middle[one] - before) / SECOND)
+            track.observe_slope(self.segments.begin.slope[one], self.segments.slope_variance[one])
+            spread = self.segments.covariance[one] + self.own[one]
+            self._assign(one, spread, track, may_add)
+            self.drift[one], self.drift_covariance[one] = track.value, track.spread
+            track.cross_segment(self.segments, one)
+            self.drift_end[one] = track.value
+            before = self.segments.finish.middle[one]
+        if self.steady.size:
+            # Transients have the drift of the segment before them.
+            last = np.searchsorted(self.steady, np.arange(len(self.segments)), side="right") - 1
+            short = self.segments.transient
+            own = self.steady[np.maximum(last, 0)[short]]
+            self.drift[short] = self.drift_end[short] = self.drift_end[own]
+
+    def _assign(self, one: int, spread: Floats, track: DriftFilter, may_add: bool) -> None:
+        """Assign one segment, and update its state and the drift by it."""
+        residual = self.segments.begin.mean[one] - track.value - self.centre
+        total = spread + track.spread + self.covariance
+        distance = (
+            np.einsum("ki,kij,kj->k", residual, np.linalg.inv(total), residual)
+            if len(residual)
+            else np.empty(0)
+        )
+        if self._is_new(one, distance, may_add):
+            self.label[one] = len(self.centre)
+            self.centre = np.append(self.centre, [self.segments.begin.mean[one] - track.value], axis=0)
+            self.covariance = np.append(self.covariance, [spread + track.spread], axis=0)
+            return
+        state = self._likeliest(distance, total) if self.given is None else int(self.given[one])
+        self.label[one] = state
+        self.confusion[one] = self._doubt(distance, total, state) * float(
+            (track.spread @ np.linalg.inv(total[state])).diagonal().max()
+        )
+        self.cost += distance[state] + float(np.linalg.slogdet(spread + track.spread)[1])
+        if may_add:
+            gain = self.covariance[state] @ np.linalg.inv(total[state])
+            self.centre[state] += gain @ residual[state]
+            self.covariance[state] -= gain @ self.covariance[state]
+        track.observe_value(residual[state], np.diag(total[state]))
+
+    def _is_new(self, one: int, distance: Floats, may_add: bool) -> bool:
+        if self.given is not None:
+            return int(self.given[one]) == len(distance)
+        return not distance.size or bool(may_add and distance.min() > self.limit)
+
+    def _likeliest(self, distance: Floats, total: Floats) -> int:
+        cost = distance + np.linalg.slogdet(total)[1]
+        # Far beyond its noise a wide state must not win by its width alone.
+        return int(np.argmin(np.where(distance <= max(self.limit, distance.min()), cost, np.inf)))
+
+    def _doubt(self, distance: Floats, total: Floats, state: int) -> float:
+        """Return the probability that another state is right, or a new one, which could lie anywhere."""
+        likelihood = -0.5 * np.append(distance + np.linalg.slogdet(total)[1], self.anywhere)
+        return float(1.0 - np.exp(likelihood[state] - np.logaddexp.reduce(likelihood)))
+
+    def update_centres(self) -> None:
+        """Estimate the states' centres anew from the segments assigned to them; empty states go."""
+        used, label = np.unique(self.label[self.steady], return_inverse=True)
+        self.label[self.steady] = label
+        weight = np.linalg.inv(self.segments.covariance + self.own + self.drift_covariance)
+        point = self.segments.begin.mean - self.drift
+        centre, covariance = np.empty((used.size, 3)), np.empty((used.size, 3, 3))
+        for state in range(used.size):
+            own = np.flatnonzero(self.label == state)
+            covariance[state] = np.linalg.inv(weight[own].sum(axis=0))
+            centre[state] = covariance[state] @ np.einsum("sij,sj->i", weight[own], point[own])
+        self.centre, self.covariance = centre, covariance
+
+    def merge(self) -> bool:
+        """Merge the two states that are nearest to each other, if one explains both."""
+        apart = self.centre[:, None] - self.centre[None]
+        total = self.covariance[:, None] + self.covariance[None]
+        distance = np.einsum("kli,klij,klj->kl", apart, np.linalg.inv(total), apart)
+        np.fill_diagonal(distance, np.inf)
+        if not distance.size:
+            return False
+        # How much better one state for both is than two anywhere: the ratio of the densities.
+        distance -= self.anywhere - np.linalg.slogdet(total)[1]
+        if distance.min() > 0.0:
+            return False
+        first, second = sorted(int(one) for one in np.unravel_index(np.argmin(distance), distance.shape))
+        self.label[self.label == second] = first
+        self.update_centres()
+        return True
+
+    def criterion(self) -> float:
+        """Return the criterion of `find_states`: cost of the segments, and of where the centres could be."""
+        return self.cost + float(np.sum(self.anywhere - np.linalg.slogdet(self.covariance)[1]))
+
+    def states(self) -> States:
+        """Return the states as they are assigned now."""
+        return States(
+            centre=self.centre,
+            covariance=self.covariance,
+            count=np.bincount(self.label[self.steady], minlength=len(self.centre)),
+            label=self.label,
+            drift=self.drift,
+            drift_end=self.drift_end,
+            drift_rate=self.rate,
+            scatter=self.scatter,
+        )
+
+
+class ProvenStates(NamedTuple):
+    """States that the steps prove.
+
+    Attributes
+    ----------
+    label : ndarray of int64, shape (segment,)
+        State of each segment, numbered as they appear; `TRANSIENT` for those too short.
+    occupancy : ndarray of int64, shape (state, unit)
+        0 or 1.
+    """
+
+    label: Labels
+    occupancy: Occupancy
+
+
+def labels_by_steps(
+    segments: Segments, rates: Sequence[DriftRate], scatters: Sequence[float]
+) -> ProvenStates | None:
+    """Return the states that the steps between segments prove; None where they prove none.
+
+    Parameters
+    ----------
+    segments : Segments
+    rates : sequence of DriftRate
+        How fast the difference may drift, the likeliest first.
+    scatters : sequence of float
+        By how much a state's point may vary beyond noise and drift, nT; the likeliest first.
+    """
+    if np.count_nonzero(~segments.transient) < UNITS.proof_steps + 2:
+        return None
+    for rate in rates:
+        step, covariance = steps_between(segments, rate)
+        for scatter in scatters:
+            found = _decode_steps(segments, step, covariance + 2.0 * scatter**2 * np.eye(3))
+            if found is not None:
+                return found
+    return None
+
+
+def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:
+    """Return steps from each steady segment to the next, the drift in between subtracted, and covariances.
+
+    Parameters
+    ----------
+    segments : Segments
+    rate : DriftRate
+
+    Returns
+    -------
+    step, covariance : ndarray, shape (steady segment - 1, axis) and (..., axis, axis)
+        nT and nT^2.
+    """
+    steady = np.flatnonzero(~segments.transient)
+    track = DriftFilter.start(rate)
+    step, covariance = np.empty((steady.size - 1, 3)), np.empty((steady.size - 1, 3, 3))
+    track.observe_slope(segments.begin.slope[steady[0]], segments.slope_variance[steady[0]])
+    for place, (one, after) in enumerate(pairwise(steady.tolist())):
+        track.cross_segment(segments, one)
+        seconds = float(segments.begin.middle[after] - segments.finish.middle[one]) / SECOND
+        value = track.value.copy()
+        track.covariance[:, 0, :] = track.covariance[:, :, 0] = 0.0
+        track.predict(seconds)
+        track.observe_slope(segments.begin.slope[after], segments.slope_variance[after])
+        step[place] = segments.begin.mean[after] - segments.finish.mean[one] - (track.value - value)
+        covariance[place] = segments.covariance[one] + segments.covariance[after] + track.spread
+    return step, covariance
+
+
+def _decode_steps(segments: Segments, step: Floats, covariance: Floats) -> ProvenStates | None:
+    """Return the states that accumulated steps name; None where these prove nothing."""
+    steady = np.flatnonzero(~segments.transient)
+    limit = chi2_limit(len(step))
+    size = np.einsum("si,sij,sj->s", step, np.linalg.inv(covariance), step)
+    real = np.flatnonzero(size > limit)
+    # The most precise steps first: others are recognised by them.
+    order = real[np.argsort(np.einsum("sii->s", covariance[real]), kind="stable")]
+    changes: list[Change] = []
+    which: dict[int, tuple[int, int]] = {}
+    for one in order.tolist():
+        which[one] = match_or_add(changes, Change(step[one], covariance[one], 1), limit)
+        if len(changes) > UNITS.most_vectors:
+            return None
+    kept, parts = reduce_to_units(changes)
+    vectors = np.array([changes[one].vector for one in kept])
+    if len(real) - len(kept) < UNITS.proof_steps or _nearly_equal(vectors):
+        return None
+    toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
+    for one, (change, sign) in which.items():
+        for unit, value in parts[change].items():
+            toggled[one + 1, unit] = sign * value
+    table = simplest_occupancy(np.cumsum(toggled, axis=0))
+    seldom = UNITS.fewest_switchings
+    if np.abs(np.diff(table, axis=0)).sum(axis=0).min(initial=seldom) < seldom:
+        return None
+    if np.ptp(table, axis=0).max(initial=0) > 1:
+        return None
+    _, first, found = np.unique(table, axis=0, return_index=True, return_inverse=True)
+    label = np.full(len(segments), TRANSIENT, dtype=np.int64)
+    label[steady] = np.argsort(np.argsort(first))[found.ravel()]
+    return ProvenStates(label, table[np.sort(first)])
+
+
+def _nearly_equal(vectors: Floats) -> bool:
+    """Return whether two of the vectors (vector, axis) hardly differ, up to their sign."""
+    size = np.linalg.norm(vectors, axis=1)
+    apart = np.minimum(
+        np.linalg.norm(vectors[:, None] - vectors[None], axis=2),
+        np.linalg.norm(vectors[:, None] + vectors[None], axis=2),
+    )
+    np.fill_diagonal(apart, np.inf)
+    return bool(np.any(apart < UNITS.least_difference * np.minimum(size[:, None], size[None])))
 
 
 @dataclass(frozen=True)
 class Change:
-    """A vector by which states change, up to its sign."""
+    """A vector by which states change, up to its sign.
+
+    Attributes
+    ----------
+    vector : ndarray, shape (axis,)
+        nT.
+    covariance : ndarray, shape (axis, axis)
+        nT^2.
+    count : int
+        How often it was observed.
+    """
 
     vector: Floats
     covariance: Floats
     count: int
 
 
-def limit_of(tests: int) -> float:
+def chi2_limit(tests: int) -> float:
     """Return the squared distance that one of so many right changes exceeds once in a thousand times."""
-    return float(stats.chi2.isf(_MISSED / max(tests, 1), 3))
+    return float(stats.chi2.isf(UNITS.missed / max(tests, 1), 3))
 
 
-def _squared(vector: Floats, covariance: Floats) -> float:
+def squared_distance(vector: Floats, covariance: Floats) -> float:
+    """Return the squared length of a vector (axis,) in units of its errors (Mahalanobis)."""
     return float(vector @ np.linalg.solve(covariance, vector))
 
 
-def joined(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
+def match_or_add(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
     """Return place and sign of the known change that a new one is; it is added where it is none.
 
     Parameters
     ----------
     changes : list of Change
-        Known so far; the one that the new one is becomes surer by it.
+        Known so far; the one that the new one agrees with is averaged with it.
     new : Change
     limit : float
         Squared distance, in errors, up to which both are one.
@@ -89,10 +516,10 @@ def joined(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
     best = (np.inf, 0, 1)
     for index, known in enumerate(changes):
         for sign in (1, -1):
-            far = _squared(new.vector - sign * known.vector, new.covariance + known.covariance)
-            best = min(best, (far, index, sign))
-    far, index, sign = best
-    if far > limit:
+            distance = squared_distance(new.vector - sign * known.vector, new.covariance + known.covariance)
+            best = min(best, (distance, index, sign))
+    distance, index, sign = best
+    if distance > limit:
         changes.append(new)
         return len(changes) - 1, 1
     known = changes[index]
@@ -105,8 +532,12 @@ def joined(changes: list[Change], new: Change, limit: float) -> tuple[int, int]:
     return index, sign
 
 
-def reduced(changes: list[Change]) -> tuple[list[int], dict[int, dict[int, int]]]:
-    """Return which changes are units, and each change as signed units (by place among the units)."""
+def reduce_to_units(changes: list[Change]) -> tuple[list[int], dict[int, dict[int, int]]]:
+    """Return which changes are units, and each change as signed units (by place among the units).
+
+    A change observed often is taken for one unit; one that is the sum or difference of two or three others,
+    within its uncertainty and not by chance, is taken for several that switched together.
+    """
     # Rare and large changes are the sums; frequent and small ones the units.
     order = sorted(
         range(len(changes)), key=lambda one: (changes[one].count, -float(np.linalg.norm(changes[one].vector)))
@@ -132,34 +563,34 @@ def reduced(changes: list[Change]) -> tuple[list[int], dict[int, dict[int, int]]
 
 def _as_sum(changes: list[Change], one: int, others: list[int]) -> dict[int, int] | None:
     """Return a change as a signed sum of two or three others; None when it is none."""
-    wanted = changes[one]
+    target = changes[one]
     size = float(np.sqrt(np.mean([np.sum(change.vector**2) for change in changes])))
-    for number in range(2, min(_TOGETHER, len(others)) + 1):
+    for number in range(2, min(UNITS.together, len(others)) + 1):
         choices = list(combinations(others, number))
         signs = list(product((1, -1), repeat=number))
-        limit = limit_of(1)
+        limit = chi2_limit(1)
         best: tuple[float, dict[int, int]] | None = None
         for choice in choices:
-            spread = wanted.covariance + sum(changes[part].covariance for part in choice)
-            # The sphere that sums of so many vectors fill, beside what one would accept.
+            spread = target.covariance + sum(changes[part].covariance for part in choice)
+            # Volume within the limit, over that of the sphere which sums of so many vectors fill.
             volume = (
                 limit**1.5
                 * np.sqrt(max(float(np.linalg.det(spread)), 0.0))
                 / (size**2 * number / 3.0 * limit) ** 1.5
             )
-            if len(choices) * len(signs) * volume > _ACCIDENTS:
+            if len(choices) * len(signs) * volume > UNITS.accidents:
                 continue
             for sign in signs:
                 total = sum(s * changes[part].vector for s, part in zip(sign, choice, strict=True))
-                far = _squared(wanted.vector - total, spread)
-                if far < limit and (best is None or far < best[0]):
-                    best = far, dict(zip(choice, sign, strict=True))
+                distance = squared_distance(target.vector - total, spread)
+                if distance < limit and (best is None or distance < best[0]):
+                    best = distance, dict(zip(choice, sign, strict=True))
         if best is not None:
             return best[1]
     return None
 
 
-def simplest(table: Occupancy) -> Occupancy:
+def simplest_occupancy(table: Occupancy) -> Occupancy:
     """Return occupancies of units combined anew, so that as many as possible are on or off and no more.
 
     Two that often switch together may have been taken for one unit: with the sum ``a + b`` and ``a`` as units
@@ -180,377 +611,7 @@ def simplest(table: Occupancy) -> Occupancy:
         table[:, other] -= sign * table[:, one]
 
 
-Labels = npt.NDArray[np.int64]
-
-#: Steps beyond one for each vector that prove a reading: one in a thousand passes by accident.
-_PROOF = 10
-
-#: Each vector must be seen so often, and be no nearer to another than this part of its size: else errors may
-#: have made two of one.
-_TURNS, _ALIKE = 3, 0.1
-
-#: With more distinct steps than this they are no sums of a few vectors.
-_MOST = 24
-
-
-class Proven(NamedTuple):
-    """States that the steps prove.
-
-    Attributes
-    ----------
-    label : ndarray of int64, shape (segment,)
-        State of each segment, numbered as they appear; `TRANSIENT` for those too short.
-    occupancy : ndarray of int64, shape (state, unit)
-        0 or 1.
-    """
-
-    label: Labels
-    occupancy: Occupancy
-
-
-def labels_by_steps(
-    segments: Segments, rates: Sequence[DriftRate], scatters: Sequence[float]
-) -> Proven | None:
-    """Return the states that the steps between segments prove; None where they prove none.
-
-    Parameters
-    ----------
-    segments : Segments
-    rates : sequence of DriftRate
-        How fast the difference may drift, the likeliest first.
-    scatters : sequence of float
-        By how much a state's point may vary beside noise and drift, nT; the likeliest first.
-    """
-    if np.count_nonzero(~segments.transient) < _PROOF + 2:
-        return None
-    for rate in rates:
-        step, covariance = steps_between(segments, rate)
-        for scatter in scatters:
-            found = _read(segments, step, covariance + 2.0 * scatter**2 * np.eye(3))
-            if found is not None:
-                return found
-    return None
-
-
-def _read(segments: Segments, step: Floats, covariance: Floats) -> Proven | None:
-    steady = np.flatnonzero(~segments.transient)
-    limit = limit_of(len(step))
-    size = np.einsum("si,sij,sj->s", step, np.linalg.inv(covariance), step)
-    real = np.flatnonzero(size > limit)
-    # The surest steps first: others are recognised by them.
-    order = real[np.argsort(np.einsum("sii->s", covariance[real]), kind="stable")]
-    changes: list[Change] = []
-    which: dict[int, tuple[int, int]] = {}
-    for one in order.tolist():
-        which[one] = joined(changes, Change(step[one], covariance[one], 1), limit)
-        if len(changes) > _MOST:
-            return None
-    kept, parts = reduced(changes)
-    if len(real) - len(kept) < _PROOF or _alike(np.array([changes[one].vector for one in kept])):
-        return None
-    toggled = np.zeros((steady.size, len(kept)), dtype=np.int64)
-    for one, (change, sign) in which.items():
-        for unit, value in parts[change].items():
-            toggled[one + 1, unit] = sign * value
-    table = simplest(np.cumsum(toggled, axis=0))
-    seldom = np.abs(np.diff(table, axis=0)).sum(axis=0).min(initial=_TURNS) < _TURNS
-    if seldom or np.ptp(table, axis=0).max(initial=0) > 1:
-        return None
-    _, first, found = np.unique(table, axis=0, return_index=True, return_inverse=True)
-    label = np.full(len(segments), TRANSIENT, dtype=np.int64)
-    label[steady] = np.argsort(np.argsort(first))[found.ravel()]
-    return Proven(label, table[np.sort(first)])
-
-
-def _alike(vectors: Floats) -> bool:
-    """Return whether two of the vectors (vector, axis) hardly differ, up to their sign."""
-    size = np.linalg.norm(vectors, axis=1)
-    apart = np.minimum(
-        np.linalg.norm(vectors[:, None] - vectors[None], axis=2),
-        np.linalg.norm(vectors[:, None] + vectors[None], axis=2),
-    )
-    np.fill_diagonal(apart, np.inf)
-    return bool(np.any(apart < _ALIKE * np.minimum(size[:, None], size[None])))
-
-
-def steps_between(segments: Segments, rate: DriftRate) -> tuple[Floats, Floats]:
-    """Return steps from each steady segment to the next, the drift in between taken off, and covariances.
-
-    Parameters
-    ----------
-    segments : Segments
-    rate : DriftRate
-
-    Returns
-    -------
-    step, covariance : ndarray, shape (steady segment - 1, axis) and (..., axis, axis)
-        nT and nT^2.
-    """
-    steady = np.flatnonzero(~segments.transient)
-    track = Track.start(rate)
-    step, covariance = np.empty((steady.size - 1, 3)), np.empty((steady.size - 1, 3, 3))
-    track.sloping(segments.begin.slope[steady[0]], segments.slope_variance[steady[0]])
-    for place, (one, after) in enumerate(pairwise(steady.tolist())):
-        track.through(segments, one)
-        seconds = float(segments.begin.middle[after] - segments.finish.middle[one]) / SECOND
-        value = track.value.copy()
-        track.covariance[:, 0, :] = track.covariance[:, :, 0] = 0.0
-        track.forward(seconds)
-        track.sloping(segments.begin.slope[after], segments.slope_variance[after])
-        step[place] = segments.begin.mean[after] - segments.finish.mean[one] - (track.value - value)
-        covariance[place] = segments.covariance[one] + segments.covariance[after] + track.spread
-    return step, covariance
-
-
-#: Chance that one segment of all is taken for a new state by its noise.
-_FALSE_STATES = 1e-3
-
-#: Scatters of the states' points that are tried, in standard deviations of one sample.
-_SCATTERS = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0)
-
-#: Drifts over the whole record that are tried beside what segments show, in the same unit.
-_WANDERS = (1.0, 3.0, 10.0, 30.0)
-
-_ASSIGNMENT_ROUNDS = 6
-
-
-@dataclass(frozen=True)
-class States:
-    """States found in segments.
-
-    Attributes
-    ----------
-    centre : ndarray, shape (state, axis)
-        Difference in the state, without the drift, nT; states are numbered as they appear.
-    covariance : ndarray, shape (state, axis, axis)
-        Of `centre`, nT^2.
-    count : ndarray of int64, shape (state,)
-        Segments.
-    label : ndarray of int64, shape (segment,)
-        State of each segment; `TRANSIENT` (-2) for one too short.
-    drift, drift_end : ndarray, shape (segment, axis)
-        Common drift at the beginning and end of each segment, nT; 0 at the first.
-    drift_rate : DriftRate
-    scatter : float
-        Standard deviation of a state's points beyond noise, nT, any axis.
-    occupancy : ndarray of int64, shape (state, unit), optional
-        Which units are switched, where the steps prove it.
-    sureness : float
-        Probability that no doubtful choice of a state misled the drift, and with it later choices.
-    """
-
-    centre: Floats
-    covariance: Floats
-    count: Labels
-    label: Labels
-    drift: Floats
-    drift_end: Floats
-    drift_rate: DriftRate
-    scatter: float
-    occupancy: Occupancy | None = None
-    sureness: float = 1.0
-
-    def __len__(self) -> int:
-        return len(self.centre)
-
-
-def find_states(segments: Segments) -> States:
-    """Return the states that the segments tell, their number chosen by the data.
-
-    Notes
-    -----
-    For each of a few scatters segments are assigned in turn, the drift carried along, until labels stay;
-    states closer than their noise allows are merged. The scatter of the lowest criterion
-    ``sum(r^T S^-1 r + ln det S) + sum(ln det W - ln det C)`` is taken: residuals r and covariances S of
-    segments, covariances C of the states' centres and W of their places before any is seen (Laplace's
-    approximation of the probability of the points).
-    """
-    sample = float(np.sqrt(np.trace(segments.noise.of_mean(1)) / 3.0))
-    rate = drift_rate(segments)
-    length = max(float(segments.end[-1] - segments.start[0]) / SECOND, 1.0)
-    rates = [rate]
-    for part in _WANDERS:
-        rates.append(rate._replace(value=np.maximum(rate.value, (part * sample) ** 2 / length)))
-    given = labels_by_steps(segments, rates, [part * sample for part in _SCATTERS])
-    tried = []
-    for one in rates:
-        for part in _SCATTERS:
-            if given is None:
-                tried.append(_with_scatter(segments, one, part * sample))
-            else:
-                tried.append(_with_labels(segments, one, part * sample, given))
-    return min(tried, key=lambda one: one[0])[1]
-
-
-class _Clustering:
-    """Segments assigned in turn, a new state where none fits."""
-
-    def __init__(self, segments: Segments, rate: DriftRate, scatter: float) -> None:
-        self.segments, self.rate = segments, rate
-        self.steady = np.flatnonzero(~segments.transient)
-        self.spread = scatter**2 * np.eye(3)
-        self.limit = float(stats.chi2.isf(_FALSE_STATES / max(self.steady.size, 1), 3))
-        self.centre, self.covariance = np.empty((0, 3)), np.empty((0, 3, 3))
-        count = len(segments)
-        self.label = np.full(count, TRANSIENT, dtype=np.int64)
-        self.drift, self.drift_end = np.zeros((count, 3)), np.zeros((count, 3))
-        self.drift_covariance = np.zeros((count, 3, 3))
-        self.own = np.array([self.spread + own_drift(segments, one, rate) for one in range(count)])
-        self.cost = 0.0
-        self.given: Labels | None = None
-        self.misled = np.zeros(count)
-        self.anywhere = _anywhere(segments, self.steady, scatter)
-
-    def prior(self) -> float:
-        """Return twice the logarithm of how many places each state could have had instead of its own."""
-        return float(np.sum(self.anywhere - np.linalg.slogdet(self.covariance)[1]))
-
-    def run(self, *, may_add: bool) -> None:
-        """Assign all segments once; without `may_add` to the nearest state, however far."""
-        track = Track.start(self.rate)
-        self.cost = 0.0
-        before = self.segments.begin.middle[0] if len(self.segments) else 0
-        for one in self.steady.tolist():
-            track.forward(float(self.segments.begin.middle[one] - before) / SECOND)
-            track.sloping(self.segments.begin.slope[one], self.segments.slope_variance[one])
-            spread = self.segments.covariance[one] + self.own[one]
-            self._assign(one, spread, track, may_add)
-            self.drift[one], self.drift_covariance[one] = track.value, track.spread
-            track.through(self.segments, one)
-            self.drift_end[one] = track.value
-            before = self.segments.finish.middle[one]
-        self._follow_transients()
-
-    def _assign(self, one: int, spread: Floats, track: Track, may_add: bool) -> None:
-        left = self.segments.begin.mean[one] - track.value - self.centre
-        total = spread + track.spread + self.covariance
-        far = np.einsum("ki,kij,kj->k", left, np.linalg.inv(total), left) if len(left) else np.empty(0)
-        if self._is_new(one, far, may_add):
-            self.label[one] = len(self.centre)
-            self.centre = np.append(self.centre, [self.segments.begin.mean[one] - track.value], axis=0)
-            self.covariance = np.append(self.covariance, [spread + track.spread], axis=0)
-            return
-        state = self._nearest(far, total) if self.given is None else int(self.given[one])
-        self.label[one] = state
-        self.misled[one] = self._doubt(far, total, state) * float(
-            (track.spread @ np.linalg.inv(total[state])).diagonal().max()
-        )
-        self.cost += far[state] + float(np.linalg.slogdet(spread + track.spread)[1])
-        if may_add:
-            gain = self.covariance[state] @ np.linalg.inv(total[state])
-            self.centre[state] += gain @ left[state]
-            self.covariance[state] -= gain @ self.covariance[state]
-        track.seen(left[state], np.diag(total[state]))
-
-    def _doubt(self, far: Floats, total: Floats, state: int) -> float:
-        """Return the probability that another state is right, or a new one, which could lie anywhere."""
-        likely = -0.5 * np.append(far + np.linalg.slogdet(total)[1], self.anywhere)
-        return float(1.0 - np.exp(likely[state] - np.logaddexp.reduce(likely)))
-
-    def _is_new(self, one: int, far: Floats, may_add: bool) -> bool:
-        if self.given is not None:
-            return int(self.given[one]) == len(far)
-        return not far.size or bool(may_add and far.min() > self.limit)
-
-    def _nearest(self, far: Floats, total: Floats) -> int:
-        likely = far + np.linalg.slogdet(total)[1]
-        # Far beyond its noise a wide state must not win by its width alone.
-        return int(np.argmin(np.where(far <= max(self.limit, far.min()), likely, np.inf)))
-
-    def _follow_transients(self) -> None:
-        known = self.steady
-        if known.size:
-            last = np.maximum(np.searchsorted(known, np.arange(len(self.segments)), side="right") - 1, 0)
-            short = self.segments.transient
-            self.drift[short] = self.drift_end[short] = self.drift_end[known[last[short]]]
-
-    def centres(self) -> None:
-        """Take the states' centres anew from the segments assigned to them; empty states go."""
-        used, label = np.unique(self.label[self.steady], return_inverse=True)
-        self.label[self.steady] = label
-        weight = np.linalg.inv(self.segments.covariance + self.own + self.drift_covariance)
-        point = self.segments.begin.mean - self.drift
-        centre, covariance = np.empty((used.size, 3)), np.empty((used.size, 3, 3))
-        for state in range(used.size):
-            own = np.flatnonzero(self.label == state)
-            covariance[state] = np.linalg.inv(weight[own].sum(axis=0))
-            centre[state] = covariance[state] @ np.einsum("sij,sj->i", weight[own], point[own])
-        self.centre, self.covariance = centre, covariance
-
-    def merge(self) -> bool:
-        """Make one of the two states that are nearest to each other, if one explains both."""
-        apart = self.centre[:, None] - self.centre[None]
-        total = self.covariance[:, None] + self.covariance[None]
-        far = np.einsum("kli,klij,klj->kl", apart, np.linalg.inv(total), apart)
-        np.fill_diagonal(far, np.inf)
-        if not far.size:
-            return False
-        # How much better one state for both is than two anywhere: the ratio of the densities.
-        far -= self.anywhere - np.linalg.slogdet(total)[1]
-        if far.min() > 0.0:
-            return False
-        first, second = sorted(int(one) for one in np.unravel_index(np.argmin(far), far.shape))
-        self.label[self.label == second] = first
-        self.centres()
-        return True
-
-
-def _anywhere(segments: Segments, steady: Labels, scatter: float) -> float:
-    """Return the logarithm of the determinant of the covariance of states' places before any is seen."""
-    noise = segments.noise.of_mean(1) + scatter**2 * np.eye(3)
-    points = segments.level[steady]
-    wide = 9.0 * noise if len(points) < 2 else 4.0 * np.cov(points.T) + 9.0 * noise
-    return float(np.linalg.slogdet(wide)[1])
-
-
-def _with_scatter(segments: Segments, rate: DriftRate, scatter: float) -> tuple[float, States]:
-    found = _Clustering(segments, rate, scatter)
-    if not found.steady.size:
-        nothing = np.empty(0, dtype=np.int64)
-        zero = np.zeros((len(segments), 3))
-        return 0.0, States(
-            np.empty((0, 3)), np.empty((0, 3, 3)), nothing, found.label, zero, zero, rate, scatter
-        )
-    found.run(may_add=True)
-    for _ in range(_ASSIGNMENT_ROUNDS):
-        found.centres()
-        while found.merge():
-            pass
-        before = found.label.copy()
-        found.run(may_add=False)
-        if np.array_equal(before, found.label):
-            break
-    found.centres()
-    cost, states = _told(found, scatter)
-    return cost, replace(states, sureness=float(np.exp(-found.misled.sum())))
-
-
-def _with_labels(segments: Segments, rate: DriftRate, scatter: float, given: Proven) -> tuple[float, States]:
-    """Return cost and states of known labels, which are numbered as they appear."""
-    found = _Clustering(segments, rate, scatter)
-    found.given = given.label
-    found.run(may_add=True)
-    for _ in range(2):
-        found.centres()
-        found.run(may_add=False)
-    found.centres()
-    cost, states = _told(found, scatter)
-    return cost, replace(states, occupancy=given.occupancy)
-
-
-def _told(found: _Clustering, scatter: float) -> tuple[float, States]:
-    cost = found.cost + found.prior()
-    count = np.bincount(found.label[found.steady], minlength=len(found.centre))
-    return cost, States(
-        found.centre, found.covariance, count, found.label, found.drift, found.drift_end, found.rate, scatter
-    )
-
-
-#: With more units than this only states near to one that was seen are predicted.
-_MOST_ALL, _NEAR = 8, 2
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Units:
     """Units and which of them are switched in each state.
 
@@ -563,7 +624,7 @@ class Units:
     covariance : ndarray, shape (unit + 1, axis, unit + 1, axis)
         Of the vectors and, last, of the base, nT^2.
     occupancy : ndarray of int64, shape (state, unit)
-        0 or 1; more for units that cannot be told from several alike.
+        0 or 1; more for units that cannot be distinguished from several alike.
     consistent : bool
         All states are sums of the units within their uncertainties, and fewer units than changes make them.
     reason : str
@@ -585,39 +646,39 @@ class Units:
         values = design @ np.vstack([self.vector, self.base])
         return values, np.einsum("sp,piqj,sq->sij", design, self.covariance, design)
 
-    def unseen(self) -> Occupancy:
+    def unobserved(self) -> Occupancy:
         """Return the combinations (state, unit) that no state has: those near to one when units are many."""
         count = len(self)
-        seen = {tuple(row) for row in self.occupancy.tolist()}
-        if count <= _MOST_ALL:
+        observed = {tuple(row) for row in self.occupancy.tolist()}
+        if count <= UNITS.most_predicted:
             every = set(product((0, 1), repeat=count))
         else:
             every = set()
-            for row in seen:
-                for number in range(1, _NEAR + 1):
-                    for flipped in combinations(range(count), number):
-                        every.add(tuple(1 - min(v, 1) if i in flipped else v for i, v in enumerate(row)))
-        rows = sorted(every - seen)
+            for row in observed:
+                for number in range(1, UNITS.near_switchings + 1):
+                    for toggled in combinations(range(count), number):
+                        every.add(tuple(1 - min(v, 1) if i in toggled else v for i, v in enumerate(row)))
+        rows = sorted(every - observed)
         return np.array(rows, dtype=np.int64).reshape(len(rows), count)
 
 
 def find_units(states: States) -> Units:
     """Return the units that make the states, from the changes between states that follow each other."""
     label = states.label[states.label >= 0]
-    edges = _edges(label)
+    edges = _transitions(label)
     if len(states) < 2 or not edges:
         return _no_units(states, "one state only")
     if states.occupancy is not None:
-        return _fitted(states, states.occupancy)
-    changes, which = _distinct(states, edges)
-    kept, parts = reduced(changes)
+        return _fit_units(states, states.occupancy)
+    changes, which = _distinct_changes(states, edges)
+    kept, parts = reduce_to_units(changes)
     occupancy = _occupancy(len(states), edges, which, parts, len(kept))
     if occupancy is None:
         return _no_units(states, "the changes between states contradict each other as sums of units")
-    return _fitted(states, occupancy)
+    return _fit_units(states, occupancy)
 
 
-def _edges(label: npt.NDArray[np.int64]) -> dict[tuple[int, int], int]:
+def _transitions(label: npt.NDArray[np.int64]) -> dict[tuple[int, int], int]:
     """Return how often two states, the lower number first, follow each other."""
     found: dict[tuple[int, int], int] = {}
     for one, other in zip(label[:-1].tolist(), label[1:].tolist(), strict=True):
@@ -627,18 +688,18 @@ def _edges(label: npt.NDArray[np.int64]) -> dict[tuple[int, int], int]:
     return found
 
 
-def _distinct(
+def _distinct_changes(
     states: States, edges: dict[tuple[int, int], int]
 ) -> tuple[list[Change], dict[tuple[int, int], tuple[int, int]]]:
     """Return the distinct changes, and for each pair of states its change and sign."""
     changes: list[Change] = []
     which = {}
-    limit = limit_of(len(edges))
+    limit = chi2_limit(len(edges))
     scatter = 2.0 * states.scatter**2 * np.eye(3)
     for (one, other), count in sorted(edges.items(), key=lambda item: -item[1]):
         vector = states.centre[other] - states.centre[one]
         spread = states.covariance[other] + states.covariance[one] + scatter
-        which[one, other] = joined(changes, Change(vector, spread, count), limit)
+        which[one, other] = match_or_add(changes, Change(vector, spread, count), limit)
     return changes, which
 
 
@@ -663,19 +724,19 @@ def _occupancy(
     while waiting:
         state = waiting.popleft()
         for other, step in near[state]:
-            expected = found[state] + step
+            implied = found[state] + step
             if other not in found:
-                found[other] = expected
+                found[other] = implied
                 waiting.append(other)
-            elif not np.array_equal(found[other], expected):
+            elif not np.array_equal(found[other], implied):
                 return None
     if len(found) < states:
         return None
-    return simplest(np.array([found[state] for state in range(states)]))
+    return simplest_occupancy(np.array([found[state] for state in range(states)]))
 
 
-def _fitted(states: States, occupancy: Occupancy) -> Units:
-    """Return the vectors that fit all states best, and whether all fit."""
+def _fit_units(states: States, occupancy: Occupancy) -> Units:
+    """Return the vectors that fit all states best (weighted least squares), and whether all fit."""
     count, units = occupancy.shape
     design = np.column_stack([occupancy, np.ones(count)])
     if np.linalg.matrix_rank(design) < units + 1:
@@ -687,31 +748,36 @@ def _fitted(states: States, occupancy: Occupancy) -> Units:
     right = np.einsum("sp,sij,sj->pi", design, weight, states.centre).ravel()
     covariance = np.linalg.inv(normal)
     value = (covariance @ right).reshape(units + 1, 3)
-    left = states.centre - design @ value
-    far = np.einsum("si,sij,sj->s", left, weight, left)
+    residual = states.centre - design @ value
+    distance = np.einsum("si,sij,sj->s", residual, weight, residual)
     freedom = 3 * (count - units - 1)
     proven = states.occupancy is not None
     if proven and freedom > 0:
-        # What is proven does not become doubtful by levels that wandered farther than they say.
-        covariance = covariance * max(1.0, float(far.sum()) / freedom)
-    consistent = proven or (bool(far.max() < limit_of(count)) and freedom > 0)
+        # What is proven does not become doubtful by levels that drifted farther than they state.
+        covariance = covariance * max(1.0, float(distance.sum()) / freedom)
+    consistent = proven or (bool(distance.max() < chi2_limit(count)) and freedom > 0)
     if consistent:
         reason = f"{count} states are sums of {units} units"
     elif freedom <= 0:
         reason = f"{count} states show no sum that would prove separate units"
     else:
-        reason = f"state {int(far.argmax())} is no sum of the units that make the others"
+        reason = f"state {int(distance.argmax())} is no sum of the units that make the others"
     return Units(
-        value[:-1],
-        value[-1],
-        covariance.reshape(units + 1, 3, units + 1, 3),
-        occupancy,
-        consistent,
-        reason,
+        vector=value[:-1],
+        base=value[-1],
+        covariance=covariance.reshape(units + 1, 3, units + 1, 3),
+        occupancy=occupancy,
+        consistent=consistent,
+        reason=reason,
     )
 
 
 def _no_units(states: States, reason: str) -> Units:
-    nothing = np.zeros((len(states), 0), dtype=np.int64)
-    base = states.centre[0] if len(states) else np.full(3, np.nan)
-    return Units(np.empty((0, 3)), base, np.zeros((1, 3, 1, 3)), nothing, False, reason)
+    return Units(
+        vector=np.empty((0, 3)),
+        base=states.centre[0] if len(states) else np.full(3, np.nan),
+        covariance=np.zeros((1, 3, 1, 3)),
+        occupancy=np.zeros((len(states), 0), dtype=np.int64),
+        consistent=False,
+        reason=reason,
+    )

@@ -1,11 +1,12 @@
-"""Trainings through the mission.
+"""Trainings through the mission: states and units keep their numbers, and a training as a table.
 
-Trainings repeated as the spacecraft ages: states and units keep their numbers, what they add is followed.
+Takes an earlier and a later training; makes the later one with the earlier one's numbers of states and units
+and its constant part, and how the corrections changed. Each training holds by its own readings alone:
+averaged with earlier ones it would lag behind a unit that ages slowly, each time by less than the noise
+shows, and state too small an error.
 
-Each training holds by its own readings alone. Averaged with earlier ones it would lag behind a unit that
-ages slowly, each time by less than the noise shows, and state too small an error.
-
-A training as a Dataset, for a certified table with validity, and back.
+States are matched by their differences after a common shift; units by the states in which they are switched.
+The tables are Datasets, certified and with a validity in the archive; the names of their variables are fixed.
 """
 
 from __future__ import annotations
@@ -21,18 +22,34 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.dual.segments import DriftRate
-from inflight.dual.states import Occupancy
+from inflight.dual.states import Occupancy, squared_distance
 from inflight.dual.training import Training, relative_to
 from inflight.errors import CalibrationError
 
-#: Chance that the same state is not recognised in a later training, of all its states.
-_MISSED = 1e-3
 
-#: The part of the time seen that a matching explains at least, and that of the best one's for others.
-_ALIKE = 0.5
+@dataclass(frozen=True, kw_only=True)
+class ContinuationSettings:
+    """Numbers of the match of two trainings.
+
+    Attributes
+    ----------
+    missed : float
+        Chance that the same state is not recognised in a later training, of all its states; and that an
+        unchanged correction counts as aged. Level of significance.
+    least_match : float
+        Part of the time observed that a match explains at least, and part of the best match's time from
+        which others are its rivals. Derived: by the vector of one unit states are shifted onto each other,
+        too, but half of them at most.
+    """
+
+    missed: float = 1e-3
+    least_match: float = 0.5
 
 
-@dataclass(frozen=True)
+CONTINUATION = ContinuationSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Ageing:
     """How a later training compares with an earlier one.
 
@@ -43,9 +60,9 @@ class Ageing:
     matched : ndarray of int64, shape (pair, 2)
         Places of a state in the earlier and the later training.
     shift : ndarray, shape (axis,)
-        By how much the difference went on in between, the same for all states, nT.
+        By how much the difference drifted in between, the same for all states, nT.
     change, sigma : ndarray, shape (pair, axis)
-        Change of the correction, beside that of all together where one is relative, and its standard
+        Change of the correction, less that of all together where one is relative, and its standard
         deviation, nT.
     aged : ndarray of bool, shape (pair,)
         The change exceeds what noise makes.
@@ -59,38 +76,44 @@ class Ageing:
     aged: npt.NDArray[np.bool_]
 
 
-def continued(earlier: Training, later: Training) -> Ageing:
-    """Return a later training that goes on from an earlier one.
+def continue_training(earlier: Training, later: Training) -> Ageing:
+    """Return a later training that continues an earlier one.
 
     Parameters
     ----------
     later : Training
-        As it was made, or as it went on from any other one before: `alone` is taken of it.
+        As it was made, or as it continued any other one before: `standalone_training` is taken of it.
 
     Notes
     -----
     States are matched by their differences after a common shift, the one that matches most states; a state
     that has none takes the next number that no training before had. The corrections become relative to the
-    same state as before where both know it. A constant part that only the earlier one knows is taken over:
-    its error grows by the common shift, of which nobody knows whose offset it was.
+    same state as before where both know it. A constant part that is known for the earlier one only is taken
+    over: its error grows by the common shift, which may be the offset of either sensor.
     """
-    later = alone(later)
+    later = standalone_training(later)
     matched, shift = _matched(earlier, later)
     number, next_number = _numbered(matched, earlier.number, len(later), earlier.next_number)
     old, own = earlier.correction[matched[:, 0]], later.correction[matched[:, 1]]
     total = earlier.covariance[matched[:, 0]] + later.covariance[matched[:, 1]] + 1e-12 * np.eye(3)
-    gauge = _gauge(earlier, later, old, own, total)
-    change = own - (old + gauge)
-    far = np.einsum("pi,pij,pj->p", change, np.linalg.inv(total), change)
-    aged = np.asarray(far > stats.chi2.isf(_MISSED / max(len(matched), 1), 3))
+    change = own - (old + _common_constant(earlier, later, old, own, total))
+    distance = np.einsum("pi,pij,pj->p", change, np.linalg.inv(total), change)
+    aged = np.asarray(distance > stats.chi2.isf(CONTINUATION.missed / max(len(matched), 1), 3))
     reference = -1 if later.reference < 0 else int(number[later.number == later.reference][0])
     training = replace(later, number=number, reference=reference, next_number=next_number)
     training = _with_units(earlier, training, matched)
     training = _with_constant(earlier, training, matched[~aged], shift)
-    return Ageing(training, matched, shift, change, np.sqrt(np.einsum("pii->pi", total)), aged)
+    return Ageing(
+        training=training,
+        matched=matched,
+        shift=shift,
+        change=change,
+        sigma=np.sqrt(np.einsum("pii->pi", total)),
+        aged=aged,
+    )
 
 
-def alone(training: Training) -> Training:
+def standalone_training(training: Training) -> Training:
     """Return a training as it was made, without numbers and constant of those before it."""
     count, units = len(training), len(training.unit)
     own = replace(
@@ -120,12 +143,12 @@ def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int6
     """Return the later training with the earlier one's numbers of units, switched on and off alike.
 
     Two units are the same when they are switched in the same of the states that both know, or in the other
-    ones: which of its two states is "on" only a convention tells.
+    ones: which of its two states is "on" is a convention.
     """
-    pairs, turned = _same_units(earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]])
+    pairs, inverted = _same_units(earlier.occupancy[matched[:, 0]], later.occupancy[matched[:, 1]])
     number, free = _numbered(pairs, earlier.unit_number, len(later.unit), earlier.next_unit)
-    sign = np.where(turned, -1, 1)
-    occupancy = np.where(turned, later.occupancy.max(axis=0, initial=0) - later.occupancy, later.occupancy)
+    sign = np.where(inverted, -1, 1)
+    occupancy = np.where(inverted, later.occupancy.max(axis=0, initial=0) - later.occupancy, later.occupancy)
     known = replace(
         later,
         unit_number=number,
@@ -142,19 +165,19 @@ def _with_units(earlier: Training, later: Training, matched: npt.NDArray[np.int6
 
 
 def _same_units(before: Occupancy, after: Occupancy) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return pairs of units that switch in the same states (state, unit), and which are turned round."""
-    pairs, turned = [], np.zeros(after.shape[1], dtype=bool)
+    """Return pairs of units that switch in the same states (state, unit), and which are inverted."""
+    pairs, inverted = [], np.zeros(after.shape[1], dtype=bool)
     switching = [one for one in range(before.shape[1]) if len(before) and np.ptp(before[:, one])]
     for one, other, sign in product(switching, range(after.shape[1]), (1, -1)):
         if not np.ptp(before[:, one] - sign * after[:, other]):
             pairs.append((one, other))
-            turned[other] = sign < 0
+            inverted[other] = sign < 0
     found = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    # Two that always switched together cannot be told apart: neither is the same as before for sure.
+    # Two that always switched together cannot be distinguished: either may be the same as before.
     first, second = (np.bincount(column)[column] if column.size else column for column in found.T)
     single = (first == 1) & (second == 1)
-    turned[found[~single, 1]] = False
-    return found[single], turned
+    inverted[found[~single, 1]] = False
+    return found[single], inverted
 
 
 def _with_constant(
@@ -201,50 +224,49 @@ def _matched(earlier: Training, later: Training) -> tuple[npt.NDArray[np.int64],
     apart = later.centre[None] - earlier.centre[:, None]
     scatter = (earlier.scatter**2 + later.scatter**2) * np.eye(3)
     spread = earlier.centre_covariance[:, None] + later.centre_covariance[None] + scatter
-    limit = stats.chi2.isf(_MISSED / max(len(later), 1), 3)
-    rows, columns = np.flatnonzero(earlier.seen), np.flatnonzero(later.seen)
-    seen, width = apart[np.ix_(rows, columns)], spread[np.ix_(rows, columns)]
+    limit = stats.chi2.isf(CONTINUATION.missed / max(len(later), 1), 3)
+    rows, columns = np.flatnonzero(earlier.observed), np.flatnonzero(later.observed)
+    between, width = apart[np.ix_(rows, columns)], spread[np.ix_(rows, columns)]
     tried: list[tuple[float, float, Floats, Floats]] = []
-    # Each pair of states seen offers a shift; its own noise is that of the pair.
-    for one, other in np.ndindex(seen.shape[:2]):
-        shift = seen[one, other]
-        left = seen - shift
-        far = np.einsum("kli,klij,klj->kl", left, np.linalg.inv(width + width[one, other]), left)
-        pairs = _nearest_pairs(far, limit)
+    # Each pair of observed states gives a shift to try; its noise is that of the pair.
+    for one, other in np.ndindex(between.shape[:2]):
+        shift = between[one, other]
+        residual = between - shift
+        weight_of = np.linalg.inv(width + width[one, other])
+        distance = np.einsum("kli,klij,klj->kl", residual, weight_of, residual)
+        pairs = _nearest_pairs(distance, limit)
         weight = float(later.seconds[columns[pairs[:, 1]]].sum())
         tried.append((weight, float(np.linalg.norm(shift)), shift, width[one, other]))
     if not tried:
         return nothing
     most = max(one[0] for one in tried)
     # By the vector of one unit states are shifted onto each other as well, but half of them at most.
-    alike = sorted((one for one in tried if one[0] >= _ALIKE * most), key=lambda one: one[1])
-    weight, size, shift, own = alike[0]
+    rivals = sorted(
+        (one for one in tried if one[0] >= CONTINUATION.least_match * most), key=lambda one: one[1]
+    )
+    weight, size, shift, own = rivals[0]
     # Shifts of one and the same matching differ by their noise only.
-    others = [one[1] for one in alike if _squared(one[2] - shift, own + one[3]) > limit]
-    if weight < _ALIKE * later.seconds.sum() or (others and size > 0.5 * min(others)):
+    others = [one[1] for one in rivals if squared_distance(one[2] - shift, own + one[3]) > limit]
+    if weight < CONTINUATION.least_match * later.seconds.sum() or (others and size > 0.5 * min(others)):
         return nothing
-    left = apart - shift
-    far = np.einsum("kli,klij,klj->kl", left, np.linalg.inv(spread + own), left)
-    pairs = _nearest_pairs(far, limit)
+    residual = apart - shift
+    distance = np.einsum("kli,klij,klj->kl", residual, np.linalg.inv(spread + own), residual)
+    pairs = _nearest_pairs(distance, limit)
     precision = np.linalg.inv(spread[pairs[:, 0], pairs[:, 1]])
     right = np.einsum("pij,pj->i", precision, apart[pairs[:, 0], pairs[:, 1]])
     return pairs, np.asarray(np.linalg.solve(precision.sum(axis=0), right))
 
 
-def _squared(vector: Floats, covariance: Floats) -> float:
-    return float(vector @ np.linalg.solve(covariance, vector))
-
-
-def _nearest_pairs(far: Floats, limit: float) -> npt.NDArray[np.int64]:
+def _nearest_pairs(distance: Floats, limit: float) -> npt.NDArray[np.int64]:
     """Return pairs that are each other's nearest, within a limit."""
-    to = far.argmin(axis=1)
-    back = far.argmin(axis=0)
-    own = np.arange(len(far))
-    mutual = (back[to] == own) & (far[own, to] < limit)
+    to = distance.argmin(axis=1)
+    back = distance.argmin(axis=0)
+    own = np.arange(len(distance))
+    mutual = (back[to] == own) & (distance[own, to] < limit)
     return np.stack([own[mutual], to[mutual]], axis=1)
 
 
-def _gauge(earlier: Training, later: Training, old: Floats, own: Floats, spread: Floats) -> Floats:
+def _common_constant(earlier: Training, later: Training, old: Floats, own: Floats, spread: Floats) -> Floats:
     """Return what is to be added to the earlier corrections: both may be relative to different states."""
     if (earlier.constant_known and later.constant_known) or not len(old):
         return np.zeros(3)
@@ -276,12 +298,17 @@ _ARRAYS = {
     "unit_number": (("unit",), ""),
 }
 
-_RATES = {"slope": "nT2 s-2", "bend": "nT2 s-3", "value": "nT2 s-1"}
+#: Fields of `DriftRate`: names of their variables, and units.
+_RATES = {
+    "slope": ("drift_slope", "nT2 s-2"),
+    "slope_walk": ("drift_bend", "nT2 s-3"),
+    "level_walk": ("drift_value", "nT2 s-1"),
+}
 
 _NUMBERS = ("scatter", "excess")
 
 
-def to_dataset(training: Training) -> xr.Dataset:
+def training_to_dataset(training: Training) -> xr.Dataset:
     """Return a training as a Dataset: dims state, next, unit, parameter, axis, other, other_parameter.
 
     The states' numbers are the variable ``number``; ``start`` and ``end`` are those of the readings, TT2000.
@@ -290,8 +317,8 @@ def to_dataset(training: Training) -> xr.Dataset:
         name: (dims, getattr(training, name), {"units": unit} if unit else {})
         for name, (dims, unit) in _ARRAYS.items()
     }
-    for name, unit in _RATES.items():
-        arrays[f"drift_{name}"] = (("axis",), getattr(training.drift_rate, name), {"units": unit})
+    for field, (name, unit) in _RATES.items():
+        arrays[name] = (("axis",), getattr(training.drift_rate, field), {"units": unit})
     for name in ("start", "end"):
         arrays[name] = ((), np.int64(getattr(training, name)), {"scale": "TT2000"})
     attrs: dict[str, Any] = {name: float(getattr(training, name)) for name in _NUMBERS}
@@ -302,15 +329,15 @@ def to_dataset(training: Training) -> xr.Dataset:
         "next_number": int(training.next_number),
         "next_unit": int(training.next_unit),
         "carried": int(training.carried),
-        "sureness": float(training.sureness),
+        "sureness": float(training.confidence),
         "reason": training.reason,
     }
     axes = {"axis": ["x", "y", "z"], "other": ["x", "y", "z"]}
     return xr.Dataset(arrays, coords=axes, attrs=attrs)
 
 
-def from_dataset(table: xr.Dataset) -> Training:
-    """Return the training of a Dataset that `to_dataset` made.
+def training_from_dataset(table: xr.Dataset) -> Training:
+    """Return the training of a Dataset that `training_to_dataset` made.
 
     Raises
     ------
@@ -325,7 +352,7 @@ def from_dataset(table: xr.Dataset) -> Training:
         )
     arrays: dict[str, Any] = {name: np.asarray(table[name].values) for name in _ARRAYS}
     numbers: dict[str, Any] = {name: float(table.attrs[name]) for name in _NUMBERS}
-    rate = DriftRate(*(np.asarray(table[f"drift_{name}"].values) for name in DriftRate._fields))
+    rate = DriftRate(**{field: np.asarray(table[name].values) for field, (name, _) in _RATES.items()})
     return Training(
         **arrays,
         **numbers,
@@ -337,7 +364,7 @@ def from_dataset(table: xr.Dataset) -> Training:
         next_number=int(table.attrs["next_number"]),
         next_unit=int(table.attrs["next_unit"]),
         carried=bool(table.attrs["carried"]),
-        # Tables of before say nothing of it.
-        sureness=float(table.attrs.get("sureness", 1.0)),
+        # Older tables do not have it.
+        confidence=float(table.attrs.get("sureness", 1.0)),
         reason=str(table.attrs["reason"]),
     )

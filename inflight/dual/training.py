@@ -1,18 +1,17 @@
-"""State table learnt.
+"""Training: the states of a spacecraft, and what each adds to the outboard sensor.
 
-What a switched unit adds to the outboard sensor: from its own steps, the ambient field continuous.
+Takes readings; makes the table of states with their corrections, and the units behind them.
 
-At a jump of the difference the outboard reading jumps, too, and the ambient field goes on as before. What
+At a jump of the difference the outboard reading steps, too, and the ambient field continues as before. What
 the ambient field does between the two stretches compared is noise of the step; it is measured from the
-outboard readings themselves where nothing switches, the best length of stretch is chosen by it, and more
-lively times count less. Where the ambient field is known, the level of each segment tells its stray field.
+outboard readings themselves where nothing switches, the best length of stretch is chosen by it, and livelier
+times have less weight. The steps are regressed on the units that switch, or on the states where units are not
+known (robust weighted least squares).
 
-Training: the states of a spacecraft, and what each adds to the outboard sensor.
-
-From readings alone: the steps of the outboard sensor at the jumps of the difference. Then only differences
-between states are known, and the correction is relative to the state seen longest: a stray field that never
-changes is in every reading and cannot be told from the ambient field and the offsets. With the ambient field
-known the corrections are absolute (Venus Express paper, section 3).
+From steps only differences between states are known, and the correction is relative to the state observed
+longest: a stray field that never changes cannot be separated from the ambient field and the offsets. Where
+the ambient field is known, the level of each segment gives its stray field, and the corrections are absolute
+(Venus Express paper, section 3).
 """
 
 from __future__ import annotations
@@ -23,166 +22,48 @@ import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import FALSE_ALARMS, LONGEST, Places, StepNoise, step_noise
+from inflight.dual.change_points import CHANGE_POINTS, Rows, StepNoise, step_noise
 from inflight.dual.readings import Readings
-from inflight.dual.segments import SHORTEST, DriftRate, Segments, segments_of
+from inflight.dual.segments import SEGMENTS, DriftRate, Segments, segments_of
 from inflight.dual.states import Occupancy, States, Units, find_states, find_units
 from inflight.errors import CalibrationError
 from inflight.time import SECOND
 
-#: Places in either segment at which the liveliness of the ambient field is measured; what its usual
-#: liveliness counts beside them, in steps.
-_AROUND, _USUAL = 24, 4.0
 
-#: Beyond this many standard deviations (three components) a step counts less: Huber's weight.
-_HUBER = 3.4
-
-_TURNS = 5
-
-
-@dataclass(frozen=True)
-class OutboardSteps:
-    """Steps of the outboard reading from one steady segment to the next.
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings:
+    """Numbers of the fit of outboard steps.
 
     Attributes
     ----------
-    before, after : ndarray of int64, shape (step,)
-        Segments.
-    step : ndarray, shape (step, axis)
-        nT.
-    covariance : ndarray, shape (step, axis, axis)
-        Of noise and of what the ambient field does in the meantime, nT^2.
+    local_steps : int
+        Places in either segment at which the local variance of the ambient field is measured. Assumed.
+    usual_steps : float
+        Weight of the usual variance relative to them, in steps. Assumed: a prior of four steps.
+    huber_limit : float
+        Beyond this many standard deviations (of three components) a step has less weight: Huber's. Level of
+        significance: 0.9 % of Gaussian steps.
+    rounds : int
+        Rounds of the robust fit. Assumed.
+    prior_size : float
+        Prior standard deviation of a unit's field at the outboard sensor over the size of its difference.
+        Derived: a dipole whose distance from the inboard sensor is 0.8 of that from the outboard one has
+        just that.
     """
 
-    before: Places
-    after: Places
-    step: Floats
-    covariance: Floats
+    local_steps: int = 24
+    usual_steps: float = 4.0
+    huber_limit: float = 3.4
+    rounds: int = 5
+    prior_size: float = 1.0
 
 
-def outboard_steps(readings: Readings, segments: Segments) -> OutboardSteps:
-    """Return the outboard steps between neighbouring steady segments.
-
-    The covariance of a step grows with the square of the time between both stretches beside that of
-    neighbouring ones: for a field smoother than a random walk this is enough, for white noise too much.
-    """
-    rows = np.flatnonzero(readings.good)
-    field = readings.outboard[rows]
-    first, last = np.searchsorted(rows, segments.first), np.searchsorted(rows, segments.last)
-    noise = step_noise(field, first[1:])
-    best = int(np.argmin(np.einsum("sii->s", noise.covariance)))
-    steady = np.flatnonzero(~segments.transient)
-    before, after = steady[:-1], steady[1:]
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(field - field.mean(axis=0), axis=0)])
-    width, scale = _widths(noise, best, np.minimum(segments.count[before], segments.count[after]))
-    step = _mean(sums, first[after], first[after] + width) - _mean(sums, last[before] - width, last[before])
-    gap = (segments.start[after] - segments.end[before]) / SECOND
-    usual = readings.step / SECOND
-    stretch = (1.0 + np.maximum(gap - usual, 0.0) / (width * usual)) ** 2
-    lively = np.array(
-        [
-            _liveliness(sums, first, last, noise, int(k), (int(b), int(a)))
-            for k, b, a in zip(scale, before, after, strict=True)
-        ]
-    )
-    covariance = noise.covariance[scale] * (stretch * lively)[:, None, None]
-    return OutboardSteps(before, after, step, covariance)
+TRAINING = TrainingSettings()
 
 
-def _widths(noise: StepNoise, best: int, count: Places) -> tuple[Places, Places]:
-    """Return the length of the stretches compared, and its place among the lengths."""
-    fits = np.searchsorted(noise.length, count, side="right") - 1
-    scale = np.clip(fits, 0, best)
-    return noise.length[scale], scale
-
-
-def _mean(sums: Floats, first: Places, last: Places) -> Floats:
-    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
-
-
-def _liveliness(
-    sums: Floats, first: Places, last: Places, noise: StepNoise, scale: int, pair: tuple[int, int]
-) -> float:
-    """Return the variance of steps within two segments beside the usual one."""
-    width = int(noise.length[scale])
-    # Those that are nearest to the jump, from both sides.
-    at = [last[pair[0]] - width - (width * np.arange(_AROUND)) // 2]
-    at.append(first[pair[1]] + width + (width * np.arange(_AROUND)) // 2)
-    inside = [
-        one[(one - width >= first[own]) & (one + width <= last[own])]
-        for one, own in zip(at, pair, strict=True)
-    ]
-    place = np.concatenate(inside)
-    if not place.size:
-        return 1.0
-    step = (sums[place + width] - 2.0 * sums[place] + sums[place - width]) / width
-    pull = np.einsum("ti,ij,tj->t", step, np.linalg.inv(noise.covariance[scale]), step) / 3.0
-    # Half of the overlapping steps are independent.
-    number = 0.5 * place.size
-    return float((pull.mean() * number + _USUAL) / (number + _USUAL))
-
-
-@dataclass(frozen=True)
-class StrayFit:
-    """Weighted least squares of stray fields at the outboard sensor.
-
-    Attributes
-    ----------
-    value : ndarray, shape (parameter, axis)
-        nT.
-    covariance : ndarray, shape (parameter, axis, parameter, axis)
-        nT^2.
-    excess : float
-        Scatter of the rows beside what they state, in sigmas; the covariance is widened by it where above 1.
-    """
-
-    value: Floats
-    covariance: Floats
-    excess: float
-
-
-def fit_stray(design: Floats, observed: Floats, covariance: Floats, prior: Floats) -> StrayFit:
-    """Fit stray fields to steps and levels, robustly.
-
-    Parameters
-    ----------
-    design : ndarray, shape (row, parameter)
-        Same for all three axes.
-    observed : ndarray, shape (row, axis)
-        nT.
-    covariance : ndarray, shape (row, axis, axis)
-        nT^2.
-    prior : ndarray, shape (parameter,)
-        Standard deviation of each parameter about zero, nT: where nothing is measured.
-    """
-    width = design.shape[1]
-    inverse = np.linalg.inv(covariance)
-    ridge = np.diag(np.repeat(1.0 / prior**2, 3))
-    weight = np.ones(len(observed))
-    freedom = max(3 * (len(observed) - width), 1)
-    for _ in range(_TURNS):
-        weighted = weight[:, None, None] * inverse
-        normal = np.einsum("rp,rij,rq->piqj", design, weighted, design).reshape(3 * width, 3 * width)
-        right = np.einsum("rp,rij,rj->pi", design, weighted, observed).ravel()
-        total = np.linalg.pinv(normal + ridge, hermitian=True)
-        value = (total @ right).reshape(width, 3)
-        left = observed - design @ value
-        far = np.einsum("ri,rij,rj->r", left, inverse, left)
-        weight = np.minimum(1.0, _HUBER / np.sqrt(np.maximum(far, 1e-300)))
-    excess = float(np.sqrt(np.sum(weight * far) / freedom)) if len(observed) > width else 1.0
-    # The prior's share is not noise, and does not grow with it.
-    widened = total * max(1.0, excess) ** 2
-    return StrayFit(value, widened.reshape(width, 3, width, 3), excess)
-
-
-#: Before anything is measured, a unit's field at the outboard sensor is 0 +- this many times the size of its
-#: difference: a dipole as far from one sensor as 0.8 of the way to the other has just that.
-_PRIOR = 1.0
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Training:
-    """States of a spacecraft, seen or predicted, with their corrections; spacecraft axes.
+    """States of a spacecraft, observed or predicted, with their corrections; spacecraft axes.
 
     Attributes
     ----------
@@ -193,9 +74,9 @@ class Training:
     correction, covariance : ndarray, shape (state, axis) and (state, axis, axis)
         To take off the outboard reading, nT, and its error's covariance, nT^2.
     segments : ndarray of int64, shape (state,)
-        Segments seen; 0 for a combination of units that is only predicted.
+        Segments observed; 0 for a combination of units that is only predicted.
     seconds : ndarray, shape (state,)
-        Time seen.
+        Time observed.
     transitions : ndarray, shape (state, state)
         How often one state followed another.
     occupancy : ndarray of int64, shape (state, unit)
@@ -216,7 +97,7 @@ class Training:
     reference : int
         Number of the state whose correction is zero by definition; -1 for absolute corrections.
     excess : float
-        Scatter of the outboard steps beside what they state.
+        Scatter of the outboard steps over what they state.
     reason : str
         What is known of units.
     design : ndarray, shape (state, parameter)
@@ -230,8 +111,8 @@ class Training:
         The first numbers that no training before had.
     carried : bool
         The constant part was known to an earlier training and is taken from there.
-    sureness : float
-        Probability that the states were not mixed up by drift; see `states.States`.
+    confidence : float
+        Probability that the states were not confused by drift; see `states.States`.
     """
 
     number: npt.NDArray[np.int64]
@@ -262,14 +143,14 @@ class Training:
     next_number: int
     next_unit: int
     carried: bool = False
-    sureness: float = 1.0
+    confidence: float = 1.0
 
     def __len__(self) -> int:
         return int(self.number.size)
 
     @property
-    def seen(self) -> npt.NDArray[np.bool_]:
-        """Which states were seen, not only predicted; (state,)."""
+    def observed(self) -> npt.NDArray[np.bool_]:
+        """Which states were observed, not only predicted; (state,)."""
         return np.asarray(self.segments > 0)
 
 
@@ -277,10 +158,10 @@ def train(
     readings: Readings,
     *,
     ambient: Floats | None = None,
-    shortest: int = SHORTEST,
-    false_alarms: float = FALSE_ALARMS,
-    longest: int = LONGEST,
-    jumps: Places | None = None,
+    shortest: int = SEGMENTS.shortest,
+    false_alarms: float = CHANGE_POINTS.false_alarms,
+    longest: int = CHANGE_POINTS.longest,
+    jumps: Rows | None = None,
 ) -> Training:
     """Learn states, units and outboard corrections.
 
@@ -311,61 +192,43 @@ def train(
     units = find_units(states)
     steps = outboard_steps(readings, segments)
     levels = levels_of(readings, segments, ambient) if ambient is not None else None
-    return trained_from(segments, states, units, steps, levels)
+    return training_from_steps(segments, states, units, steps, levels)
 
 
-@dataclass(frozen=True)
-class Levels:
-    """Stray field and offset of segments where the ambient field is known."""
-
-    segment: Places
-    level: Floats
-    covariance: Floats
-
-
-def levels_of(readings: Readings, segments: Segments, ambient: Floats) -> Levels:
-    """Return stray field and offset of the segments in which the ambient field is known.
-
-    Raises
-    ------
-    CalibrationError
-        It is nowhere known.
-    """
-    left = readings.outboard - ambient
-    rows = np.flatnonzero(readings.good & np.isfinite(left).all(axis=1))
-    if not rows.size:
-        raise CalibrationError("the ambient field is nowhere known", remedy="leave it out, or give it")
-    first, last = np.searchsorted(rows, segments.first), np.searchsorted(rows, segments.last)
-    noise = step_noise(left[rows], first[1:])
-    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(left[rows], axis=0)])
-    count = last - first
-    own = np.flatnonzero(~segments.transient & (count > 0))
-    level = (sums[last[own]] - sums[first[own]]) / count[own, None]
-    return Levels(own, level, noise.of_mean(count[own]))
-
-
-def trained_from(
+def training_from_steps(
     segments: Segments, states: States, units: Units, steps: OutboardSteps, levels: Levels | None
 ) -> Training:
-    """Return the training of states and units from the outboard steps given, which may be some of all."""
-    seconds = _state_seconds(segments, states)
+    """Return the training of states and units from outboard steps, which may be some of all.
+
+    The design of states is their occupancy where units are known, else one parameter for each state.
+    """
+    steady = states.label >= 0
+    spent = (segments.end - segments.start)[steady] / SECOND
+    seconds = np.bincount(states.label[steady], weights=spent, minlength=len(states)).astype(np.float64)
     reference = int(np.argmax(seconds))
     of_units = units.consistent and len(units) > 0
     occupancy = units.occupancy if of_units else np.zeros((len(states), 0), dtype=np.int64)
-    unseen = units.unseen() if of_units else np.zeros((0, 0), dtype=np.int64)
-    every = np.concatenate([occupancy, unseen]) if of_units else occupancy
+    unobserved = units.unobserved() if of_units else np.zeros((0, 0), dtype=np.int64)
+    every = np.concatenate([occupancy, unobserved]) if of_units else occupancy
     design = occupancy.astype(np.float64) if of_units else np.eye(len(states))
-    predicted = np.concatenate([design, unseen.astype(np.float64)]) if of_units else design
+    predicted = np.concatenate([design, unobserved.astype(np.float64)]) if of_units else design
     known = levels is not None
     size = np.linalg.norm(units.vector if of_units else states.centre - states.centre[reference], axis=1)
-    fit = _fit(states, design, steps, levels, size)
+    fit = _fit_outboard(states, design, steps, levels, size)
     if known:
         predicted = np.column_stack([predicted, np.ones(len(predicted))])
     else:
         predicted = predicted - predicted[reference]
-    more, more_spread = units.centre(unseen) if len(unseen) else (np.empty((0, 3)), np.empty((0, 3, 3)))
+    more, more_spread = (
+        units.centre(unobserved) if len(unobserved) else (np.empty((0, 3)), np.empty((0, 3, 3)))
+    )
     count = len(predicted)
     new = count - len(states)
+    label = states.label[steady]
+    transitions = np.zeros((count, count))
+    np.add.at(transitions, (label[:-1], label[1:]), 1.0)
+    shown = len(units) if of_units else 0
+    unit_covariance = np.array([fit.covariance[one, :, one] for one in range(shown)]).reshape(shown, 3, 3)
     return Training(
         number=np.arange(count),
         centre=np.concatenate([states.centre, more]),
@@ -374,11 +237,11 @@ def trained_from(
         covariance=np.einsum("sp,piqj,sq->sij", predicted, fit.covariance, predicted),
         segments=np.append(states.count, np.zeros(new, dtype=np.int64)),
         seconds=np.append(seconds, np.zeros(new)),
-        transitions=_transitions(states, count),
+        transitions=transitions,
         occupancy=every,
         unit=units.vector if of_units else np.empty((0, 3)),
         unit_correction=fit.value[: len(units)] if of_units else np.empty((0, 3)),
-        unit_covariance=_own(fit, len(units) if of_units else 0),
+        unit_covariance=unit_covariance,
         scatter=states.scatter,
         drift=states.drift_end[-1],
         drift_rate=states.drift_rate,
@@ -391,11 +254,200 @@ def trained_from(
         design=every.astype(np.float64) if of_units else design,
         value=fit.value[: design.shape[1]],
         joint=fit.covariance[: design.shape[1], :, : design.shape[1]],
-        unit_number=np.arange(len(units) if of_units else 0),
+        unit_number=np.arange(shown),
         next_number=count,
-        next_unit=len(units) if of_units else 0,
-        sureness=states.sureness,
+        next_unit=shown,
+        confidence=states.confidence,
     )
+
+
+def _fit_outboard(
+    states: States, design: Floats, steps: OutboardSteps, levels: Levels | None, size: Floats
+) -> StrayFit:
+    """Fit the units' or states' fields at the outboard sensor, and last the constant where it is known."""
+    label = states.label
+    rows = design[label[steps.after]] - design[label[steps.before]]
+    # A passage from a state to itself has no parameter.
+    moved = np.any(rows != 0, axis=1)
+    rows, observed, covariance = rows[moved], steps.step[moved], steps.covariance[moved]
+    prior = TRAINING.prior_size * np.maximum(size, 1e-3 * size.max(initial=1e-6))
+    if levels is not None:
+        rows = np.column_stack([rows, np.zeros(len(rows))])
+        own = np.column_stack([design[label[levels.segment]], np.ones(levels.segment.size)])
+        rows, observed = np.concatenate([rows, own]), np.concatenate([observed, levels.level])
+        covariance = np.concatenate([covariance, levels.covariance])
+        prior = np.append(prior, 1e3 * max(float(np.abs(levels.level).max()), 1.0))
+    return fit_stray(rows, observed, covariance, prior)
+
+
+@dataclass(frozen=True)
+class OutboardSteps:
+    """Steps of the outboard reading from one steady segment to the next.
+
+    Attributes
+    ----------
+    before, after : ndarray of int64, shape (step,)
+        Segments.
+    step : ndarray, shape (step, axis)
+        nT.
+    covariance : ndarray, shape (step, axis, axis)
+        Of noise and of what the ambient field does in the meantime, nT^2.
+    """
+
+    before: Rows
+    after: Rows
+    step: Floats
+    covariance: Floats
+
+
+def outboard_steps(readings: Readings, segments: Segments) -> OutboardSteps:
+    """Return the outboard steps between neighbouring steady segments.
+
+    The covariance of a step grows with the square of the time between both stretches over that of
+    neighbouring ones: for a field smoother than a random walk this is enough, for white noise too much.
+    """
+    rows = np.flatnonzero(readings.good)
+    field = readings.outboard[rows]
+    first, last = np.searchsorted(rows, segments.first), np.searchsorted(rows, segments.last)
+    noise = step_noise(field, first[1:])
+    best = int(np.argmin(np.einsum("sii->s", noise.covariance)))
+    steady = np.flatnonzero(~segments.transient)
+    before, after = steady[:-1], steady[1:]
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(field - field.mean(axis=0), axis=0)])
+    # The longest of the lengths that fits into both segments, up to the best one.
+    fits = np.searchsorted(noise.length, np.minimum(segments.count[before], segments.count[after]), "right")
+    scale = np.clip(fits - 1, 0, best)
+    width = noise.length[scale]
+    step = _mean(sums, first[after], first[after] + width) - _mean(sums, last[before] - width, last[before])
+    gap = (segments.start[after] - segments.end[before]) / SECOND
+    usual = readings.step / SECOND
+    stretch = (1.0 + np.maximum(gap - usual, 0.0) / (width * usual)) ** 2
+    variance = np.array(
+        [
+            _local_variance(sums, first, last, noise, int(k), (int(b), int(a)))
+            for k, b, a in zip(scale, before, after, strict=True)
+        ]
+    )
+    covariance = noise.covariance[scale] * (stretch * variance)[:, None, None]
+    return OutboardSteps(before, after, step, covariance)
+
+
+def _mean(sums: Floats, first: Rows, last: Rows) -> Floats:
+    return np.asarray((sums[last] - sums[first]) / (last - first)[:, None])
+
+
+def _local_variance(
+    sums: Floats, first: Rows, last: Rows, noise: StepNoise, scale: int, pair: tuple[int, int]
+) -> float:
+    """Return the variance of steps within two segments over the usual one."""
+    width = int(noise.length[scale])
+    # Those that are nearest to the jump, from both sides.
+    at = [last[pair[0]] - width - (width * np.arange(TRAINING.local_steps)) // 2]
+    at.append(first[pair[1]] + width + (width * np.arange(TRAINING.local_steps)) // 2)
+    inside = [
+        one[(one - width >= first[own]) & (one + width <= last[own])]
+        for one, own in zip(at, pair, strict=True)
+    ]
+    place = np.concatenate(inside)
+    if not place.size:
+        return 1.0
+    step = (sums[place + width] - 2.0 * sums[place] + sums[place - width]) / width
+    square = np.einsum("ti,ij,tj->t", step, np.linalg.inv(noise.covariance[scale]), step) / 3.0
+    # Half of the overlapping steps are independent.
+    number = 0.5 * place.size
+    return float((square.mean() * number + TRAINING.usual_steps) / (number + TRAINING.usual_steps))
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Stray field and offset of segments where the ambient field is known.
+
+    Attributes
+    ----------
+    segment : ndarray of int64, shape (level,)
+    level : ndarray, shape (level, axis)
+        nT.
+    covariance : ndarray, shape (level, axis, axis)
+        nT^2.
+    """
+
+    segment: Rows
+    level: Floats
+    covariance: Floats
+
+
+def levels_of(readings: Readings, segments: Segments, ambient: Floats) -> Levels:
+    """Return stray field and offset of the segments in which the ambient field is known.
+
+    Raises
+    ------
+    CalibrationError
+        It is nowhere known.
+    """
+    stray = readings.outboard - ambient
+    rows = np.flatnonzero(readings.good & np.isfinite(stray).all(axis=1))
+    if not rows.size:
+        raise CalibrationError("the ambient field is nowhere known", remedy="leave it out, or give it")
+    first, last = np.searchsorted(rows, segments.first), np.searchsorted(rows, segments.last)
+    noise = step_noise(stray[rows], first[1:])
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(stray[rows], axis=0)])
+    count = last - first
+    own = np.flatnonzero(~segments.transient & (count > 0))
+    level = (sums[last[own]] - sums[first[own]]) / count[own, None]
+    return Levels(own, level, noise.of_mean(count[own]))
+
+
+@dataclass(frozen=True)
+class StrayFit:
+    """Weighted least squares of stray fields at the outboard sensor.
+
+    Attributes
+    ----------
+    value : ndarray, shape (parameter, axis)
+        nT.
+    covariance : ndarray, shape (parameter, axis, parameter, axis)
+        nT^2.
+    excess : float
+        Scatter of the rows over what they state, in sigmas; the covariance is widened by it where above 1.
+    """
+
+    value: Floats
+    covariance: Floats
+    excess: float
+
+
+def fit_stray(design: Floats, observed: Floats, covariance: Floats, prior: Floats) -> StrayFit:
+    """Fit stray fields to steps and levels, robustly.
+
+    Parameters
+    ----------
+    design : ndarray, shape (row, parameter)
+        Same for all three axes.
+    observed : ndarray, shape (row, axis)
+        nT.
+    covariance : ndarray, shape (row, axis, axis)
+        nT^2.
+    prior : ndarray, shape (parameter,)
+        Standard deviation of each parameter about zero, nT: where nothing is measured.
+    """
+    width = design.shape[1]
+    inverse = np.linalg.inv(covariance)
+    ridge = np.diag(np.repeat(1.0 / prior**2, 3))
+    weight = np.ones(len(observed))
+    freedom = max(3 * (len(observed) - width), 1)
+    for _ in range(TRAINING.rounds):
+        weighted = weight[:, None, None] * inverse
+        normal = np.einsum("rp,rij,rq->piqj", design, weighted, design).reshape(3 * width, 3 * width)
+        right = np.einsum("rp,rij,rj->pi", design, weighted, observed).ravel()
+        total = np.linalg.pinv(normal + ridge, hermitian=True)
+        value = (total @ right).reshape(width, 3)
+        residual = observed - design @ value
+        distance = np.einsum("ri,rij,rj->r", residual, inverse, residual)
+        weight = np.minimum(1.0, TRAINING.huber_limit / np.sqrt(np.maximum(distance, 1e-300)))
+    excess = float(np.sqrt(np.sum(weight * distance) / freedom)) if len(observed) > width else 1.0
+    # The prior's share is not noise, and does not grow with it.
+    widened = total * max(1.0, excess) ** 2
+    return StrayFit(value, widened.reshape(width, 3, width, 3), excess)
 
 
 def relative_to(training: Training, reference: int) -> Training:
@@ -416,7 +468,7 @@ def relative_to(training: Training, reference: int) -> Training:
     )
 
 
-def no_states(readings: Readings, reason: str) -> Training:
+def empty_training(readings: Readings, reason: str) -> Training:
     """Return the training of readings that show no states worth the name, and why."""
     nothing, none = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     return Training(
@@ -448,40 +500,3 @@ def no_states(readings: Readings, reason: str) -> Training:
         next_number=0,
         next_unit=0,
     )
-
-
-def _fit(
-    states: States, design: Floats, steps: OutboardSteps, levels: Levels | None, size: Floats
-) -> StrayFit:
-    """Fit the units' or states' fields at the outboard sensor, and last the constant where it is known."""
-    label = states.label
-    rows = design[label[steps.after]] - design[label[steps.before]]
-    # A passage from a state to itself tells nothing.
-    moved = np.any(rows != 0, axis=1)
-    rows, observed, covariance = rows[moved], steps.step[moved], steps.covariance[moved]
-    prior = _PRIOR * np.maximum(size, 1e-3 * size.max(initial=1e-6))
-    if levels is not None:
-        rows = np.column_stack([rows, np.zeros(len(rows))])
-        own = np.column_stack([design[label[levels.segment]], np.ones(levels.segment.size)])
-        rows, observed = np.concatenate([rows, own]), np.concatenate([observed, levels.level])
-        covariance = np.concatenate([covariance, levels.covariance])
-        prior = np.append(prior, 1e3 * max(float(np.abs(levels.level).max()), 1.0))
-    return fit_stray(rows, observed, covariance, prior)
-
-
-def _own(fit: StrayFit, count: int) -> Floats:
-    return np.array([fit.covariance[one, :, one] for one in range(count)]).reshape(count, 3, 3)
-
-
-def _state_seconds(segments: Segments, states: States) -> Floats:
-    steady = states.label >= 0
-    spent = (segments.end - segments.start)[steady] / SECOND
-    total = np.bincount(states.label[steady], weights=spent, minlength=len(states))
-    return total.astype(np.float64)
-
-
-def _transitions(states: States, count: int) -> Floats:
-    label = states.label[states.label >= 0]
-    table = np.zeros((count, count))
-    np.add.at(table, (label[:-1], label[1:]), 1.0)
-    return table

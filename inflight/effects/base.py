@@ -335,7 +335,7 @@ class Effect:
             )
         return self.given[key]
 
-    def whole(self, key: str, default: int, most: int) -> int:
+    def whole_number(self, key: str, default: int, most: int) -> int:
         """Return an option that is a whole number from 1 to `most`.
 
         Raises

@@ -24,7 +24,7 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.conformance import Faults
-from inflight.design import EQUATIONS, Rows, design, term_of, turns_of
+from inflight.design import EQUATIONS, Rows, design, sensor_matrices, term_of
 from inflight.effects import registry
 from inflight.effects.base import Effect, Parameter
 from inflight.effects.families import FAMILIES, channel_unit, channels_of, knows_orbit
@@ -681,7 +681,7 @@ def _columns_are_its_derivatives(case: _Case) -> Iterator[str]:
     held = raw.assign(
         field=(("time", "axis"), native.field, {"units": "nT"}), field_direction=corrected["field_direction"]
     )
-    turn = turns_of(base, int(raw["tt2000"].values[0]))
+    turn = sensor_matrices(base, int(raw["tt2000"].values[0]))
     rows = Rows(held, native.residual, native.directions, turn, np.ones(len(native.residual)))
     found = design(terms, rows)
     at = 0

@@ -64,7 +64,7 @@ class SunDirectionField(Effect):
 
     def prepare(self) -> None:
         """Give every harmonic a vector."""
-        self._degree = self.whole("degree", 1, 2)
+        self._degree = self.whole_number("degree", 1, 2)
         self.sized = {"amplitude": replace(self.amplitude, axes=_of_harmonics(self._degree))}
         if "channel" in self.given:
             # A delivered direction is NaN or 0 where there is no Sun.
@@ -126,7 +126,7 @@ class Periodic(Effect):
 
     def prepare(self) -> None:
         """Give every order its vectors."""
-        self._order = self.whole("order", self.default_order, MOST_ORDER)
+        self._order = self.whole_number("order", self.default_order, MOST_ORDER)
         axes = of_orders(self._order, self.sines)
         self.sized = {"amplitude": replace(self.amplitude, axes=axes)}
 

@@ -31,9 +31,9 @@ from .diagnosis import (
     facts_list,
     found_effects,
     ledger_table,
+    most_significant,
     order_figure,
     rivals_apart,
-    telling,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
@@ -78,7 +78,7 @@ from .parameters import (
     wander_figure,
 )
 from .residual import daily_figure, heat_map_figures, histogram_figure, series_figure
-from .spectra import periodogram_figures, spectrum_figure
+from .spectra import axis_spectrum_figures, spectrum_figure
 from .spin import (
     Cloud,
     correlation_figure,
@@ -123,6 +123,7 @@ __all__ = [
     "Section",
     "along_field_figures",
     "axis_figure",
+    "axis_spectrum_figures",
     "band",
     "band_level_figure",
     "before_after_figure",
@@ -166,6 +167,7 @@ __all__ = [
     "log_ticks",
     "loop_figure",
     "mean_turn_figure",
+    "most_significant",
     "moved_figure",
     "offsets_figure",
     "order_figure",
@@ -173,7 +175,6 @@ __all__ = [
     "parameter_days_figure",
     "parameter_figures",
     "parameter_spectrum_figure",
-    "periodogram_figures",
     "plain_figure",
     "prior_figure",
     "relation_days_figure",
@@ -193,7 +194,6 @@ __all__ = [
     "stack_figures",
     "strongest_pairs",
     "switching_steps_figure",
-    "telling",
     "temperature_figure",
     "text_style",
     "timeline_figure",

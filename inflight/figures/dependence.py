@@ -1,10 +1,8 @@
-"""Residual against coordinates.
+"""Figures of what a residual follows, and of the form of what was found.
 
-Figures of what a residual follows: means in bins with error bars, branches, and the axis behind them.
-
-Figures of what the residual follows: along the field, along each sensor axis, around an event.
-
-How well each lag of a response explains the residual.
+Takes dependences and responses of `inflight.residual`, curves and lag profiles of a finished search; makes
+Bokeh figures: means in bins with error bars and branches, the field along each axis with the envelope of
+chance, the residual along the field, around an event, folded by phase, and by lag.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 from bokeh.plotting import figure
 
-from inflight.diagnosis import Curve, LagProfile, Response
+from inflight.diagnosis import LagProfile
 from inflight.figures.style import (
     AFTER,
     BEFORE,
@@ -29,7 +27,7 @@ from inflight.figures.style import (
     plain_figure,
     short_name,
 )
-from inflight.residual import AxisResponse, Dependence
+from inflight.residual import AxisResponse, Curve, Dependence, FieldResponse
 
 
 def dependence_figure(found: Dependence) -> figure:
@@ -68,8 +66,8 @@ def axis_figure(found: AxisResponse) -> figure:
     for index, (axis, colour) in enumerate(zip("xyz", COMPONENTS, strict=True)):
         value, sigma = found.field[:, index], found.sigma[:, index]
         error_bars(plot, found.centre, value, sigma, colour, 0.6)
-        told = f"{axis} {found.amplitude[index]:.3f} +- {found.sigma_amplitude[index]:.3f}"
-        plot.line(found.centre, value, color=colour, legend_label=told)
+        legend = f"{axis} {found.amplitude[index]:.3f} +- {found.sigma_amplitude[index]:.3f}"
+        plot.line(found.centre, value, color=colour, legend_label=legend)
         plot.scatter(found.centre, value, color=colour, size=4)
     legend_below(plot)
     return plot
@@ -79,7 +77,7 @@ def _axis(name: str, unit: str) -> str:
     return f"{name} ({unit})" if unit not in ("", "1") else name
 
 
-#: Day and night, and their marks, for those who tell the colours badly.
+#: Day and night, and their marks, for readers who cannot separate the colours.
 _SIDES = {"day": ("#c98a00", "circle"), "night": ("#3b3f8f", "square"), "all": (AFTER, "circle")}
 
 _BRANCHES = {
@@ -113,11 +111,11 @@ def along_field_figures(found: Mapping[str, Sequence[Curve]], axis: str = "z") -
     return plots
 
 
-def response_figures(found: Response) -> list[figure]:
+def response_figures(found: FieldResponse) -> list[figure]:
     """Draw what a field along x, y and z would have to be to make the residual follow a channel.
 
     Bars are one sigma between blocks, the grey band is what the same channel at other times explains,
-    the dotted line is what is left after the found effects; `response_key` says so on the page.
+    the dotted line is the residual after the found effects; `response_key` is their common legend.
     """
     plots = []
     curves = [curve for branch in found.branches.values() for curve in branch]
@@ -159,7 +157,7 @@ def response_key() -> str:
     return f"<p>{said}</p>"
 
 
-def _envelope(plot: figure, found: Response, axis: int) -> None:
+def _envelope(plot: figure, found: FieldResponse, axis: int) -> None:
     known = np.isfinite(found.low[axis]) & np.isfinite(found.high[axis]) & np.isfinite(found.centre)
     if known.sum() < 2:
         return

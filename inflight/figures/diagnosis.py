@@ -1,19 +1,10 @@
-"""Verdict, candidates, ledger.
+"""Figures and tables of a diagnosis: verdict, candidates, found effects, ledger, and how the error falls.
 
-The verdict strip: what was found, in words and on one scale from nothing to the residual as it was.
-
-The table of candidates, with bars that need no script, and how their gains fall when effects are taken.
-
-What a diagnosis found, as tables: effects with their values, rivals, the signature of what is left.
-
-All of it is made from the fields that a diagnosis keeps, so that one that was made before is shown like a
-fresh one.
-
-The ledger: what the rounds did, with what settings, on what data, and how each step is undone.
-
-How the held-out error falls, effect by effect, down to the noise floor.
-
-Changes of a model one after the other: what each did to the error, its numbers, what else moved.
+Takes the fields that a diagnosis keeps (`Diagnosis.as_json`) and the numbers of `inflight.diagnosis.views`;
+makes HTML that needs no script (the verdict with a scale from nothing to the residual as it was, the ranked
+candidates, found effects with their values and rivals, the ledger, changes of a model) and Bokeh figures
+(gains before and after, the held-out error effect by effect and version by version). A diagnosis that was
+kept is shown like a new one.
 """
 
 from __future__ import annotations
@@ -40,7 +31,7 @@ from inflight.figures.style import (
     short_name,
     short_parameter,
 )
-from inflight.residual import told_period
+from inflight.residual import format_period
 
 #: What each verdict means to somebody who reads the page for the first time.
 MEANING = {
@@ -81,9 +72,9 @@ def verdict_strip(verdict: str, sentence: str, residual: Mapping[str, Any], rema
     """
     part = explained(residual)
     sizes = [
-        ("residual now", _told(residual["held_out_before_nT"])),
-        ("with what was found", _told(residual["held_out_after_nT"])),
-        (f"noise floor ({_interval(residual)})", _told(residual["noise_floor_nT"])),
+        ("residual now", _size_text(residual["held_out_before_nT"])),
+        ("with what was found", _size_text(residual["held_out_after_nT"])),
+        (f"noise floor ({_interval(residual)})", _size_text(residual["noise_floor_nT"])),
         ("explained of what is above it", "nothing is above it" if np.isnan(part) else f"{part:.0%}"),
         ("what is left", remaining),
     ]
@@ -105,7 +96,7 @@ def _sizes(residual: Mapping[str, Any]) -> list[float]:
     return [np.nan if residual[name] is None else float(residual[name]) for name in names]
 
 
-def _told(value: float | None) -> str:
+def _size_text(value: float | None) -> str:
     return f"{value:.4g} nT" if value is not None and np.isfinite(value) else "unknown"
 
 
@@ -338,7 +329,7 @@ def found_effects(fields: Fields) -> list[str]:
 
 def _rows(one: Fields, width: int) -> list[tuple[str, ...]]:
     """Return one row a value; effect, family and how it stands in the first of them."""
-    shown = telling(one["coefficients"])
+    shown = most_significant(one["coefficients"])
     rows: list[tuple[str, ...]] = []
     numbers: tuple[str, ...] = (
         _formatted(one["gain"], ".1%"),
@@ -363,7 +354,7 @@ def _formatted(value: float | None, how: str) -> str:
     return "" if value is None else format(value, how)
 
 
-def telling(coefficients: Sequence[Fields]) -> list[Fields]:
+def most_significant(coefficients: Sequence[Fields]) -> list[Fields]:
     """Return the most significant coefficients in their own order; a field of many has too many to print."""
     ordered = sorted(
         coefficients, key=lambda one: -abs(one["value"] or 0.0) / max(one["sigma"] or 0.0, 1e-300)
@@ -372,22 +363,22 @@ def telling(coefficients: Sequence[Fields]) -> list[Fields]:
     return [one for one in coefficients if one["name"] in kept]
 
 
-def _signature(left: Fields | None) -> list[str]:
-    if left is None:
+def _signature(signature: Fields | None) -> list[str]:
+    if signature is None:
         return []
-    period, lag, duty = left["period_s"], left["lag_s"], left["duty"]
+    period, lag, duty = signature["period_s"], signature["lag_s"], signature["duty"]
     parts = [
-        ("period", told_period(period) if period else ""),
-        ("axis", left["axis"] or ""),
-        ("shape", left["shape"] or ""),
-        ("half of peak to peak" if period else "amplitude", _nanotesla(left["amplitude_nT"])),
+        ("period", format_period(period) if period else ""),
+        ("axis", signature["axis"] or ""),
+        ("shape", signature["shape"] or ""),
+        ("half of peak to peak" if period else "amplitude", _nanotesla(signature["amplitude_nT"])),
         *(
             (f"step on {name}", f"{_formatted(size, '+.3g')} ± {_formatted(sigma, '.2g')} nT")
-            for name, (size, sigma) in left["steps"].items()
+            for name, (size, sigma) in signature["steps"].items()
         ),
-        ("periods", " to ".join(told_period(one) for one in left["periods_s"] or ())),
-        ("channel", left["channel"] or ""),
-        ("lag", told_period(lag) if lag else ""),
+        ("periods", " to ".join(format_period(one) for one in signature["periods_s"] or ())),
+        ("channel", signature["channel"] or ""),
+        ("lag", format_period(lag) if lag else ""),
         ("duty", f"{duty:.2f}" if duty is not None else ""),
     ]
     said = ", ".join(f"{name} {value}" for name, value in parts if value)

@@ -1,8 +1,8 @@
-"""States, two fluxgates.
+"""Figures of two sensors: states on a boom, and two calibrated fluxgates.
 
-Figures of two sensors on one boom: the states in the space of differences, and when each held.
-
-Figures of two vector sensors against each other: how they stand, and which of three disagrees.
+Of two sensors on one boom: the states in the space of differences and in time, the field before and after the
+correction, what was taken off, and the steps at switchings. Of two calibrated vector sensors: rotation,
+stretch and shift of one against the other, and the variance that belongs to each of three sensors.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PLANES = ((0, 1), (0, 2), (1, 2))
 
 _AXES = "xyz"
 
-#: Points drawn at most, and standard deviations of an ellipse.
+#: Points drawn at most; standard deviations that an ellipse shows.
 _POINTS, _SIGMAS = 6000, 2.0
 
 #: States with a number at the axis, about.
@@ -83,7 +83,7 @@ def difference_figure(
         f"difference along {_AXES[right]} (nT)",
         f"difference along {_AXES[up]} (nT)",
     )
-    # Numbers stand beside their states: those at the edge need room.
+    # Numbers are written next to their states: those at the edge need room.
     plot.x_range.range_padding = plot.y_range.range_padding = _ROOM
     colours = state_colours([*state.tolist(), *known])
     thin = slice(None, None, max(1, len(points) // _POINTS))
@@ -111,7 +111,7 @@ def difference_figure(
 
 
 def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) -> figure:
-    """Draw which state held when; pale where it is not sure, grey in the lowest row where none is known.
+    """Draw which state held when; pale where it is uncertain, grey in the lowest row where none is known.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) 
     """
     plot = plain_figure("States in time", "UTC", "state", x_axis_type="datetime", width=1130)
     colours = state_colours(state.tolist())
-    sure = np.nan_to_num(probability, nan=0.3)
+    opacity = np.nan_to_num(probability, nan=0.3)
     source = ColumnDataSource(
         {
             "left": begin,
@@ -130,7 +130,7 @@ def timeline_figure(begin: Times, end: Times, state: Ints, probability: Floats) 
             "bottom": np.maximum(state, -1) - 0.4,
             "top": np.maximum(state, -1) + 0.4,
             "colour": [colours[one] for one in state.tolist()],
-            "alpha": np.clip(sure, 0.15, 1.0),
+            "alpha": np.clip(opacity, 0.15, 1.0),
         }
     )
     plot.quad("left", "right", "top", "bottom", source=source, color="colour", alpha="alpha", line_width=0)

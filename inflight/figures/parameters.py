@@ -51,7 +51,7 @@ from inflight.mission_fit import (
     TrendComparison,
     TrendFit,
 )
-from inflight.residual import Wander
+from inflight.residual import ParameterScatter
 from inflight.time import mjd2000, to_utc
 
 #: How parts of the nine parameters are called; others by their own name.
@@ -121,7 +121,7 @@ def _steps(
 _TELLING = 3.0
 
 
-def wander_figure(found: Sequence[Wander]) -> figure:
+def wander_figure(found: Sequence[ParameterScatter]) -> figure:
     """Draw each parameter's scatter from day to day over its own stated uncertainty; 1 is a complete model.
 
     Parameters that the days do not determine have no mark.

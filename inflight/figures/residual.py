@@ -1,8 +1,7 @@
-"""Residual, heat map, histogram.
+"""Figures of a residual before and after: each day, in time, its distribution, by day and orbit.
 
-Figures of a residual before and after calibration.
-
-Heat maps of the residual by day and orbit, before and after side by side on one scale of colours.
+Takes daily sizes, means and histograms, and heat maps of a finished search; makes Bokeh figures. Maps before
+and after share one scale of colours.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def daily_figure(
     for values, colour, label in ((before, BEFORE, labels[0]), (after, AFTER, labels[1])):
         plot.line(day, values, color=colour, alpha=0.6)
         plot.scatter(day, values, color=colour, size=5, legend_label=label)
-    # Half a day to either side: of a single day the axis would tell microseconds.
+    # Half a day to either side: of a single day the axis would show microseconds.
     ends = day[0] - _HALF_DAY, day[-1] + _HALF_DAY
     plot.x_range = Range1d(*(int(end.astype("datetime64[ms]").astype(np.int64)) for end in ends))
     if (ticks := log_ticks(np.concatenate([before, after]))) is not None:
@@ -75,7 +74,7 @@ def histogram_figure(
     return plot
 
 
-#: Diverging, told apart by people who see no red or no green; blue is negative.
+#: Diverging, for readers who see no red or no green too; blue is negative.
 DIVERGING = tuple(interp_palette(RdBu11, 101))
 
 #: Part of the cells whose values the colours span.

@@ -1,8 +1,7 @@
-"""Spectra.
+"""Figures of spectra: the residual, and the residual along each axis, with known and unknown lines.
 
-Figures of spectra: the residual and the residual along each axis, with known and unknown lines.
-
-Periodograms of the residual along each axis, before and after the found effects.
+Takes spectra and lines as `inflight.residual` makes them (`Power`, `Line`, periods by name); makes Bokeh
+figures of amplitude density against period.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ from bokeh.models import Label, Span
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.diagnosis import Periodogram
 from inflight.figures.style import AFTER, BEFORE, NEW, REFERENCE, log_ticks, place_legend, plain_figure
-from inflight.residual import SERIES, Line, thinned, told_period
+from inflight.residual import SERIES, Line, Power, format_period, thinned
 
 #: What each series is called above its figure.
 _TITLES = {
@@ -95,7 +93,8 @@ def _mark_known(plot: figure, known: Mapping[str, float]) -> None:
 def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Line], series: str) -> None:
     """Mark the unknown lines that this series shows with a red point and their period."""
     index = SERIES.index(series)
-    seen = [line for line in lines if np.isfinite(line.amplitude[index])][:_MARKS]
+    # Of a line that was not seen in this series the amplitude is NaN or its own noise.
+    seen = [line for line in lines if line.amplitude[index] > 3.0 * line.sigma[index]][:_MARKS]
     inside = [line for line in seen if frequency[0] <= 1.0 / line.period_s <= frequency[-1]]
     if not inside:
         return
@@ -110,66 +109,41 @@ def _mark_new(plot: figure, frequency: Floats, power: Floats, lines: Sequence[Li
                 y=top,
                 x_offset=5,
                 y_offset=3,
-                text=told_period(seconds),
+                text=format_period(seconds),
                 text_font_size="10px",
                 text_color=NEW,
             )
         )
 
 
-#: Unlabelled peaks marked a figure, and how near to another one, in frequencies, one is the same.
-_PEAKS, _APART = 4, 6
-
-
-def periodogram_figures(
-    before: Periodogram | None, after: Periodogram, known: Mapping[str, float]
+def axis_spectrum_figures(
+    before: Power | None, after: Power, known: Mapping[str, float], lines: Sequence[Line] = ()
 ) -> list[figure]:
     """Draw dB u_x, dB u_y, dB u_z: amplitude density against period, both logarithmic.
 
-    Known periods are named; peaks of what is left that no known period explains are red with their period.
+    Known periods are named; lines of the residual that no known period explains are red with their period.
 
     Parameters
     ----------
-    before : Periodogram, optional
+    before : Power, optional
         Absent when nothing was found.
     known : mapping of str to float
         Periods to name, s.
+    lines : sequence of Line
+        Of the spectrum after.
     """
-    frequency = after.frequency[1:]
-    plots = [
-        spectrum_figure(
-            frequency,
-            before.power[axis, 1:] if before is not None else None,
-            after.power[axis, 1:],
-            known,
-            [_line(after, axis, at) for at in unexplained_peaks(after, axis)],
-            series,
-            labels=("before", "after" if before is not None else "now"),
-        )
-        for axis, series in enumerate("xyz" if after.power[1:].any() else ["residual"])
-    ]
-    for axis, plot in enumerate(plots):
-        powers = [one.power[axis, 1:] for one in (before, after) if one is not None]
-        drawn = np.sqrt(np.concatenate(powers))
+    same = before is not None and before.frequency.size == after.frequency.size
+    # Along axes that are never seen there is nothing: one figure of the residual is enough.
+    axes = SERIES[1:] if after.direction_square[2:].any() else SERIES[:1]
+    plots = []
+    for name in axes:
+        index = SERIES.index(name)
+        earlier = before.density[index] if before is not None and same else None
+        now = after.density[index]
+        labels = ("before", "after" if earlier is not None else "now")
+        plot = spectrum_figure(after.frequency, earlier, now, known, lines, name, labels)
+        drawn = np.sqrt(now if earlier is None else np.concatenate([earlier, now]))
         if (ticks := log_ticks(drawn)) is not None:
             plot.yaxis.ticker = ticks
+        plots.append(plot)
     return plots
-
-
-def unexplained_peaks(found: Periodogram, axis: int) -> list[int]:
-    """Return the frequencies (indices) that stand beyond chance where no known period is, strongest first."""
-    ratio = np.where(found.known, 0.0, found.ratio[axis])
-    taken: list[int] = []
-    for at in np.argsort(-ratio):
-        if ratio[at] < found.threshold or len(taken) == _PEAKS:
-            break
-        if all(abs(int(at) - other) > _APART for other in taken):
-            taken.append(int(at))
-    return taken
-
-
-def _line(found: Periodogram, axis: int, at: int) -> Line:
-    step = float(found.frequency[1])
-    amplitude: Floats = np.full(4, np.nan)
-    amplitude[[0, axis + 1]] = np.sqrt(2.0 * found.power[axis, at] * step)
-    return Line(1.0 / float(found.frequency[at]), "", "", float(found.ratio[axis, at]), amplitude, amplitude)

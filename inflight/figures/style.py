@@ -16,7 +16,7 @@ from bokeh.models import ColumnDataSource, FixedTicker, Whisker
 from bokeh.plotting import figure
 
 from inflight.arrays import Floats
-from inflight.residual import told_period
+from inflight.residual import format_period
 
 #: Before calibration, after it, and a reference line.
 BEFORE, AFTER, REFERENCE = "#b0532c", "#1f5c99", "#7a7a7a"
@@ -115,7 +115,7 @@ def short_name(name: str) -> str:
     """Return the name of a candidate as a person says it: ``battery_current, lag 40 s``."""
     found = _FIELD.match(name)
     said = f"{_KIND[found[1]]}{found['channel']}{found['rest']}" if found else name
-    said = _LAG.sub(lambda lag: f", lag {told_period(float(lag[1]))}", said)
+    said = _LAG.sub(lambda lag: f", lag {format_period(float(lag[1]))}", said)
     said = _PLAY_WIDTH.sub(lambda width: f", width {float(width[1]):g}", said)
     return _STAMP.sub(_told_stamp, said)
 

@@ -1,14 +1,12 @@
-"""Robust line fit, contrasts, running means.
+"""Robust line fits, contrasts of samples around a step, and running means.
 
-A linear fit that outliers do not move, with errors that know the correlation of the values.
-
-Contrasts: weighted sums of samples around a step that are blind to drift and give 1 for the step.
-
-Weighted means of daily values in a window that moves over the days, whose ends count by the part inside.
-
-One way for a parameter whose mean is undefined where the window is not (`behaviour.running_mean`) and for
-currents that a correction needs on every day (`secular.carried_mean`). Both are means of this module; they
-differ in what they say of days without one: nothing, or the mean carried there with a wider sigma.
+- `robust_fit` takes rows, values and their stated variances; makes coefficients that outliers do not
+  move (Tukey's biweight) with a covariance that respects correlation in time.
+- `robust_contrast` takes the residual around a change of a current; makes one number of it: a weighted
+  sum of the samples that is blind to drift and gives 1 for a unit step.
+- `windowed` takes daily values; makes their weighted means in a window that moves over the days, whose
+  end days count by the part of them inside. The running mean of a parameter and the carried mean of a
+  current are made of it (`inflight.mission_fit`).
 """
 
 from __future__ import annotations
@@ -22,12 +20,33 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.errors import SamplesError, SettingsError
 from inflight.frames import direction_of
-from inflight.lsq.covariance import long_run_covariance
+from inflight.lsq.covariance import long_run_covariance, sandwich
 from inflight.lsq.robust import biweight, biweight_slope, robust_sigma
+from inflight.lsq.solver import SOLVER, gram_inverse
 from inflight.time import Int64
 from inflight.units import factor_and_offset
 
-_TURNS = 12
+
+@dataclass(frozen=True, kw_only=True)
+class ContrastSettings:
+    """How robust fits settle and what counts as an outlier.
+
+    Attributes
+    ----------
+    passes : int
+        Passes of the biweights; assumed.
+    outlier : float
+        Samples so many robust sigmas off the fitted drift and step are left out; assumed.
+    nothing : float
+        A column of which the others leave less than this part of its square is one of theirs: rounding.
+    """
+
+    passes: int = 12
+    outlier: float = 6.0
+    nothing: float = 1e-24
+
+
+CONTRASTS = ContrastSettings()
 
 
 @dataclass(frozen=True)
@@ -39,7 +58,7 @@ class RobustFit:
     value, covariance : ndarray, shape (column,), (column, column)
     left : ndarray, shape (row,)
         Values less the fit.
-    say : ndarray, shape (row,)
+    robust_weight : ndarray, shape (row,)
         1 for a value that counts wholly, 0 for one that does not.
     scatter : float
         Robust standard deviation of the values beyond their stated errors.
@@ -48,13 +67,13 @@ class RobustFit:
     value: Floats
     covariance: Floats
     left: Floats
-    say: Floats
+    robust_weight: Floats
     scatter: float
 
     @property
     def outlying(self) -> int:
-        """How many values lost most of their say."""
-        return int(np.sum(self.say < 0.2))
+        """Number of values that are weighted down to less than a fifth."""
+        return int(np.sum(self.robust_weight < 0.2))
 
 
 def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) -> RobustFit:
@@ -71,22 +90,25 @@ def robust_fit(rows: Floats, value: Floats, variance: Floats, functions: float) 
     """
     size = np.maximum(np.abs(rows).max(axis=0), 1e-300)
     unit = rows / size
-    say, extra = np.ones(value.size), 0.0
-    for _ in range(_TURNS):
+    robust_weight, extra = np.ones(value.size), 0.0
+    for _ in range(CONTRASTS.passes):
         sigma2 = variance + extra
-        root = np.sqrt(say / sigma2)
+        root = np.sqrt(robust_weight / sigma2)
         found = np.linalg.lstsq(unit * root[:, None], value * root)[0]
         left = value - unit @ found
         usual = robust_sigma(left)
         extra = max(usual**2 - float(np.median(variance)), 1e-12 * float(np.median(variance)))
-        pull = left / np.sqrt(variance + extra)
-        say = biweight(pull)
-    slope = biweight_slope(pull) / (variance + extra)
-    weight = say / (variance + extra)
-    bread = np.linalg.inv(_at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit))
+        standardised = left / np.sqrt(variance + extra)
+        robust_weight = biweight(standardised)
+    slope = biweight_slope(standardised) / (variance + extra)
+    weight = robust_weight / (variance + extra)
+    slopes = _at_least((unit * slope[:, None]).T @ unit, (unit * weight[:, None]).T @ unit)
+    bread = gram_inverse(slopes, SOLVER.eigen_cut)
     scores = unit * (weight * left)[:, None]
-    covariance = bread @ long_run_covariance(scores, functions) @ bread
-    return RobustFit(found / size, covariance / np.outer(size, size), left, say, float(np.sqrt(extra)))
+    covariance = sandwich(bread, long_run_covariance(scores, functions))
+    return RobustFit(
+        found / size, covariance / np.outer(size, size), left, robust_weight, float(np.sqrt(extra))
+    )
 
 
 def _at_least(slopes: Floats, weights: Floats) -> Floats:
@@ -97,11 +119,6 @@ def _at_least(slopes: Floats, weights: Floats) -> Floats:
 
 Chosen = npt.NDArray[np.bool_]
 
-#: Samples of the residual this many robust sigmas off the fitted drift and step are left out.
-_OUTLIER = 6.0
-
-#: A column whose part that the others do not make is smaller than this part of its square is one of theirs.
-_NOTHING = 1e-24
 
 #: Places of the orbit kept with each epoch where the samples know them.
 _PLACES = ("local_time", "orbit_phase", "latitude", "sunlit", "sun_direction")
@@ -218,7 +235,7 @@ def _orthonormal(drift: Floats) -> Floats:
         for _ in range(2):
             rest = rest - (own @ rest) @ own
         power = float(rest @ rest)
-        if power > _NOTHING * float(column @ column):
+        if power > CONTRASTS.nothing * float(column @ column):
             basis[place] = rest / np.sqrt(power)
     return basis
 
@@ -233,7 +250,7 @@ def robust_contrast(
         if contrast is None:
             return None
         left = contrast.residual(values[kept])
-        limit = _OUTLIER * robust_sigma(left)
+        limit = CONTRASTS.outlier * robust_sigma(left)
         far = np.abs(left) > max(limit, 1e-12)
         if not far.any():
             break

@@ -1,4 +1,7 @@
-"""Robust weights: gross errors lose their say, ordinary noise keeps nearly all of it."""
+"""Robust weights and scale: gross errors are weighted down, ordinary noise keeps nearly all its weight.
+
+Tukey's biweight, and the scale from the median of absolute deviations.
+"""
 
 from __future__ import annotations
 
@@ -46,15 +49,15 @@ def _median(values: Floats) -> float:
     return float(np.partition(values, (middle - 1, middle))[middle - 1 : middle + 1].mean())
 
 
-def biweight(pull: Floats) -> Floats:
+def biweight(standardised: Floats) -> Floats:
     """Return Tukey's weights of residuals in robust sigmas: 1 at 0, 0 from `BIWEIGHT_WIDTH` on."""
-    return np.asarray(np.clip(1.0 - (pull / BIWEIGHT_WIDTH) ** 2, 0.0, None) ** 2)
+    return np.asarray(np.clip(1.0 - (standardised / BIWEIGHT_WIDTH) ** 2, 0.0, None) ** 2)
 
 
-def biweight_slope(pull: Floats) -> Floats:
-    """Return by how much the influence ``pull * biweight(pull)`` gives way where a residual moves.
+def biweight_slope(standardised: Floats) -> Floats:
+    """Return the derivative of the influence ``u biweight(u)`` by the standardised residual u.
 
     Weights follow the residuals: a fit answers by this slope, not by the weight.
     """
-    u2 = (pull / BIWEIGHT_WIDTH) ** 2
+    u2 = (standardised / BIWEIGHT_WIDTH) ** 2
     return np.asarray(np.where(u2 < 1.0, (1.0 - u2) * (1.0 - 5.0 * u2), 0.0))

@@ -1,4 +1,10 @@
-"""inflight/mission_fit."""
+"""The fit of a whole mission, and what its parameters and residual tell of the spacecraft.
+
+In go samples and the Gram matrices of days (`inflight.calibration`, `inflight.lsq`); out come trends in
+time, one continuous calibration, and the fields of temperature, day and night, currents and torquers with
+their uncertainties. Nothing here reads or writes a file. Open `daily_equations` first (what is kept of a
+day), then `continuous` (one fit of all days), `trends` and `causes`.
+"""
 
 import lazy_loader
 

@@ -1,23 +1,17 @@
-"""Temperature, day/night and cross-talk in the fit of all days.
+"""Temperature, day and night, and cross-talk in the fit of all days.
 
-The coil's temperature in the fit of all days: its coefficients, its lag, and the rivals it has.
+Takes the days' wide equations, their auxiliary columns and the continuous fit; makes:
 
-The wide equations hold what the residual answers to the coefficients with the temperature as it was aligned,
-the strip beside them what it answers to the temperature's rate. A lag is bilinear: its column is the rate's
-times the coefficients, so that a few turns settle it together with all else that the model lets data move.
-
-The field of day and night in the fit of all days, and what the daily parameters are once it is known.
-
-It is fitted beside everything else of the model, trends included: what a panel's current explains, which is
-there by day too, is not told twice, and its error says so. Without it the angles of each day's own fit
-wander with the local time, with a period of 260.5 days (Yin 2010, section 4.3).
-
-Cross-talk of a whole mission: what one unit of a cause that is ignored does to everything else.
-
-Two answers from the same stored equations. With the nine parameters alone, as a scalar calibration fits them,
-a cause goes into them as far as they can imitate it (Yin 2010, section 4.2). With everything of the model
-fitted together the others share what one of them ignores: with C the covariance, leaving out a parameter j of
-size c moves parameter i by ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
+- the coil's temperature (`fit_coil_lag`): its coefficients, its lag, and its rivals. The auxiliary columns
+  are the residual's derivatives by the temperature's rate. A lag is bilinear: its column is the rate's
+  times the coefficients, so that a few passes settle it together with everything that the model fits.
+- the field of day and night (`fit_daylight`), fitted together with everything else, trends included: what
+  a panel's current explains by day is not counted twice, and the error contains it. Without it the angles
+  of each day's own fit vary with the local time, with a period of 260.5 days (Yin 2010, section 4.3).
+- cross-talk: what one unit of an ignored cause does to everything else. With the nine alone, a cause goes
+  into them as far as they can imitate it (`of_the_nine`; Yin 2010, section 4.2). With everything fitted
+  together (`of_everything`), C the covariance, leaving out a parameter j of size c moves parameter i by
+  ``-C_ij / C_jj c``, which is the same least squares written with the inverse.
 """
 
 from __future__ import annotations
@@ -32,13 +26,22 @@ from inflight.arrays import Floats
 from inflight.calibration import NINE, NINE_UNITS, NormalEquations
 from inflight.effects import AXES, DayNight, DayNightSeries
 from inflight.errors import CalibrationError
-from inflight.lsq import ClusteredFit, correlation_of, left, mean_of_clusters, retained_fraction
+from inflight.lsq import (
+    RESIDUAL,
+    SOLVER,
+    ClusteredFit,
+    correlation_of,
+    fit_white,
+    jackknife,
+    mean_of_clusters,
+    posterior_covariance,
+    retained_fraction,
+)
 from inflight.mission_fit.continuous import Continuous, daily_parameters, fitted_beside, shift_columns
 from inflight.mission_fit.crosstalk import SHOWN, CrossTalkTable, Ignored, cross_talk
 from inflight.mission_fit.daily_equations import (
     holds_day_night,
     joined_with,
-    of_grams,
     reference_of,
     temperature_entry,
     terms_of,
@@ -56,17 +59,40 @@ from inflight.mission_fit.temperature import (
 from inflight.mission_fit.trends import TrendFit
 from inflight.model import Model
 
-#: Turns of the lag; it settles in two, three where the coefficients were not known.
-_TURNS = 4
 
-#: One unit of the lag's column, s.
-_LAG_UNIT = 10.0
+@dataclass(frozen=True, kw_only=True)
+class CauseSettings:
+    """How causes are fitted to all days and held out.
 
-#: Sigmas that one of the axes must follow the temperature by for a lag to be told.
-_FOLLOWS = 3.0
+    Attributes
+    ----------
+    passes : int
+        Passes of the lag; it settles in two, three where the coefficients were not known.
+    lag_unit_s : float
+        One unit of the lag's column, s; assumed.
+    follows : float
+        Sigmas that one of the axes must follow the temperature by for a lag to be determined: a level of
+        0.3 %.
+    folds : int
+        Sections of the span that are held out; assumed.
+    sections : int
+        Sections by which scores are compared; assumed.
+    bias : float
+        The bias of the thesis' example, nT (Yin 2010, section 4.2).
+    parts : int
+        Parts of the span of the jackknife; assumed.
+    """
 
-#: Sections of the span that are held out, and by which scores are compared.
-_FOLDS, _SECTIONS = 5, 40
+    passes: int = 4
+    lag_unit_s: float = 10.0
+    follows: float = 3.0
+    folds: int = 5
+    sections: int = 40
+    bias: float = 0.4
+    parts: int = 10
+
+
+CAUSES = CauseSettings()
 
 
 def fit_coil_lag(
@@ -114,7 +140,7 @@ def fit_coil_lag(
     own = [f"{entry.name}.{kind}[{axis}]" for kind in KINDS[:2] for axis in AXES]
     sigma = np.append([one for term in terms_of(model) for one in term.sigma], PRIOR[2])
     value, change = _values_of(found.fit, own), 0.0
-    for _ in range(_TURNS):
+    for _ in range(CAUSES.passes):
         before = change
         turned = _with_lag(wide, rates, own, value, change)
         fit = fitted_beside(turned, equations, found, sigma)
@@ -137,8 +163,7 @@ def _with_lag(
     lag's change, the residual is ``y + C (c - c0) + d R c``: about c1 and d1 its columns are ``C + d1 R`` and
     ``R c1``, and what is constant, ``d1 R (c0 - c1)``, belongs to y.
     """
-    data, names = equations.dataset, equations.columns
-    scale = data["scale"].values
+    names, scale = equations.columns, equations.scale
     from_rates = [names.index(name) for name in rates]
     to = [names.index(name) for name in own]
     kept = [place for place in range(len(names)) if place not in set(from_rates)]
@@ -146,15 +171,15 @@ def _with_lag(
     turn[np.arange(len(kept)), kept] = 1.0
     for rate, column in zip(from_rates, to, strict=True):
         turn[kept.index(column), rate] = change * scale[column] / scale[rate]
-    turn[-2, from_rates] = _LAG_UNIT * value / scale[from_rates]
+    turn[-2, from_rates] = CAUSES.lag_unit_s * value / scale[from_rates]
     turn[-1, -1] = 1.0
-    common = data["reference"].values
+    common = equations.reference
+    assert common is not None
     each = np.broadcast_to(turn, (len(common), *turn.shape)).copy()
     each[:, -1, from_rates] = change * (common[:, to] - value) / scale[from_rates]
-    gram = each @ data["gram"].values @ each.swapaxes(1, 2)
     reference = np.concatenate([common[:, kept], np.zeros((len(common), 2))], axis=1)
-    new = np.concatenate([scale[kept], [_LAG_UNIT, 1.0]])
-    return of_grams(data, gram, reference, new, [*(names[place] for place in kept), "lag"])
+    new = np.concatenate([scale[kept], [CAUSES.lag_unit_s, 1.0]])
+    return equations.combine([*(names[place] for place in kept), "lag", RESIDUAL], each, new, reference)
 
 
 def _as_coil(
@@ -164,20 +189,19 @@ def _as_coil(
     columns = [equations.columns.index(name) for name in (*own, "lag")]
     value = fit.value[places] + np.append(np.zeros(len(own)), lag)
     determined = fit.determined[places].copy()
-    follows = np.abs(value[:3]) > _FOLLOWS * fit.sigma[places][:3]
+    follows = np.abs(value[:3]) > CAUSES.follows * fit.sigma[places][:3]
     determined[-1] &= bool(follows.any()) and fit.sigma[places[-1]] < 0.5 * PRIOR[2]
-    total = equations.dataset["gram"].values.sum(axis=0)[:-1, :-1]
     return CoilFit(
         channel,
         reference,
         ClusteredFit(
             value,
             fit.covariance[np.ix_(places, places)],
-            retained_fraction(total)[columns],
+            retained_fraction(equations.total[:-1, :-1])[columns],
             determined,
             fit.rms**2,
             len(equations),
-            float(equations.dataset["count"].values.sum()),
+            float(equations.count.sum()),
         ),
     )
 
@@ -216,23 +240,22 @@ def rival_temperatures(
     beside = [one for names in columns.values() for one in names if one not in held]
     wide = joined_with(equations, strips, beside)
     names = wide.columns
-    at = _at_the_fit(wide, found, held)
-    nine = np.arange(9)
+    at = _at_the_fit(wide, found, held).marginalise(names[:9], cut=SOLVER.weak_cut, least_kept=0.0)
     others = [place for place in range(9, len(equations.columns)) if names[place] not in set(held)]
     known = dict(zip(equations.columns, [one for term in terms_of(model) for one in term.sigma], strict=True))
-    scale, count = wide.dataset["scale"].values, wide.dataset["count"].values
+    count = wide.count
     squares: dict[str, Floats] = {}
-    sections = np.array_split(np.arange(len(wide)), min(_SECTIONS, len(wide)))
-    if len(sections) < 2 * _FOLDS:
+    sections = np.array_split(np.arange(len(wide)), min(CAUSES.sections, len(wide)))
+    if len(sections) < 2 * CAUSES.folds:
         raise CalibrationError(
-            f"{len(sections)} days for {_FOLDS} parts to hold out", remedy=f"use {2 * _FOLDS} days or more"
+            f"{len(sections)} days for {CAUSES.folds} parts to hold out",
+            remedy=f"use {2 * CAUSES.folds} days or more",
         )
     rows = np.array([count[part].sum() for part in sections])
     prior = np.array([known[names[place]] for place in others])
     for name in (NONE, *channels):
-        mine = [names.index(one) for one in columns.get(name, [])]
-        kept = np.array([*others, *mine, len(scale) - 1])
-        gram = left(at, nine, kept) / np.outer(scale[kept], scale[kept])
+        mine = columns.get(name, [])
+        gram = at.select([*(names[place] for place in others), *mine]).in_units
         merged = np.array([gram[part].sum(axis=0) for part in sections])
         squares[name] = _held_out(merged, rows, prior, bool(mine)) / rows
     return _chosen(squares, rows)
@@ -242,25 +265,19 @@ def _named(channel: str, kinds: Sequence[str]) -> list[str]:
     return [f"{channel}.{kind}[{axis}]" for kind in kinds for axis in AXES]
 
 
-def _at_the_fit(wide: NormalEquations, found: Continuous, held: Sequence[str]) -> Floats:
-    """Return the Gram matrices with the residual at the fit of all days, without the coefficients held."""
-    data, fit = wide.dataset, found.fit
-    middle = data["start"].values // 2 + data["end"].values // 2
+def _at_the_fit(wide: NormalEquations, found: Continuous, held: Sequence[str]) -> NormalEquations:
+    """Return the equations with the residual at the fit of all days, without the coefficients held."""
+    fit, middle = found.fit, wide.middle
     common = dict(zip(fit.trends, fit.at(middle)[0].T, strict=True))
     nought = np.zeros(len(middle))
-    at = np.stack([nought if name in held else common.get(name, nought) for name in wide.columns], axis=1)
-    step = (at - data["reference"].values[:, :-1]) / data["scale"].values[:-1]
-    turn = np.broadcast_to(
-        np.eye(step.shape[1] + 1), (len(step), step.shape[1] + 1, step.shape[1] + 1)
-    ).copy()
-    turn[:, -1, :-1] = step
-    return np.asarray(turn @ data["gram"].values @ turn.swapaxes(1, 2))
+    each = [nought if name in held else common.get(name, nought) for name in wide.columns]
+    return wide.at(np.stack(each, axis=1))
 
 
 def _held_out(gram: Floats, rows: Floats, prior: Floats, temperature: bool) -> Floats:
     """Return the sum of squares of each section at the fit of the other folds; (section,) nT^2."""
     out = np.empty(len(gram))
-    for part in np.array_split(np.arange(len(gram)), _FOLDS):
+    for part in np.array_split(np.arange(len(gram)), CAUSES.folds):
         total = np.delete(gram, part, axis=0).sum(axis=0)
         at = np.append(_solved(total, float(np.delete(rows, part).sum()), prior, temperature), 1.0)
         out[part] = np.einsum("i,bij,j->b", at, gram[part], at)
@@ -272,19 +289,15 @@ def _solved(gram: Floats, rows: float, prior: Floats, temperature: bool) -> Floa
     count, unknown = prior.size, np.zeros(7)
     sigma = np.concatenate([prior, np.repeat(PRIOR, [3, 3, 1])]) if temperature else prior
     value = np.zeros(count)
-    variance = float(gram[-1, -1]) / max(rows, 1.0)
-    for _ in range(_TURNS):
+    for _ in range(CAUSES.passes):
         turn = np.zeros((len(gram), sigma.size + 1))
         turn[:count, :count], turn[-1, -1] = np.eye(count), 1.0
         if temperature:
             answers, slopes = coefficients_of(unknown)
             turn[count:-1, count:-1], turn[count:-1, -1] = slopes, answers - slopes @ unknown
         inner = turn.T @ gram @ turn
-        matrix = (inner[:-1, :-1] * np.outer(sigma, sigma)) / variance + np.eye(sigma.size)
-        value = -sigma * np.linalg.solve(matrix, inner[:-1, -1] * sigma / variance)
+        value, _ = fit_white(inner, rows, sigma)
         unknown = value[count:]
-        own = np.append(value, 1.0)
-        variance = max(float(own @ inner @ own) / max(rows, 1.0), 1e-30)
     return np.concatenate([value[:count], coefficients_of(unknown)[0]]) if temperature else value
 
 
@@ -363,7 +376,7 @@ def fit_daylight(
     fit = fitted_beside(wide, equations, found, sigma)
     places = np.array([fit.place(name).start for name in names])
     columns = np.array([wide.columns.index(name) for name in names])
-    retained = retained_fraction(wide.dataset["gram"].values.sum(axis=0)[:-1, :-1])[columns]
+    retained = retained_fraction(wide.total[:-1, :-1])[columns]
     determined = fit.determined[places] & (retained > LEAST_RETAINED)
     if not determined.any():
         raise CalibrationError(
@@ -398,12 +411,6 @@ SIZES = {
     "1/nT^2": 1e-16,
 }
 
-#: The bias of the thesis' example, nT.
-_BIAS = 0.4
-
-#: Parts of the span, of which each is left out once for the error.
-_PARTS = 10
-
 
 def causes_of(columns: Sequence[str], units: Mapping[str, str], model: Model) -> list[Ignored]:
     """Return columns as causes of a size that people ask about; of a scalar bias 0.4 nT.
@@ -421,7 +428,7 @@ def causes_of(columns: Sequence[str], units: Mapping[str, str], model: Model) ->
     found = []
     for name in columns:
         unit = units.get(name, "nT")
-        size = _BIAS if name in biases else SIZES.get(unit, 1.0)
+        size = CAUSES.bias if name in biases else SIZES.get(unit, 1.0)
         found.append(Ignored(name, size, unit))
     return found
 
@@ -472,22 +479,20 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
     if not len(filled):
         raise CalibrationError("no day tells anything", remedy="see the failed days of the chain")
     sigma = np.array([one for term in terms_of(model) for one in term.sigma])
-    data = filled.dataset
-    scale, gram = data["scale"].values[:-1], data["gram"].values
+    scale = filled.scale[:-1]
     prior, names = sigma / scale, filled.columns
     causes = causes_of(names, units, model)
     shown = [SHOWN.get(units.get(name, ""), (1.0, units.get(name, ""))) for name in names]
     factor = scale * np.array([one for one, _ in shown])
     size = np.array([one.size for one in causes]) / scale
-    total, count = gram.sum(axis=0), float(data["count"].values.sum())
-    parts = np.array_split(np.arange(len(gram)), min(_PARTS, len(gram)))
+    total, count = filled.total, float(filled.count.sum())
+    parts = np.array_split(np.arange(len(filled)), min(CAUSES.parts, len(filled)))
     whole = _covariance(total, count, prior)
     value = _shifts(whole) * np.outer(size, factor)
     if len(parts) > 1:
-        rest = [(gram[part].sum(axis=0), float(data["count"].values[part].sum())) for part in parts]
+        rest = zip(filled.sums(parts), (float(filled.count[part].sum()) for part in parts), strict=True)
         others = np.array([_shifts(_covariance(total - one, count - rows, prior)) for one, rows in rest])
-        spread = others - others.mean(axis=0)
-        error = np.sqrt((len(parts) - 1) / len(parts) * np.sum(spread**2, axis=0)) * np.outer(size, factor)
+        error = jackknife(others) * np.outer(size, factor)
     else:
         error = np.full_like(value, np.nan)
     both = ("ignored", "parameter")
@@ -507,17 +512,7 @@ def of_everything(equations: NormalEquations, units: Mapping[str, str], model: M
 
 def _covariance(gram: Floats, count: float, prior: Floats) -> Floats:
     """Return the covariance of all columns, scaled, for white residuals; 0 for what is fixed."""
-    free = np.flatnonzero(prior > 0)
-    matrix, unit = gram[:-1, :-1][np.ix_(free, free)], prior[free]
-    found = np.zeros_like(gram[:-1, :-1])
-    variance = float(gram[-1, -1]) / max(count, 1.0)
-    for _ in range(2):
-        bread = np.linalg.inv(matrix * np.outer(unit, unit) / variance + np.eye(free.size))
-        answer = -unit * (bread @ (unit * gram[free, -1])) / variance
-        own = float(gram[-1, -1] + 2 * answer @ gram[free, -1] + answer @ matrix @ answer)
-        variance = max(own, 1e-30) / max(count, 1.0)
-    found[np.ix_(free, free)] = bread * np.outer(unit, unit)
-    return found
+    return posterior_covariance(gram[:-1, :-1], prior, fit_white(gram, count, prior)[1])
 
 
 def _shifts(covariance: Floats) -> Floats:

@@ -1,17 +1,11 @@
-"""One fit of all days.
+"""One fit of a whole mission: continuous scale factors, everything else constant, all together.
 
-One fit of a whole mission: continuous scale factors, everything else constant, all together.
-
-The scale factors follow one trend in time (Yin 2010, ch. 3), chosen on held-out days unless it is stated;
-angles, offsets and all that the model lets data refine have one value. The result is a model and the
-calibration table that says how sure it is on each day.
-
-Fits of all days with more columns than the model has, everything else as the continuous fit had it.
-
-Each day's own parameters after the continuous fit: what still wanders once everything else is known.
-
-A day's wide equations are expressed at the values of the continuous fit for that day. The nine parameters
-of the vector sensor, and named ones such as the time shift, are then solved for; all others stay there.
+Takes the days' wide equations; makes a model, the calibration table that states how sure it is on each
+day, and each day's own parameters beside it. The scale factors follow one trend in time (Yin 2010, ch. 3),
+chosen on held-out days unless it is stated; angles, offsets and all that the model lets data refine have
+one value. `fitted_beside` fits further columns to all days, with the trends of the continuous fit.
+`daily_parameters` solves each day for the nine and for named ones such as the time shift, everything else
+at the values of the continuous fit: what changes from day to day once everything else is known.
 """
 
 from __future__ import annotations
@@ -25,17 +19,40 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.calibration import PARTS, SOURCES, UNITS, NormalEquations, reference_of, vector_sensor_of
 from inflight.errors import CalibrationError
-from inflight.lsq import TO_SIGMA, residual_sum, retained_fraction
+from inflight.lsq import RESIDUAL, SOLVER, TO_SIGMA, gram_inverse, retained_fraction
 from inflight.mission_fit.daily_equations import DayDrift, about_offsets, rates, terms_of
 from inflight.mission_fit.trend_selection import TrendComparison, compare_trends, fit_origin
-from inflight.mission_fit.trends import TrendFit, at_one_reference, fit_trends, make_trend, middles
+from inflight.mission_fit.trends import TrendFit, fit_trends, make_trend
 from inflight.model import Model
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContinuousSettings:
+    """How the trend of all days is chosen, and what a day determines.
+
+    Attributes
+    ----------
+    folds : int
+        Held-out sections of the span; assumed.
+    fold_days : int
+        Days of a section at least; shorter spans keep a straight line; assumed.
+    least_retained : float
+        Parameters of which the others leave less than this part are not determined by a day; assumed.
+    fewest : int
+        Fewest differences of neighbouring days that widen the days' own errors; assumed.
+    """
+
+    folds: int = 8
+    fold_days: int = 3
+    least_retained: float = 1e-6
+    fewest: int = 10
+
+
+CONTINUOUS = ContinuousSettings()
+
 
 #: Trends that are compared, the ones a model's file can hold.
 KINDS = ("constant", "linear", "parabola", "log", "spline")
-
-#: Days of a fold at least; spans with fewer keep to what two numbers can say.
-_FOLDS, _FOLD_DAYS = 8, 3
 
 
 @dataclass(frozen=True)
@@ -93,7 +110,7 @@ def fit_mission(
         When the days do not suffice for the trend.
     """
     sigma = np.array([one for term in terms_of(model) for one in term.sigma])
-    common = at_one_reference(equations)
+    common = equations.at_one_reference()
     choice = None
     if kind == "auto":
         kind, choice = _choose(common, sigma, _nine(model)[:3], origin)
@@ -101,7 +118,7 @@ def fit_mission(
     if drift is not None:
         # The first fit tells the rates to a part of what they are; they are small themselves.
         equations = drift.taken_out(equations, rates(fit, equations))
-        fit = _fitted(at_one_reference(equations), model, sigma, kind, origin)
+        fit = _fitted(equations.at_one_reference(), model, sigma, kind, origin)
     return Continuous(fit, choice, continuous_model(model, fit), equations)
 
 
@@ -109,7 +126,7 @@ def _fitted(
     equations: NormalEquations, model: Model, sigma: Floats, kind: str, origin: int | None
 ) -> TrendFit:
     """Fit one kind of trend to days at one reference."""
-    names, units, times = _nine(model)[:3], _units(model), middles(equations)
+    names, units, times = _nine(model)[:3], _units(model), equations.middle
     if kind == "log" and origin is None:
         first = int(times[0])
         start = make_trend("log", times, first - (int(times[-1]) - first) // 4)
@@ -122,16 +139,16 @@ def _choose(
     equations: NormalEquations, sigma: Floats, names: list[str], origin: int | None
 ) -> tuple[str, TrendComparison | None]:
     """Return the kind of trend that foretells held-out days best; all but the nine stay at a common fit."""
-    if len(equations) < _FOLDS * _FOLD_DAYS:
+    if len(equations) < CONTINUOUS.folds * CONTINUOUS.fold_days:
         return "linear", None
-    wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", middles(equations))), sigma)
+    wide = fit_trends(equations, dict.fromkeys(names, make_trend("spline", equations.middle)), sigma)
     common = [name for name in equations.columns if name not in names]
-    at = equations.reference.copy()
+    at = equations.first_reference.copy()
     for name in common:
         at[equations.columns.index(name)] = wide.value[wide.place(name)][0]
     own = equations.columns[:9]
     small = equations.at(at).select(own)
-    choice = compare_trends(small, names, sigma[:9], KINDS, t0=origin, folds=_FOLDS)
+    choice = compare_trends(small, names, sigma[:9], KINDS, t0=origin, folds=CONTINUOUS.folds)
     return choice.chosen, choice
 
 
@@ -169,9 +186,9 @@ def continuous_table(
         As `inflight.calibration.calibration_table`.
     """
     fit, names = found.fit, _nine(found.model)
-    prior = reference_of(before, int(middles(equations)[0]))
-    common = at_one_reference(equations)
-    data, times = common.dataset, middles(common)
+    prior = reference_of(before, int(equations.middle[0]))
+    common = equations.at_one_reference()
+    times = common.middle
     order = [list(fit.trends).index(name) for name in names]
     value = fit.values(times)
     slope = fit.slopes(times, names)
@@ -179,7 +196,7 @@ def continuous_table(
     own, after = _left(common, value)
     known = np.array([fit.determined[fit.place(name)].all() for name in names])
     each, row = ("interval", "parameter"), ("interval",)
-    count = data["count"].values
+    count = common.count
     shape = (len(times), len(names))
     return xr.Dataset(
         {
@@ -196,8 +213,8 @@ def continuous_table(
             "prior": ("parameter", prior.value),
             "prior_sigma": ("parameter", prior.sigma),
             "units": ("parameter", np.array(UNITS, dtype="U8")),
-            "start": (row, data["start"].values, {"scale": "TT2000"}),
-            "end": (row, data["end"].values, {"scale": "TT2000"}),
+            "start": (row, common.start, {"scale": "TT2000"}),
+            "end": (row, common.end, {"scale": "TT2000"}),
             "blocks": (row, np.ones(len(times), dtype=np.int64)),
             "directions": (row, np.full(len(times), int(known.sum()), dtype=np.int64)),
             "count": (row, count),
@@ -213,20 +230,9 @@ def continuous_table(
 
 def _left(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:
     """Return each block's rms at the nine it was linearised at and at values (block, parameter); nT."""
-    scale, gram = equations.dataset["scale"].values[:-1], equations.dataset["gram"].values
-    count = np.maximum(equations.dataset["count"].values, 1.0)
-    change = (value - equations.reference) / scale
-    after = np.array([residual_sum(one, step) for one, step in zip(gram, change, strict=True)])
-    least = np.array([_least(one) for one in gram])
-    return np.sqrt(least / count), np.sqrt(after / count)
-
-
-def _least(gram: Floats) -> float:
-    """Return what the best nine parameters of a block leave of its square, nT^2."""
-    inner, cross = gram[:9, :9], gram[:9, -1]
-    size = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-    found = np.linalg.lstsq(inner / np.outer(size, size), cross / size)[0]
-    return float(max(gram[-1, -1] - found @ (cross / size), 0.0))
+    count = np.maximum(equations.count, 1.0)
+    least = equations.marginalise(equations.columns[:9], least_kept=0.0).squares[:, -1]
+    return np.sqrt(np.maximum(least, 0.0) / count), np.sqrt(equations.squares_at(value) / count)
 
 
 def _nine(model: Model) -> list[str]:
@@ -256,17 +262,10 @@ def fitted_beside(
     sigma : ndarray, shape (column,)
         What is known beforehand of each, physical units.
     """
-    of = dict(zip(equations.dataset["start"].values.tolist(), found.fit.weight.tolist(), strict=True))
-    weight = np.array([of[one] for one in wide.dataset["start"].values.tolist()])
+    of = dict(zip(equations.start.tolist(), found.fit.weight.tolist(), strict=True))
+    weight = np.array([of[one] for one in wide.start.tolist()])
     trends = {name: one for name, one in found.fit.trends.items() if one.count > 1}
     return fit_trends(wide, trends, sigma, weight, found.fit.units)
-
-
-#: Parameters of a day whose part that no other explains is below this are not told by it.
-_LEAST_RETAINED = 1e-6
-
-#: Fewest differences of neighbouring days that tell more than the days' own errors.
-_FEWEST = 10
 
 
 def shift_columns(model: Model) -> list[str]:
@@ -308,17 +307,14 @@ def daily_parameters(equations: NormalEquations, found: Continuous, names: Seque
         When a name is none of the equations' columns.
     """
     columns = _chosen(equations, names)
-    fit, data = found.fit, equations.dataset
-    middle = data["start"].values // 2 + data["end"].values // 2
+    fit = found.fit
     order = [list(fit.trends).index(name) for name in equations.columns]
-    common = fit.values(middle)[:, order]
-    places = [equations.columns.index(name) for name in columns]
-    scale = data["scale"].values[:-1]
-    steps = (common - data["reference"].values[:, :-1]) / scale
-    rows = data["count"].values
-    grams = data["gram"].values
-    solved = [_solved(*one, places) for one in zip(grams, steps, rows.tolist(), strict=True)]
-    change, sigma = (np.array([one[part] for one in solved]) * scale[places] for part in (0, 1))
+    common = fit.values(equations.middle)[:, order]
+    places = equations.index(columns)
+    chosen = equations.at(common).select(columns)
+    own = chosen.rows([*columns, RESIDUAL], [*columns, RESIDUAL])
+    solved = [_solved(*one) for one in zip(own, equations.count.tolist(), strict=True)]
+    change, sigma = (np.array([one[part] for one in solved]) * chosen.scale[:-1] for part in (0, 1))
     inflation = _widening(change / sigma)
     sigma = sigma * inflation
     each = ("interval", "parameter")
@@ -330,8 +326,8 @@ def daily_parameters(equations: NormalEquations, found: Continuous, names: Seque
             "determined": (each, np.isfinite(sigma)),
             "inflation": ("parameter", inflation),
             "units": ("parameter", np.array([fit.units.get(name, "") for name in columns], dtype="U16")),
-            "start": ("interval", data["start"].values, {"scale": "TT2000"}),
-            "end": ("interval", data["end"].values, {"scale": "TT2000"}),
+            "start": ("interval", equations.start, {"scale": "TT2000"}),
+            "end": ("interval", equations.end, {"scale": "TT2000"}),
         },
         coords={"parameter": columns},
         attrs={"trend": found.kind},
@@ -347,22 +343,20 @@ def _chosen(equations: NormalEquations, names: Sequence[str]) -> list[str]:
     return [*nine, *(name for name in names if name not in nine)]
 
 
-def _solved(gram: Floats, step: Floats, rows: float, places: list[int]) -> tuple[Floats, Floats]:
-    """Return change and sigma of the chosen columns, scaled, after a scaled step of all; NaN when untold."""
-    matrix = gram[:-1, :-1]
-    cross = (gram[:-1, -1] + matrix @ step)[places]
-    own = matrix[np.ix_(places, places)]
-    size = np.sqrt(np.clip(np.diag(own), 0.0, None))
-    change, sigma = np.full((2, len(places)), np.nan)
-    kept = np.flatnonzero((size > 0) & (retained_fraction(own) > _LEAST_RETAINED))
+def _solved(gram: Floats, rows: float) -> tuple[Floats, Floats]:
+    """Return change and sigma of the columns, scaled; NaN for those that the data do not determine.
+
+    `gram` is the Gram matrix of [columns | residual].
+    """
+    own, cross = gram[:-1, :-1], gram[:-1, -1]
+    change, sigma = np.full((2, len(own)), np.nan)
+    kept = np.flatnonzero((np.diag(own) > 0) & (retained_fraction(own) > CONTINUOUS.least_retained))
     if rows <= kept.size or not kept.size:
         return change, sigma
-    unit = size[kept]
-    inverse = np.linalg.inv(own[np.ix_(kept, kept)] / np.outer(unit, unit))
-    found = -inverse @ (cross[kept] / unit)
-    left = residual_sum(gram, step) + float(found @ (cross[kept] / unit))
-    change[kept] = found / unit
-    sigma[kept] = np.sqrt(np.diag(inverse) * max(left, 0.0) / (rows - kept.size)) / unit
+    inverse = gram_inverse(own[np.ix_(kept, kept)], SOLVER.eigen_cut)
+    change[kept] = -inverse @ cross[kept]
+    rest = max(float(gram[-1, -1] + change[kept] @ cross[kept]), 0.0)
+    sigma[kept] = np.sqrt(np.diag(inverse) * rest / (rows - kept.size))
     return change, sigma
 
 
@@ -371,6 +365,6 @@ def _widening(pulls: Floats) -> Floats:
     out = np.ones(pulls.shape[1])
     for index, column in enumerate(pulls.T):
         apart = np.abs(np.diff(column[np.isfinite(column)])) / np.sqrt(2.0)
-        if apart.size >= _FEWEST:
+        if apart.size >= CONTINUOUS.fewest:
             out[index] = max(TO_SIGMA * float(np.median(apart)), 1.0)
     return out

@@ -16,9 +16,9 @@ import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NINE_UNITS, NormalEquations, places
+from inflight.calibration import NINE, NINE_UNITS, NormalEquations
 from inflight.errors import CalibrationError, SamplesError
-from inflight.lsq import taken_over
+from inflight.lsq import regression
 
 #: Units in which people read shifts of the nine: unit of the column -> factor and unit shown.
 SHOWN = {"1": (1e6, "ppm"), "deg": (3600.0, "arcsec"), "nT": (1.0, "nT")}
@@ -173,17 +173,19 @@ def cross_talk(
         )
     if not len(equations):
         raise CalibrationError("there is no block of normal equations", remedy="give at least one")
-    own, other = places(equations, fitted), places(equations, [one.column for one in ignored])
-    scale = equations.dataset["scale"].values
+    own, other = equations.index(fitted), equations.index([one.column for one in ignored])
+    scale = equations.scale
     size = np.array([one.size for one in ignored])
     known = NINE_UNITS | dict(units or {})
     shown = [SHOWN.get(known.get(name, ""), (1.0, known.get(name, ""))) for name in fitted]
     # From one scaled unit of the cause to its size, from scaled to shown units of the parameter.
     turn = scale[own][:, None] * np.array([factor for factor, _ in shown])[:, None] * size / scale[other]
-    gram, count = equations.dataset["gram"].values, float(equations.dataset["count"].values.sum())
-    total = gram.sum(axis=0)
-    over = taken_over(total, own, other)
-    single = (taken_over(gram, own, other) * turn).swapaxes(1, 2)
+    count, wide = float(equations.count.sum()), np.concatenate([own, other])
+    total = equations.total
+    over = regression(total, own, other)
+    each = equations.rows(wide, wide)
+    places = np.arange(wide.size)
+    single = (regression(each, places[: own.size], places[own.size :]) * turn).swapaxes(1, 2)
     scatter = single.std(axis=0, ddof=1) if len(single) > 1 else np.full(single.shape[1:], np.nan)
     before = np.diag(total)[other]
     explained = np.einsum("fi,fi->i", over, total[np.ix_(own, other)])
@@ -194,7 +196,7 @@ def cross_talk(
         tuple(unit for _, unit in shown),
         (over * turn).T,
         scatter,
-        len(gram),
+        len(equations),
         np.sqrt(before * unit),
         np.sqrt(np.clip(before - explained, 0.0, None) * unit),
     )

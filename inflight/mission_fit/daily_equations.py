@@ -1,20 +1,15 @@
-"""Wide equations of a day, extra columns, drift.
+"""Wide equations of a day: the nine parameters and everything else that a model lets data refine.
 
-Columns of causes that a model does not hold: their Gram strip beside a day's wide equations.
+Takes a day's samples and the model at the day's own fit; makes the Gram matrix of its columns, with those
+of the drift within the day and, in a strip beside it, those of causes that the model does not hold.
 
-Temperatures with their lag, and the field of day and night, in the rows the wide equations are made of. The
-strip is a small part of a day's statistics; what it says is asked of all days together, later.
-
-What drifts within a day: a day's rows hold its scale factors still, and soon after launch they do not.
-
-A scale factor that ages by 5e-6 a day moves the residual by 0.1 nT at both ends of it. How fast it ages the
-fit of all days tells, so that each day keeps, beside its equations, the Gram matrix of the columns by which
-its residual would follow a drift: the drift is taken out of the equations without a look at a sample.
-
-Wide normal equations of a day: the nine parameters and everything else a model lets data refine.
-
-The nine are linearised at the day's own fit, all others at the model's values. Rows are means over bins,
-which keep every linear statement: the mean residual is the same function of the mean columns.
+- The nine are linearised at the day's own fit, all others at the model's values. Rows are means over bins,
+  which keep every linear statement: the mean residual is the same function of the mean columns.
+- Drift: a scale factor that ages by 5e-6 a day moves the residual by 0.1 nT at both ends of it. Each day
+  keeps the products of the columns by which its residual would follow a drift; the fit of all days
+  determines the rate, which is then taken out of the equations without reading a sample (`DayDrift`).
+- Auxiliary columns: temperatures with their lag, and the field of day and night. `split` makes the strip,
+  `joined_with` puts columns of it beside the model's, for all days together.
 """
 
 from __future__ import annotations
@@ -28,17 +23,47 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import PARTS, RESIDUAL, NormalEquations, vector_sensor_of
-from inflight.design import Rows, Term, bin_means, bridged, coarsen, design, grid, term_of, turns_of
+from inflight.calibration import PARTS, NormalEquations, vector_sensor_of
+from inflight.design import (
+    Rows,
+    Term,
+    bin_means,
+    bridge_gaps,
+    coarsen,
+    design,
+    grid,
+    sensor_matrices,
+    term_of,
+)
 from inflight.errors import CalibrationError
 from inflight.frames import add_geometry
-from inflight.lsq import TO_SIGMA, gram_of
+from inflight.lsq import RESIDUAL, TO_SIGMA, gram_of
 from inflight.mission_fit.day_night import series_columns, switched_columns
 from inflight.mission_fit.temperature import KINDS, coil_columns
-from inflight.mission_fit.trends import TrendFit, middles
+from inflight.mission_fit.trends import TrendFit
 from inflight.model import Model, ModelEffect
 from inflight.model import ResidualRows as NativeRows
 from inflight.time import DAY, SECOND, Int64, usual_step
+
+
+@dataclass(frozen=True, kw_only=True)
+class DayEquationSettings:
+    """How samples of a day become rows.
+
+    Attributes
+    ----------
+    usual_differences : float
+        Two readings are far apart when they differ by so many usual differences; assumed.
+    resolutions : float
+        And by so many resolutions; assumed.
+    """
+
+    usual_differences: float = 8.0
+    resolutions: float = 4.0
+
+
+DAY_ROWS = DayEquationSettings()
+
 
 #: Degrees Celsius where a rival temperature's change is 0, when the model states none.
 REFERENCE = 20.0
@@ -127,12 +152,12 @@ def _kind_of(name: str) -> str:
 
 
 def _on_bins(samples: xr.Dataset, name: str, stamps: Int64, edges: Int64) -> Floats:
-    """Return means of a channel on the bins, (bin, ...), its short gaps bridged."""
+    """Return means of a channel on the bins, (bin, ...), its short gaps bridge_gaps."""
     if name not in samples:
         return np.full(edges.size - 1, np.nan)
     values = np.asarray(samples[name].values, dtype=np.float64)
     known = np.asarray(np.isfinite(values.reshape(len(values), -1)).all(axis=1))
-    return bridged(bin_means(values, stamps, edges, known)[0])
+    return bridge_gaps(bin_means(values, stamps, edges, known)[0])
 
 
 def _daylight(samples: xr.Dataset, stamps: Int64, edges: Int64, centre: Int64) -> tuple[Floats, Floats]:
@@ -203,61 +228,14 @@ def joined_with(
             remedy="see the missing days of the channels, and of the orbit",
         )
     parts = [strip.sel(beside=wanted, other=wanted) for place in kept if (strip := strips[place]) is not None]
-    data = equations.dataset.isel(block=kept)
-    old, new = data.sizes["column"] - 1, len(wanted)
-    gram = np.zeros((len(kept), old + new + 1, old + new + 1))
-    places = np.append(np.arange(old), old + new)
-    gram[:, places[:, None], places[None, :]] = data["gram"].values
-    cross = np.stack([part["cross"].values for part in parts])
-    gram[:, old : old + new, places] = cross
-    gram[:, places, old : old + new] = cross.swapaxes(1, 2)
-    gram[:, old : old + new, old : old + new] = np.stack([part["own"].values for part in parts])
-    scale = np.concatenate([data["scale"].values[:-1], parts[0]["scale"].values, [1.0]])
-    nought = np.zeros((len(kept), new))
-    reference = np.concatenate(
-        [data["reference"].values[:, :-1], nought, data["reference"].values[:, -1:]], axis=1
-    )
-    return of_grams(data, gram, reference, scale, [*equations.columns, *wanted])
+    across = np.stack([part["cross"].values for part in parts]).swapaxes(1, 2)
+    inner = np.stack([part["own"].values for part in parts])
+    return equations.of_blocks(np.array(kept)).bordered(wanted, parts[0]["scale"].values, across, inner)
 
 
 def _knows(strip: xr.Dataset, names: Sequence[str]) -> bool:
     have = dict(zip(strip["beside"].values.tolist(), strip["known"].values.tolist(), strict=True))
     return all(bool(have.get(name, 0)) for name in names)
-
-
-def of_grams(
-    data: xr.Dataset, gram: Floats, reference: Floats, scale: Floats, names: Sequence[str]
-) -> NormalEquations:
-    """Return equations of the same blocks with other columns.
-
-    Parameters
-    ----------
-    data : Dataset
-        Of the equations they come from.
-    gram : ndarray, shape (block, column + 1, column + 1)
-        Scaled, the residual last.
-    reference : ndarray, shape (block, column + 1)
-    scale : ndarray, shape (column + 1,)
-    names : sequence of str
-        Of the columns.
-    """
-    row, both = ("block", "column", "other"), [*names, RESIDUAL]
-    return NormalEquations(
-        xr.Dataset(
-            {
-                "gram": (row, gram, {"units": "nT2"}),
-                # Days scatter between themselves: what scatters inside one is not asked.
-                "scatter": (row, np.broadcast_to(0.0, gram.shape)),
-                "reference": (("block", "column"), reference),
-                "start": data["start"],
-                "end": data["end"],
-                "count": data["count"],
-                "scale": ("column", scale),
-            },
-            coords={"column": both, "other": both},
-            attrs=data.attrs,
-        )
-    )
 
 
 def lag_of(samples: xr.Dataset, name: str) -> float:
@@ -299,20 +277,16 @@ class DayDrift:
         rate : ndarray, shape (block, rate)
             Change of each scale factor a day.
         """
-        data = equations.dataset
-        width = data.sizes["column"]
-        step = rate / data["scale"].values[:SCALES]
-        gram = data["gram"].values.copy()
+        width = equations.scale.size
+        step = rate / equations.scale[:SCALES]
         along = np.einsum("bd,bdj->bj", step, self.gram)
-        gram[:, -1, :] += along[:, :width]
-        gram[:, :, -1] += along[:, :width]
-        gram[:, -1, -1] += np.einsum("bd,bd->b", along[:, width:], step)
-        return NormalEquations(data.assign(gram=data["gram"].copy(data=gram)))
+        square = np.einsum("bd,bd->b", along[:, width:], step)
+        return equations.with_added_residual(along[:, :width], square)
 
 
 def rates(fit: TrendFit, equations: NormalEquations) -> Floats:
     """Return how fast the scale factors change in the middles of blocks; (block, rate), a day."""
-    times, out = middles(equations), []
+    times, out = equations.middle, []
     for name in equations.columns[:SCALES]:
         trend, value = fit.trends[name], fit.value[fit.place(name)]
         ends = [trend.basis(times + sign * _STEP, name) @ value for sign in (1, -1)]
@@ -323,8 +297,6 @@ def rates(fit: TrendFit, equations: NormalEquations) -> Floats:
 #: Seconds of a bin: short beside the orbit, and long enough that a day is a small matrix.
 BIN_S = 10.0
 
-#: Two readings are far apart when they differ by so many usual differences, and by so many resolutions.
-_FAST, _STEPS = 8.0, 4.0
 
 #: Variables of samples that are no channel.
 _NO_CHANNELS = ("vector", "scalar", "field", "field_direction", "flag", "weight", "tt2000")
@@ -425,7 +397,7 @@ def wide_and_beside(
     for name in sorted(used & set(map(str, samples.variables))):
         rows = replace(rows, good=rows.good & ~between_levels(stamps, samples[name]))
     binned, _ = coarsen(
-        samples, rows, edges, _channels(samples, used, stamps, edges), turns_of(fitted, sum(span) // 2)
+        samples, rows, edges, _channels(samples, used, stamps, edges), sensor_matrices(fitted, sum(span) // 2)
     )
     columns = np.moveaxis(design(terms, binned), -1, 0)
     days = (binned.samples["tt2000"].values - sum(span) // 2) / DAY
@@ -496,8 +468,8 @@ def between_levels(stamps: Int64, channel: xr.DataArray) -> npt.NDArray[np.bool_
     known = np.isfinite(change)
     if not known.any():
         return out
-    least = _FAST * TO_SIGMA * float(np.median(change[known]))
-    far = known & (change > max(least, _STEPS * float(channel.attrs.get("resolution") or 0.0)))
+    least = DAY_ROWS.usual_differences * TO_SIGMA * float(np.median(change[known]))
+    far = known & (change > max(least, DAY_ROWS.resolutions * float(channel.attrs.get("resolution") or 0.0)))
     for place in range(reach + 1):
         out[place : place + far.size] |= far
     return out

@@ -1,15 +1,13 @@
-"""Day/night field.
+"""The field that day and night switch on a spacecraft: what of it can be determined, and how it is fitted.
 
-The field that day and night switch on a spacecraft: where it is, what of it can be seen, how it is fitted.
+Takes normal equations with its columns; makes a `DayNightField`, and the nine parameters of each block
+with and without it. Two forms (Yin 2010, section 4.3). *Switched*: a vector times `sunlit`, 1 in the Sun
+and 0 in the shadow. *Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0 nearest the Sun, T the
+orbit. A square wave of duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms
+agree as k grows.
 
-Two forms (Yin 2010, section 4.3). *Switched*: a vector times `sunlit`, 1 in the Sun and 0 in the shadow.
-*Series*: ``a_0 + sum of a_k cos(2 pi k (t - t0) / T)``, t0 nearest the Sun, T the orbit. A square wave of
-duty D and height 1 has a_0 = D and a_k = 2 sin(pi k D) / (pi k): the two forms agree as k grows.
-
-A constant field at the sensor is an offset to a scalar calibration, so a_0 is never told from it; the
-rest is told only as far as the nine parameters cannot imitate it. That part is `retained`.
-
-How long day and night last on a circular orbit, and the series of a wave that follows them.
+A constant field at the sensor is an offset to a scalar calibration, so a_0 is never determined beside it;
+the rest is only as far as the nine parameters cannot imitate it. That part is `retained`.
 """
 
 from __future__ import annotations
@@ -24,11 +22,11 @@ import xarray as xr
 from scipy.stats import t as student
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns, places
+from inflight.calibration import NINE, NINE_UNITS, NormalEquations, field_columns
 from inflight.effects import AXES, DayNight, DayNightSeries, of_orders
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import EARTH_RADIUS
-from inflight.lsq import gram_inverse, left, solve_clusters
+from inflight.lsq import SOLVER, gram_inverse, marginalise, solve_clusters
 from inflight.mission_fit.crosstalk import SHOWN
 
 #: The parameters' names are those of the effects `day_night` and `day_night_series`.
@@ -233,7 +231,7 @@ class DayNightField:
 
 
 def fit_day_night(
-    equations: NormalEquations, absorbed: Sequence[str] = NINE, each_block: bool = True
+    equations: NormalEquations, marginalised: Sequence[str] = NINE, each_block: bool = True
 ) -> DayNightField:
     """Fit the day/night columns of normal equations beside the nine parameters.
 
@@ -241,7 +239,7 @@ def fit_day_night(
     ----------
     equations : NormalEquations
         With the nine columns and those of `switched_columns` or `series_columns`.
-    absorbed : sequence of str
+    marginalised : sequence of str
         What is fitted beside them.
     each_block : bool
         A calibration of its own for each block (days), or one for all (orbits of a day).
@@ -257,23 +255,19 @@ def fit_day_night(
             f"no day/night column among {equations.columns}",
             remedy="form the equations with `switched_columns` or `series_columns`",
         )
-    own, nine = places(equations, names), places(equations, absorbed)
-    last = equations.dataset.sizes["column"] - 1
-    gram, rows = equations.dataset["gram"].values, equations.dataset["count"].values
-    rest = left(gram.sum(axis=0), nine, own) if not each_block else left(gram, nine, own).sum(axis=0)
-    retained, determined = _told(rest, gram.sum(axis=0)[own, own])
+    both = equations.select([*names, *marginalised])
+    groups = None if each_block else [range(len(both))]
+    rest = both.marginalise(marginalised, groups, cut=SOLVER.weak_cut, least_kept=0.0)
+    own = both.index(names)
+    retained, determined = _told(rest.total[:-1, :-1], both.total[own, own])
     if not determined.any():
         raise CalibrationError(
             "no part of the day/night field is told from the nine parameters: is there any night?",
             remedy="take days at other local times",
         )
-    free = own[determined]
-    if each_block:
-        parts = left(gram, nine, np.append(free, last))
-    else:
-        beside = np.concatenate([free, nine, [last]])
-        parts = gram[:, beside[:, None], beside]
-    return _packed(names, retained, determined, parts, rows)
+    free = [name for name, is_determined in zip(names, determined, strict=True) if is_determined]
+    parts = rest.select(free) if each_block else both.select([*free, *marginalised])
+    return _packed(names, retained, determined, parts.rows(parts.names), parts.count)
 
 
 def _packed(
@@ -292,7 +286,7 @@ def _packed(
     covariance[np.ix_(place, place)] = wider * found.covariance[:count, :count]
     sigma = np.where(determined, np.sqrt(np.diag(covariance)), np.inf)
     total, many = parts.sum(axis=0), float(rows.sum())
-    alone = left(total, np.arange(count, len(total) - 1), np.array([len(total) - 1]))[0, 0]
+    alone = marginalise(total, np.arange(count, len(total) - 1), np.array([len(total) - 1]))[0, 0]
     answered = np.append(found.value, 1.0)
     after = answered @ total @ answered
     before, after = (float(np.sqrt(max(square, 0.0) / many)) for square in (alone, after))
@@ -337,16 +331,16 @@ def block_parameters(
         dims block, parameter: `value` (change against the reference) and `sigma`, in ppm, arcsec and nT
         (`units`); `start`, `end` (block) TT2000.
     """
-    start = equations.reference.copy()
+    start = equations.first_reference.copy()
     for name, value in (given or {}).items():
-        start[places(equations, [name])[0]] = value
+        start[equations.index([name])[0]] = value
     nine = equations.at(start).select(NINE)
     factor = np.array([SHOWN[NINE_UNITS[name]][0] for name in NINE])
     values, sigmas = np.empty((len(nine), 9)), np.empty((len(nine), 9))
     for index in range(len(nine)):
-        one = NormalEquations(nine.dataset.isel(block=[index]))
+        one = nine.of_blocks(slice(index, index + 1))
         found, covariance = one.physical(one.solve(prior_sigma))
-        values[index] = (found - one.reference) * factor
+        values[index] = (found - one.first_reference) * factor
         sigmas[index] = np.sqrt(np.diag(covariance)) * factor
     row = ("block", "parameter")
     units = np.array([SHOWN[NINE_UNITS[name]][1] for name in NINE], dtype="U8")
@@ -355,8 +349,8 @@ def block_parameters(
             "value": (row, values),
             "sigma": (row, sigmas),
             "units": ("parameter", units),
-            "start": nine.dataset["start"],
-            "end": nine.dataset["end"],
+            "start": ("block", nine.start, {"units": "ns", "scale": "TT2000"}),
+            "end": ("block", nine.end, {"units": "ns", "scale": "TT2000"}),
         },
         coords={"parameter": list(NINE)},
     )

@@ -1,6 +1,6 @@
-"""Superposed epochs.
+"""Superposed epochs: what the residual does when a current steps, and the field per ampere that follows.
 
-Superposed epochs: what the residual does when a current steps.
+Takes a day's residual, direction and current; makes stored epochs, their fit and their stacked curves.
 
 At a step of the current I by dI the residual ``dB = |B_v| - F`` changes by ``e.(A_v - A_s) dI``, with
 e the field's direction and A (nT/A) the current's field at the vector and at the scalar sensor (Yin
@@ -8,8 +8,6 @@ e the field's direction and A (nT/A) the current's field at the vector and at th
 gives one number, the contrast ``w.dB`` of the samples around the step, with weights w that are blind to
 a polynomial drift and give 1 for a unit step. The same weights applied to ``e_j I_k`` give the columns
 of the fit, so that the slow change of direction and current in the window is in the model exactly.
-
-Fits and stacked curves of stored epochs: the field per ampere between the sensors.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""Behaviour of daily parameters.
+"""Behaviour of daily parameters over a mission (Yin 2010, ch. 4).
 
-How daily parameters behave over a mission: running means with gaps, and slow trends (Yin 2010, ch. 4).
-
-Steps of a daily parameter on event days, and on days of the week (Yin 2010, ch. 4).
-
-Spans of days on which a clock was wrong, found in daily estimates of the time shift (Yin 2010, ch. 4).
-
-Local time of an orbit's ascending node from where samples lie on the orbit.
+Takes daily values and their errors; makes running means that know their gaps (`running_mean`), slow trends,
+steps on event days and on days of the week (`event_steps`), spans of days on which a clock was wrong
+(`clock_faults`, from daily estimates of the time shift), and the local time of an orbit's ascending node
+from where samples lie on the orbit.
 """
 
 from __future__ import annotations
@@ -20,16 +17,60 @@ from scipy import stats
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq import BIWEIGHT_WIDTH, long_run_covariance, memory_of, robust_fit, robust_sigma, windowed
+from inflight.lsq import (
+    BIWEIGHT_WIDTH,
+    correlation_steps,
+    long_run_covariance,
+    robust_fit,
+    robust_sigma,
+    windowed,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BehaviourSettings:
+    """What running means, steps and clock faults of daily parameters need.
+
+    Attributes
+    ----------
+    lean : float
+        Windows by which the mean time of a window's days may lie from its middle: at the ends of a mission
+        and beside a long gap a mean is that of another time; assumed.
+    fewest : int
+        Fewest days of a mean; assumed.
+    harmonics : int
+        Harmonics of the window that its mean does not see; assumed.
+    least : float
+        Part of a window beside an event that must be there; assumed.
+    fewest_contrasts : int
+        Fewest contrasts away from events that the noise of a step is taken from; assumed.
+    shuffles : int
+        Shuffles of the days of the week: chances down to 1/2000.
+    around : int
+        Days on either side that determine the usual shift; assumed.
+    fewest_days : int
+        The fewest of them; assumed.
+    loud : float
+        A day so many sigmas off is off by itself; assumed.
+    """
+
+    lean: float = 0.05
+    fewest: int = 5
+    harmonics: int = 3
+    least: float = 0.6
+    fewest_contrasts: int = 20
+    shuffles: int = 2000
+    around: int = 45
+    fewest_days: int = 10
+    loud: float = 6.0
+
+
+BEHAVIOUR = BehaviourSettings()
+
 
 #: Least part of a window's days that have a value, and how far their mean time may lie from the middle, in
 #: windows: at the ends of a mission and beside a long gap a mean is that of another time.
-COVERAGE, _LEAN = 0.6, 0.05
-
-_FEWEST = 5
-
-#: Harmonics of the window that its mean does not see.
-_REPEATS = 3
+COVERAGE = 0.6
 
 
 @dataclass(frozen=True)
@@ -103,7 +144,7 @@ def running_mean(
         one[place] for one in (means.mean[:, 0], means.weight, means.coverage, means.lean)
     )
     inside = (mjd - window / 2 >= mjd[known].min() - 1.0) & (mjd + window / 2 <= mjd[known].max() + 1.0)
-    defined = inside & (share >= coverage) & (np.abs(lean) <= _LEAN * window)
+    defined = inside & (share >= coverage) & (np.abs(lean) <= BEHAVIOUR.lean * window)
     if not defined.any():
         raise CalibrationError(
             f"no window of {window:g} days has {100 * coverage:.0f} % of its days, evenly on both sides",
@@ -120,7 +161,7 @@ def running_mean(
 def _without_repeats(mjd: Floats, left: Floats, window: float) -> Floats:
     """Take out what repeats with the window: it does not enter the window's mean, whatever its size."""
     known = np.isfinite(left)
-    turns = [2 * np.pi * k * mjd / window for k in range(1, _REPEATS + 1)]
+    turns = [2 * np.pi * k * mjd / window for k in range(1, BEHAVIOUR.harmonics + 1)]
     rows = np.stack([wave(turn) for turn in turns for wave in (np.cos, np.sin)], axis=1)
     if known.sum() < 2 * rows.shape[1]:
         return left
@@ -133,7 +174,7 @@ def _variance_of_day(left: Floats, means: float) -> float:
     As many independent means were taken out as windows fit into the span.
     """
     known = left[np.isfinite(left)]
-    if known.size < _FEWEST:
+    if known.size < BEHAVIOUR.fewest:
         return float("nan")
     spread = robust_sigma(known - np.median(known))
     held = np.clip(known, -BIWEIGHT_WIDTH * spread, BIWEIGHT_WIDTH * spread) if spread > 0 else known
@@ -197,7 +238,7 @@ def slope_of(
     """
     use = np.isfinite(value) & np.isfinite(sigma) & (sigma > 0)
     unknowns = 2 + 2 * len(periods)
-    if use.sum() < unknowns + _FEWEST:
+    if use.sum() < unknowns + BEHAVIOUR.fewest:
         raise CalibrationError(
             f"{int(use.sum())} days with a value for {unknowns} unknowns", remedy="use a longer span"
         )
@@ -218,7 +259,7 @@ def slope_of(
         float(fit.value[1]),
         float(errors[1]),
         centre,
-        int(memory_of(fit.left[:, None])[0]),
+        int(correlation_steps(fit.left[:, None])[0]),
         int(use.sum()),
         fit.outlying,
         unit,
@@ -226,16 +267,11 @@ def slope_of(
 
 
 #: Days before and after an event whose means are compared, and the part of them that must be there.
-WINDOW, _LEAST = 3, 0.6
+WINDOW = 3
 
 #: Chance of any false step among all that are tested.
 STEP_FALSE_ALARM = 0.01
 
-#: Fewest contrasts away from events that the noise of a step is taken from.
-_FEWEST_CONTRASTS = 20
-
-#: Shuffles of the days of the week.
-_SHUFFLES = 2000
 
 WEEK = 7
 
@@ -319,9 +355,9 @@ def event_steps(
     others = mjd[np.min(np.abs(mjd[:, None] - events[None]), axis=1) > 0.5] if events.size else mjd
     away, away_sigma = _contrasts(mjd, value, sigma, others, window)
     pulls = (away / away_sigma)[np.isfinite(away)]
-    if pulls.size < _FEWEST_CONTRASTS:
+    if pulls.size < BEHAVIOUR.fewest_contrasts:
         raise CalibrationError(
-            f"{pulls.size} contrasts away from events, {_FEWEST_CONTRASTS} are needed",
+            f"{pulls.size} contrasts away from events, {BEHAVIOUR.fewest_contrasts} are needed",
             remedy="use a longer span",
         )
     widened = robust_sigma(pulls, floor=1.0)
@@ -343,7 +379,7 @@ def _contrasts(mjd: Floats, value: Floats, sigma: Floats, at: Floats, window: in
     for low, high in ((at - window - 0.5, at - 0.5), (at + 0.5, at + window + 0.5)):
         first, last = np.searchsorted(mjd, low), np.searchsorted(mjd, high, side="right")
         part = {name: total[last] - total[first] for name, total in sums.items()}
-        enough = part["count"] >= max(_LEAST * window, 1)
+        enough = part["count"] >= max(BEHAVIOUR.least * window, 1)
         full = np.where(enough, part["weight"], np.nan)
         sides.append((part["value"] / full, 1.0 / full))
     (before, early), (after, late) = sides
@@ -457,9 +493,11 @@ def week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "") -> W
     squares = np.minimum(weeks**2, most**2)
     mean, sigma = squares.mean(axis=0), squares.std(axis=0, ddof=1) / np.sqrt(len(weeks))
     draws = np.random.default_rng(seed)
-    shuffled = np.array([draws.permuted(squares, axis=1).mean(axis=0).max() for _ in range(_SHUFFLES)])
+    shuffled = np.array(
+        [draws.permuted(squares, axis=1).mean(axis=0).max() for _ in range(BEHAVIOUR.shuffles)]
+    )
     best = int(np.argmax(mean))
-    chance = float((1 + np.sum(shuffled >= mean[best])) / (1 + _SHUFFLES))
+    chance = float((1 + np.sum(shuffled >= mean[best])) / (1 + BEHAVIOUR.shuffles))
     # Its neighbours' changes hold part of its step; the days farther off do not.
     far = [(best + k) % WEEK for k in (2, 3, 4, 5)]
     excess = squares[:, best] - squares[:, far].mean(axis=1)
@@ -468,17 +506,11 @@ def week_pattern(mjd: Floats, value: Floats, seed: int = 0, unit: str = "") -> W
     return WeekPattern(mean, sigma, best, size, float(np.sqrt(size**2 + error) - size), chance, unit)
 
 
-#: Days on either side that say what the shift usually is, and the fewest of them.
-_AROUND, _FEWEST_DAYS = 45, 10
-
 #: Chance that a mission without a fault is told to have one.
 FALSE_ALARM = 0.01
 
 #: Longest fault that is looked for, days: a longer one is the usual state.
 LONGEST = 30
-
-#: A day this many sigmas off is off by itself.
-_LOUD = 6.0
 
 
 @dataclass(frozen=True)
@@ -560,9 +592,10 @@ def clock_faults(mjd: Floats, shift: Floats, sigma: Floats, longest: int = LONGE
         When fewer than ten days have an estimate.
     """
     known = np.flatnonzero(np.isfinite(shift) & np.isfinite(sigma) & (sigma > 0))
-    if known.size < _FEWEST_DAYS:
+    if known.size < BEHAVIOUR.fewest_days:
         raise CalibrationError(
-            f"{known.size} days have a time shift, {_FEWEST_DAYS} are needed", remedy="use a longer span"
+            f"{known.size} days have a time shift, {BEHAVIOUR.fewest_days} are needed",
+            remedy="use a longer span",
         )
     limit = float(stats.norm.isf(0.5 * FALSE_ALARM / (known.size * longest)))
     t, y, own = mjd[known], shift[known], sigma[known]
@@ -588,9 +621,15 @@ def _usual(days: Floats, value: Floats, free: np.ndarray) -> Floats:
     """Return the median of the free days around each; (day,)."""
     base, series = days[free], value[free]
     whole = float(np.median(series))
-    low, high = np.searchsorted(base, days - _AROUND), np.searchsorted(base, days + _AROUND, side="right")
+    low, high = (
+        np.searchsorted(base, days - BEHAVIOUR.around),
+        np.searchsorted(base, days + BEHAVIOUR.around, side="right"),
+    )
     return np.array(
-        [np.median(series[a:b]) if b - a >= _FEWEST_DAYS else whole for a, b in zip(low, high, strict=True)]
+        [
+            np.median(series[a:b]) if b - a >= BEHAVIOUR.fewest_days else whole
+            for a, b in zip(low, high, strict=True)
+        ]
     )
 
 
@@ -604,7 +643,7 @@ def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple
     best: tuple[int, int, float] | None = None
     sums = np.concatenate([[0.0], np.cumsum(np.where(free, z, 0.0))])
     taken = np.concatenate([[0], np.cumsum(~free)])
-    noisy = np.concatenate([[0], np.cumsum(np.abs(z) > _LOUD)])
+    noisy = np.concatenate([[0], np.cumsum(np.abs(z) > BEHAVIOUR.loud)])
     for length in range(1, min(longest, z.size // 2) + 1):
         score = (sums[length:] - sums[:-length]) / np.sqrt(length)
         whole = (taken[length:] == taken[:-length]) & (
@@ -613,7 +652,7 @@ def _strongest(z: Floats, days: Floats, free: np.ndarray, longest: int) -> tuple
         # Shifts that wander make long spans scatter more than their days do; spans with a day that is itself
         # far off tell of no wander.
         calm = np.abs(score[whole & (noisy[length:] == noisy[:-length])])
-        usual = robust_sigma(calm) if calm.size >= _FEWEST_DAYS else 1.0
+        usual = robust_sigma(calm) if calm.size >= BEHAVIOUR.fewest_days else 1.0
         score = np.where(whole, score / max(usual, 1.0), 0.0)
         at = int(np.argmax(np.abs(score)))
         if best is None or abs(score[at]) > abs(best[2]):

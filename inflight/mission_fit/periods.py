@@ -13,22 +13,47 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import robust_sigma
 
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodSettings:
+    """How periods of a daily parameter are searched.
+
+    Attributes
+    ----------
+    beats : float
+        A named period is resolved by a span of so many beats with its neighbours: Rayleigh's criterion.
+    oversampling : int
+        Frequencies tried, per independent one; assumed.
+    fewest : int
+        Fewest days; assumed.
+    line : float
+        Frequencies so many times above the background are no part of it; assumed.
+    passes : int
+        Passes of leaving them out; assumed.
+    most : int
+        Peaks reported at most; assumed.
+    """
+
+    beats: float = 1.0
+    oversampling: int = 2
+    fewest: int = 30
+    line: float = 6.0
+    passes: int = 3
+    most: int = 12
+
+
+PERIODS = PeriodSettings()
+
+
 #: Half a turn and a turn of local time of CHAMP's orbit (Yin 2010, section 1.3), and the year; days.
 KNOWN_PERIODS = {"130 d": 130.0, "260.5 d": 260.5, "365 d": 365.25}
 
 #: A named period is resolved by a span of so many of it, and of so many beats with its neighbours.
-LEAST_TURNS, _BEATS = 1.5, 1.0
+LEAST_TURNS = 1.5
 
-_OVERSAMPLING, _FEWEST = 2, 30
 
 #: A peak is told when chance makes one as high in so small a part of spectra.
 FALSE_ALARM = 0.01
-
-#: Frequencies further above the background than this are no part of it; turns of leaving them out.
-_LINE, _TURNS = 6.0, 3
-
-#: Peaks told at most.
-_MOST = 12
 
 
 @dataclass(frozen=True)
@@ -143,9 +168,9 @@ def parameter_spectrum(
         When fewer than 30 days have a value.
     """
     use = np.isfinite(value) & np.isfinite(sigma) & (sigma > 0)
-    if use.sum() < _FEWEST:
+    if use.sum() < PERIODS.fewest:
         raise CalibrationError(
-            f"{int(use.sum())} days with a value make no spectrum", remedy=f"use {_FEWEST} or more"
+            f"{int(use.sum())} days with a value make no spectrum", remedy=f"use {PERIODS.fewest} or more"
         )
     t, y = mjd[use], value[use]
     weight = 1.0 / (sigma[use] ** 2 + _wander(y, sigma[use]))
@@ -191,7 +216,9 @@ class _Waves:
     @classmethod
     def of(cls, days: Floats, weight: Floats, shortest: float) -> _Waves:
         span = float(np.ptp(days))
-        frequency = np.arange(_OVERSAMPLING, span / shortest * _OVERSAMPLING + 1) / (span * _OVERSAMPLING)
+        frequency = np.arange(PERIODS.oversampling, span / shortest * PERIODS.oversampling + 1) / (
+            span * PERIODS.oversampling
+        )
         root = np.sqrt(weight)
         line, _ = np.linalg.qr(np.stack([root, root * (days - days.mean())], axis=1))
         turn = 2 * np.pi * frequency[:, None] * (days - days.mean())
@@ -222,12 +249,12 @@ class _Noise:
         kept = np.ones(power.size, dtype=bool)
         span = float(np.ptp(waves.days))
         found, turn = cls(float(np.median(power)) / np.log(2.0), 0.0, 1.0), (2 * np.pi * waves.frequency) ** 2
-        for _ in range(_TURNS):
+        for _ in range(PERIODS.passes):
             before = kept
             found = like = cls._likeliest(turn[kept], power[kept], span, like)
-            peak = power > _LINE * found.power(waves.frequency)
+            peak = power > PERIODS.line * found.power(waves.frequency)
             # A line spreads over its neighbours.
-            kept = ~np.convolve(peak, np.ones(2 * _OVERSAMPLING + 1), mode="same").astype(bool)
+            kept = ~np.convolve(peak, np.ones(2 * PERIODS.oversampling + 1), mode="same").astype(bool)
             if kept.sum() < 0.5 * kept.size or np.array_equal(kept, before):
                 break
         return found
@@ -275,7 +302,7 @@ class _Noise:
 def _background(waves: _Waves, y: Floats) -> _Noise:
     """Return the noise of a series without its lines; their side lobes are no noise either."""
     noise = _Noise.fit(waves, waves.power(y[:, None])[0])
-    for _ in range(_TURNS):
+    for _ in range(PERIODS.passes):
         lines = _lines(waves, y, noise, float(waves.frequency.size))
         if not lines:
             break
@@ -314,7 +341,7 @@ def _lines(waves: _Waves, y: Floats, noise: _Noise, effective: float) -> list[fl
     """Take the highest peak and its wave out of the series, again and again: its side lobes go with it."""
     frequencies: list[float] = []
     left = y
-    while len(frequencies) < _MOST:
+    while len(frequencies) < PERIODS.most:
         power = waves.power(left[:, None])[0]
         ratio = power / noise.power(waves.frequency)
         at = int(np.argmax(ratio))
@@ -398,6 +425,6 @@ def _unresolved(name: str, known: Mapping[str, float], span: float) -> str:
         return f"{span:.0f} days are less than {LEAST_TURNS:g} periods"
     for other, days in known.items():
         beat = np.inf if other == name else abs(1.0 / days - 1.0 / known[name])
-        if span * beat < _BEATS:
-            return f"{span:.0f} days do not tell it from {other}, {_BEATS / beat:.0f} are needed"
+        if span * beat < PERIODS.beats:
+            return f"{span:.0f} days do not tell it from {other}, {PERIODS.beats / beat:.0f} are needed"
     return ""

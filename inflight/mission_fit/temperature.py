@@ -1,6 +1,7 @@
-"""Coil temperature, lag, rivals, hysteresis.
+"""Scale factors that follow the temperature of the feedback coil, with the lag of what is recorded.
 
-Scale factors that follow the temperature of the feedback coil, with the lag of what is recorded.
+Takes samples, or normal equations with the columns of temperatures; makes coefficients and lag, the rivals
+of a temperature judged on blocks that were not fitted, and the loop of a daily parameter.
 
 The factor of an axis is ``1 - linear dT - quadratic dT^2``, with dT the temperature at ``t - lag`` less a
 reference (Yin 2010, section 2.4 step 4). The corrected residual answers to the coefficients by ``-s dT`` and
@@ -9,11 +10,7 @@ reference (Yin 2010, section 2.4 step 4). The corrected residual answers to the 
 change times the others. All of it is algebra of Gram matrices that hold these columns; to first order a
 delay and a time constant are one. Where samples are at hand the columns are formed again at the lag found.
 
-Which temperature it is that the scale factors follow, if any: judged on blocks that were not fitted.
-
-A daily parameter against temperature, while it rises and while it falls: the loop and its area.
-
-A parameter that lags behind the temperature, or follows it with play, has two values at one
+*Loops.* A parameter that lags behind the temperature, or follows it with play, has two values at one
 temperature (Yin 2010, ch. 4). The area between the branches is its measure: 0 for any function of the
 temperature alone.
 """
@@ -28,13 +25,58 @@ import xarray as xr
 from scipy import stats
 
 from inflight.arrays import Floats
-from inflight.calibration import NINE, NormalEquations, block_equations, joined, nine_columns, places
+from inflight.calibration import NINE, NormalEquations, block_equations, joined, nine_columns
 from inflight.effects import AXES, slope
 from inflight.errors import CalibrationError
-from inflight.lsq import ClusteredFit, left, mean_of_clusters, solve_clusters
-from inflight.mission_fit.trends import at_one_reference
-from inflight.residual import jackknife
+from inflight.lsq import SOLVER, ClusteredFit, jackknife, mean_of_clusters, solve_clusters
 from inflight.time import GAP, SECOND, Int64
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemperatureSettings:
+    """How lags settle, rivals tie and loops are binned.
+
+    Attributes
+    ----------
+    passes : int
+        Passes of the fit; assumed.
+    settled : float
+        Lags of samples are settled to this part of their sigma; assumed.
+    formations : int
+        Times at most that columns are formed at a new lag; assumed.
+    tie : float
+        A rival is no worse than the best while it is within so many sigmas of it: a level of 5 %.
+    around : float
+        Days on either side that determine whether the temperature rises; assumed.
+    fewest_around : int
+        The fewest of them; assumed.
+    bins : int
+        Bins of a loop; assumed.
+    blocks : int
+        Blocks of time of its jackknife; assumed.
+    fewest_days : int
+        Fewest days of a bin of a branch; assumed.
+    fewest_bins : int
+        Fewest bins that both branches fill; assumed.
+    reach : tuple[float, float]
+        Quantiles of the temperature that the bins reach to: branches do not overlap beyond; assumed.
+    """
+
+    passes: int = 12
+    settled: float = 0.1
+    formations: int = 8
+    tie: float = 2.0
+    around: float = 4.0
+    fewest_around: int = 4
+    bins: int = 8
+    blocks: int = 20
+    fewest_days: int = 3
+    fewest_bins: int = 3
+    reach: tuple[float, float] = (0.03, 0.97)
+
+
+TEMPERATURE = TemperatureSettings()
+
 
 #: Kinds of columns of a temperature, three axes each: what the coefficient, and its lag, answer to.
 KINDS = ("linear", "quadratic", "rate", "quadratic_rate")
@@ -42,8 +84,6 @@ KINDS = ("linear", "quadratic", "rate", "quadratic_rate")
 #: What is known beforehand of each: 1/K, 1/K^2, and of the lag, s.
 PRIOR = (1e-4, 1e-6, 3600.0)
 
-#: Turns of the fit; lags of samples are settled to this part of their sigma, in so many formations.
-_TURNS, _SETTLED, _FORMATIONS = 12, 0.1, 8
 
 #: Chance that a lag is told of a temperature that nothing follows.
 FALSE_ALARM = 0.01
@@ -240,14 +280,10 @@ def fit_coil(
 
 def left_of_each(equations: NormalEquations, channel: str, each: Sequence[str]) -> tuple[Floats, Floats]:
     """Return [12 columns | residual] of the blocks less what their own columns explain, physical units."""
-    data = at_one_reference(equations).dataset
     own = [f"{channel}.{kind}[{axis}]" for kind in KINDS for axis in AXES]
-    kept = np.append(places(equations, own), data.sizes["column"] - 1)
-    absorbed = places(equations, list(each))
-    gram = data["gram"].values
-    gram = left(gram, absorbed, kept) if absorbed.size else gram[:, kept[:, None], kept[None, :]]
-    size = data["scale"].values[kept]
-    return np.asarray(gram / np.outer(size, size)), np.asarray(data["count"].values)
+    common = equations.at_one_reference().select([*own, *each])
+    rest = common.marginalise(each, cut=SOLVER.weak_cut, least_kept=0.0) if each else common
+    return rest.in_units, rest.count
 
 
 def coefficients_of(value: Floats) -> tuple[Floats, Floats]:
@@ -272,7 +308,7 @@ def solved(
     """Gauss-Newton on the unknowns, with a prior of 0 for the coefficients and for the change of the lag."""
     sigma = np.repeat(prior, [3, 3, 1])
     value = _without_lag(gram, count, sigma)
-    for _ in range(_TURNS):
+    for _ in range(TEMPERATURE.passes):
         fit = solve_clusters(_turned(gram, value), count, sigma)
         change, value = fit.value - value, fit.value
         if np.all(np.abs(change) <= 1e-3 * fit.sigma):
@@ -346,7 +382,7 @@ def fit_coil_samples(
         Fewer than five blocks have rows, or a lag that does not settle.
     """
     at = lag
-    for _ in range(_FORMATIONS):
+    for _ in range(TEMPERATURE.formations):
         fit = fit_coil(
             _formed(blocks, channel, at, reference),
             channel,
@@ -356,11 +392,11 @@ def fit_coil_samples(
             prior=prior,
         )
         change = fit.lag[0] - at
-        if not fit.fit.determined[_LAG] or abs(change) <= _SETTLED * fit.lag[1]:
+        if not fit.fit.determined[_LAG] or abs(change) <= TEMPERATURE.settled * fit.lag[1]:
             return fit
         at = fit.lag[0]
     raise CalibrationError(
-        f"the lag of '{channel}' does not settle: {at:.0f} s after {_FORMATIONS} turns",
+        f"the lag of '{channel}' does not settle: {at:.0f} s after {TEMPERATURE.formations} turns",
         remedy="start nearer to it, or take a longer span",
     )
 
@@ -376,10 +412,6 @@ def _formed(blocks: Sequence[CoilBlock], channel: str, lag: float, reference: fl
     return joined(made)
 
 
-#: A rival is no worse than the best while it is within this many sigmas of it.
-_TIE = 2.0
-
-
 @dataclass(frozen=True)
 class TemperatureRival:
     """A temperature judged on blocks that were not fitted; `score` is the rms left, nT."""
@@ -392,7 +424,7 @@ class TemperatureRival:
     @property
     def ties(self) -> bool:
         """True when held-out blocks do not tell it from the best."""
-        return self.behind <= _TIE * self.behind_sigma
+        return self.behind <= TEMPERATURE.tie * self.behind_sigma
 
 
 @dataclass(frozen=True)
@@ -465,7 +497,7 @@ def compare_temperatures(
         When training blocks are fewer than five.
     """
     squares: dict[str, Floats] = {}
-    count = np.asarray(equations.dataset["count"].values, dtype=np.float64)
+    count = equations.count
     for channel in channels:
         gram, rows = left_of_each(equations, channel, each)
         squares.setdefault(NONE, gram[:, -1, -1] / rows)
@@ -491,16 +523,6 @@ def _held_out(
         at = np.append(coefficients_of(fit.value)[0], 1.0)
         out[part] = np.einsum("i,bij,j->b", at, gram[part], at)
     return out
-
-
-#: Days on either side that tell whether the temperature rises, and the fewest of them.
-_AROUND, _FEWEST_AROUND = 4.0, 4
-
-#: Bins, and blocks of time of the jackknife; fewest days of a bin of a branch, and of common bins.
-_BINS, _BLOCKS, _FEWEST_DAYS, _FEWEST_BINS = 8, 20, 3, 3
-
-#: Quantiles of the temperature that the bins reach to: branches do not overlap beyond.
-_REACH = (0.03, 0.97)
 
 
 @dataclass(frozen=True)
@@ -560,8 +582,8 @@ class HysteresisLoop:
 def rate_of(mjd: Floats, temperature: Floats) -> Floats:
     """Return the slope of the temperature around each day, K/d; NaN where too few days are near (day,)."""
     known = np.isfinite(temperature)
-    low = np.searchsorted(mjd, mjd - _AROUND)
-    high = np.searchsorted(mjd, mjd + _AROUND, side="right")
+    low = np.searchsorted(mjd, mjd - TEMPERATURE.around)
+    high = np.searchsorted(mjd, mjd + TEMPERATURE.around, side="right")
     sums = {}
     away = np.where(known, mjd - mjd[0], 0.0)
     warm = np.where(known, temperature - np.nanmean(temperature), 0.0)
@@ -572,7 +594,7 @@ def rate_of(mjd: Floats, temperature: Floats) -> Floats:
     spread = sums["tt"] - sums["t"] ** 2 / count
     shared = sums["tT"] - sums["t"] * sums["T"] / count
     slope = np.divide(shared, spread, out=np.full_like(spread, np.nan), where=spread > 1e-6)
-    return np.where(sums["1"] >= _FEWEST_AROUND, slope, np.nan)
+    return np.where(sums["1"] >= TEMPERATURE.fewest_around, slope, np.nan)
 
 
 def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str = "") -> HysteresisLoop:
@@ -593,31 +615,31 @@ def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str =
     """
     rate = rate_of(mjd, temperature)
     use = np.isfinite(rate) & np.isfinite(value) & np.isfinite(temperature) & (rate != 0)
-    if use.sum() < 2 * _FEWEST_BINS * _FEWEST_DAYS:
+    if use.sum() < 2 * TEMPERATURE.fewest_bins * TEMPERATURE.fewest_days:
         raise CalibrationError(f"{int(use.sum())} days make no loop", remedy="use a longer span")
     warm, up = temperature[use], rate[use] > 0
     curve = np.polynomial.Polynomial.fit(warm, value[use], 2)
-    low, high = (float(edge) for edge in np.quantile(warm, _REACH))
-    edges = np.linspace(low, high, _BINS + 1)
+    low, high = (float(edge) for edge in np.quantile(warm, TEMPERATURE.reach))
+    edges = np.linspace(low, high, TEMPERATURE.bins + 1)
     count, total = _sums(value[use] - curve(warm), np.digitize(warm, edges) - 1, up)
-    enough = count.sum(axis=0) >= _FEWEST_DAYS
-    common = enough.reshape(2, _BINS).all(axis=0)
-    if common.sum() < _FEWEST_BINS:
+    enough = count.sum(axis=0) >= TEMPERATURE.fewest_days
+    common = enough.reshape(2, TEMPERATURE.bins).all(axis=0)
+    if common.sum() < TEMPERATURE.fewest_bins:
         raise CalibrationError(
-            f"rising and falling temperature share {int(common.sum())} bins of {_BINS}",
+            f"rising and falling temperature share {int(common.sum())} bins of {TEMPERATURE.bins}",
             remedy="use a span with whole cycles of temperature",
         )
     mean = _means(total.sum(axis=0), count.sum(axis=0))
     without = _means(total.sum(axis=0) - total, count.sum(axis=0) - count)
-    width, centre = (high - low) / _BINS, 0.5 * (edges[1:] + edges[:-1])
+    width, centre = (high - low) / TEMPERATURE.bins, 0.5 * (edges[1:] + edges[:-1])
     sigma = np.where(enough, jackknife(without), np.nan)
     shown = np.where(enough, mean, np.nan)
     return HysteresisLoop(
         centre,
-        shown[:_BINS] + curve(centre),
-        shown[_BINS:] + curve(centre),
-        sigma[:_BINS],
-        sigma[_BINS:],
+        shown[: TEMPERATURE.bins] + curve(centre),
+        shown[TEMPERATURE.bins :] + curve(centre),
+        sigma[: TEMPERATURE.bins],
+        sigma[TEMPERATURE.bins :],
         float(_area(mean[None], common, width)[0]),
         float(jackknife(_area(without, common, width)[:, None])[0]),
         float(np.corrcoef(warm, value[use])[0, 1]),
@@ -628,11 +650,11 @@ def hysteresis_loop(mjd: Floats, temperature: Floats, value: Floats, unit: str =
 
 def _sums(left: Floats, place: np.ndarray, up: np.ndarray) -> tuple[Floats, Floats]:
     """Return counts and sums in cells of (block of time, rising bins then falling bins)."""
-    inside = (place >= 0) & (place < _BINS)
-    cell = np.where(up, place, place + _BINS)[inside]
-    block = (np.arange(left.size) * _BLOCKS // left.size)[inside]
-    shape = (_BLOCKS, 2 * _BINS)
-    index, size = block * 2 * _BINS + cell, _BLOCKS * 2 * _BINS
+    inside = (place >= 0) & (place < TEMPERATURE.bins)
+    cell = np.where(up, place, place + TEMPERATURE.bins)[inside]
+    block = (np.arange(left.size) * TEMPERATURE.blocks // left.size)[inside]
+    shape = (TEMPERATURE.blocks, 2 * TEMPERATURE.bins)
+    index, size = block * 2 * TEMPERATURE.bins + cell, TEMPERATURE.blocks * 2 * TEMPERATURE.bins
     count = np.bincount(index, minlength=size).reshape(shape).astype(np.float64)
     total = np.bincount(index, weights=left[inside], minlength=size).reshape(shape)
     return count, np.asarray(total, dtype=np.float64)
@@ -644,5 +666,5 @@ def _means(total: Floats, count: Floats) -> Floats:
 
 def _area(means: Floats, common: np.ndarray, width: float) -> Floats:
     """Return the areas of loops (loop, branch * bin) over the bins that both branches have; (loop,)."""
-    apart = means[:, :_BINS] - means[:, _BINS:]
+    apart = means[:, : TEMPERATURE.bins] - means[:, TEMPERATURE.bins :]
     return np.asarray(apart[:, common].sum(axis=1) * width)

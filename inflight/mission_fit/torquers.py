@@ -1,7 +1,6 @@
-"""Torquer band and remanent field.
+"""Magneto-torquers: their coefficients from the band of their modulation, and the body's remanent field.
 
-Coefficients of the magneto-torquers from the band of their 20 s modulation (Yin 2010, 3.4.3, eq. 3.5).
-
+*Band* (Yin 2010, 3.4.3, eq. 3.5). Takes residual, direction and currents; makes the matrix of nT/A.
 Torquer currents alternate with a period of 20 s; hardly anything else in the residual does. With
 ``dB' = |B_v| - |B_s|`` corrected by matrices that are wrong by D_v and D_s, ``dB' = e.((D_v - D_s) I)``
 plus noise. The power of ``dB' - sum a_jk e_j I_k`` between 0.045 and 0.055 Hz is a square in a, so its
@@ -13,8 +12,7 @@ Signs. The fitted ``a = D_v - D_s`` is the difference of the sensors, as everywh
 sensor's matrix is right, the scalar sensor's is corrected by *adding* ``D_s = -a``: the residual then
 becomes ``dB(alpha' + D) = dB' + e.(D I)``. The thesis prints a minus there, which doubles the error.
 
-The body's remanent field from the mean torquer current (Yin 2010, section 3.4.4).
-
+*Remanent field* (Yin 2010, section 3.4.4). Takes daily mean currents; makes the body's field.
 Torquers hold the attitude against the torque on the body's own magnetic moment, so over a whole cycle
 of local time their mean moment is the body's with the other sign. The body's moment makes the field
 ``B = eta (0, mean I_y, mean I_z)`` at the scalar sensor. Eta is positive although the moments cancel,
@@ -39,7 +37,7 @@ from scipy import signal
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError, SettingsError
 from inflight.lsq import (
-    FEWEST_CLUSTERS,
+    SOLVER,
     TO_SIGMA,
     ClusteredFit,
     biweight,
@@ -290,7 +288,7 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
     fits, kept, short = [], [], 0
     for one in np.unique(day):
         part = np.flatnonzero(day == one)
-        if part.size < FEWEST_CLUSTERS:
+        if part.size < SOLVER.fewest_clusters:
             short += 1
             continue
         fit = solve_clusters(gram[part], rows[part])
@@ -298,7 +296,7 @@ def daily_fits(equations: xr.Dataset) -> xr.Dataset:
         kept.append(int(one))
     if not fits:
         raise SamplesError(
-            f"{short} days found, none with {FEWEST_CLUSTERS} stretches of samples",
+            f"{short} days found, none with {SOLVER.fewest_clusters} stretches of samples",
             remedy="lower 'longest' when the equations are made, or fit all days together",
         )
     first = fits[0].table().drop_vars("covariance")
@@ -328,9 +326,9 @@ def robust_mean(daily: xr.Dataset) -> xr.Dataset:
         day over its sigma: 1 when the days differ as they say).
     """
     value, sigma = (daily[name].values.reshape(daily.sizes["day"], -1) for name in ("value", "sigma"))
-    if len(value) < FEWEST_CLUSTERS:
+    if len(value) < SOLVER.fewest_clusters:
         raise SamplesError(
-            f"{len(value)} days, at least {FEWEST_CLUSTERS} needed for the error of a mean",
+            f"{len(value)} days, at least {SOLVER.fewest_clusters} needed for the error of a mean",
             remedy="take more days",
         )
     columns = [_biweight_mean(value[:, i], sigma[:, i]) for i in range(9)]

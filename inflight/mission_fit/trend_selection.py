@@ -1,8 +1,8 @@
-"""Which trend, which origin.
+"""Which trend in time, and the origin of a logarithm.
 
-The origin of a logarithm of time, fitted with its interval, or said to be not determined.
-
-Which trend in time: compared on days that were not fitted, so that no kind is ever forced.
+Takes normal equations of blocks; makes the fit with the origin as an unknown (`fit_origin`): its interval
+by the profile of the sum of squares, or the statement that it is not determined; and the comparison of
+kinds of trend on blocks that were not fitted (`compare_trends`), so that no kind is ever forced.
 """
 
 from __future__ import annotations
@@ -17,31 +17,60 @@ from scipy import optimize
 from inflight.arrays import Floats
 from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
-from inflight.lsq import BlockSums, long_run_covariance, residual_sum
+from inflight.lsq import (
+    SOLVER,
+    BlockSums,
+    correlated_covariance,
+    gram_inverse,
+    long_run_covariance,
+    residual_sum,
+    solve_scaled,
+)
 from inflight.mission_fit.trends import (
     TREND_KINDS,
     Expansion,
     Origin,
     TrendFit,
-    at_one_reference,
     check_names,
     fit_trends,
     make_trend,
-    middles,
     outlier_weights,
-    own_wish,
-    sandwich,
+    score_statistic,
     with_origin,
 )
 from inflight.model import Dependence
 from inflight.time import Int64, from_mjd2000, mjd2000
 
-#: 95 % of a chi square with one degree of freedom.
-_LIMIT = 3.841
 
-#: Distances of the origin from the first block, days: the least; the most, in spans and as far as stamps
-#: reach; beyond, the logarithm is a straight line. Points of the first search, per decade.
-_NEAREST, _SPANS, _FARTHEST, _PER_DECADE = 0.1, 300.0, 9e4, 5
+@dataclass(frozen=True, kw_only=True)
+class TrendSelectionSettings:
+    """How the origin of a logarithm is searched, and which kinds tie.
+
+    Attributes
+    ----------
+    limit : float
+        95 % of a chi square with one degree of freedom.
+    nearest_days : float
+        Least distance of the origin from the first block, days; assumed.
+    spans : float
+        The largest, in spans; beyond, the logarithm is a straight line; assumed.
+    farthest_days : float
+        And as far as stamps reach, days: TT2000 ends 292 years from 2000.
+    per_decade : int
+        Points of the first search, per decade; assumed.
+    tied : float
+        Kinds whose held-out sums differ by less than so many sigmas are tied: a level of 5 %.
+    """
+
+    limit: float = 3.841
+    nearest_days: float = 0.1
+    spans: float = 300.0
+    farthest_days: float = 9e4
+    per_decade: int = 5
+    tied: float = 2.0
+
+
+SELECTION = TrendSelectionSettings()
 
 
 def fit_origin(
@@ -76,15 +105,15 @@ def fit_origin(
     if not logs:
         raise CalibrationError("no trend is a logarithm", remedy="leave the origin alone")
     given = fit_trends(equations, trends, prior_sigma, weight, units)
-    common = at_one_reference(equations)
-    sums = BlockSums(common.dataset["gram"].values, given.weight)
+    common = equations.at_one_reference()
+    sums = common.weighted(given.weight)
     profile = _Profile(common, sums, dict(trends), logs, prior_sigma, given.rms**2)
     grid = profile.grid()
     best = profile.lowest(grid)
     fitted = fit_trends(equations, profile.moved(best), prior_sigma, given.weight, units)
     covariance, inflation = _with_unknown_origin(common, sums, fitted, prior_sigma)
     sigma, shared = float(np.sqrt(covariance[-1, -1])), covariance[:-1, -1]
-    limit = profile.total(best) + _LIMIT * inflation * fitted.rms**2
+    limit = profile.total(best) + SELECTION.limit * inflation * fitted.rms**2
     far, near = profile.crossings(best, grid, limit)
     determined = bool(np.isfinite(far)) and grid[0] < best < 0.99 * grid[-1]
     origin = Origin(
@@ -109,18 +138,22 @@ class _Profile:
     @property
     def first(self) -> float:
         """MJD of the middle of the first block."""
-        return float(mjd2000(middles(self.equations)[0]))
+        return float(mjd2000(self.equations.middle[0]))
 
     def grid(self) -> Floats:
         """Distances of the first search, days."""
-        span = float(mjd2000(middles(self.equations)[-1])) - self.first
-        most = min(_SPANS * span, _FARTHEST)
-        return np.geomspace(_NEAREST, most, int(_PER_DECADE * np.log10(most / _NEAREST)) + 2)
+        span = float(mjd2000(self.equations.middle[-1])) - self.first
+        most = min(SELECTION.spans * span, SELECTION.farthest_days)
+        return np.geomspace(
+            SELECTION.nearest_days,
+            most,
+            int(SELECTION.per_decade * np.log10(most / SELECTION.nearest_days)) + 2,
+        )
 
     def moved(self, distance: float) -> dict[str, Dependence]:
         """Return the trends with their origin so far before the first block; straight lines at infinity."""
         if np.isinf(distance):
-            line = make_trend("linear", middles(self.equations))
+            line = make_trend("linear", self.equations.middle)
             return self.trends | dict.fromkeys(self.logs, line)
         t0 = int(from_mjd2000(self.first - distance))
         return self.trends | {name: replace(self.trends[name], t0=t0) for name in self.logs}
@@ -128,7 +161,7 @@ class _Profile:
     def total(self, distance: float) -> float:
         """Return the least sum of squares with the origin so far before the first block."""
         expansion = _expansion(self.equations, self.moved(distance))
-        scale = self.equations.dataset["scale"].values[:-1]
+        scale = self.equations.scale[:-1]
         return profile_sum(self.sums, expansion, scale, self.prior_sigma, self.variance)
 
     def lowest(self, grid: Floats) -> float:
@@ -164,7 +197,7 @@ class _Profile:
 
 def _expansion(equations: NormalEquations, trends: Mapping[str, Dependence]) -> Expansion:
     every = {name: trends.get(name, Dependence()) for name in equations.columns}
-    return Expansion.of(middles(equations), every)
+    return Expansion.of(equations.middle, every)
 
 
 def profile_sum(
@@ -174,12 +207,8 @@ def profile_sum(
     owners = expansion.owners
     gram = sums.expanded(expansion.values, owners)
     with np.errstate(divide="ignore"):
-        held = variance * (scale / prior_sigma)[owners] ** 2
-    free = np.flatnonzero(np.isfinite(held))
-    matrix = gram[np.ix_(free, free)] + np.diag(held[free])
-    change = np.zeros(owners.size)
-    change[free] = -np.linalg.solve(matrix, gram[free, -1])
-    return residual_sum(gram, change)
+        precision = variance * (scale / prior_sigma)[owners] ** 2
+    return residual_sum(gram, -solve_scaled(gram[:-1, :-1], gram[:-1, -1], 0.0, precision))
 
 
 def _with_unknown_origin(
@@ -195,36 +224,33 @@ def _with_unknown_origin(
     matrix, scores = matrix / np.outer(unit, unit), scores / unit
     owners = [equations.columns.index(column.split("*")[0]) for column in fit.columns]
     fixed = np.append(prior_sigma[owners] <= 0, False)
-    # The prior has had its say in the fit; here the data speak alone.
+    # The prior is in the fit already; here the data count alone.
     wide = np.where(fixed, 0.0, 1e6 * fit.rms)
     functions = len(fit.columns) / len(fit.trends) + 1.0 / len(fit.trends)
-    covariance = sandwich(scores, matrix / fit.rms**2, fit.rms**2, wide, functions) / np.outer(unit, unit)
+    variance = fit.rms**2
+    covariance = correlated_covariance(scores / variance, matrix / variance, wide, functions)
+    covariance /= np.outer(unit, unit)
     free = np.flatnonzero(~fixed)
-    white = np.linalg.pinv(matrix[np.ix_(free, free)], hermitian=True)
-    plain = white[-1, -1] * fit.rms**2 / unit[-1] ** 2
+    white = gram_inverse(matrix[np.ix_(free, free)], SOLVER.eigen_cut)
+    plain = white[-1, -1] * variance / unit[-1] ** 2
     return covariance, max(float(covariance[-1, -1] / plain), 1.0) if plain > 0 else 1.0
 
 
 def _with_origin_column(equations: NormalEquations, sums: BlockSums, fit: TrendFit) -> tuple[Floats, Floats]:
     """Return the matrix of [coefficients, origin] and the blocks' scores at the fit, the origin in days."""
-    times, data = middles(equations), equations.dataset
-    scale, names = data["scale"].values[:-1], list(fit.trends)
+    times, scale, names = equations.middle, equations.scale[:-1], list(fit.trends)
     logs = [name for name, trend in fit.trends.items() if trend.time == "log"]
     bases = [trend.basis(times, name) for name, trend in fit.trends.items()]
     bases += [fit.by_origin(name, times)[:, None] for name in logs]
     owners = np.array([*range(len(names)), *(names.index(name) for name in logs)])
     owners = np.repeat(owners, [basis.shape[1] for basis in bases])
     values = np.concatenate(bases, axis=1) / scale[owners]
-    here = (fit.values(times) - data["reference"].values[:, :-1]) / scale
+    here = equations.change(fit.values(times))
     # The origin is one unknown of all logarithms.
     together = np.eye(len(fit.columns) + 1, owners.size)
     together[-1, len(fit.columns) :] = 1.0
     matrix = together @ sums.expanded(values, owners)[:-1, :-1] @ together.T
     return matrix, sums.scores(values, owners, here) @ together.T
-
-
-#: Kinds whose held-out sums differ by less than this many sigmas are tied.
-_TIED = 2.0
 
 
 @dataclass(frozen=True)
@@ -340,10 +366,10 @@ def compare_trends(
         raise CalibrationError(
             f"{len(equations)} blocks make no {folds} folds of two or more", remedy="use fewer folds"
         )
-    common = at_one_reference(equations)
-    maker = _Maker(list(names), t0, knots, int(middles(common)[0]))
+    common = equations.at_one_reference()
+    maker = _Maker(list(names), t0, knots, int(common.middle[0]))
     weight = _shared_weight(common, maker, kinds, prior_sigma)
-    count = common.dataset["count"].values * weight
+    count = common.count * weight
     held = {kind: _held_out(common, maker, kind, prior_sigma, weight, folds) for kind in kinds}
     whole = {kind: float(one.sums.sum() / count.sum()) for kind, one in held.items()}
     best = min(whole, key=lambda kind: whole[kind])
@@ -352,10 +378,10 @@ def compare_trends(
         behind = whole[kind] - whole[best]
         sigma = _sigma_behind(common, held[kind], held[best]) / float(count.sum()) if behind > 0 else 0.0
         size = maker.coefficients(kind)
-        tied = kind == best or behind < _TIED * sigma
+        tied = kind == best or behind < SELECTION.tied * sigma
         rivals.append(Rival(kind, size, float(np.sqrt(whole[kind])), behind, sigma, tied))
     chosen = min((one for one in rivals if one.tied), key=lambda one: one.coefficients).kind
-    unit = "sigma" if equations.dataset.attrs.get("filter") == "table" else "nT"
+    unit = "sigma" if equations.attributes.get("filter") == "table" else "nT"
     return TrendComparison(tuple(rivals), chosen, folds, unit)
 
 
@@ -381,7 +407,7 @@ class _Maker:
     def fit(
         self, equations: NormalEquations, kind: str, prior_sigma: Floats, weight: Floats | None
     ) -> TrendFit:
-        trends = self.trends(kind, middles(equations))
+        trends = self.trends(kind, equations.middle)
         searched = kind == "log" and self.t0 is None
         fitter: Callable[..., TrendFit] = fit_origin if searched else fit_trends
         return fitter(equations, trends, prior_sigma, weight)
@@ -393,7 +419,7 @@ def _shared_weight(
     distances = []
     for kind in kinds:
         fit = maker.fit(equations, kind, prior_sigma, None)
-        distances.append(own_wish(equations, fit.values(middles(equations)), prior_sigma))
+        distances.append(score_statistic(equations, fit.values(equations.middle), prior_sigma))
     return outlier_weights(min(distances, key=lambda one: float(np.median(one))))
 
 
@@ -424,18 +450,17 @@ def _held_out(
     every = np.arange(len(equations))
     for held, (fitted, left) in zip(np.array_split(every, folds), equations.split(folds), strict=True):
         fit = maker.fit(fitted, kind, prior_sigma, np.delete(weight, held))
-        value[held] = _foretold(fit, middles(left))
+        value[held] = _foretold(fit, left.middle)
         fits.append((held, fit))
-    sums, scores = squares_at(equations, value)
-    sums, scores = weight * sums, weight[:, None] * scores
+    sums, scores = weight * equations.squares_at(value), weight[:, None] * equations.scores(value)
     training = sum(_training(equations, scores, held, fit) for held, fit in fits)
     return _HeldOut(sums, value, scores, training)
 
 
 def _training(equations: NormalEquations, scores: Floats, held: np.ndarray, fit: TrendFit) -> float:
     """Return the variance of a fold's sum of squares by the errors of the fit that foretold it."""
-    times = _inside(fit, middles(equations)[held])
-    scale = equations.dataset["scale"].values[:-1]
+    times = _inside(fit, equations.middle[held])
+    scale = equations.scale[:-1]
     slope = 2.0 * scores[held] / scale
     gradient = np.einsum("tp,tpi->i", slope, fit.slopes(times))
     return float(gradient @ fit.whole_covariance @ gradient)
@@ -451,28 +476,6 @@ def _foretold(fit: TrendFit, times: Int64) -> Floats:
     return fit.values(_inside(fit, times))
 
 
-def squares_at(equations: NormalEquations, value: Floats) -> tuple[Floats, Floats]:
-    """Return what the blocks leave at parameters of their own.
-
-    Parameters
-    ----------
-    value : ndarray, shape (block, parameter)
-        Physical units.
-
-    Returns
-    -------
-    sums : ndarray, shape (block,)
-        Sum of squared residuals, nT^2.
-    scores : ndarray, shape (block, parameter)
-        Half its slope, nT^2 per scaled unit.
-    """
-    data = equations.dataset
-    change = (value - data["reference"].values[:, :-1]) / data["scale"].values[:-1]
-    turned = np.concatenate([change, np.ones((len(change), 1))], axis=1)
-    slopes = np.einsum("bij,bj->bi", data["gram"].values, turned)
-    return np.einsum("bi,bi->b", turned, slopes), slopes[:, :-1]
-
-
 def _sigma_behind(equations: NormalEquations, one: _HeldOut, best: _HeldOut) -> float:
     """Return the standard deviation of the difference of two kinds' sums of squares.
 
@@ -480,6 +483,6 @@ def _sigma_behind(equations: NormalEquations, one: _HeldOut, best: _HeldOut) -> 
     the best kind are noise, correlated from block to block; the error of its fits comes on top. What the
     other's fits err by is its own fault, and no excuse.
     """
-    apart = (one.value - best.value) / equations.dataset["scale"].values[:-1]
+    apart = (one.value - best.value) / equations.scale[:-1]
     noise = 2.0 * np.einsum("bi,bi->b", best.scores, apart)
     return float(np.sqrt(long_run_covariance(noise[:, None])[0, 0] + best.training))

@@ -1,13 +1,9 @@
-"""Trend fit.
+"""Continuous parameters: one trend in time for a whole mission, without a jump (Yin 2010, ch. 3).
 
-What trends are fitted to: normal equations of blocks, made from a table too, with robust weights.
-
-Trends as functions of time that are orthonormal over the blocks they are fitted to.
-
-Continuous parameters: one trend in time for a whole mission, without a jump (Yin 2010, ch. 3).
-
-A trend is fitted to the summed normal equations of all blocks, or to a table of daily or 15-day values,
-whose covariances make normal equations of it: one way for both.
+Takes the normal equations of blocks, or a table of daily or 15-day values, whose covariances make normal
+equations of it (`equations_of_table`): one way for both. Makes a `TrendFit`. Functions of time are made
+orthonormal over the blocks (`Expansion`), so that coefficients are solved for in good units; blocks far
+from the trend are weighted down by their score statistic.
 """
 
 from __future__ import annotations
@@ -20,36 +16,54 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import RESIDUAL, NormalEquations, larger_scatter
+from inflight.calibration import NormalEquations
 from inflight.effects import Parameter
 from inflight.errors import CalibrationError
-from inflight.lsq import BlockSums, long_run_covariance, residual_sum, robust_sigma, solve
+from inflight.lsq import (
+    RESIDUAL,
+    SOLVER,
+    GramArrays,
+    correlated_covariance,
+    gram_inverse,
+    larger_scatter,
+    residual_sum,
+    robust_sigma,
+    solve,
+    solve_scaled,
+)
 from inflight.model import Dependence, TimedValue, component_names
 from inflight.time import DAY, Int64, mjd2000
 
+
+@dataclass(frozen=True, kw_only=True)
+class TrendSettings:
+    """How blocks are weighted about a trend.
+
+    Attributes
+    ----------
+    far : float
+        Blocks up to so many robust standard deviations from the trend keep their weight; assumed.
+    lost : float
+        From so many on they have none; assumed.
+    at_once : int
+        Blocks that are solved together: a matrix of each of three thousand days would fill the memory.
+    fewest : int
+        Fewest blocks whose scatter shows an outlying one; assumed.
+    passes : int
+        Passes of weights and fit; assumed.
+    """
+
+    far: float = 4.0
+    lost: float = 8.0
+    at_once: int = 256
+    fewest: int = 8
+    passes: int = 4
+
+
+TRENDS = TrendSettings()
+
+
 TREND_KINDS = ("constant", "linear", "parabola", "log", "spline")
-
-#: Blocks up to this many robust standard deviations from the trend keep their weight; from the second
-#: number on they have none.
-_FAR, _LOST = 4.0, 8.0
-
-#: Blocks that are solved together.
-_AT_ONCE = 256
-
-#: Fewest blocks whose scatter tells an outlying one.
-_FEWEST = 8
-
-
-def middles(equations: NormalEquations) -> Int64:
-    """Return the TT2000 of the middles of the blocks; (block,)."""
-    data = equations.dataset
-    return np.asarray(data["start"].values // 2 + data["end"].values // 2)
-
-
-def at_one_reference(equations: NormalEquations) -> NormalEquations:
-    """Return the equations with the residuals of all blocks referred to the first one's reference."""
-    apart = np.ptp(equations.dataset["reference"].values, axis=0).any()
-    return equations.at(equations.reference) if apart else equations
 
 
 def make_trend(kind: str, times: Int64, t0: int | None = None, per: int = DAY, knots: int = 5) -> Dependence:
@@ -135,7 +149,7 @@ def _gram(value: Floats, covariance: Floats, known: np.ndarray, scale: Floats, c
     if use.size == 0:
         return gram
     unit = scale[use]
-    information = np.linalg.inv(covariance[np.ix_(use, use)] / np.outer(unit, unit))
+    information = gram_inverse(covariance[np.ix_(use, use)] / np.outer(unit, unit), SOLVER.eigen_cut)
     away = (value[use] - centre[use]) / unit
     gram[np.ix_(use, use)] = information
     gram[use, -1] = gram[-1, use] = -information @ away
@@ -150,26 +164,22 @@ def _as_equations(
     # The stated covariances say how far scores scatter within an interval: variance one.
     scatter = grams.copy()
     scatter[:, -1, :] = scatter[:, :, -1] = 0.0
-    row = ("block", "column", "other")
-    reference = np.broadcast_to(np.append(centre, 0.0), (len(grams), centre.size + 1))
     kept = {name: table.attrs.get(name, "") for name in ("comparison", "model")}
-    dataset = xr.Dataset(
-        {
-            "gram": (row, grams, {"units": "1"}),
-            "scatter": (row, scatter, {"units": "1"}),
-            "reference": (("block", "column"), reference),
-            "start": ("block", np.asarray(table["start"].values, dtype=np.int64)),
-            "end": ("block", np.asarray(table["end"].values, dtype=np.int64)),
-            "count": ("block", count.astype(np.float64)),
-            "scale": ("column", np.append(scale, 1.0)),
-        },
-        coords={"column": names, "other": names},
-        attrs={**kept, "filter": "table"},
+    blocks = GramArrays(
+        tuple(names),
+        grams,
+        np.asarray(table["start"].values, dtype=np.int64),
+        np.asarray(table["end"].values, dtype=np.int64),
+        count.astype(np.float64),
+        np.append(scale, 1.0),
+        reference=np.broadcast_to(np.append(centre, 0.0), (len(grams), centre.size + 1)),
+        scatter=scatter,
+        attributes={**kept, "filter": "table"},
     )
-    return NormalEquations(dataset.isel(block=np.flatnonzero(count > 0)))
+    return NormalEquations.of_arrays(blocks).filled
 
 
-def own_wish(equations: NormalEquations, value: Floats, prior_sigma: Floats) -> Floats:
+def score_statistic(equations: NormalEquations, value: Floats, prior_sigma: Floats) -> Floats:
     """Return how far each block lies from given parameters: by how much its own fit would lower its sum.
 
     Parameters
@@ -184,24 +194,18 @@ def own_wish(equations: NormalEquations, value: Floats, prior_sigma: Floats) -> 
     ndarray, shape (block,)
         Square root of the drop of the sum of squares.
     """
-    data = equations.dataset
-    scale, gram = data["scale"].values[:-1], data["gram"].values
-    change = (value - data["reference"].values[:, :-1]) / scale
-    matrix = gram[:, :-1, :-1]
-    scores = gram[:, :-1, -1] + np.matmul(matrix, change[:, :, None])[:, :, 0]
-    own = gram[:, -1, -1] / np.maximum(data["count"].values, 1.0)
+    scale, scores = equations.scale[:-1], equations.scores(value)
+    own = equations.squares[:, -1] / np.maximum(equations.count, 1.0)
     variance = max(float(np.median(own)), 1e-30)
     with np.errstate(divide="ignore"):
-        held = np.where(prior_sigma > 0, variance * (scale / prior_sigma) ** 2, np.inf)
-    free = np.flatnonzero(np.isfinite(held))
-    out = np.empty(len(scores))
+        precision = variance * (scale / prior_sigma) ** 2
+    columns, out = np.arange(scale.size), np.empty(len(scores))
     # Some blocks at a time: a matrix of each of three thousand days would fill the memory.
-    for first in range(0, len(scores), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
-        steadied = matrix[part][:, free[:, None], free] + np.diag(held[free])
-        score = scores[part][:, free]
-        wish = np.linalg.solve(steadied, score[:, :, None])[:, :, 0]
-        out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", wish, score), 0.0))
+    for first in range(0, len(scores), TRENDS.at_once):
+        part = slice(first, first + TRENDS.at_once)
+        matrix = equations.rows(columns, columns, part)
+        change = solve_scaled(matrix, scores[part], 0.0, precision)
+        out[part] = np.sqrt(np.maximum(np.einsum("bi,bi->b", change, scores[part]), 0.0))
     return out
 
 
@@ -210,13 +214,13 @@ def outlier_weights(distance: Floats) -> Floats:
 
     The scale is the spread of the distances themselves, so that what wanders from day to day is no outlier.
     """
-    if distance.size < _FEWEST:
+    if distance.size < TRENDS.fewest:
         return np.ones_like(distance)
     centre = float(np.median(distance))
     spread = robust_sigma(distance - centre)
     # Distances of few dimensions scatter by at least a part of their size.
     z = (distance - centre) / max(spread, 0.1 * centre, 1e-300)
-    return np.asarray(np.clip((_LOST - z) / (_LOST - _FAR), 0.0, 1.0))
+    return np.asarray(np.clip((TRENDS.lost - z) / (TRENDS.lost - TRENDS.far), 0.0, 1.0))
 
 
 def values_at(trends: Mapping[str, Dependence], coefficients: Mapping[str, Floats], times: Int64) -> Floats:
@@ -330,10 +334,6 @@ def _stacked(units: list[Floats]) -> Floats:
         out[at : at + unit.size, index] = unit
         at += unit.size
     return out
-
-
-#: Turns of weights and fit.
-_TURNS = 4
 
 
 @dataclass(frozen=True)
@@ -535,7 +535,7 @@ class TrendFit:
             t0=first.t0,
             per=first.per,
             key=key,
-            moments=first.at,
+            change_times=first.at,
             interpolation=first.interpolation,
         )
 
@@ -570,15 +570,14 @@ def fit_trends(
     check_names(equations, list(trends))
     every = {name: trends.get(name, Dependence()) for name in equations.columns}
     # A trend's origin or knots lie anywhere; blocks at one reference make it one linear problem.
-    common = at_one_reference(equations)
-    expansion = Expansion.of(middles(common), every)
-    turns = 1 if weight is not None else _TURNS
+    common = equations.at_one_reference()
+    expansion = Expansion.of(common.middle, every)
+    turns = 1 if weight is not None else TRENDS.passes
     held = np.ones(len(common)) if weight is None else weight
     for turn in range(turns):
         found = _solve(common, held, expansion, prior_sigma, sure=turn == turns - 1)
         if turn < turns - 1:
-            held = outlier_weights(own_wish(common, found.parameters(expansion), prior_sigma))
-    start, end = (int(common.dataset[name].values[i]) for name, i in (("start", 0), ("end", -1)))
+            held = outlier_weights(score_statistic(common, found.parameters(expansion), prior_sigma))
     return TrendFit(
         every,
         expansion.columns,
@@ -588,7 +587,7 @@ def fit_trends(
         held,
         found.rms,
         len(common),
-        (start, end),
+        (int(common.start[0]), int(common.end[-1])),
         dict(units or {}),
     )
 
@@ -616,13 +615,13 @@ def _solve(
     equations: NormalEquations, weight: Floats, expansion: Expansion, prior_sigma: Floats, sure: bool
 ) -> Solved:
     """Fit the functions; without a covariance, which takes longest, unless asked to be `sure`."""
-    data, owners, values = equations.dataset, expansion.owners, expansion.values
-    scale = data["scale"].values[:-1][owners]
+    owners, values = expansion.owners, expansion.values
+    scale = equations.scale[:-1][owners]
     sigma = prior_sigma[owners] / scale
-    sums = BlockSums(data["gram"].values, weight)
+    sums = equations.weighted(weight)
     total = sums.expanded(values, owners)
-    within = BlockSums(data["scatter"].values, weight**2).expanded(values, owners)[:-1, :-1]
-    count = float((data["count"].values * weight).sum())
+    within = equations.weighted_scatter(weight).expanded(values, owners)[:-1, :-1]
+    count = float((equations.count * weight).sum())
     nothing = np.zeros_like(sigma)
     solution = solve(total, within, count, nothing, sigma)
     if len(equations) > 1:
@@ -634,15 +633,16 @@ def _solve(
     if sure:
         scores = sums.scores(values, owners, expansion.parameters(solution.value))
         matrix, functions = total[:-1, :-1] / solution.variance, expansion.functions_each
-        covariance = sandwich(scores, matrix, solution.variance, sigma, functions)
+        scores /= solution.variance
+        covariance = correlated_covariance(scores, matrix, sigma, functions)
     covariance *= np.outer(scale, scale)
     # A function of time counts from 0, a constant from the reference.
     still = np.array([trend.count == 1 for trend in expansion.trends.values()])[owners]
-    value = np.where(still, equations.reference[owners], 0.0) + solution.value * scale
+    value = np.where(still, equations.first_reference[owners], 0.0) + solution.value * scale
     back = expansion.back
     left = residual_sum(total, solution.value)
     return Solved(
-        back @ value + expansion.unit @ equations.reference,
+        back @ value + expansion.unit @ equations.first_reference,
         back @ covariance @ back.T,
         _determined(expansion, solution.determined),
         float(np.sqrt(left / max(count, 1.0))),
@@ -657,38 +657,6 @@ def _determined(expansion: Expansion, of_functions: np.ndarray) -> np.ndarray:
         out[at : at + basis.shape[1]] = of_functions[at : at + basis.shape[1]].all()
         at += basis.shape[1]
     return out
-
-
-def sandwich(
-    scores: Floats, matrix: Floats, variance: float, prior_sigma: Floats, functions: float = 1.0
-) -> Floats:
-    """Return the covariance of a fit from the scatter of its blocks' scores, correlated in time.
-
-    Parameters
-    ----------
-    scores : ndarray, shape (block, column)
-        At the fit, scaled.
-    matrix : ndarray, shape (column, column)
-        Information of all blocks together.
-    variance : float
-        Residual variance.
-    prior_sigma : ndarray, shape (column,)
-        Scaled; 0 for what is fixed.
-    functions : float
-        Functions of time of each parameter, on average.
-    """
-    free = np.flatnonzero(prior_sigma > 0)
-    grid, unit = np.ix_(free, free), prior_sigma[free]
-    # In units of the prior's sigma: the columns differ by many orders.
-    bread = np.linalg.inv(matrix[grid] * np.outer(unit, unit) + np.eye(free.size))
-    influence = (scores[:, free] * unit / variance) @ bread
-    spread = long_run_covariance(influence, functions) + bread @ bread
-    # Fewer blocks than parameters leave scores that are too small: never surer than white residuals are.
-    lift = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(spread), 1e-300), 1.0))
-    spread *= np.outer(lift, lift)
-    out = np.zeros_like(matrix)
-    out[grid] = spread * np.outer(unit, unit)
-    return np.asarray(out)
 
 
 def with_origin(fit: TrendFit, origin: Origin) -> TrendFit:

@@ -24,16 +24,32 @@ from scipy.spatial.transform import Rotation
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError
-from inflight.lsq import FEWEST_CLUSTERS, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
+from inflight.lsq import SOLVER, ClusteredFit, grams_by_cluster, robust_sigma, solve_clusters
 from inflight.time import SECOND, Int64
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoFluxgateSettings:
+    """How samples of two sensors are weighted.
+
+    Attributes
+    ----------
+    far : float
+        Samples so many robust sigmas off are left out; assumed.
+    passes : int
+        Passes of leaving them out; assumed.
+    """
+
+    far: float = 6.0
+    passes: int = 4
+
+
+TWO_FLUXGATES = TwoFluxgateSettings()
+
 
 #: Two orbits: clusters of samples whose errors belong together.
 CLUSTER_S = 10_800.0
 
-#: Samples this many robust sigmas off are left out.
-_FAR = 6.0
-
-_TURNS = 4
 
 #: Field strength that makes columns of like size, nT.
 _STRENGTH = 3e4
@@ -148,12 +164,12 @@ def relation_grams(
     use &= True if good is None else good
     difference, columns = first - second, _columns(second)
     cluster = _cluster(stamps, cluster_s)
-    for _ in range(_TURNS):
+    for _ in range(TWO_FLUXGATES.passes):
         gram, rows = _grams(columns[use], difference[use], cluster[use])
         fit = solve_clusters(gram, rows)
         left = difference - columns @ fit.value
         size = np.array([robust_sigma(one, floor=1e-9) for one in left[use].T])
-        near = use & (np.abs(left) <= _FAR * size).all(axis=1)
+        near = use & (np.abs(left) <= TWO_FLUXGATES.far * size).all(axis=1)
         if np.array_equal(near, use):
             break
         use = near
@@ -305,9 +321,9 @@ def corners_of(moments: Floats, mean_s: float = 60.0, closure: float = np.nan) -
         When there are fewer than five clusters.
     """
     total = len(moments)
-    if total < FEWEST_CLUSTERS:
+    if total < SOLVER.fewest_clusters:
         raise CalibrationError(
-            f"{total} clusters with data found, at least {FEWEST_CLUSTERS} needed for an uncertainty",
+            f"{total} clusters with data found, at least {SOLVER.fewest_clusters} needed for an uncertainty",
             remedy="take a longer span or shorter clusters",
         )
     whole = moments.sum(axis=0)

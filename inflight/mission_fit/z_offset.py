@@ -17,21 +17,42 @@ from inflight.arrays import Floats
 from inflight.errors import CalibrationError
 from inflight.lsq import (
     BIWEIGHT_WIDTH,
+    SOLVER,
     RobustFit,
     biweight,
     biweight_slope,
+    gram_inverse,
     long_run_covariance,
     robust_sigma,
+    sandwich,
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpreadSettings:
+    """What a day's spread needs, and how a fit where both sides err settles.
+
+    Attributes
+    ----------
+    fewest_samples : int
+        Fewest samples of a sub-block's worth a day; assumed.
+    fewest_days : int
+        Fewest days of a regression; assumed.
+    passes : int
+        Passes of the fit; assumed.
+    """
+
+    fewest_samples: int = 300
+    fewest_days: int = 5
+    passes: int = 20
+
+
+SPREAD = SpreadSettings()
+
 
 #: Spans of a day whose means are nearly independent: 20 minutes.
 SUB_BLOCKS = 72
 
-#: Fewest samples of a sub-block's worth a day, and fewest days of a regression.
-_FEWEST_SAMPLES, _FEWEST_DAYS = 300, 5
-
-#: Turns of a fit where both sides err.
-_TURNS = 20
 
 #: Statistics of a day whose errors belong together, as in `covariance`.
 STATISTICS = ("mean", "variance", "slope")
@@ -71,9 +92,9 @@ def day_statistics(
     use &= True if good is None else good
     use &= _near(residual, use)
     count = int(use.sum())
-    if count < _FEWEST_SAMPLES:
+    if count < SPREAD.fewest_samples:
         raise CalibrationError(
-            f"{count} usable samples for a day's spread, {_FEWEST_SAMPLES} needed",
+            f"{count} usable samples for a day's spread, {SPREAD.fewest_samples} needed",
             remedy="see the day's coverage and flags",
         )
     y, e = residual[use], direction[use]
@@ -168,7 +189,7 @@ def spread_law(statistics: xr.Dataset, offset: Floats, sigma: Floats) -> SpreadL
     """
     known = np.isfinite(offset) & np.isfinite(sigma)
     square = offset[known] ** 2 - sigma[known] ** 2
-    if known.sum() < _FEWEST_DAYS or np.ptp(square) == 0:
+    if known.sum() < SPREAD.fewest_days or np.ptp(square) == 0:
         raise CalibrationError(
             f"{int(known.sum())} days with an offset do not tell how the spread follows it",
             remedy="use five or more days of different offsets",
@@ -194,13 +215,13 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
     The square of an offset Z with the error s errs by ``4 Z^2 s^2 + 2 s^4``; Z is taken from the law
     itself, since weights that follow the errors would bend it.
     """
-    say, extra = np.ones(square.size), 0.0
+    robust_weight, extra = np.ones(square.size), 0.0
     value = np.array([2.0 / 3.0, float(np.min(spread))])
-    for _ in range(_TURNS):
+    for _ in range(SPREAD.passes):
         true = np.maximum(spread - value[1], 0.0) / value[0]
         of_x = 4.0 * true * sigma**2 + 2.0 * sigma**4
         total = variance + extra + value[0] ** 2 * of_x
-        weight = say / total
+        weight = robust_weight / total
         x, y = (float(np.average(one, weights=weight)) for one in (square, spread))
         adjusted = ((square - x) * (variance + extra) + value[0] * (spread - y) * of_x) / total
         slope = np.sum(weight * adjusted * (spread - y)) / np.sum(weight * adjusted * (square - x))
@@ -208,17 +229,17 @@ def _both_err(square: Floats, spread: Floats, variance: Floats, sigma: Floats) -
         left = spread - slope * square - value[1]
         usual = robust_sigma(left / np.sqrt(total))
         extra = max(extra + (usual**2 - 1.0) * float(np.median(total)), 0.0)
-        pull = left / np.sqrt(total)
-        say = biweight(pull)
+        standardised = left / np.sqrt(total)
+        robust_weight = biweight(standardised)
     tool = np.stack([adjusted + x, np.ones_like(x + adjusted)], axis=1)
     rows = np.stack([square, np.ones_like(square)], axis=1)
-    slopes = biweight_slope(pull) / total
+    slopes = biweight_slope(standardised) / total
     bread = np.linalg.inv((tool * slopes[:, None]).T @ rows)
-    covariance = bread @ long_run_covariance(tool * (weight * left)[:, None], 2.0) @ bread.T
+    scores = tool * (weight * left)[:, None]
     # Days near zero offset, few of them, hold the noise: their scatter may be small by chance.
-    stated = np.diag(np.linalg.inv((tool * weight[:, None]).T @ tool))
-    lift = np.sqrt(np.maximum(stated / np.diag(covariance), 1.0))
-    return RobustFit(value, covariance * np.outer(lift, lift), left, say, float(np.sqrt(extra)))
+    stated = gram_inverse((tool * weight[:, None]).T @ tool, SOLVER.eigen_cut)
+    covariance = sandwich(bread, long_run_covariance(scores, 2.0), stated)
+    return RobustFit(value, covariance, left, robust_weight, float(np.sqrt(extra)))
 
 
 @dataclass(frozen=True)

@@ -244,7 +244,7 @@ class TimedValue:
         ``effect.parameter``, the name in tables.
     table_name : str
         Name of the table its values lie in, as the model YAML states it; information only.
-    moments : tuple of int
+    change_times : tuple of int
         TT2000 of the events between intervals, or of a spline's knots.
     interpolation : str
         Between knots: ``cubic`` or ``linear``.
@@ -260,13 +260,13 @@ class TimedValue:
     table: xr.Dataset | None = None
     key: str = ""
     table_name: str = ""
-    moments: tuple[int, ...] = ()
+    change_times: tuple[int, ...] = ()
     interpolation: str = "cubic"
 
     @property
     def dependence(self) -> Dependence:
         """Which functions of time the coefficients multiply."""
-        return Dependence(self.time, self.t0, self.per, self.moments, self.interpolation)
+        return Dependence(self.time, self.t0, self.per, self.change_times, self.interpolation)
 
     @property
     def columns(self) -> list[str]:
@@ -386,7 +386,7 @@ def parse_timed(key: str, parameter: Parameter, given: Any, events: Sequence[Eve
         per=dependence.per,
         key=key,
         table_name=str(entry.get("table", "")),
-        moments=dependence.at,
+        change_times=dependence.at,
         interpolation=dependence.interpolation,
     )
 

@@ -1,15 +1,13 @@
-"""Steps and levels of housekeeping.
+"""Steps and levels of a housekeeping channel, found from its readings alone.
 
-Readings of a housekeeping channel: their noise, their smallest step, and the spikes among them.
+Takes times and readings; makes their noise and smallest step (`channel_noise`), the readings without spikes
+(`clean_readings`), the fast changes of a current (`find_steps`), and the readings without noise between
+switchings (`piecewise_mean`).
 
-Fast changes of a housekeeping current, found from the current alone.
-
-A current that a switch or a regulator changes within seconds tells its stray field from everything
+A current that a switch or a regulator changes within seconds separates its stray field from everything
 that follows the orbit (Yin 2010, section 3.4.1). A *step* is a run of readings that change faster
 than their surroundings, by far more than the channel's own noise and quantisation, between two
 levels that are straight lines before and after. A kink, where only the slope changes, is no step.
-
-Levels of a channel that switches: its readings without their noise.
 """
 
 from __future__ import annotations
@@ -30,11 +28,46 @@ from inflight.time import SECOND, Int64
 #: and Gaussian noise one false alarm in 10^10 days.
 SIGNIFICANCE = 8.0
 
-#: The fewest readings of a level.
-FEWEST = 3
+
+@dataclass(frozen=True, kw_only=True)
+class StepSettings:
+    """How steps and levels of a channel are found.
+
+    Attributes
+    ----------
+    fewest : int
+        Fewest readings of a level. Derived: a line needs two, its scatter a third.
+    settled, rest : float
+        A transition ends where the reading is within this many sigma of the level, or this part of the size.
+        Assumed.
+    scale_s : float
+        Changes are looked for over this many seconds, so that a fast channel is no noisier than a slow one.
+        Assumed.
+    rounds : int
+        Rounds in which ends of the transition and levels are fitted in turn.
+    jump : float
+        A change from one reading to the next is a switching beyond so many of its usual sizes. Assumed.
+    steady : float
+        Readings between switchings have one level when they scatter no more than so many times their white
+        noise. Assumed.
+    fewest_steady : int
+        Fewest readings of such a level. Assumed.
+    """
+
+    fewest: int = 3
+    settled: float = 3.0
+    rest: float = 0.02
+    scale_s: float = 10.0
+    rounds: int = 6
+    jump: float = 8.0
+    steady: float = 1.5
+    fewest_steady: int = 4
 
 
-def noise_of(values: Floats, resolution: float | None = None) -> tuple[float, float]:
+STEPS = StepSettings()
+
+
+def channel_noise(values: Floats, resolution: float | None = None) -> tuple[float, float]:
     """Return white noise and smallest step of readings, in their unit.
 
     The noise is that of second differences, which a drift does not reach, by the median of their
@@ -63,7 +96,7 @@ def noise_of(values: Floats, resolution: float | None = None) -> tuple[float, fl
     return max(spread, resolution / np.sqrt(12.0), 1e-9 * span), resolution
 
 
-def readings_of(stamps: Int64, current: Floats, resolution: float | None = None) -> tuple[Int64, Floats]:
+def clean_readings(stamps: Int64, current: Floats, resolution: float | None = None) -> tuple[Int64, Floats]:
     """Return times and values of the finite readings that are no spikes.
 
     Parameters
@@ -72,7 +105,7 @@ def readings_of(stamps: Int64, current: Floats, resolution: float | None = None)
         TT2000, rising.
     current : ndarray, shape (reading,)
     resolution : float, optional
-        As for `noise_of`.
+        As for `channel_noise`.
 
     Raises
     ------
@@ -86,14 +119,14 @@ def readings_of(stamps: Int64, current: Floats, resolution: float | None = None)
         )
     good = np.isfinite(values)
     times, values = times[good], values[good]
-    if times.size < 2 * FEWEST + 2:
+    if times.size < 2 * STEPS.fewest + 2:
         raise SamplesError(
-            f"{times.size} readings of the current found, at least {2 * FEWEST + 2} needed",
+            f"{times.size} readings of the current found, at least {2 * STEPS.fewest + 2} needed",
             remedy="take a longer span",
         )
     if np.any(np.diff(times) <= 0):
         raise SamplesError("times of the current do not rise", remedy="sort them and drop duplicates")
-    kept = ~_spikes(values, SIGNIFICANCE * np.sqrt(2.0) * noise_of(values, resolution)[0])
+    kept = ~_spikes(values, SIGNIFICANCE * np.sqrt(2.0) * channel_noise(values, resolution)[0])
     return times[kept], values[kept]
 
 
@@ -105,17 +138,7 @@ def _spikes(values: Floats, limit: float) -> npt.NDArray[np.bool_]:
     return np.concatenate([[False], alone, [False]])
 
 
-#: A transition ends where the reading is within this many sigma of the level, or this part of the size.
-_SETTLED, _REST = 3.0, 0.02
-
-#: Changes are looked for over this many seconds, so that a fast channel is no noisier than a slow one.
-_SCALE = 10.0
-
-#: Rounds in which ends of the transition and levels are fitted in turn.
-_ROUNDS = 6
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CurrentSteps:
     """Steps of one channel in order of time; arrays of shape (step,).
 
@@ -155,7 +178,21 @@ class CurrentSteps:
 
         `channel` is its noise, resolution and cadence.
         """
-        return cls(*times.T, *levels.T, *channel, unit)  # type: ignore[call-arg]
+        time, start, end = times.T
+        before, after, sigma = levels.T
+        noise, resolution, cadence = channel
+        return cls(
+            time=time,
+            start=start,
+            end=end,
+            before=before,
+            after=after,
+            sigma=sigma,
+            noise=noise,
+            resolution=resolution,
+            cadence=cadence,
+            unit=unit,
+        )
 
     @property
     def size(self) -> Floats:
@@ -247,16 +284,16 @@ def find_steps(
     SamplesError
         Shapes that differ, times that do not rise, or too few readings.
     """
-    times, values = readings_of(stamps, current, resolution)
+    times, values = clean_readings(stamps, current, resolution)
     seconds = (times - times[0]) / SECOND
     cadence = float(np.median(np.diff(seconds)))
-    noise, smallest_step = noise_of(values, resolution)
-    lag = min(max(1, round(_SCALE / cadence)), values.size // 4)
+    noise, smallest_step = channel_noise(values, resolution)
+    lag = min(max(1, round(STEPS.scale_s / cadence)), values.size // 4)
     change, apart = _own_change(seconds, values, lag, longest)
     # Two readings differ by the noise of both; noise that is not white shows in the changes themselves.
     usual = robust_sigma(change, floor=float(np.sqrt(2.0)) * noise)
     near = maximum_filter1d(np.abs(change), 2 * int(np.ceil(longest / cadence)) + 1)
-    fast = (np.abs(change) > np.maximum(significance * usual, _REST * near)) & (apart <= longest)
+    fast = (np.abs(change) > np.maximum(significance * usual, STEPS.rest * near)) & (apart <= longest)
     runs = _runs(change, fast, lag)
     channel = _Readings(seconds, values, noise, longest, window)
     fitted = [_fit_step(channel, _around(runs, i, seconds.size), run) for i, run in enumerate(runs)]
@@ -311,7 +348,7 @@ def _around(runs: list[tuple[int, int]], index: int, count: int) -> tuple[int, i
     return low, high
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Step:
     first: float
     middle: float
@@ -345,7 +382,7 @@ def _fit_step(channel: _Readings, allowed: tuple[int, int], run: tuple[int, int]
         return None
     half = _half_passed(channel.seconds, channel.values, (first, last), 0.5 * (old.level + new.level))
     before, after = (line.level + line.slope * (half - middle) for line in (old, new))
-    return _Step(start, half, end, before, after, sigma)
+    return _Step(first=start, middle=half, last=end, before=before, after=after, sigma=sigma)
 
 
 def _lines_around(
@@ -354,7 +391,7 @@ def _lines_around(
     """Return transition, its middle and both lines, the transition widened until both hold."""
     seconds, values = channel.seconds, channel.values
     span, found = run, None
-    for _ in range(_ROUNDS):
+    for _ in range(STEPS.rounds):
         middle = float(0.5 * (seconds[span[0]] + seconds[span[1]]))
         before, after = _sides(seconds, allowed, span, channel.window)
         old = _Line.through(seconds[before] - middle, values[before], channel.noise)
@@ -364,7 +401,7 @@ def _lines_around(
         found = span, middle, old, new
         # A line is itself known to its own sigma only.
         spread = float(np.sqrt(channel.noise**2 + max(old.sigma, new.sigma) ** 2))
-        rest = max(_SETTLED * spread, _REST * abs(new.level - old.level))
+        rest = max(STEPS.settled * spread, STEPS.rest * abs(new.level - old.level))
         wider = _widened(seconds - middle, values, allowed, run, (old, new), rest)
         if wider == span:
             break
@@ -396,13 +433,13 @@ class _Line:
 
     @classmethod
     def through(cls, seconds: Floats, values: Floats, noise: float) -> _Line | None:
-        if seconds.size < FEWEST:
+        if seconds.size < STEPS.fewest:
             return None
         shapes = np.column_stack([np.ones_like(seconds), seconds])
         inverse = np.linalg.inv(shapes.T @ shapes)
         fit = inverse @ (shapes.T @ values)
-        left = float(np.sum((values - shapes @ fit) ** 2)) / max(seconds.size - 2, 1)
-        return cls(float(fit[0]), float(fit[1]), float(np.sqrt(max(left, noise**2) * inverse[0, 0])))
+        scatter = float(np.sum((values - shapes @ fit) ** 2)) / max(seconds.size - 2, 1)
+        return cls(float(fit[0]), float(fit[1]), float(np.sqrt(max(scatter, noise**2) * inverse[0, 0])))
 
 
 def _widened(
@@ -435,19 +472,11 @@ def _half_passed(seconds: Floats, values: Floats, run: tuple[int, int], level: f
     return float(seconds[low] + share * (seconds[low + 1] - seconds[low]))
 
 
-#: A change from one reading to the next is a switching beyond so many of its usual sizes.
-_JUMP = 8.0
-
-#: A stretch between switchings has one level when it scatters no more than this beside its white noise; it
-#: has readings enough from so many on.
-_STEADY, _FEWEST = 1.5, 4
-
-
-def without_noise(values: Floats) -> Floats:
+def piecewise_mean(values: Floats) -> Floats:
     """Return readings with their mean between switchings in the place of each, where that is a level.
 
     A field of many nanotesla that is taken off by a noisy current is taken off with its noise, and the
-    regression that finds its size is diluted. What wanders between its switchings, a temperature, stays.
+    regression that finds its size is diluted. What drifts between its switchings, a temperature, stays.
 
     Parameters
     ----------
@@ -455,16 +484,16 @@ def without_noise(values: Floats) -> Floats:
         Readings in order of time, any unit; NaN where one is missing.
     """
     known = np.isfinite(values)
-    told = values[known]
-    change = np.diff(told)
-    white = TO_SIGMA * float(np.median(np.abs(change))) / np.sqrt(2.0) if told.size > 1 else 0.0
+    readings = values[known]
+    change = np.diff(readings)
+    white = TO_SIGMA * float(np.median(np.abs(change))) / np.sqrt(2.0) if readings.size > 1 else 0.0
     if not white > 0.0:
         return values
-    begins = np.concatenate([[0], np.flatnonzero(np.abs(change) > _JUMP * np.sqrt(2.0) * white) + 1])
-    count = np.diff(np.append(begins, told.size))
-    mean = np.add.reduceat(told, begins) / count
-    scatter = np.sqrt(np.add.reduceat((told - np.repeat(mean, count)) ** 2, begins) / count)
-    level = np.repeat((scatter <= _STEADY * white) & (count >= _FEWEST), count)
+    begins = np.concatenate([[0], np.flatnonzero(np.abs(change) > STEPS.jump * np.sqrt(2.0) * white) + 1])
+    count = np.diff(np.append(begins, readings.size))
+    mean = np.add.reduceat(readings, begins) / count
+    scatter = np.sqrt(np.add.reduceat((readings - np.repeat(mean, count)) ** 2, begins) / count)
+    level = np.repeat((scatter <= STEPS.steady * white) & (count >= STEPS.fewest_steady), count)
     out = values.copy()
-    out[known] = np.where(level, np.repeat(mean, count), told)
+    out[known] = np.where(level, np.repeat(mean, count), readings)
     return out

@@ -1,33 +1,251 @@
-"""Residual against any coordinate, ranked.
+"""What a residual follows: fits in bins of any coordinate, errors between blocks, chance, and words.
 
-How a residual depends on a coordinate: means in bins, their branches, the sensor axis behind them.
+Takes a residual of one row (`dependence`, `axis_response`), of several rows seen through the direction of the
+field (`field_response`), or spin tones (`inflight.spin.residual`), and any coordinate: time, geometry, the
+field, a channel. All of them rest on one fit, `BinnedFit`: in each bin of the coordinate the least-squares
+solution b of ``y = A b``, where A is one (a mean), the field's direction (a field along each axis) or a
+channel's own tone.
 
-Uncertainties are jackknives over blocks of time: samples of a block are not independent, blocks are.
-
-Where a model fails, in words: the strongest structures of its residual, one after the other.
+Uncertainties are jackknives over blocks of time (Efron, 1982): samples of a block are not independent, blocks
+are. An amplitude is the rms over bins less what noise makes of it. A structure counts when it stands out by
+five sigma and exceeds *chance*: what the same coordinate of another part of the record explains of the
+residual without the structure. The structures of a residual are taken one after the other, the largest first
+(`successive`): coordinates move together, and what one structure leaves in twenty of them is reported once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
+from inflight.lsq import jackknife
 
-#: Bins of a dependence, and the fewest blocks its uncertainty is taken from.
-BINS = 24
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
+Residual = TypeVar("Residual")
+Structure = TypeVar("Structure")
 
-MIN_BLOCKS = 6
 
-#: A bin that fewer blocks meet has no uncertainty between blocks.
-LONELY = 3
+@dataclass(frozen=True, kw_only=True)
+class DependenceSettings:
+    """How dependences are measured and when they count.
 
-#: What stands out: so many standard deviations.
-CLEAR = 5.0
+    Attributes
+    ----------
+    bins, field_bins, curve_bins : int
+        Bins of a mean residual, of a field along each axis, and of a figure's curves. Assumed.
+    block_bins : int
+        Blocks that a bin of time takes: in time a block lies in one bin.
+    min_blocks : int
+        Fewest blocks an uncertainty is taken from. Assumed.
+    lonely : int
+        Fewest blocks of a bin: with fewer it has no uncertainty between blocks.
+    fewest : int
+        Fewest samples of a bin of a figure's curves. Assumed.
+    clear : float
+        Standard deviations from which a structure stands out: a stated level of significance.
+    axis_clear : float
+        The same for the axis along which a field would make it.
+    condition : float
+        Largest condition of the equations of a bin's field: beyond, its axes cannot be separated. Assumed.
+    count : int
+        Structures that are reported at most.
+    least_part : float
+        Part of the residual's own rms below which a structure is not worth a sentence. Assumed.
+    shifts : tuple of float
+        Shifts of a coordinate, in parts of the record, that chance is taken from. Assumed: no two are
+        multiples of one period.
+    moving : float
+        A coordinate rises or falls where it changes by more than this part of its standard deviation.
+        Assumed.
+    turning : float
+        A coordinate has two branches when each holds more than this part of the samples. Assumed.
+    """
+
+    bins: int = 24
+    field_bins: int = 8
+    curve_bins: int = 12
+    block_bins: int = 4
+    min_blocks: int = 6
+    lonely: int = 3
+    fewest: int = 12
+    clear: float = 5.0
+    axis_clear: float = 3.0
+    condition: float = 1e4
+    count: int = 3
+    least_part: float = 0.01
+    shifts: tuple[float, ...] = (0.362, 0.422, 0.458, 0.566, 0.644, 0.698)
+    moving: float = 0.02
+    turning: float = 0.1
+
+
+DEPENDENCES = DependenceSettings()
+
+
+@dataclass(frozen=True)
+class BinnedFit:
+    """Least-squares fits of ``values = columns @ coefficients`` in bins, by block.
+
+    Attributes
+    ----------
+    count : ndarray, shape (block, bin)
+        Samples.
+    gram : ndarray, shape (block, bin, column, column)
+        Sums of products of the columns, by the samples' weights; complex columns are conjugated on the left.
+    right : ndarray, shape (block, bin, column, series)
+        Sums of products of the columns with the values.
+    """
+
+    count: Floats
+    gram: Any
+    right: Any
+
+    @classmethod
+    def of(
+        cls, columns: Any, values: Any, block: Ints, index: Ints, bins: int, weight: Floats | None = None
+    ) -> BinnedFit:
+        """Sum the equations of samples.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (sample, row, column)
+            Real or complex.
+        values : ndarray, shape (sample, row, series)
+        block, index : ndarray of int, shape (sample,)
+            Block, counted from zero, and bin of each sample.
+        bins : int
+        weight : ndarray, shape (sample,), optional
+        """
+        shape = (int(block.max()) + 1 if block.size else 0, bins)
+        cell, size = block * bins + index, shape[0] * shape[1]
+
+        def summed(one: Any) -> Any:
+            if weight is not None:
+                one = weight * one
+            if np.iscomplexobj(one):
+                return summed_parts(one.real) + 1j * summed_parts(one.imag)
+            return summed_parts(one)
+
+        def summed_parts(one: Floats) -> Floats:
+            return np.asarray(np.bincount(cell, weights=one, minlength=size), dtype=np.float64).reshape(shape)
+
+        width, series = columns.shape[2], values.shape[2]
+        gram = np.empty((*shape, width, width), dtype=columns.dtype)
+        right = np.empty((*shape, width, series), dtype=np.result_type(columns, values))
+        for i in range(width):
+            left = np.conj(columns[:, :, i])
+            for j in range(series):
+                right[..., i, j] = summed(np.einsum("tr,tr->t", left, values[:, :, j]))
+            for j in range(i, width):
+                gram[..., i, j] = summed(np.einsum("tr,tr->t", left, columns[:, :, j]))
+                gram[..., j, i] = np.conj(gram[..., i, j])
+        count = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
+        return cls(count, gram, right)
+
+    @property
+    def size(self) -> Floats:
+        """Trace of the Gram matrices; (block, bin). Of unit columns the number of samples."""
+        return np.asarray(np.trace(self.gram, axis1=2, axis2=3).real)
+
+    def met(self, fewest_blocks: int = DEPENDENCES.lonely, fewest: int = 1) -> Bools:
+        """Return the bins that enough blocks and samples meet and whose equations can be solved; (bin,)."""
+        size = self.size
+        enough = (size > 0).sum(axis=0) >= min(fewest_blocks, len(size))
+        enough &= self.count.sum(axis=0) >= fewest
+        if self.gram.shape[2] > 1:
+            eye = np.eye(self.gram.shape[2])
+            enough &= np.linalg.cond(self.gram.sum(axis=0) + 1e-12 * eye) < DEPENDENCES.condition
+        return np.asarray(enough)
+
+    @property
+    def value(self) -> Any:
+        """Coefficients of all blocks; (bin, column, series). Zero where there is nothing."""
+        return _solved(self.gram.sum(axis=0), self.right.sum(axis=0))
+
+    @property
+    def without(self) -> Any:
+        """Coefficients without one of the blocks; (block, bin, column, series)."""
+        return _solved(self.gram.sum(axis=0) - self.gram, self.right.sum(axis=0) - self.right)
+
+    def share(self, met: Bools) -> Floats:
+        """Return the part of the samples that each of some bins holds; (bin,)."""
+        count = np.where(met, self.count.sum(axis=0), 0.0)
+        return np.asarray(count / max(count.sum(), 1e-300))
+
+
+def _solved(gram: Any, right: Any) -> Any:
+    """Return the solutions of (..., column, column) and (..., column, series); zero where all is zero."""
+    if gram.shape[-1] == 1:
+        size = gram[..., 0, 0].real[..., None, None]
+        # A sum without its only block is zero but for rounding.
+        empty = size <= 1e-12 * size.max(initial=0.0)
+        return np.where(empty, 0.0, right) / np.where(empty, 1.0, size)
+    trace = np.trace(gram, axis1=-2, axis2=-1).real
+    ridge = 1e-9 * np.maximum(trace, 1e-9)[..., None, None] * np.eye(gram.shape[-1])
+    return np.linalg.solve(gram + ridge, right)
+
+
+def excess_rms(mean: Floats, without: Floats, share: Floats) -> tuple[float, float]:
+    """Return the weighted rms of bins less what their noise makes of it, and its standard deviation.
+
+    Parameters
+    ----------
+    mean, without : ndarray, shape (bin,), (block, bin)
+    share : ndarray, shape (bin,)
+        Weights that sum to one.
+    """
+    noise = jackknife(without)
+    amplitude = np.sqrt(max(float(share @ (mean**2 - noise**2)), 0.0))
+    each = np.sqrt(np.maximum((without**2) @ share, 0.0))
+    return float(amplitude), max(float(jackknife(each)), 1e-9)
+
+
+def bin_edges(values: Floats, bins: int) -> Floats | None:
+    """Return edges of bins of about equal counts; None when the values do not vary."""
+    if values.size == 0:
+        return None
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
+    if edges.size == 2 and np.unique(values).size == 2:
+        # Two states, such as on and off: one bin each.
+        edges = np.array([edges[0], 0.5 * (edges[0] + edges[1]), edges[1]])
+    return edges if edges.size >= 3 else None
+
+
+def bin_of(values: Floats, edges: Floats) -> Ints:
+    """Return the bin of each value; those beyond the ends are in the first and last."""
+    place = np.searchsorted(edges, values, side="right") - 1
+    return np.asarray(np.clip(place, 0, edges.size - 2), dtype=np.int64)
+
+
+def bins_of(kind: str, block: Ints, bins: int = DEPENDENCES.bins) -> int:
+    """Return the bins of a coordinate of a kind: in time, each takes several blocks."""
+    if kind != "time":
+        return bins
+    return int(np.clip(np.unique(block).size // DEPENDENCES.block_bins, 2, bins))
+
+
+def branch_of(values: Floats, reach: int) -> Floats:
+    """Return +1 where a channel (sample,) rises over `reach` samples on either side, -1 where it falls.
+
+    Zero where it hardly moves.
+    """
+    change = np.zeros_like(values)
+    if values.size > 2 * reach:
+        change[reach:-reach] = values[2 * reach :] - values[: -2 * reach]
+    change = np.nan_to_num(change)
+    spread = float(np.nanstd(values)) if np.isfinite(values).any() else 0.0
+    return np.where(np.abs(change) > DEPENDENCES.moving * spread, np.sign(change), 0.0)
+
+
+def shifted(values: Any) -> Iterator[Any]:
+    """Yield a coordinate (sample,) as it was in other parts of the record: a placebo."""
+    for part in DEPENDENCES.shifts:
+        yield np.roll(values, round(part * len(values)))
 
 
 @dataclass(frozen=True)
@@ -54,10 +272,10 @@ class Loop:
     @property
     def is_open(self) -> bool:
         """True when the branches differ by five sigma."""
-        return self.opening > CLEAR * self.sigma_opening
+        return self.opening > DEPENDENCES.clear * self.sigma_opening
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Dependence:
     """Mean residual in bins of a coordinate, with its uncertainty between blocks.
 
@@ -65,13 +283,13 @@ class Dependence:
     ----------
     centre, mean, sigma : ndarray, shape (bin,)
         Mean coordinate of each bin; mean residual less the overall mean, and its standard deviation
-        from a jackknife over blocks (nT). NaN where fewer than `LONELY` blocks meet.
+        from a jackknife over blocks (nT). NaN where too few blocks meet.
     amplitude : float
         Rms of the means, weighted by their counts, less what noise makes of it, nT.
     sigma_amplitude : float
         Its standard deviation from the same jackknife, nT.
     loop : Loop, optional
-        The branches, where it was said when the coordinate rises.
+        The branches, where it is known when the coordinate rises.
     """
 
     coordinate: str
@@ -86,55 +304,7 @@ class Dependence:
     @property
     def is_clear(self) -> bool:
         """True when the amplitude stands out by five sigma."""
-        return self.amplitude > CLEAR * self.sigma_amplitude
-
-
-@dataclass(frozen=True)
-class _Binned:
-    """Sums of a residual in cells of (block, bin)."""
-
-    count: Floats
-    total: Floats
-
-    @classmethod
-    def of(cls, y: Floats, which: npt.NDArray[np.int64], index: npt.NDArray[np.int64], shape: Any) -> _Binned:
-        cell = which * shape[1] + index
-        size = shape[0] * shape[1]
-        count = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
-        return cls(count, np.bincount(cell, weights=y, minlength=size).reshape(shape))
-
-    @property
-    def met(self) -> npt.NDArray[np.bool_]:
-        """Bins that enough blocks meet; (bin,)."""
-        return np.asarray((self.count > 0).sum(axis=0) >= LONELY)
-
-    @property
-    def mean(self) -> Floats:
-        """Means of the bins; (bin,), NaN where too few blocks meet."""
-        each = self.count.sum(axis=0)
-        return np.where(self.met, self.total.sum(axis=0) / np.maximum(each, 1.0), np.nan)
-
-    @property
-    def without(self) -> Floats:
-        """The means without one of the blocks; (block, bin)."""
-        count = self.count.sum(axis=0) - self.count
-        total = self.total.sum(axis=0) - self.total
-        return np.where(self.met & (count > 0), total / np.maximum(count, 1.0), np.nan)
-
-
-def jackknife(without: Floats) -> Floats:
-    """Return the standard deviation of a statistic from its values without one block; (block, ...)."""
-    blocks = without.shape[0]
-    spread = without - without.mean(axis=0)
-    return np.asarray(np.sqrt((blocks - 1) / blocks * np.sum(spread**2, axis=0)))
-
-
-def _rms(mean: Floats, without: Floats, share: Floats) -> tuple[float, float]:
-    """Return the weighted rms of bins less what their noise makes of it, and its standard deviation."""
-    noise = jackknife(without)
-    amplitude = np.sqrt(max(float(share @ (mean**2 - noise**2)), 0.0))
-    each = np.sqrt(np.maximum((without**2) @ share, 0.0))
-    return float(amplitude), max(float(jackknife(each)), 1e-9)
+        return self.amplitude > DEPENDENCES.clear * self.sigma_amplitude
 
 
 def dependence(
@@ -142,9 +312,9 @@ def dependence(
     unit: str,
     coordinate: Floats,
     residual: Floats,
-    block: npt.NDArray[np.int64],
+    block: Ints,
     rising: Floats | None = None,
-    bins: int = BINS,
+    bins: int = DEPENDENCES.bins,
 ) -> Dependence | None:
     """Measure how a residual depends on a coordinate.
 
@@ -164,63 +334,71 @@ def dependence(
     Returns
     -------
     Dependence or None
-        None when the coordinate does not vary, or there are fewer than `MIN_BLOCKS` blocks.
+        None when the coordinate does not vary, or there are too few blocks
+        (`DependenceSettings.min_blocks`).
     """
     good = np.isfinite(coordinate) & np.isfinite(residual)
     x, y = coordinate[good], residual[good]
     blocks, which = np.unique(block[good], return_inverse=True)
     edges = bin_edges(x, bins)
-    if blocks.size < MIN_BLOCKS or edges is None:
+    if blocks.size < DEPENDENCES.min_blocks or edges is None:
         return None
-    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
-    shape = (blocks.size, edges.size - 1)
+    index, count = bin_of(x, edges), edges.size - 1
     y = y - y.mean()
-    cells = _Binned.of(y, which, index, shape)
-    met = cells.met
+    cells = _means(y, which, index, count)
+    met, mean, without = _branch(cells)
     if met.sum() < 2:
         return None
-    share = np.where(met, cells.count.sum(axis=0), 0.0)
-    share /= share.sum()
-    amplitude, sigma_amplitude = _rms(np.nan_to_num(cells.mean), np.nan_to_num(cells.without), share)
-    sigma = np.where(met, jackknife(np.nan_to_num(cells.without)), np.nan)
-    centre = np.bincount(index, weights=x, minlength=shape[1]) / np.bincount(index, minlength=shape[1])
-    loop = _loop(y, which, index, shape, rising[good]) if rising is not None else None
-    return Dependence(name, unit, centre, cells.mean, sigma, amplitude, sigma_amplitude, loop)
+    amplitude, sigma_amplitude = excess_rms(np.nan_to_num(mean), without, cells.share(met))
+    loop = None
+    if rising is not None:
+        sides = [rising[good] * sign > 0 for sign in (1.0, -1.0)]
+        loop = _loop([_means(y[side], which[side], index[side], count, blocks.size) for side in sides])
+    return Dependence(
+        coordinate=name,
+        unit=unit,
+        centre=np.bincount(index, weights=x, minlength=count) / np.bincount(index, minlength=count),
+        mean=mean,
+        sigma=np.where(met, jackknife(without), np.nan),
+        amplitude=amplitude,
+        sigma_amplitude=sigma_amplitude,
+        loop=loop,
+    )
 
 
-def bin_edges(values: Floats, bins: int) -> Floats | None:
-    """Return edges of bins of about equal counts; None when the values do not vary."""
-    if values.size == 0:
-        return None
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
-    if edges.size == 2 and np.unique(values).size == 2:
-        # Two states, such as on and off: one bin each.
-        edges = np.array([edges[0], 0.5 * (edges[0] + edges[1]), edges[1]])
-    return edges if edges.size >= 3 else None
+def _means(y: Floats, block: Ints, index: Ints, bins: int, blocks: int = 0) -> BinnedFit:
+    """Return the fit of a constant in each bin; of so many blocks at least."""
+    found = BinnedFit.of(np.ones((y.size, 1, 1)), y[:, None, None], block, index, bins)
+    lacking = max(blocks - len(found.count), 0)
+    if not lacking:
+        return found
+    more = [np.concatenate([one, np.zeros((lacking, *one.shape[1:]))]) for one in vars(found).values()]
+    return BinnedFit(*more)
 
 
-def _loop(y: Floats, which: Any, index: Any, shape: tuple[int, int], rising: Floats) -> Loop | None:
+def _branch(cells: BinnedFit) -> tuple[Bools, Floats, Floats]:
+    """Return which bins are met, their means (NaN elsewhere), and the means without a block (0 elsewhere)."""
+    met = cells.met()
+    return met, np.where(met, cells.value[:, 0, 0], np.nan), np.where(met, cells.without[:, :, 0, 0], 0.0)
+
+
+def _loop(sides: Sequence[BinnedFit]) -> Loop | None:
     """Return the branches of a coordinate that rises and falls within blocks."""
-    parts = []
-    for sign in (1.0, -1.0):
-        rows = rising * sign > 0
-        parts.append(_Binned.of(y[rows], which[rows], index[rows], shape))
-    both = parts[0].met & parts[1].met
+    (met, rising, first), (met_falling, falling, second) = (_branch(side) for side in sides)
+    both = met & met_falling
     if both.sum() < 2:
         return None
     branches = [
-        Branch(part.mean, np.where(part.met, jackknife(np.nan_to_num(part.without)), np.nan))
-        for part in parts
+        Branch(mean, np.where(there, jackknife(without), np.nan))
+        for there, mean, without in ((met, rising, first), (met_falling, falling, second))
     ]
-    share = np.where(both, np.minimum(parts[0].count.sum(axis=0), parts[1].count.sum(axis=0)), 0.0)
-    share /= share.sum()
-    apart = np.nan_to_num(parts[0].mean - parts[1].mean)
-    without = np.nan_to_num(parts[0].without - parts[1].without)
-    opening, sigma = _rms(apart, without, share)
+    share = np.where(both, np.minimum(*(side.count.sum(axis=0) for side in sides)), 0.0)
+    apart = np.nan_to_num(rising - falling)
+    opening, sigma = excess_rms(apart, first - second, share / share.sum())
     return Loop(branches[0], branches[1], opening, sigma)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AxisResponse:
     """What a field along each sensor axis would have to be to make a residual follow a coordinate.
 
@@ -245,9 +423,9 @@ class AxisResponse:
     @property
     def axis(self) -> str:
         """The axis that stands out: x, y or z; empty when none does by three sigma."""
-        pulls = self.amplitude / self.sigma_amplitude
-        best = int(np.argmax(np.where(pulls > 3.0, self.amplitude, 0.0)))
-        return "xyz"[best] if pulls[best] > 3.0 else ""
+        ratio = self.amplitude / self.sigma_amplitude
+        best = int(np.argmax(np.where(ratio > DEPENDENCES.axis_clear, self.amplitude, 0.0)))
+        return "xyz"[best] if ratio[best] > DEPENDENCES.axis_clear else ""
 
 
 def axis_response(
@@ -256,8 +434,8 @@ def axis_response(
     coordinate: Floats,
     residual: Floats,
     direction: Floats,
-    block: npt.NDArray[np.int64],
-    bins: int = 8,
+    block: Ints,
+    bins: int = DEPENDENCES.field_bins,
 ) -> AxisResponse | None:
     """Fit in each bin of a coordinate the field (three components) that the residual is the projection of.
 
@@ -268,63 +446,280 @@ def axis_response(
     coordinate, residual : ndarray, shape (sample,)
         Residual |B| - F in nT: a field f at the vector sensor makes ``direction @ f`` of it.
     direction : ndarray, shape (sample, 3)
-        Unit vector of the field in the axes wanted.
+        Unit vector of the field in the sensor's axes.
     block : ndarray of int, shape (sample,)
         Blocks of the jackknife.
     bins : int
-        Bins of about equal counts; with a single one the constant field is told, which with more
-        is taken off.
+        Bins of about equal counts; a single one gives the constant field, which with more is taken off.
 
     Returns
     -------
     AxisResponse or None
-        None where `dependence` has none, or a bin does not tell three components.
+        None where `dependence` has none, or a bin does not determine three components.
     """
     good = np.isfinite(coordinate) & np.isfinite(residual) & np.isfinite(direction).all(axis=1)
     x, y, u = coordinate[good], residual[good], direction[good]
     blocks, which = np.unique(block[good], return_inverse=True)
     edges = bin_edges(x, bins) if bins > 1 else np.array([-np.inf, np.inf])
-    if blocks.size < MIN_BLOCKS or edges is None:
+    if blocks.size < DEPENDENCES.min_blocks or edges is None:
         return None
-    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
-    shape = (blocks.size, edges.size - 1)
-    cells = _Binned.of(np.ones_like(y), which, index, shape)
-    gram, right = np.empty((*shape, 3, 3)), np.empty((*shape, 3))
-    for i in range(3):
-        right[..., i] = _Binned.of(u[:, i] * (y - y.mean()), which, index, shape).total
-        for j in range(i, 3):
-            gram[..., i, j] = gram[..., j, i] = _Binned.of(u[:, i] * u[:, j], which, index, shape).total
-    whole = gram.sum(axis=0)
-    if not cells.met.all() or np.linalg.cond(whole).max() > 1e4:
+    index, count = bin_of(x, edges), edges.size - 1
+    cells = BinnedFit.of(u[:, None, :], (y - y.mean())[:, None, None], which, index, count)
+    met = cells.met()
+    if not met.all():
         return None
-    share = cells.count.sum(axis=0) / cells.count.sum()
-    centred = _centred if bins > 1 else _as_it_is
-    field_ = centred(np.linalg.solve(whole, right.sum(axis=0)[..., None])[..., 0], share)
-    ridge = 1e-9 * np.trace(whole, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    left = whole - gram + ridge
-    without = centred(np.linalg.solve(left, (right.sum(axis=0) - right)[..., None])[..., 0], share)
-    found = [_rms(field_[:, axis], without[..., axis], share) for axis in range(3)]
-    centre = np.bincount(index, weights=x, minlength=shape[1]) / np.bincount(index, minlength=shape[1])
-    amplitude, sigma = np.array(found).T
-    return AxisResponse(name, unit, centre, field_, jackknife(without), amplitude, sigma)
+    share = cells.share(met)
+    field, without = cells.value[..., 0], cells.without[..., 0]
+    if bins > 1:
+        field, without = less_mean(field, share), less_mean(without, share)
+    amplitude, sigma = np.array(
+        [excess_rms(field[:, axis], without[..., axis], share) for axis in range(3)]
+    ).T
+    return AxisResponse(
+        coordinate=name,
+        unit=unit,
+        centre=np.bincount(index, weights=x, minlength=count) / np.bincount(index, minlength=count),
+        field=field,
+        sigma=jackknife(without),
+        amplitude=amplitude,
+        sigma_amplitude=sigma,
+    )
 
 
-def _centred(field: Floats, share: Floats) -> Floats:
-    """Return a field (..., bin, axis) less its weighted mean over the bins."""
+def less_mean(field: Floats, share: Floats) -> Floats:
+    """Return a field (..., bin, axis) less its mean over the bins, weighted by `share` (bin,)."""
     return np.asarray(field - np.einsum("b,...ba->...a", share, field)[..., None, :])
 
 
-def _as_it_is(field: Floats, share: Floats) -> Floats:
-    return field
+@dataclass(frozen=True)
+class Curve:
+    """Means in bins of a coordinate; (bin,), `sigma` between blocks, NaN where there is none."""
+
+    label: str
+    centre: Floats
+    mean: Floats
+    sigma: Floats
 
 
-def strongest(found: Sequence[Dependence], count: int = 3) -> list[Dependence]:
+def curve_of(
+    label: str, x: Floats, y: Floats, block: Ints, edges: Floats, used: Bools, settings: Any = DEPENDENCES
+) -> Curve:
+    """Return the mean residual in bins between given edges.
+
+    Parameters
+    ----------
+    label : str
+        Of the curve.
+    x, y : ndarray, shape (sample,)
+        Coordinate, and residual in nT; NaN are left out.
+    block : ndarray of int, shape (sample,)
+    edges : ndarray, shape (bin + 1,)
+    used : ndarray of bool, shape (sample,)
+        Samples of the curve.
+    """
+    good = used & np.isfinite(x) & np.isfinite(y)
+    _, which = np.unique(block[good], return_inverse=True)
+    cells = _means(y[good], which, bin_of(x[good], edges), edges.size - 1, 1)
+    met = cells.met(settings.lonely, settings.fewest)
+    sigma = jackknife(cells.without[:, :, 0, 0]) if len(cells.count) > 1 else np.full(met.size, np.nan)
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    return Curve(label, centre, np.where(met, cells.value[:, 0, 0], np.nan), np.where(met, sigma, np.nan))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldResponse:
+    """The field along each sensor axis that would make the residual follow a channel.
+
+    Attributes
+    ----------
+    channel, unit : str
+    axes : tuple of str
+        ``x``, ``y``, ``z``; ``B`` alone, along the field, where its direction hardly turns.
+    branches : dict of str to list of Curve
+        ``rising``, ``falling`` (or ``all`` of a channel that hardly turns), by axis, and ``after`` when
+        something was found.
+    centre : ndarray, shape (bin,)
+        Of the envelope.
+    low, high : list of ndarray, shape (bin,)
+        Envelope, by axis, of what the channel at other times explains: what chance does.
+    """
+
+    channel: str
+    unit: str
+    axes: tuple[str, ...]
+    branches: dict[str, list[Curve]]
+    centre: Floats
+    low: list[Floats]
+    high: list[Floats]
+
+    def stands_out(self, axis: int) -> bool:
+        """Return True when some bin lies beyond chance by three sigma."""
+        ends = np.concatenate([self.low[axis], self.high[axis]])
+        known = ends[np.isfinite(ends)]
+        reach = float(np.abs(known).max()) if known.size else 0.0
+        return any(
+            bool(np.any(np.isfinite(one.mean) & (np.abs(one.mean) - 3.0 * one.sigma > reach)))
+            for name, curves in self.branches.items()
+            if name != "after"
+            for one in [curves[axis]]
+        )
+
+
+def field_axes(direction: Floats, is_scalar: bool) -> tuple[Floats, tuple[str, ...]]:
+    """Return the columns of a field (sample, row, axis), and what their axes are called.
+
+    Where the direction of a scalar comparison hardly turns, the axes cannot be separated: the field along it
+    is fitted alone.
+    """
+    if not is_scalar:
+        return direction, ("x", "y", "z")
+    if np.linalg.cond(np.einsum("tra,trb->ab", direction, direction)) < DEPENDENCES.condition:
+        return direction, ("x", "y", "z")
+    return np.ones((len(direction), 1, 1)), ("B",)
+
+
+def field_response(
+    coordinate: tuple[str, str, Floats],
+    residuals: Mapping[str, Floats],
+    columns: tuple[Floats, tuple[str, ...]],
+    block: Ints,
+    used: Bools,
+    reach: int,
+) -> FieldResponse | None:
+    """Return the response of a residual of any rows to a channel: branches, the rest, and chance.
+
+    Parameters
+    ----------
+    coordinate : tuple of (str, str, ndarray)
+        Name, unit and values (sample,).
+    residuals : mapping of str to ndarray, shape (sample, row)
+        ``before``, and ``after`` when something was found; nT.
+    columns : tuple of (ndarray, tuple of str)
+        As `field_axes` returns them.
+    block : ndarray of int, shape (sample,)
+    used : ndarray of bool, shape (sample,)
+        Samples with a residual.
+    reach : int
+        Samples on either side over which the channel rises or falls.
+
+    Returns
+    -------
+    FieldResponse or None
+        None when the channel does not vary, or there are too few blocks.
+    """
+    name, unit, x = coordinate
+    u, axes = columns
+    good = used & np.isfinite(x)
+    edges = bin_edges(x[good], DEPENDENCES.curve_bins)
+    if edges is None or np.unique(block[good]).size < DEPENDENCES.min_blocks:
+        return None
+    before, index, count = residuals["before"], bin_of(x, edges), edges.size - 1
+    sign = branch_of(x, reach) if x.size > 2 * reach else np.zeros_like(x)
+    branches: dict[str, list[Curve]] = {}
+    if min((sign > 0).mean(), (sign < 0).mean()) > DEPENDENCES.turning:
+        sides = {"rising": good & (sign > 0), "falling": good & (sign < 0)}
+    else:
+        sides = {"all": good}
+    branches |= _field_curves(x, index, count, before, u, block, sides)
+    if "after" in residuals:
+        branches |= _field_curves(x, index, count, residuals["after"], u, block, {"after": good})
+    whole = _field_curves(x, index, count, before, u, block, {"all": good})["all"]
+    rest = before - np.einsum("tra,at->tr", u, [np.nan_to_num(one.mean)[index] for one in whole])
+    chance = []
+    for moved in shifted(x):
+        inside = {"chance": used & np.isfinite(moved)}
+        one_block = np.zeros_like(block)
+        chance.append(_field_curves(moved, bin_of(moved, edges), count, rest, u, one_block, inside)["chance"])
+    return FieldResponse(
+        channel=name,
+        unit=unit,
+        axes=axes,
+        branches=branches,
+        centre=chance[0][0].centre,
+        low=[np.min([one[axis].mean for one in chance], axis=0) for axis in range(len(axes))],
+        high=[np.max([one[axis].mean for one in chance], axis=0) for axis in range(len(axes))],
+    )
+
+
+def _field_curves(
+    x: Floats, index: Ints, bins: int, residual: Floats, u: Floats, block: Ints, sides: Mapping[str, Bools]
+) -> dict[str, list[Curve]]:
+    """Return, of each side, the field along each axis in bins, all less one common mean field."""
+    inside = np.any(list(sides.values()), axis=0)
+    side = np.argmax(list(sides.values()), axis=0)[inside]
+    _, which = np.unique(block[inside], return_inverse=True)
+    place, cells = side * bins + index[inside], len(sides) * bins
+    fit = BinnedFit.of(u[inside], residual[inside][:, :, None], which, place, cells)
+    met = fit.met(1, DEPENDENCES.fewest)
+    share, total = fit.share(met), fit.count.sum(axis=0)
+    sums = np.bincount(place, weights=x[inside], minlength=cells)
+    centre = np.divide(sums, total, out=np.full(cells, np.nan), where=total > 0)
+    field = less_mean(np.where(met[:, None], fit.value[..., 0], 0.0), share)
+    sigma = np.full_like(field, np.nan)
+    if len(fit.count) > 1:
+        sigma = jackknife(less_mean(np.where(met[:, None], fit.without[..., 0], 0.0), share))
+    field, sigma = (np.where(met[:, None], one, np.nan) for one in (field, sigma))
+    parts = {name: slice(at * bins, (at + 1) * bins) for at, name in enumerate(sides)}
+    return {
+        name: [Curve(name, centre[part], field[part, axis], sigma[part, axis]) for axis in range(u.shape[2])]
+        for name, part in parts.items()
+    }
+
+
+def strongest(found: Sequence[Dependence], count: int = DEPENDENCES.count) -> list[Dependence]:
     """Return the dependences that stand out by five sigma, largest first."""
     return sorted((one for one in found if one.is_clear), key=lambda one: -one.amplitude)[:count]
 
 
-#: Structures told, and the part of the residual's own rms below which one is not worth a sentence.
-COUNT, _LEAST_PART = 3, 0.01
+def successive(
+    residual: Residual,
+    measure: Callable[[Residual], list[Structure]],
+    *,
+    size: Callable[[Structure], float],
+    is_clear: Callable[[Structure], bool],
+    remove: Callable[[Residual, Structure], Residual],
+    chance: Callable[[Residual, Structure], float],
+    least: float,
+    count: int,
+) -> Iterator[tuple[Structure, Residual, list[Structure], Residual, list[Structure]]]:
+    """Yield the structures of a residual, each measured after the stronger ones were taken off.
+
+    Parameters
+    ----------
+    residual : any
+        What `measure` measures.
+    measure : callable
+        Returns the dependences of a residual on every coordinate.
+    size, is_clear : callable
+        Amplitude of a dependence, nT, and whether it stands out between blocks.
+    remove : callable
+        Returns the residual without a structure.
+    chance : callable
+        Returns the amplitude that the structure's coordinate at other times explains of such a rest, nT.
+    least : float
+        Least amplitude, nT.
+    count : int
+        Structures at most.
+
+    Yields
+    ------
+    tuple
+        The structure, the residual and the dependences it was found in, the rest, and the rest's own
+        dependences.
+    """
+    found = measure(residual)
+    for _ in range(count):
+        clear = [one for one in found if is_clear(one) and size(one) > least]
+        for best in sorted(clear, key=lambda one: -size(one)):
+            rest = remove(residual, best)
+            if size(best) > chance(rest, best):
+                break
+        else:
+            return
+        remaining = measure(rest)
+        yield best, residual, clear, rest, remaining
+        residual, found = rest, remaining
+
 
 #: What a structure in a coordinate could come from, by the coordinate's kind.
 _MEANING = {
@@ -400,7 +795,7 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """What a physicist would say of it."""
+        """The structure as a sentence: what, how large, along which axis, and what could make it."""
         opening = "The residual" if self.rank == 0 else "Beyond that, the residual"
         meaning = _MEANING.get(self.kind, _OTHERWISE)
         return (
@@ -412,11 +807,11 @@ class Failure:
         found = self.dependence
         low, high = int(np.nanargmin(found.mean)), int(np.nanargmax(found.mean))
         unit = f" {found.unit}" if found.unit not in ("", "1") else ""
-        told = [
+        ends = [
             f"{found.mean[at]:+.3f} +- {found.sigma[at]:.3f} nT near {found.centre[at]:.4g}{unit}"
             for at in (low, high)
         ]
-        return f" ({told[0]}, {told[1]})"
+        return f" ({ends[0]}, {ends[1]})"
 
     def _along(self) -> str:
         if not self.axis or self.response is None:
@@ -435,20 +830,15 @@ class Failure:
         )
 
 
-def measure(
-    coordinates: Iterable[Coordinate], residual: Floats, block: npt.NDArray[np.int64]
-) -> list[Dependence]:
+def measure(coordinates: Iterable[Coordinate], residual: Floats, block: Ints) -> list[Dependence]:
     """Return how the residual (sample,) depends on each coordinate that varies, in their order."""
-    found = (
-        dependence(one.name, one.unit, one.values, residual, block, one.rising, _bins(one, block))
-        for one in coordinates
-    )
+    found = (_dependence_on(one, residual, block) for one in coordinates)
     return [one for one in found if one is not None]
 
 
-def _bins(one: Coordinate, block: npt.NDArray[np.int64]) -> int:
-    """Return the bins of a coordinate: in time, each takes several blocks."""
-    return int(np.clip(np.unique(block).size // 4, 2, 24)) if one.kind == "time" else 24
+def _dependence_on(one: Coordinate, residual: Floats, block: Ints, rising: bool = True) -> Dependence | None:
+    branches = one.rising if rising else None
+    return dependence(one.name, one.unit, one.values, residual, block, branches, bins_of(one.kind, block))
 
 
 def find_failures(
@@ -456,11 +846,9 @@ def find_failures(
     found: list[Dependence],
     residual: Floats,
     direction: Floats,
-    block: npt.NDArray[np.int64],
+    block: Ints,
 ) -> list[Failure]:
-    """Return the strongest structures, each measured after the stronger ones were taken off.
-
-    Coordinates move together: what one structure leaves in twenty coordinates is told once.
+    """Return the strongest structures of a residual of one row, each after the stronger ones were taken off.
 
     Parameters
     ----------
@@ -475,22 +863,41 @@ def find_failures(
     block : ndarray of int, shape (sample,)
         Blocks of the jackknife.
     """
-    failures: list[Failure] = []
-    left, told = residual, found
-    least = _LEAST_PART * float(np.nanstd(residual)) if np.isfinite(residual).any() else 0.0
-    while len(failures) < COUNT:
-        clear = [one for one in told if one.is_clear and one.amplitude > least]
-        if not clear:
-            break
-        best = max(clear, key=lambda one: one.amplitude)
+    varying = [coordinates[one.coordinate] for one in found]
+
+    def measured(rest: Floats) -> list[Dependence]:
+        return found if rest is residual else measure(varying, rest, block)
+
+    def response(of: Floats, best: Dependence) -> AxisResponse | None:
         one = coordinates[best.coordinate]
         # What follows the field itself is a constant field, or no field at all.
-        parts = 1 if one.kind.startswith("field_") else 8
-        response = axis_response(one.name, one.unit, one.values, left, direction, block, parts)
-        failures.append(Failure(best, response, one.kind, len(failures)))
-        left = left - _fitted(best, one, left, response, direction, block)
-        told = measure((coordinates[each.coordinate] for each in found), left, block)
-    return failures
+        bins = 1 if one.kind.startswith("field_") else DEPENDENCES.field_bins
+        return axis_response(one.name, one.unit, one.values, of, direction, block, bins)
+
+    def removed(of: Floats, best: Dependence) -> Floats:
+        one = coordinates[best.coordinate]
+        return of - _fitted(best, one, of, response(of, best), direction, block)
+
+    def chance(rest: Floats, best: Dependence) -> float:
+        one = coordinates[best.coordinate]
+        moved = (Coordinate(one.name, one.unit, one.kind, values) for values in shifted(one.values))
+        return max((each.amplitude for each in measure(moved, rest, block)), default=0.0)
+
+    least = DEPENDENCES.least_part * float(np.nanstd(residual)) if np.isfinite(residual).any() else 0.0
+    structures = successive(
+        residual,
+        measured,
+        size=lambda one: one.amplitude,
+        is_clear=lambda one: one.is_clear,
+        remove=removed,
+        chance=chance,
+        least=least,
+        count=DEPENDENCES.count,
+    )
+    return [
+        Failure(best, response(of, best), coordinates[best.coordinate].kind, rank)
+        for rank, (best, of, _, _, _) in enumerate(structures)
+    ]
 
 
 def _fitted(
@@ -499,14 +906,13 @@ def _fitted(
     residual: Floats,
     response: AxisResponse | None,
     direction: Floats,
-    block: npt.NDArray[np.int64],
+    block: Ints,
 ) -> Floats:
     """Return what a structure makes of the residual: its field along the axes, and its mean curve beyond."""
     fitted = np.zeros_like(residual)
     if response is not None and response.axis:
         curves = [np.interp(one.values, response.centre, response.field[:, axis]) for axis in range(3)]
         fitted = np.nan_to_num(np.einsum("at,ta->t", np.array(curves), direction))
-        beyond = dependence(one.name, one.unit, one.values, residual - fitted, block, bins=_bins(one, block))
-        best = beyond or best
+        best = _dependence_on(one, residual - fitted, block, rising=False) or best
     met = np.isfinite(best.mean)
     return np.asarray(fitted + np.nan_to_num(np.interp(one.values, best.centre[met], best.mean[met])))

@@ -1,8 +1,13 @@
-"""Known periods and spectral lines.
+"""Spectral lines of a residual, and the periods that are known.
 
-Lines in the spectrum of a residual, along each axis too: which are known, and which are not.
+Takes the spectra of `inflight.residual.spectrum` and the mission's periods; makes lines: each with its
+period, what it is, and the amplitude of a field along each axis that would make it. `find_lines` takes the
+peaks of a spectrum, `KnownPeriods` names them, `resolve_lines` fits all of them together to the record, so
+that sidebands of one field are not counted as fields of their own. `record_lines` does all three.
 
-Which lines of a spectrum stand for themselves: all of them fitted together to the record.
+A peak counts when noise reaches it in one spectrum of a thousand: the mean of m periodograms of white noise
+is Gamma distributed with shape m. A line of a record counts when the sum of squares that its six columns
+``u_k cos, u_k sin`` explain exceeds what chi squared with six degrees of freedom reaches by chance.
 """
 
 from __future__ import annotations
@@ -14,36 +19,96 @@ import numpy as np
 from scipy import signal, stats
 
 from inflight.arrays import Floats
-from inflight.residual.spectrum import LEAST_SAMPLES, SERIES, Power, background_of
-
-#: The chance of a false line in one spectrum.
-CHANCE = 0.001
-
-#: A line must also stand this far above its background: real backgrounds are not smooth.
-_LEAST_RATIO = 4.0
-
-#: Harmonics of the orbit that are drawn, and those that are recognised.
-DRAWN_HARMONICS, _KNOWN_HARMONICS = 6, 24
-
-#: Harmonics of a short known period, its sidebands at the orbit, and how far those are split, in steps.
-_SHORT_HARMONICS, _SIDES, _SPLIT = 12, range(-6, 7), 3.5
-
-#: Times a day that the Earth's turn splits lines of the orbit by.
-_TURNS = 5
-
-#: A Hann window spreads a line over this many frequencies on either side.
-_SPREAD = 2
+from inflight.residual.spectrum import SERIES, SPECTRA, Power, SpectrumSettings, background_of, record_power
 
 _DAY_S = 86_400.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class LineSettings:
+    """When a peak is a line, when its period is known, and how many are fitted.
+
+    Attributes
+    ----------
+    chance : float
+        Chance of a false line in one spectrum, and in one record: a stated level of significance.
+    least_ratio : float
+        Least power over the background: real backgrounds are not smooth. Assumed.
+    spread : int
+        Frequencies on either side that a Hann window spreads a line over. Derived: its main lobe.
+    drawn_harmonics, known_harmonics : int
+        Harmonics of the orbit that are drawn, and those that are recognised. Assumed.
+    day_harmonics, daily_harmonics : int
+        Harmonics of the day that are recognised: with an orbit, where what follows local time is
+        smooth, and where there is no orbit and the day is what all repeats with. Assumed.
+    stated_harmonics : int
+        Harmonics of a period that the mission states. Assumed.
+    sidebands : int
+        Sidebands of a short period's harmonics at the orbit. Assumed.
+    turns : int
+        Times a day that the Earth's turn splits lines of the orbit by: degree and order of the field's
+        strong harmonics.
+    apart : float
+        Frequencies are the same within this many steps of the spectrum. Assumed.
+    split : float
+        The same for sidebands of a short period, where the spectrum does not resolve the Earth's turn.
+    stated_error : float
+        What a stated period may be off by, relative: nominal periods have three or four figures.
+    resolved : int
+        Lines that are fitted together to a record at most, the highest first.
+    chunk : int
+        Rows of one step of that fit, which bounds its memory.
+    far, family : float
+        A line this many times a day or more from one of the orbit's needs company: one nearer to it, of
+        this part of its strength. Assumed.
+    multiples : int
+        Multiples of an unknown period that are recognised as parts of one wave. Assumed.
+    comparable : float
+        Part of the strongest line's amplitude from which a line at a multiple of its period is the
+        fundamental. Assumed: of a switch a harmonic can be stronger along one axis.
+    """
+
+    chance: float = 0.001
+    least_ratio: float = 4.0
+    spread: int = 2
+    drawn_harmonics: int = 6
+    known_harmonics: int = 24
+    day_harmonics: int = 6
+    daily_harmonics: int = 24
+    stated_harmonics: int = 12
+    sidebands: int = 6
+    turns: int = 5
+    apart: float = 1.5
+    split: float = 3.5
+    stated_error: float = 2e-4
+    resolved: int = 40
+    chunk: int = 20_000
+    far: int = 2
+    family: float = 0.3
+    multiples: int = 12
+    comparable: float = 0.5
+
+
+LINES = LineSettings()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Line:
     """One line: its period, what it is, and its amplitude in each series.
 
-    `amplitude` and `sigma` have shape (series,): nT in the residual, then of a field along x, y and
-    z that would make the line (NaN where it is not seen). `label` names a known period; `follows` says
-    of which stronger unknown line it is a multiple or a sideband. Both are empty for a line of its own.
+    Attributes
+    ----------
+    period_s : float
+        Seconds.
+    label : str
+        Names a known period; empty for another.
+    follows : str
+        Of which stronger unknown line it is a multiple or a sideband; empty for a line of its own.
+    ratio : float
+        Power over the background.
+    amplitude, sigma : ndarray, shape (series,)
+        nT in the residual, then of a field along x, y and z that would make the line; NaN where it is not
+        seen.
     """
 
     period_s: float
@@ -78,25 +143,21 @@ class Line:
 
     def as_json(self) -> dict[str, object]:
         """Return the fields of the command line's JSON."""
-        seen = zip(SERIES, self.amplitude, self.sigma, strict=True)
+        seen = [row for row in zip(SERIES, self.amplitude, self.sigma, strict=True) if np.isfinite(row[1])]
         return {
             "period_s": self.period_s,
             "label": self.label,
             "follows": self.follows,
             "known": self.is_known,
             "times_background": self.ratio,
-            "amplitude_nT": {name: a for name, a, _ in seen if np.isfinite(a)},
-            "sigma_nT": {
-                name: s
-                for name, a, s in zip(SERIES, self.amplitude, self.sigma, strict=True)
-                if np.isfinite(a)
-            },
+            "amplitude_nT": {name: amplitude for name, amplitude, _ in seen},
+            "sigma_nT": {name: sigma for name, _, sigma in seen},
             "axis": self.axis,
         }
 
 
-def told_period(seconds: float) -> str:
-    """Return a period as a person says it: seconds, minutes, hours or days, three figures."""
+def format_period(seconds: float) -> str:
+    """Return a period as a person writes it: seconds, minutes, hours or days, three figures."""
     for name, size in (("d", 86_400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * size:
             return f"{seconds / size:.3g} {name}"
@@ -111,20 +172,109 @@ def known_periods(periods: Mapping[str, float], orbit: float | None) -> dict[str
     periods : mapping of str to float
         The mission's own, s.
     orbit : float, optional
-        The orbit's as the positions tell it, which counts more than a stated ``orbit``.
+        The orbit's as it was measured, which counts more than a stated ``orbit``.
     """
     found = {name: seconds for name, seconds in periods.items() if name != "orbit"}
     whole = orbit or periods.get("orbit")
     if whole:
         found["orbit"] = whole
-        found |= {f"orbit/{k}": whole / k for k in range(2, _KNOWN_HARMONICS + 1)}
+        found |= {f"orbit/{k}": whole / k for k in range(2, LINES.known_harmonics + 1)}
     return found | {"day": _DAY_S, "day/2": _DAY_S / 2, "day/3": _DAY_S / 3}
 
 
 def drawn_periods(known: Mapping[str, float]) -> dict[str, float]:
     """Return the known periods that a figure marks: of the orbit's harmonics, the first six."""
-    late = {f"orbit/{k}" for k in range(DRAWN_HARMONICS + 1, _KNOWN_HARMONICS + 1)} | {"day/2", "day/3"}
-    return {name: seconds for name, seconds in known.items() if name not in late}
+    late = {f"orbit/{k}" for k in range(LINES.drawn_harmonics + 1, LINES.known_harmonics + 1)}
+    return {name: seconds for name, seconds in known.items() if name not in late | {"day/2", "day/3"}}
+
+
+def orbit_period(seconds: Floats, phase: Floats) -> float | None:
+    """Return the nodal period of an orbit phase, s; None with fewer than a hundred readings.
+
+    Parameters
+    ----------
+    seconds, phase : ndarray, shape (time,)
+        The phase in degrees, NaN where it is unknown.
+    """
+    known = np.flatnonzero(np.isfinite(phase))
+    if known.size < 100:
+        return None
+    turn = np.diff(phase[known]) % 360.0
+    step = np.diff(seconds[known])
+    usual = step < 1.5 * np.median(step)
+    rate = float(np.median(turn[usual] / step[usual]))
+    return 360.0 / rate if rate > 0 else None
+
+
+@dataclass(frozen=True)
+class KnownPeriods:
+    """Frequencies that need no explanation, and how near to one a line must be.
+
+    The harmonics of the orbit are split by the Earth's turn: ``k/orbit + n/day``; on a grid too coarse to
+    resolve these only the nearest count. The day and the mission's own periods have harmonics; periods much
+    shorter than the orbit have sidebands at it: ``k/period + n/orbit``.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (known,)
+        Hz.
+    names : list of str
+        ``orbit/3 + 1/day``, ``day/2``, ``torquer/2 - 1/orbit`` ...
+    width : ndarray, shape (known,)
+        Hz.
+    """
+
+    frequency: Floats
+    names: list[str]
+    width: Floats
+
+    @classmethod
+    def of(cls, known: Mapping[str, float], step: float, settings: LineSettings = LINES) -> KnownPeriods:
+        """Return what follows from known periods on a grid of frequencies.
+
+        Parameters
+        ----------
+        known : mapping of str to float
+            As `known_periods` returns them, s.
+        step : float
+            Distance of the grid's frequencies, Hz.
+        """
+        coarse = step >= 0.5 / _DAY_S
+        turns = sorted(range(-settings.turns, settings.turns + 1) if not coarse else range(-1, 2), key=abs)
+        orbit = 1.0 / known["orbit"] if "orbit" in known else 0.0
+        own = set(known)
+        found: dict[str, float] = {}
+        for name, seconds in known.items():
+            base = 1.0 / seconds
+            if name.startswith("orbit"):
+                found |= {_sided(name, turn, "/day"): base + turn / _DAY_S for turn in turns}
+                continue
+            count = settings.stated_harmonics
+            if name.startswith("day"):
+                count = settings.day_harmonics if orbit else settings.daily_harmonics
+            if "/" in name:
+                count = 1
+            short = orbit > 0 and base > 3.0 * orbit
+            sides = sorted(range(-settings.sidebands, settings.sidebands + 1), key=abs) if short else [0]
+            for times in range(1, count + 1):
+                multiple = name if times == 1 else f"{name}/{times}"
+                # A multiple that is named among the known ones is not made a second time.
+                if times == 1 or multiple not in own:
+                    found |= {_sided(multiple, side, "/orbit"): times * base + side * orbit for side in sides}
+        frequency = np.array(list(found.values()))
+        wide = coarse & (frequency > 30 * orbit) if orbit else np.zeros(frequency.size, dtype=bool)
+        width = np.where(wide, settings.split, settings.apart) * step
+        return cls(frequency, list(found), np.maximum(width, settings.stated_error * np.abs(frequency)))
+
+    def name_of(self, frequency: float) -> str:
+        """Return the name of the nearest one that is near enough; empty when there is none."""
+        away = np.abs(self.frequency - frequency)
+        best = int(np.argmin(away)) if away.size else 0
+        return self.names[best] if away.size and away[best] <= self.width[best] else ""
+
+
+def _sided(name: str, side: int, unit: str) -> str:
+    return name if side == 0 else f"{name} {'+' if side > 0 else '-'} {abs(side)}{unit}"
 
 
 def find_lines(
@@ -133,6 +283,7 @@ def find_lines(
     shortest: float = 0.0,
     longest: float = np.inf,
     most: int = 20,
+    settings: LineSettings = LINES,
 ) -> list[Line]:
     """Return the lines of a mean spectrum: new ones, those that follow from them, known ones.
 
@@ -153,40 +304,49 @@ def find_lines(
         Lines that stand above the median of the frequencies around them by more than chance allows.
         Sidebands and multiples of a stronger unknown line are labelled as such.
     """
-    density = power.density
-    step = float(power.frequency[0])
+    density, step = power.density, power.step
     background = np.array([background_of(row) for row in density])
     ratio = density / background
     inside = (power.frequency * longest >= 1.0) & (power.frequency * shortest <= 1.0)
     # Near zero and near Nyquist a window holds half as many independent numbers.
-    inside[: _SPREAD + 1] = inside[-_SPREAD - 1 :] = False
+    inside[: settings.spread + 1] = inside[-settings.spread - 1 :] = False
     ratio = np.where(inside, ratio, 0.0)
-    peaks = sorted(_peaks(ratio, power.stretches), key=lambda peak: -float(ratio[:, peak].max()))
+    peaks = _peaks(ratio, power.stretches, settings)
+    peaks.sort(key=lambda peak: -float(ratio[:, peak].max()))
     orbit = 1.0 / known["orbit"] if "orbit" in known else 0.0
-    explained = _Known.of(known, step)
+    explained = KnownPeriods.of(known, step, settings)
     lines: list[Line] = []
     for peak in peaks:
         frequency = _centre(power.frequency, density[int(np.argmax(ratio[:, peak])), :], peak)
-        label = explained.name_of(frequency, step)
-        follows = "" if label else _relation(frequency, step, orbit, lines)
         if any(abs(1.0 / line.period_s - frequency) <= 2 * step for line in lines):
             continue
-        amplitude, sigma = _amplitudes(power, density, background, peak)
-        lines.append(Line(1.0 / frequency, label, follows, float(ratio[:, peak].max()), amplitude, sigma))
+        label = explained.name_of(frequency)
+        follows = "" if label else _relation(frequency, step, orbit, lines)
+        amplitude, sigma = _amplitudes(power, density, background, peak, settings.spread)
+        lines.append(
+            Line(
+                period_s=1.0 / frequency,
+                label=label,
+                follows=follows,
+                ratio=float(ratio[:, peak].max()),
+                amplitude=amplitude,
+                sigma=sigma,
+            )
+        )
     new = [line for line in lines if line.is_new][:most]
     following = [line for line in lines if line.follows][:most]
     return new + following + [line for line in lines if line.is_known][:most]
 
 
-def _peaks(ratio: Floats, stretches: int) -> list[int]:
+def _peaks(ratio: Floats, stretches: int, settings: LineSettings) -> list[int]:
     """Return local maxima that noise would reach in one spectrum of a thousand."""
-    chance = CHANCE / ratio.shape[1]
+    chance = settings.chance / ratio.shape[1]
     # A median lies below the mean of such a spectrum by its own ratio.
     shape = max(stretches, 1)
-    limit = stats.gamma.isf(chance, shape) / stats.gamma.ppf(0.5, shape)
+    limit = max(stats.gamma.isf(chance, shape) / stats.gamma.ppf(0.5, shape), settings.least_ratio)
     found: set[int] = set()
     for row in ratio:
-        found |= set(signal.find_peaks(row, height=max(limit, _LEAST_RATIO), distance=_SPREAD)[0].tolist())
+        found |= set(signal.find_peaks(row, height=limit, distance=settings.spread)[0].tolist())
     return sorted(found)
 
 
@@ -195,61 +355,13 @@ def _centre(frequency: Floats, density: Floats, peak: int) -> float:
     if not 0 < peak < density.size - 1:
         return float(frequency[peak])
     low, mid, high = np.log(np.maximum(density[peak - 1 : peak + 2], 1e-300))
-    bend = low - 2 * mid + high
-    shift = 0.5 * (low - high) / bend if bend < 0 else 0.0
+    curvature = low - 2 * mid + high
+    shift = 0.5 * (low - high) / curvature if curvature < 0 else 0.0
     return float(frequency[peak] + np.clip(shift, -0.5, 0.5) * frequency[0])
 
 
-@dataclass(frozen=True)
-class _Known:
-    """Frequencies that need no explanation, Hz, with their names and how near a line must be, in steps."""
-
-    frequency: Floats
-    names: list[str]
-    width: Floats
-
-    @classmethod
-    def of(cls, known: Mapping[str, float], step: float) -> _Known:
-        """Return the frequencies of known periods and what follows from them, on a grid of `step` Hz.
-
-        Harmonics of the orbit are split by the Earth's turn; on a grid too coarse to tell these apart
-        only the nearest count. Short periods have harmonics, split by the orbit.
-        """
-        most = _TURNS if step < 0.5 / _DAY_S else 1
-        turns = sorted(range(-most, most + 1), key=abs)
-        orbit = 1.0 / known["orbit"] if "orbit" in known else 0.0
-        found: dict[str, float] = {}
-        for name, seconds in known.items():
-            base = 1.0 / seconds
-            if name.startswith("orbit"):
-                found |= {_sided(name, turn, "/day"): base + turn / _DAY_S for turn in turns}
-            elif orbit and base > 3.0 * orbit:
-                for times in range(1, _SHORT_HARMONICS + 1):
-                    multiple = name if times == 1 else f"{name}/{times}"
-                    sides = {
-                        _sided(multiple, side, "/orbit"): times * base + side * orbit
-                        for side in sorted(_SIDES, key=abs)
-                    }
-                    found |= sides
-            else:
-                found[name] = base
-        frequency = np.array(list(found.values()))
-        wide = orbit > 0 and step >= 0.5 / _DAY_S
-        return cls(frequency, list(found), np.where(wide & (frequency > 30 * orbit), _SPLIT, 1.5))
-
-    def name_of(self, frequency: float, step: float) -> str:
-        """Return the name of the nearest one that is near enough; empty when there is none."""
-        away = np.abs(self.frequency - frequency)
-        best = int(np.argmin(away)) if away.size else 0
-        return self.names[best] if away.size and away[best] <= self.width[best] * step else ""
-
-
-def _sided(name: str, side: int, unit: str) -> str:
-    return name if side == 0 else f"{name} {'+' if side > 0 else '-'} {abs(side)}{unit}"
-
-
 def _relation(frequency: float, step: float, orbit: float, lines: Sequence[Line]) -> str:
-    """Say how a line follows from a stronger unknown one: a multiple of it, or a sideband at the orbit."""
+    """Return how a line follows from a stronger unknown one: a multiple of it, or a sideband at the orbit."""
     for line in lines:
         if not line.is_new:
             continue
@@ -258,25 +370,22 @@ def _relation(frequency: float, step: float, orbit: float, lines: Sequence[Line]
             for side in range(-2, 3) if orbit else (0,):
                 # An error of the base counts as often as it is multiplied.
                 if abs(abs(times * base + side * orbit) - frequency) <= (1.0 + 0.5 * times) * step:
-                    return _told_relation(line.period_s, times, side)
+                    period = format_period(line.period_s)
+                    whole = period if times == 1 else f"({period})/{times}"
+                    if side == 0:
+                        return f"multiple: {whole}"
+                    return f"sideband: {_sided(whole, side, '/orbit')}"
     return ""
 
 
-def _told_relation(period: float, times: int, side: int) -> str:
-    base = told_period(period)
-    whole = base if times == 1 else f"({base})/{times}"
-    if side == 0:
-        return f"multiple: {whole}"
-    return f"sideband: {_sided(whole, side, '/orbit')}"
-
-
-def _amplitudes(power: Power, density: Floats, background: Floats, peak: int) -> tuple[Floats, Floats]:
+def _amplitudes(
+    power: Power, density: Floats, background: Floats, peak: int, spread: int
+) -> tuple[Floats, Floats]:
     """Return a line's amplitude in each series and its standard deviation; NaN below three sigma."""
-    step = float(power.frequency[0])
-    around = slice(max(peak - _SPREAD, 0), peak + _SPREAD + 1)
+    around = slice(max(peak - spread, 0), peak + spread + 1)
     width = around.stop - around.start
-    excess = (density[:, around] - background[:, around]).sum(axis=1) * step
-    noise = background[:, peak] * step * np.sqrt(width / max(power.stretches, 1))
+    excess = (density[:, around] - background[:, around]).sum(axis=1) * power.step
+    noise = background[:, peak] * power.step * np.sqrt(width / max(power.stretches, 1))
     amplitude = np.sqrt(2.0 * np.maximum(excess, 0.0))
     seen = excess > 3.0 * noise
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -286,26 +395,25 @@ def _amplitudes(power: Power, density: Floats, background: Floats, peak: int) ->
         return np.where(seen, amplitude * scale, np.nan), np.where(seen, sigma * scale, np.nan)
 
 
-#: Lines that are fitted together, and the rows of one step of that.
-_RESOLVED, _CHUNK = 40, 20_000
-
-#: Lines this many times a day from one of the orbit's need company: one nearer to it, of this strength.
-_FAR, _FAMILY = 2, 0.3
-
-
 def resolve_lines(
-    seconds: Floats, residual: Floats, direction: Floats, lines: Sequence[Line], power: Power
+    seconds: Floats,
+    residual: Floats,
+    direction: Floats,
+    lines: Sequence[Line],
+    power: Power,
+    settings: LineSettings = LINES,
 ) -> list[Line]:
-    """Keep those of the lines that stand for themselves: fields along the axes at their periods.
+    """Return the lines that are fields along the axes of their own, not sidebands of others.
 
     A field with a period shows in every series, with sidebands. All lines are fitted to the record
     as ``u_k cos`` and ``u_k sin`` (six columns each); the one that explains most is taken, then the
-    one that explains most of what is left, until none is left that chance could not explain.
+    one that explains most of the rest, until chance could explain every other one.
 
     Parameters
     ----------
-    seconds, residual, direction : ndarray, shape (row,), (row,), (row, 3)
-        The record the lines were found in.
+    seconds : ndarray, shape (sample,)
+    residual, direction : ndarray, shape (sample,) or (sample, row), (sample, 3) or (sample, row, 3)
+        The record the lines were found in; NaN where it is not measured.
     lines : sequence of Line
         Candidates.
     power : Power
@@ -317,48 +425,53 @@ def resolve_lines(
         In the order they were taken; amplitudes along the axes are those of the common fit, that in
         the residual is its rms times the square root of two.
     """
-    lines = sorted(lines, key=lambda line: -line.ratio)[:_RESOLVED]
-    known = np.isfinite(residual) & np.isfinite(direction).all(axis=1)
-    if not lines or known.sum() < LEAST_SAMPLES:
+    lines = sorted(lines, key=lambda line: -line.ratio)[: settings.resolved]
+    rows = residual.reshape(len(residual), -1)
+    factors = direction.reshape(*rows.shape, 3)
+    known = np.isfinite(rows).all(axis=1) & np.isfinite(factors).all(axis=(1, 2))
+    if not lines or known.sum() < SPECTRA.least_samples:
         return []
-    # A constant field is no line, but the orbit's would have to stand for it.
-    constant = np.column_stack([np.ones(int(known.sum())), direction[known]])
-    y = residual[known] - constant @ np.linalg.lstsq(constant, residual[known])[0]
+    count = rows.shape[1]
+    y, u = rows[known].reshape(-1), factors[known].reshape(-1, 3)
+    # A constant field is no line, but the orbit's would explain it.
+    constant = np.column_stack([np.tile(np.eye(count), (int(known.sum()), 1)), u])
+    y = y - constant @ np.linalg.lstsq(constant, y)[0]
     frequency = np.array([1.0 / line.period_s for line in lines])
-    gram, right = _line_equations(seconds[known] - seconds[known][0], y, direction[known], frequency)
-    background = background_of(power.density[0])
-    at = np.clip(np.round(frequency / power.frequency[0]).astype(np.int64) - 1, 0, background.size - 1)
+    time = np.repeat(seconds[known] - seconds[known][0], count)
+    gram, right = _line_equations(time, y, u, frequency, settings.chunk)
+    background = background_of(power.density[0]) / count
+    at = np.clip(np.round(frequency / power.step).astype(np.int64) - 1, 0, background.size - 1)
     # White noise of this variance a row has the background's density.
     noise = background[at] * power.frequency[-1]
-    taken = _taken(gram, right, noise)
+    taken = _taken(gram, right, noise, settings.chance)
     found = [_resolved(lines, gram, right, noise, taken, place) for place in range(len(taken))]
-    found = [_unless_alone(line, found) for line in found]
-    return [_as_multiple(line, found[:place], power) for place, line in enumerate(found)]
+    found = [_unless_alone(line, found, settings) for line in found]
+    return [_as_multiple(line, found[:place], power.step, settings) for place, line in enumerate(found)]
 
 
-def _unless_alone(line: Line, found: Sequence[Line]) -> Line:
+def _unless_alone(line: Line, found: Sequence[Line], settings: LineSettings) -> Line:
     """Take off a name that is due to the Earth's turn where lines nearer to the orbit's own are too weak.
 
     The field's harmonics make lines of the orbit split by once, twice, ... a day, and the first ones
     are the strong ones: a line at four times a day without them is something else.
     """
-    family, side = _turns(line)
-    if abs(side) < _FAR:
+    base, side = _turns(line)
+    if abs(side) < settings.far:
         return line
-    nearer = [one.strength for one in found if _turns(one)[0] == family and abs(_turns(one)[1]) < abs(side)]
-    return line if max(nearer, default=0.0) > _FAMILY * line.strength else replace(line, label="")
+    nearer = [one.strength for one in found if _turns(one)[0] == base and abs(_turns(one)[1]) < abs(side)]
+    return line if max(nearer, default=0.0) > settings.family * line.strength else replace(line, label="")
 
 
 def _turns(line: Line) -> tuple[str, int]:
-    """Return which of the orbit's lines a line is beside, and by how many times a day."""
+    """Return the orbit's line that a line is a sideband of, and by how many times a day."""
     parts = line.label.split(" ")
     if len(parts) != 3 or not parts[2].endswith("/day"):
         return line.label, 0
     return parts[0], int(parts[1] + parts[2].removesuffix("/day"))
 
 
-def _as_multiple(line: Line, stronger: Sequence[Line], power: Power) -> Line:
-    """Say of a line that it is a multiple of a stronger new one, as the parts of a square wave are."""
+def _as_multiple(line: Line, stronger: Sequence[Line], step: float, settings: LineSettings) -> Line:
+    """Label a line that is a multiple of a stronger new one, as the parts of a square wave are."""
     if line.is_known:
         return line
     for base in stronger:
@@ -366,21 +479,21 @@ def _as_multiple(line: Line, stronger: Sequence[Line], power: Power) -> Line:
         times = round(ratio)
         if (
             base.is_new
-            and 2 <= times <= 12
-            and abs(ratio - times) <= 1.5 * float(power.frequency[0]) * base.period_s
+            and 2 <= times <= settings.multiples
+            and abs(ratio - times) <= settings.apart * step * base.period_s
         ):
-            return replace(line, follows=f"multiple: ({told_period(base.period_s)})/{times}")
+            return replace(line, follows=f"multiple: ({format_period(base.period_s)})/{times}")
     return line
 
 
 def _line_equations(
-    seconds: Floats, residual: Floats, direction: Floats, frequency: Floats
+    seconds: Floats, residual: Floats, direction: Floats, frequency: Floats, chunk: int
 ) -> tuple[Floats, Floats]:
     """Return the products of all lines' columns with each other and with the residual."""
     width = 6 * frequency.size
     gram, right = np.zeros((width, width)), np.zeros(width)
-    for start in range(0, seconds.size, _CHUNK):
-        rows = slice(start, start + _CHUNK)
+    for start in range(0, seconds.size, chunk):
+        rows = slice(start, start + chunk)
         angle = 2.0 * np.pi * seconds[rows, None] * frequency
         waves = np.stack([np.cos(angle), np.sin(angle)], axis=2)
         columns = (waves[:, :, None, :] * direction[rows, None, :, None]).reshape(len(angle), width)
@@ -389,18 +502,18 @@ def _line_equations(
     return gram, right
 
 
-def _taken(gram: Floats, right: Floats, noise: Floats) -> list[int]:
+def _taken(gram: Floats, right: Floats, noise: Floats, chance: float) -> list[int]:
     """Return the lines that are taken one after the other."""
     count = noise.size
-    limit = float(stats.chi2.isf(CHANCE / count, 6))
+    limit = float(stats.chi2.isf(chance / count, 6))
     own = [gram[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(count)]
     taken: list[int] = []
     while len(taken) < count:
         columns = [6 * i + j for i in taken for j in range(6)]
-        left = right - gram[:, columns] @ _solved(gram[np.ix_(columns, columns)], right[columns])
+        rest = right - gram[:, columns] @ _solved(gram[np.ix_(columns, columns)], right[columns])
         gain = np.array(
             [
-                -1.0 if i in taken else left[6 * i : 6 * i + 6] @ _solved(own[i], left[6 * i : 6 * i + 6])
+                -1.0 if i in taken else rest[6 * i : 6 * i + 6] @ _solved(own[i], rest[6 * i : 6 * i + 6])
                 for i in range(count)
             ]
         )
@@ -434,3 +547,51 @@ def _resolved(
     amplitude = np.append(seen, along)
     deviation = np.append(np.sqrt(2.0 * noise[taken[place]] / rows), sigma)
     return replace(line, follows="", amplitude=amplitude, sigma=deviation)
+
+
+def record_lines(
+    record: tuple[Floats, Floats, Floats],
+    step: float,
+    known: Mapping[str, float],
+    shortest: float = 0.0,
+    settings: SpectrumSettings = SPECTRA,
+) -> tuple[Power | None, list[Line]]:
+    """Return the spectrum of a record of means, and the lines in it that are no sidebands of others.
+
+    Parameters
+    ----------
+    record : tuple of ndarray
+        Seconds, residual and direction, as `record_power` takes them.
+    step : float
+        Seconds between the means.
+    known : mapping of str to float
+        Periods by name, s.
+    shortest : float
+        Shortest period looked at, s.
+    """
+    power = record_power(*record, step, settings)
+    if power is None:
+        return None, []
+    return power, resolve_lines(*record, find_lines(power, known, shortest=shortest), power)
+
+
+def strongest_new(lines: Sequence[Line], step: float, settings: LineSettings = LINES) -> Line | None:
+    """Return the strongest line that nothing explains, or the fundamental it is a multiple of; None without.
+
+    Parameters
+    ----------
+    lines : sequence of Line
+        As `resolve_lines` returns them.
+    step : float
+        Resolution of their spectrum, Hz.
+    """
+    new = [line for line in lines if line.is_new]
+    if not new:
+        return None
+    best = max(new, key=lambda line: line.strength)
+    for times in range(4, 1, -1):
+        for line in new:
+            near = abs(times / line.period_s - 1.0 / best.period_s) < settings.apart * step * times
+            if line is not best and near and line.strength > settings.comparable * best.strength:
+                return line
+    return best

@@ -1,18 +1,17 @@
-"""Size, noise floor, parameter scatter.
+"""The size of a residual, its noise floor, and the scatter of the daily parameters behind it.
 
-The white level of a residual: measured from its own fast part, whatever its slow part does.
+Takes a residual at equal steps, or a table of daily parameters; makes `Size`, `NoiseFloor` and
+`ParameterScatter`.
 
-Method: the record is cut into the longest segments that its gaps leave whole; their mean spectrum
-between a tenth of the Nyquist frequency and the Nyquist frequency is described as a white level
-plus a part that falls with the square of the frequency; lines that stand above that are left out.
-The white level is carried to the whole band, and to a slower working cadence where one is stated.
+The noise floor is the white level of the residual, measured from its own fast part, whatever its slow part
+does: the record is divided into the longest segments that its gaps leave whole; their mean spectrum between a
+tenth of the Nyquist frequency and the Nyquist frequency is a white level plus a part that falls with the
+square of the frequency; lines above that are not used. The white level is carried to the whole
+band, and to a slower working cadence where one is stated. Segments with gaps are not bridged here, as those
+of `inflight.residual.spectrum` are: a bridge would lower the level.
 
-What a residual looks like: its size and its noise floor.
-
-How the daily parameters wander, held against what their own uncertainties allow.
-
-An effect that is missing from the model drives the parameters that resemble it: their scatter from
-day to day then exceeds their stated standard deviations.
+An effect that is missing from the model drives the parameters that resemble it: their scatter from day to day
+then exceeds their stated standard deviations.
 """
 
 from __future__ import annotations
@@ -31,30 +30,58 @@ from inflight.arrays import Floats
 from inflight.lsq import TO_SIGMA
 from inflight.time import SECOND
 
-#: The white level is read above this part of the Nyquist frequency.
-_BAND = 0.1
 
-#: Lengths of segments that are tried, longest first; how many a record must give, of the shortest one.
-_LENGTHS = (4096, 2048, 1024, 512, 256, 128, 64, 32, 16)
+@dataclass(frozen=True, kw_only=True)
+class NoiseSettings:
+    """How a noise floor is measured, and a scatter of parameters.
 
-_SEGMENTS, _FEWEST_SEGMENTS = 8, 3
+    Attributes
+    ----------
+    band : float
+        The white level is read above this part of the Nyquist frequency. Assumed.
+    lengths : tuple of int
+        Lengths of segments that are tried, longest first, samples.
+    segments, fewest_segments : int
+        Segments a record must give, and of the shortest length. Assumed.
+    enough : float
+        A length is long enough when its whole segments hold this part of the readings. Assumed.
+    fewest : int
+        Fewest readings of a level. Assumed.
+    mixed : int
+        Neighbouring frequencies that a Hann window mixes into one. Derived: half its main lobe.
+    outlier : float
+        Readings this many sigmas from the mean of their neighbours are not used. Assumed.
+    loud : float
+        Segments whose power is this many times the usual one are not used. Assumed.
+    groups : int
+        Groups of segments the interval is taken from.
+    wide : float
+        Half-width of the interval in standard deviations: 95 % of Student's distribution of `groups`.
+    shared : float
+        What neighbouring groups hide by sharing samples. Assumed.
+    lines : float
+        Standard deviations of a frequency's mean power beyond which it is a line. Assumed.
+    fewest_days : int
+        Fewest days of a scatter.
+    """
 
-#: A length is long enough when its whole segments hold this part of the readings.
-_ENOUGH = 0.5
+    band: float = 0.1
+    lengths: tuple[int, ...] = (4096, 2048, 1024, 512, 256, 128, 64, 32, 16)
+    segments: int = 8
+    fewest_segments: int = 3
+    enough: float = 0.5
+    fewest: int = 64
+    mixed: int = 2
+    outlier: float = 8.0
+    loud: float = 9.0
+    groups: int = 20
+    wide: float = 2.09
+    shared: float = 1.1
+    lines: float = 5.0
+    fewest_days: int = 3
 
-#: The fewest readings of a level.
-_FEWEST = 64
 
-#: A Hann window mixes this many neighbouring frequencies into one.
-_MIXED = 2
-
-#: Readings this many sigmas from the mean of their neighbours are left out, and segments whose power is
-#: this many times the usual one.
-_OUTLIER, _LOUD = 8.0, 9.0
-
-#: Groups of segments the interval is taken from, its half-width in standard deviations (95 % of Student's
-#: distribution), and what neighbouring groups hide by sharing samples.
-_GROUPS, _WIDE, _SHARED = 20, 2.09, 1.1
+NOISE = NoiseSettings()
 
 
 @dataclass(frozen=True)
@@ -69,7 +96,7 @@ class NoiseFloor:
     @property
     def sigma_nT(self) -> float:  # noqa: N802
         """Standard deviation of the level, nT."""
-        return (self.high_nT - self.low_nT) / (2 * _WIDE)
+        return (self.high_nT - self.low_nT) / (2 * NOISE.wide)
 
 
 NO_FLOOR = NoiseFloor(float("nan"), float("nan"), float("nan"))
@@ -85,7 +112,7 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
     cadence : float
         Seconds between samples.
     working : float, optional
-        Seconds of the means that the level is wanted for; the cadence itself when absent. White
+        Seconds of the means that the level is asked for; the cadence itself when absent. White
         noise falls with the square root of the samples in a mean.
 
     Returns
@@ -100,12 +127,13 @@ def noise_floor(residual: Floats, cadence: float, working: float | None = None) 
         return NO_FLOOR
     variance, sigma = _level_and_sigma(power)
     mean_of = max(1.0, working / cadence) if working else 1.0
-    edges = np.maximum([variance, variance - _WIDE * sigma, variance + _WIDE * sigma], 0.0) / mean_of
+    reach = NOISE.wide * sigma
+    edges = np.maximum([variance, variance - reach, variance + reach], 0.0) / mean_of
     level, low, high = (float(edge) for edge in np.sqrt(edges))
     return NoiseFloor(level, low, high, int(np.isfinite(values).sum()))
 
 
-def joined_floor(floors: Sequence[NoiseFloor]) -> NoiseFloor:
+def join_floors(floors: Sequence[NoiseFloor]) -> NoiseFloor:
     """Return the level of several spans together: the mean of their variances, by their readings.
 
     The interval comes from the scatter between spans when there are at least eight, else from theirs.
@@ -117,16 +145,16 @@ def joined_floor(floors: Sequence[NoiseFloor]) -> NoiseFloor:
     weight /= weight.sum()
     each = np.array([floor.level_nT for floor in known]) ** 2
     variance = float(weight @ each)
-    if len(known) >= _SEGMENTS:
+    if len(known) >= NOISE.segments:
         sigma = float(np.sqrt(np.sum(weight**2 * (each - variance) ** 2) / (1.0 - np.sum(weight**2))))
     else:
         own = np.array([2.0 * floor.level_nT * floor.sigma_nT for floor in known])
         sigma = float(np.sqrt(np.sum((weight * own) ** 2)))
-    low, high = np.sqrt(np.maximum([variance - _WIDE * sigma, variance + _WIDE * sigma], 0.0))
+    low, high = np.sqrt(np.maximum([variance - NOISE.wide * sigma, variance + NOISE.wide * sigma], 0.0))
     return NoiseFloor(float(np.sqrt(variance)), float(low), float(high), sum(f.samples for f in known))
 
 
-def level_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDArray[np.int64]) -> NoiseFloor:
+def floor_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDArray[np.int64]) -> NoiseFloor:
     """Return the white level of a residual of one or several rows a sample, all rows together.
 
     Parameters
@@ -144,22 +172,22 @@ def level_of_rows(residual: Floats, good: npt.NDArray[np.bool_], stamps: npt.NDA
         even = np.full(int(place[-1]) + 1, np.nan)
         even[place[good]] = row[good]
         found.append(noise_floor(even, step))
-    return joined_floor(found)
+    return join_floors(found)
 
 
 def _without_outliers(values: Floats) -> Floats:
     """Return the values with NaN where one differs from both its neighbours by far more than is usual."""
     if values.size < 3:
         return values
-    bend = np.full(values.size, np.nan)
-    bend[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    known = np.isfinite(bend)
+    away = np.full(values.size, np.nan)
+    away[1:-1] = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    known = np.isfinite(away)
     if not known.any():
         return values
-    usual = TO_SIGMA * float(np.median(np.abs(bend[known])))
-    # Readings so coarse that most do not change have no usual bend; their steps are no outliers.
-    usual = usual if usual > 0 else float(np.std(bend[known]))
-    return np.where(known & (np.abs(bend) > _OUTLIER * usual), np.nan, values)
+    usual = TO_SIGMA * float(np.median(np.abs(away[known])))
+    # Readings so coarse that most do not change have no usual distance; their steps are no outliers.
+    usual = usual if usual > 0 else float(np.std(away[known]))
+    return np.where(known & (np.abs(away) > NOISE.outlier * usual), np.nan, values)
 
 
 def _segment_powers(values: Floats) -> Floats | None:
@@ -169,15 +197,15 @@ def _segment_powers(values: Floats) -> Floats | None:
     """
     finite = np.isfinite(values)
     count = int(finite.sum())
-    if count < _FEWEST:
+    if count < NOISE.fewest:
         return None
-    for length in _LENGTHS:
+    for length in NOISE.lengths:
         stride = length // 2 if length > 64 else length // 4
         whole = _whole_starts(finite, length, stride)
         spans = whole.size * stride / length
-        shortest = length == _LENGTHS[-1]
-        long_enough = shortest or whole.size * stride >= _ENOUGH * count
-        if spans >= (_FEWEST_SEGMENTS if shortest else _SEGMENTS) and long_enough:
+        shortest = length == NOISE.lengths[-1]
+        long_enough = shortest or whole.size * stride >= NOISE.enough * count
+        if spans >= (NOISE.fewest_segments if shortest else NOISE.segments) and long_enough:
             parts = np.lib.stride_tricks.sliding_window_view(values, length)[whole]
             _, power = signal.periodogram(
                 signal.detrend(parts, axis=1), window="hann", detrend=False, return_onesided=False, axis=1
@@ -199,13 +227,13 @@ def _quiet(power: Floats) -> Floats:
     """Return the segments without a burst in them."""
     loud = power[:, _first(power) :].mean(axis=1)
     usual = float(np.median(loud))
-    return power[loud <= _LOUD * usual] if usual > 0 else power
+    return power[loud <= NOISE.loud * usual] if usual > 0 else power
 
 
 def _first(power: Floats) -> int:
     """Return the first frequency that neither the slow part nor the window's width touches."""
     last = int(power.shape[1]) - 1
-    return min(max(math.ceil(_BAND * last), 1) + _MIXED, last - 1)
+    return min(max(math.ceil(NOISE.band * last), 1) + NOISE.mixed, last - 1)
 
 
 def _level_and_sigma(power: Floats) -> tuple[float, float]:
@@ -213,7 +241,7 @@ def _level_and_sigma(power: Floats) -> tuple[float, float]:
 
     The deviation is the jackknife's over groups of neighbouring segments.
     """
-    groups = np.array_split(power, min(_GROUPS, max(2, power.shape[0] // 4)))
+    groups = np.array_split(power, min(NOISE.groups, max(2, power.shape[0] // 4)))
     sums = np.array([part.sum(axis=0) for part in groups])
     counts = np.array([part.shape[0] for part in groups], dtype=np.float64)
     total, number = sums.sum(axis=0), counts.sum()
@@ -222,7 +250,7 @@ def _level_and_sigma(power: Floats) -> tuple[float, float]:
         [_white((total - one) / (number - n), number - n) for one, n in zip(sums, counts, strict=True)]
     )
     factor = (len(groups) - 1) / len(groups)
-    return level, _SHARED * float(np.sqrt(factor * np.sum((without - without.mean()) ** 2)))
+    return level, NOISE.shared * float(np.sqrt(factor * np.sum((without - without.mean()) ** 2)))
 
 
 def _white(power: Floats, segments: float) -> float:
@@ -234,7 +262,7 @@ def _white(power: Floats, segments: float) -> float:
     if not model[0] > 0:
         return float(seen.mean())
     # A frequency may scatter by this much: half the overlapping segments count.
-    most = 1.0 + 5.0 / np.sqrt(max(0.5 * segments, 1.0))
+    most = 1.0 + NOISE.lines / np.sqrt(max(0.5 * segments, 1.0))
     shapes = np.stack([np.ones_like(frequency), frequency**-2.0], axis=1)
     part = np.array([model[0], 0.0])
     for _ in range(4):
@@ -244,10 +272,7 @@ def _white(power: Floats, segments: float) -> float:
     return max(float(part[0]), 0.0)
 
 
-__all__ = ["NO_FLOOR", "NoiseFloor", "Size", "joined", "joined_floor", "noise_floor", "size_of"]
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Size:
     """Size of a residual, nT, over its finite samples."""
 
@@ -264,51 +289,53 @@ class Size:
         return asdict(self)
 
 
+#: The size of nothing.
+NO_SIZE = Size(
+    count=0,
+    **dict.fromkeys(("mean", "std", "rms", "robust", "least", "largest"), float("nan")),
+)
+
+
 def size_of(residual: Floats) -> Size:
     """Return the size of a residual (time,) in nT; NaN are left out."""
     finite = residual[np.isfinite(residual)]
     if finite.size == 0:
-        nan = float("nan")
-        return Size(0, nan, nan, nan, nan, nan, nan)
+        return NO_SIZE
     middle = np.median(finite)
     return Size(
-        int(finite.size),
-        float(finite.mean()),
-        float(finite.std()),
-        float(np.sqrt(np.mean(finite**2))),
-        float(TO_SIGMA * np.median(np.abs(finite - middle))),
-        float(finite.min()),
-        float(finite.max()),
+        count=int(finite.size),
+        mean=float(finite.mean()),
+        std=float(finite.std()),
+        rms=float(np.sqrt(np.mean(finite**2))),
+        robust=float(TO_SIGMA * np.median(np.abs(finite - middle))),
+        least=float(finite.min()),
+        largest=float(finite.max()),
     )
 
 
-def joined(sizes: Sequence[Size]) -> Size:
+def join_sizes(sizes: Sequence[Size]) -> Size:
     """Return the size of several residuals together; the robust sigma is the median of theirs."""
     filled = [one for one in sizes if one.count]
     if not filled:
-        return size_of(np.empty(0))
+        return NO_SIZE
     count = np.array([one.count for one in filled], dtype=np.float64)
     mean = float(np.sum(count * [one.mean for one in filled]) / count.sum())
     square = float(np.sum(count * [one.rms**2 for one in filled]) / count.sum())
     # From the parts' own spreads: the square less the squared mean cancels where the mean is large.
     spread = float(np.sum(count * [one.std**2 + (one.mean - mean) ** 2 for one in filled]) / count.sum())
     return Size(
-        int(count.sum()),
-        mean,
-        float(np.sqrt(spread)),
-        float(np.sqrt(square)),
-        float(np.median([one.robust for one in filled])),
-        min(one.least for one in filled),
-        max(one.largest for one in filled),
+        count=int(count.sum()),
+        mean=mean,
+        std=float(np.sqrt(spread)),
+        rms=float(np.sqrt(square)),
+        robust=float(np.median([one.robust for one in filled])),
+        least=min(one.least for one in filled),
+        largest=max(one.largest for one in filled),
     )
 
 
-#: The fewest days of a scatter.
-_FEWEST_DAYS = 3
-
-
-@dataclass(frozen=True)
-class Wander:
+@dataclass(frozen=True, kw_only=True)
+class ParameterScatter:
     """Scatter of one parameter over the days that determine it by themselves.
 
     Attributes
@@ -336,8 +363,10 @@ class Wander:
         return asdict(self)
 
 
-def daily_wander(daily: xr.Dataset, start: int | None = None, end: int | None = None) -> list[Wander]:
-    """Return the wander of each parameter of a daily calibration table.
+def daily_scatter(
+    daily: xr.Dataset, start: int | None = None, end: int | None = None
+) -> list[ParameterScatter]:
+    """Return the scatter of each parameter of a daily calibration table.
 
     Parameters
     ----------
@@ -348,7 +377,7 @@ def daily_wander(daily: xr.Dataset, start: int | None = None, end: int | None = 
 
     Returns
     -------
-    list of Wander
+    list of ParameterScatter
         In the table's order; NaN where fewer than three days determine a parameter.
     """
     begin = daily["start"].values
@@ -356,7 +385,7 @@ def daily_wander(daily: xr.Dataset, start: int | None = None, end: int | None = 
     inside &= begin >= start if start is not None else True
     inside &= begin < end if end is not None else True
     rows = own_estimates(daily.isel(interval=np.flatnonzero(inside)))
-    return [_wander(rows.isel(parameter=index)) for index in range(daily.sizes["parameter"])]
+    return [_scatter_of(rows.isel(parameter=index)) for index in range(daily.sizes["parameter"])]
 
 
 def own_estimates(daily: xr.Dataset) -> xr.Dataset:
@@ -366,23 +395,30 @@ def own_estimates(daily: xr.Dataset) -> xr.Dataset:
     """
     if "own" not in daily:
         return daily
-    told = np.isfinite(daily["own_sigma"].values)
+    estimated = np.isfinite(daily["own_sigma"].values)
     dims = daily["value"].dims
     return daily.assign(
         value=(dims, daily["own"].values),
         sigma=(dims, daily["own_sigma"].values),
-        determined=(dims, told),
+        determined=(dims, estimated),
     )
 
 
-def _wander(one: xr.Dataset) -> Wander:
+def _scatter_of(one: xr.Dataset) -> ParameterScatter:
     known = one["determined"].values & np.isfinite(one["sigma"].values) & np.isfinite(one["value"].values)
-    days = int(known.sum())
-    name, unit = str(one["parameter"].values), str(one["units"].values) if "units" in one else ""
-    if days < _FEWEST_DAYS:
-        nan = float("nan")
-        return Wander(name, unit, nan, nan, nan, nan, days)
-    std = float(np.std(one["value"].values[known], ddof=1))
-    sigma = float(np.sqrt(np.mean(one["sigma"].values[known] ** 2)))
-    ratio = std / sigma if sigma > 0 else float("nan")
-    return Wander(name, unit, std, sigma, ratio, float(1.0 / np.sqrt(2 * (days - 1))), days)
+    days, nan = int(known.sum()), float("nan")
+    std = sigma = ratio = error = nan
+    if days >= NOISE.fewest_days:
+        std = float(np.std(one["value"].values[known], ddof=1))
+        sigma = float(np.sqrt(np.mean(one["sigma"].values[known] ** 2)))
+        ratio = std / sigma if sigma > 0 else nan
+        error = float(1.0 / np.sqrt(2 * (days - 1)))
+    return ParameterScatter(
+        name=str(one["parameter"].values),
+        unit=str(one["units"].values) if "units" in one else "",
+        std=std,
+        sigma=sigma,
+        ratio=ratio,
+        sigma_ratio=error,
+        days=days,
+    )

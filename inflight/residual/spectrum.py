@@ -1,8 +1,12 @@
-"""Spectra of a residual along each axis: of days, and of a whole record of means.
+"""The spectrum of a residual with gaps, and of the fields along the sensor's axes that it holds.
 
-A field along axis k that repeats with a period shows in the residual only through the direction u_k,
-which turns along the orbit: the spectrum of the residual has it at sidebands. The spectrum of
-``residual * u_k`` (demodulated) has it at its own period.
+Takes a residual at equal steps with gaps, and the direction of the field; makes power densities, summed over
+stretches of a record (Welch, 1967: modified periodograms, averaged). Everything that shows a spectrum of a
+residual takes it from here: `compare`, the signature and the page of `diagnose`, the explorer.
+
+A field along axis k that repeats with a period shows in the residual ``y = u . b`` only through the direction
+u_k, which turns along the orbit: the spectrum of the residual has it at sidebands. The spectrum of ``y u_k``
+(*demodulated*) has it at its own period.
 """
 
 from __future__ import annotations
@@ -19,13 +23,44 @@ from inflight.arrays import Floats
 #: Names of the four series: the residual, and the residual times the direction's components.
 SERIES = ("residual", "x", "y", "z")
 
-#: Least part of a stretch that must be measured, and its fewest samples.
-_LEAST_PART, LEAST_SAMPLES = 0.5, 64
-
-#: Frequencies the local background is the median of, fewer at the slow end, and samples a gap is bridged by.
-_AROUND, _NEAR, _BRIDGE = 301, 41, 31
-
 _DAY_S = 86_400.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectrumSettings:
+    """How spectra are made.
+
+    Attributes
+    ----------
+    least_part : float
+        Least part of a stretch that must be measured. Assumed.
+    least_samples : int
+        Fewest measured samples of a stretch. Assumed.
+    bridge : int
+        Samples whose mean fills a gap, centred on it. Assumed: short beside the periods looked for.
+    longest_s : float
+        Longest stretch of a record, s: the longer, the better lines of the orbit and others are resolved.
+        32 days, about a calibration interval; assumed.
+    shortest_s : float
+        Shortest record of means whose slow spectrum is made, s: three days, so that the harmonics of the
+        orbit and the day are apart. Assumed.
+    wide, near : int
+        Frequencies the local background is the median of, far from the slow end and at it. Assumed.
+    points : int
+        Frequencies of a spectrum that is drawn: more than a screen has columns.
+    """
+
+    least_part: float = 0.5
+    least_samples: int = 64
+    bridge: int = 31
+    longest_s: float = 32 * _DAY_S
+    shortest_s: float = 3 * _DAY_S
+    wide: int = 301
+    near: int = 41
+    points: int = 1200
+
+
+SPECTRA = SpectrumSettings()
 
 
 @dataclass
@@ -37,7 +72,7 @@ class Power:
     frequency : ndarray, shape (frequency,)
         Hz, without zero.
     total : ndarray, shape (series, frequency)
-        Sum of one-sided densities, nT^2/Hz.
+        Sum of one-sided densities, nT^2/Hz; series as in `SERIES`.
     stretches : int
         How many were added.
     square : ndarray, shape (series,)
@@ -56,6 +91,11 @@ class Power:
         self.square = self.square + other.square
 
     @property
+    def step(self) -> float:
+        """Distance of the frequencies, Hz: the resolution."""
+        return float(self.frequency[0])
+
+    @property
     def density(self) -> Floats:
         """Mean density; (series, frequency), nT^2/Hz."""
         return np.asarray(self.total / max(self.stretches, 1))
@@ -66,35 +106,72 @@ class Power:
         return np.asarray(self.square / max(self.stretches, 1))
 
 
-def stretch_power(residual: Floats, direction: Floats, cadence: float) -> Power | None:
+def density_with_gaps(
+    values: Floats, known: npt.NDArray[np.bool_], cadence: float, settings: SpectrumSettings = SPECTRA
+) -> Floats | None:
+    """Return the one-sided power densities of series with common gaps; (series, frequency) with zero.
+
+    The series are bridged, a straight line is taken off, and a Hann window is laid over them. Bridged gaps
+    hold no noise: the density is that of the measured part, divided by this part.
+
+    Parameters
+    ----------
+    values : ndarray, shape (series, measured)
+        Any unit; the measured samples only.
+    known : ndarray of bool, shape (time,)
+        Which samples were measured.
+    cadence : float
+        Seconds between samples.
+
+    Returns
+    -------
+    ndarray or None
+        In the square of the unit for each Hz. None when too little of the stretch is measured
+        (`SpectrumSettings.least_part`, `least_samples`).
+    """
+    if known.sum() < max(settings.least_samples, settings.least_part * known.size):
+        return None
+    series = np.array([_bridged(one, known, settings.bridge) for one in values])
+    levelled = signal.detrend(series, axis=1)
+    _, power = signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
+    return np.asarray(power / known.mean(), dtype=np.float64)
+
+
+def stretch_power(
+    residual: Floats, direction: Floats, cadence: float, settings: SpectrumSettings = SPECTRA
+) -> Power | None:
     """Return the spectra of one stretch at equal steps, such as a day.
 
     Parameters
     ----------
-    residual : ndarray, shape (time,)
+    residual : ndarray, shape (time,) or (time, row)
         nT; gaps (NaN) are bridged by what is around them.
-    direction : ndarray, shape (time, 3)
-        Unit vector of the field, axes of the vector sensor.
+    direction : ndarray, shape (time, 3) or (time, row, 3)
+        What a field (x, y, z) makes of each row: of a scalar comparison the unit vector of the field, axes of
+        the vector sensor.
     cadence : float
         Seconds between samples.
 
     Returns
     -------
     Power or None
-        Hann-windowed periodograms of the residual less its mean, and of that times each component
-        of the direction; None when less than half of the stretch is measured.
+        Of the residual less its mean (the sum over rows), and of that times each component of the direction
+        (summed over rows before the transform); None when less than half of the stretch is measured.
     """
-    known = np.isfinite(residual) & np.isfinite(direction).all(axis=1)
-    if known.sum() < max(LEAST_SAMPLES, _LEAST_PART * residual.size):
+    rows = residual.reshape(len(residual), -1)
+    factors = direction.reshape(*rows.shape, 3)
+    known = np.asarray(np.isfinite(rows).all(axis=1) & np.isfinite(factors).all(axis=(1, 2)))
+    if not known.any():
         return None
-    measured = residual[known] - residual[known].mean()
-    factors = np.concatenate([np.ones((1, measured.size)), direction[known].T])
-    series = np.array([_bridged(measured * factor, known) for factor in factors])
-    levelled = signal.detrend(series, axis=1)
-    frequency, power = signal.periodogram(levelled, fs=1.0 / cadence, window="hann", detrend=False)
-    # Bridged gaps hold no noise: the rest stands for the whole.
-    power /= known.mean()
-    return Power(frequency[1:], np.asarray(power[:, 1:]), 1, np.mean(factors**2, axis=1))
+    measured, factors = rows[known] - rows[known].mean(axis=0), factors[known]
+    demodulated = np.einsum("tr,tra->at", measured, factors)
+    density = density_with_gaps(np.concatenate([measured.T, demodulated]), known, cadence, settings)
+    if density is None:
+        return None
+    count = rows.shape[1]
+    total = np.concatenate([density[:count].sum(axis=0)[None], density[count:]])
+    square = np.append(1.0, np.mean(np.sum(factors**2, axis=1), axis=0))
+    return Power(np.fft.rfftfreq(known.size, cadence)[1:].astype(np.float64), total[:, 1:], 1, square)
 
 
 def add_power(sums: dict[tuple[int, float], Power], power: Power | None) -> None:
@@ -113,8 +190,8 @@ def finest(sums: Mapping[tuple[int, float], Power]) -> Power | None:
     return max(sums.values(), key=lambda one: (one.frequency.size, one.stretches), default=None)
 
 
-def _bridged(values: Floats, known: npt.NDArray[np.bool_]) -> Floats:
-    """Return a whole series (time,) from its known values: means of what is around stand for the rest.
+def _bridged(values: Floats, known: npt.NDArray[np.bool_], bridge: int) -> Floats:
+    """Return a whole series (time,) from its known values: gaps are filled with means of what is around.
 
     Straight lines between neighbours would repeat their noise, which is then no longer white.
     """
@@ -122,58 +199,107 @@ def _bridged(values: Floats, known: npt.NDArray[np.bool_]) -> Floats:
     whole[known] = values
     if known.all():
         return whole
-    share = ndimage.uniform_filter1d(known.astype(np.float64), _BRIDGE, mode="constant")
-    around = ndimage.uniform_filter1d(whole, _BRIDGE, mode="constant")
-    told = share > 0.5 / _BRIDGE
+    share = ndimage.uniform_filter1d(known.astype(np.float64), bridge, mode="constant")
+    around = ndimage.uniform_filter1d(whole, bridge, mode="constant")
+    near = share > 0.5 / bridge
     index = np.arange(known.size)
-    smooth = np.interp(index, index[told], around[told] / share[told])
+    smooth = np.interp(index, index[near], around[near] / share[near])
     return np.where(known, whole, smooth)
 
 
-def slow_power(
-    seconds: Floats, residual: Floats, direction: Floats, step: float, most: float = 32 * _DAY_S
+def on_grid(seconds: Floats, values: Floats, step: float) -> Floats:
+    """Return rows (row, column) at increasing times on a grid of `step` seconds; NaN in gaps."""
+    slot = np.round((seconds - seconds[0]) / step).astype(np.int64)
+    grid = np.full((int(slot[-1]) + 1, values.shape[1]), np.nan)
+    grid[slot] = values
+    return grid
+
+
+def record_power(
+    seconds: Floats,
+    residual: Floats,
+    direction: Floats,
+    step: float,
+    settings: SpectrumSettings = SPECTRA,
 ) -> Power | None:
     """Return the spectra of a long record of means, for periods of hours to weeks.
 
     Parameters
     ----------
-    seconds : ndarray, shape (row,)
+    seconds : ndarray, shape (sample,)
         Time of the means, increasing, on a grid of `step` seconds with gaps.
-    residual, direction : ndarray, shape (row,), (row, 3)
-        Means.
-    most : float
-        Longest stretch, s: the longer, the better are lines of the orbit and others told apart;
-        stretches overlap by half.
+    residual, direction : ndarray, shape (sample,) or (sample, row), (sample, 3) or (sample, row, 3)
+        Means, as in `stretch_power`.
+    step : float
+        Seconds.
 
     Returns
     -------
     Power or None
-        None when the record is shorter than three days.
+        Of stretches of at most `SpectrumSettings.longest_s` that overlap by half. None when the record is
+        shorter than `SpectrumSettings.shortest_s`.
     """
-    slot = np.round((seconds - seconds[0]) / step).astype(np.int64) if seconds.size else np.zeros(0, np.int64)
-    count = int(slot[-1]) + 1 if slot.size else 0
-    if count * step < 3 * _DAY_S:
+    if not seconds.size:
         return None
-    grid = np.full((count, 4), np.nan)
-    grid[slot] = np.column_stack([residual, direction])
-    length = min(int(most / step), count)
+    columns = [one.reshape(seconds.size, -1) for one in (residual, direction)]
+    rows, grid = columns[0].shape[1], on_grid(seconds, np.concatenate(columns, axis=1), step)
+    count = len(grid)
+    if count * step < settings.shortest_s:
+        return None
+    length = min(int(settings.longest_s / step), count)
     sums: dict[tuple[int, float], Power] = {}
     for start in range(0, count - length + 1, max(length // 2, 1)):
         part = grid[start : start + length]
-        add_power(sums, stretch_power(part[:, 0], part[:, 1:], step))
+        add_power(sums, stretch_power(part[:, :rows], part[:, rows:], step, settings))
     return finest(sums)
 
 
-def background_of(density: Floats) -> Floats:
+def mean_density(
+    grid: Floats, step: float, length: int, settings: SpectrumSettings = SPECTRA
+) -> tuple[Floats, Floats, int]:
+    """Return the mean power of all rows of a record over many short stretches that overlap by half.
+
+    Parameters
+    ----------
+    grid : ndarray, shape (time, row)
+        nT at equal steps, NaN in gaps.
+    step : float
+        Seconds.
+    length : int
+        Samples of a stretch.
+
+    Returns
+    -------
+    frequency : ndarray, shape (frequency,)
+        Hz, with zero.
+    density : ndarray, shape (frequency,)
+        nT^2/Hz, mean over rows and stretches.
+    stretches : int
+        How many were measured for at least half.
+    """
+    known = np.asarray(np.isfinite(grid).all(axis=1))
+    total, used = np.zeros(length // 2 + 1), 0
+    for start in range(0, len(grid) - length + 1, length // 2):
+        inside = known[start : start + length]
+        part = grid[start : start + length][inside]
+        one = density_with_gaps((part - part.mean(axis=0)).T, inside, step, settings) if len(part) else None
+        if one is not None:
+            total += one.mean(axis=0)
+            used += 1
+    frequency = np.asarray(np.fft.rfftfreq(length, step), dtype=np.float64)
+    return frequency, total / max(used, 1), used
+
+
+def background_of(density: Floats, settings: SpectrumSettings = SPECTRA) -> Floats:
     """Return the running median around each frequency; narrower towards the slow end."""
     filled = np.maximum(density, 1e-300)
-    wide = ndimage.median_filter(filled, _AROUND, mode="reflect")
-    near = ndimage.median_filter(filled, _NEAR, mode="reflect")
-    weight = np.clip(np.arange(density.size) / _AROUND, 0.0, 1.0)
+    wide = ndimage.median_filter(filled, settings.wide, mode="reflect")
+    near = ndimage.median_filter(filled, settings.near, mode="reflect")
+    weight = np.clip(np.arange(density.size) / settings.wide, 0.0, 1.0)
     return np.asarray(near ** (1 - weight) * wide**weight)
 
 
-def thinned(frequency: Floats, density: Floats, points: int = 1200) -> tuple[Floats, Floats]:
+def thinned(frequency: Floats, density: Floats, points: int = SPECTRA.points) -> tuple[Floats, Floats]:
     """Return about so many points of a spectrum: means in steps of equal ratio, single ones at the slow end.
 
     `density` has shape (..., frequency).

@@ -1,14 +1,16 @@
-"""Samples folded by spin phase.
+"""A day of a spinning sensor folded into synthetic turns: what goes with the spin, in few samples.
 
-Fourier sums of unevenly sampled turns, many at once: moments of the phase make all normal equations.
-
-A day of a turning sensor folded into synthetic turns: what the spin tells, in a few thousand samples.
+Takes native samples with their spin phase; makes samples at even phases, one synthetic turn an interval, with
+weights that fall with nature's noise (Plaschke et al. 2019, section 5, choose intervals of a hundred turns).
 
 The field outside turns with the spin in the sensor and changes slowly; what the sensor and the spacecraft add
-stands still in the body. In each interval of many turns the slow change of the outside field is taken out
-in payload axes, and a Fourier sum of the phase is fitted to what is left. Its values at even phases are
+is fixed in the body. In each interval of many turns the slow change of the outside field is taken out
+in payload axes, and a Fourier sum of the phase is fitted to the rest. Its values at even phases are
 the interval's *synthetic turn*: readings of a sensor that turned once in a steady field. Spin tones of any
 effect, and of any channel that goes with the spin, are kept as they are; natural changes between are not.
+
+`fourier_sums` fits the sums of all turns or intervals at once: the normal equations of ``exp(i h phase)`` are
+Fourier sums of the phase alone.
 """
 
 from __future__ import annotations
@@ -27,8 +29,62 @@ from inflight.time import SECOND, Int64, day_bounds, day_of, to_utc
 
 Complex = npt.NDArray[np.complex128]
 
-#: A group is solved when its normal equations are this far from singular: with gaps they may be.
-_WORST_CONDITION = 1e6
+#: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.
+SECTORS, ORDER = 12, 4
+
+#: Bumped by hand when the numbers of folded samples change.
+FOLDING_VERSION = 2
+
+_TWO_PI = 2.0 * np.pi
+
+#: Median of absolute deviations to a standard deviation, of a normal distribution.
+_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoldingSettings:
+    """How turns are folded.
+
+    Attributes
+    ----------
+    worst_condition : float
+        A group is solved when its normal equations are this far from singular: with gaps they may be.
+        Assumed.
+    turns : int
+        Turns an interval should hold (Plaschke et al. 2019, section 5).
+    lengths_s : tuple of int
+        Seconds intervals may last: such as divide a day, with whole seconds from phase to phase.
+    quiet_nT : float
+        Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it:
+        no magnetometer in space measures its spin's tone better than this in a few minutes. Assumed.
+    higher : float
+        Power of all harmonics up to the fifth over that of the first two. Derived: of nature's spectrum
+        (f^-5/3).
+    next_turn : float
+        Turns whose means are this much of a turn apart are neighbours. Assumed.
+    least : float
+        An interval is used with this part of its samples. Assumed.
+    turn_order : int
+        Harmonics of one turn's fit: offsets are at the first in payload axes, gains at the second.
+    wild : float
+        A sample is wild when it is this many sigma from its turn's fit, by the median of the day's
+        deviations. Assumed.
+    """
+
+    worst_condition: float = 1e6
+    turns: int = 100
+    lengths_s: tuple[int, ...] = tuple(
+        length for length in range(SECTORS, 21_601, SECTORS) if 86_400 % length == 0
+    )
+    quiet_nT: float = 1e-3  # noqa: N815 (a unit)
+    higher: float = 1.25
+    next_turn: float = 1.6
+    least: float = 0.5
+    turn_order: int = 2
+    wild: float = 8.0
+
+
+FOLDING = FoldingSettings()
 
 
 @dataclass(frozen=True)
@@ -76,8 +132,8 @@ def fourier_sums(
 ) -> FourierSums:
     """Fit Fourier sums of the phase to each group of samples, by least squares.
 
-    The normal equations of exp(i h phase) are moments of the phase alone, so that a day's turns cost a few
-    sums over its samples and one batch of small systems.
+    The normal equations of exp(i h phase) are Fourier sums of the phase alone, so that a day's turns cost a
+    few sums over its samples and one batch of small systems.
 
     Parameters
     ----------
@@ -95,16 +151,16 @@ def fourier_sums(
     starts = np.searchsorted(group[used], np.arange(groups + 1))
     wave, angle = np.exp(1j * phase[used]), np.ones(used.size, dtype=np.complex128)
     data = values[used]
-    moments = np.empty((groups, 2 * order + 1), dtype=np.complex128)
+    sums = np.empty((groups, 2 * order + 1), dtype=np.complex128)
     right = np.empty((groups, 2 * order + 1, values.shape[1]), dtype=np.complex128)
     for harmonic in range(2 * order + 1):
-        moments[:, harmonic] = _sums(angle[:, None], starts)[:, 0]
+        sums[:, harmonic] = _sums(angle[:, None], starts)[:, 0]
         if harmonic <= order:
             right[:, order + harmonic] = _sums(data * np.conj(angle)[:, None], starts)
             right[:, order - harmonic] = _sums(data * angle[:, None], starts)
         angle = angle * wave
-    count = moments[:, 0].real.copy()
-    return FourierSums(_solved(moments, right, order), count)
+    count = sums[:, 0].real.copy()
+    return FourierSums(_solved(sums, right, order), count)
 
 
 def _sums(values: Complex, starts: npt.NDArray[np.int64]) -> Complex:
@@ -116,54 +172,20 @@ def _sums(values: Complex, starts: npt.NDArray[np.int64]) -> Complex:
     return out
 
 
-def _solved(moments: Complex, right: Complex, order: int) -> Complex:
+def _solved(sums: Complex, right: Complex, order: int) -> Complex:
     """Solve the groups' normal equations; NaN where they are nearly singular."""
     size = 2 * order + 1
     difference = np.arange(size)[None, :] - np.arange(size)[:, None]
-    gram = moments[:, np.abs(difference)]
+    gram = sums[:, np.abs(difference)]
     gram = np.where(difference[None] < 0, np.conj(gram), gram)
     out = np.full(right.shape, np.nan + 0j)
-    enough = moments[:, 0].real >= size
+    enough = sums[:, 0].real >= size
     if enough.any():
         spread = np.linalg.eigvalsh(gram[enough])
-        sound = np.flatnonzero(enough)[spread[:, 0] * _WORST_CONDITION > spread[:, -1]]
+        sound = np.flatnonzero(enough)[spread[:, 0] * FOLDING.worst_condition > spread[:, -1]]
         if sound.size:
             out[sound] = np.linalg.solve(gram[sound], right[sound])
     return out
-
-
-#: Phases of a synthetic turn, and the highest harmonic it holds, of fields in the body and of channels alike.
-SECTORS, ORDER = 12, 4
-
-#: Bumped by hand when the numbers of folded samples change.
-FOLDING_VERSION = 2
-
-#: Turns an interval should hold (Plaschke et al. 2019, section 5), and seconds intervals may last: such as
-#: divide a day, with whole seconds from phase to phase.
-TURNS = 100
-
-_LENGTHS_S = tuple(length for length in range(SECTORS, 21_601, SECTORS) if 86_400 % length == 0)
-
-#: Weights are 1 where natural noise at the spin is below this, nT, and fall with its square above it: no
-#: magnetometer in space tells its spin's tone better than this in a few minutes.
-_QUIET_NT = 1e-3
-
-#: Power of all harmonics up to the fifth over that of the first two, by nature's spectrum (f^-5/3).
-_HIGHER = 1.25
-
-#: Turns whose means are this much of a turn apart are neighbours.
-_NEXT = 1.6
-
-#: An interval is used with this part of its samples.
-_LEAST = 0.5
-
-#: FourierSums of one turn's fit: offsets stand at the first in payload axes, gains at the second.
-_TURN_ORDER = 2
-
-#: A sample is wild when it is this many sigma from its turn's fit, by the median of the day's deviations.
-_WILD, _TO_SIGMA = 8.0, 1.4826
-
-_TWO_PI = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -182,10 +204,10 @@ class Folding:
     sectors: int = SECTORS
 
     @classmethod
-    def of_period(cls, spin_ns: int, turns: int = TURNS) -> Folding:
+    def of_period(cls, spin_ns: int, turns: int = FOLDING.turns) -> Folding:
         """Return the folding whose intervals hold about so many turns and divide a day."""
-        wanted = turns * spin_ns / SECOND
-        return cls(min(_LENGTHS_S, key=lambda one: abs(np.log(one / wanted))) * SECOND)
+        length = turns * spin_ns / SECOND
+        return cls(min(FOLDING.lengths_s, key=lambda one: abs(np.log(one / length))) * SECOND)
 
     def keep(self, values: Floats, stamps: Int64, good: npt.NDArray[np.bool_]) -> Floats:
         """Return rows of folded samples less their interval's mean, which the outside field decides.
@@ -372,7 +394,7 @@ class _Day:
         rows = np.column_stack([steady[:, 1].real, np.where(np.isfinite(modulus), modulus, 0.0)])
         rows[~good] = 0.0
         fits = self._of_turns(rows.astype(np.complex128), good)
-        tones = fits.coefficients[:, _TURN_ORDER + 1 :].reshape(self.turns, -1)
+        tones = fits.coefficients[:, FOLDING.turn_order + 1 :].reshape(self.turns, -1)
         # Half the square of what changes from turn to turn: tones that grow with the field change slowly.
         change = 0.5 * np.sum(np.abs(np.diff(tones, axis=0)) ** 2, axis=1)
         first, place = np.zeros(self.turns, dtype=np.int64), np.zeros(self.turns, dtype=np.int64)
@@ -383,10 +405,10 @@ class _Day:
         with np.errstate(invalid="ignore", divide="ignore"):
             total = np.bincount(place[1:][known], change[known], self.intervals) / count
             # Twice the real part of each tone, on average over two rows.
-            return np.asarray(np.sqrt(_HIGHER * total / count))
+            return np.asarray(np.sqrt(FOLDING.higher * total / count))
 
     def _wild(self, payload: Complex, good: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Return which samples stand far off their own turn's fit."""
+        """Return which samples are far from their own turn's fit."""
         fit = self._of_turns(payload, good)
         off = np.abs(payload - fit.along(self.phase, self.turn)).max(axis=1)
         usual = np.median(off[good & np.isfinite(off)]) if good.any() else 0.0
@@ -395,11 +417,11 @@ class _Day:
         finite = good & np.isfinite(off)
         np.fmax.at(around, self.turn[finite], off[finite])
         worst = off >= np.where(np.isfinite(around), around, np.inf)[self.turn] * (1.0 - 1e-12)
-        return np.asarray(finite & worst & (off > _WILD * _TO_SIGMA * max(usual, 1e-6)))
+        return np.asarray(finite & worst & (off > FOLDING.wild * _TO_SIGMA * max(usual, 1e-6)))
 
     def _of_turns(self, values: Complex, good: npt.NDArray[np.bool_]) -> FourierSums:
         phase = np.where(self.known, self.phase, 0.0)
-        return fourier_sums(values, phase, self.turn, self.turns, _TURN_ORDER, good)
+        return fourier_sums(values, phase, self.turn, self.turns, FOLDING.turn_order, good)
 
     def _slow(self, values: Complex, good: npt.NDArray[np.bool_]) -> Complex:
         """Return the change that is slower than the spin: a smooth line through the turns' means."""
@@ -416,8 +438,8 @@ class _Day:
         after = np.searchsorted(knots, phase)
         inside = (after > 0) & (after < knots.size)
         after = np.clip(after, 1, knots.size - 1)
-        # Beyond the ends, and beside a turn that is not there, the line is a guess.
-        sure = inside & (knots[after] - knots[after - 1] < _NEXT * _TWO_PI)
+        # Beyond the ends, and next to a missing turn, the line is a guess.
+        sure = inside & (knots[after] - knots[after - 1] < FOLDING.next_turn * _TWO_PI)
         out = np.asarray(line(np.where(sure, phase, knots[0])))
         out[~sure] = np.nan
         return out
@@ -439,7 +461,7 @@ class _Day:
         """Return sums at the phases of a synthetic turn, one after another; (time, column)."""
         usual = self.folding.interval_ns / max(1.0, float(np.median(np.diff(self.stamps))))
         values = found.at(self.folding.phases)
-        values[found.count < _LEAST * usual] = np.nan
+        values[found.count < FOLDING.least * usual] = np.nan
         return np.asarray(values.reshape(-1, values.shape[2]))
 
     def channel(self, series: xr.DataArray, good: npt.NDArray[np.bool_]) -> xr.Variable:
@@ -467,7 +489,7 @@ class _Day:
         lost = ~np.isfinite(made["vector"].values).all(axis=1)
         noise = np.repeat(self.noise, self.folding.sectors)
         with np.errstate(invalid="ignore", divide="ignore"):
-            weight = np.minimum(1.0, (_QUIET_NT / noise) ** 2)
+            weight = np.minimum(1.0, (FOLDING.quiet_nT / noise) ** 2)
         flag = np.where(lost, np.uint32(Flag.VECTOR_MISSING), np.uint32(0)).astype(np.uint32)
         phases = np.tile(self.folding.phases, self.intervals)
         made |= {

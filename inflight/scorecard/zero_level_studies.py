@@ -108,7 +108,7 @@ class OffsetSets:
         value, sigma = self.value[used], self.sigma[used]
         fits = [robust_fit(np.ones((len(value), 1)), value[:, i], sigma[:, i] ** 2, 1.0) for i in range(3)]
         mean = np.array([fit.value[0] for fit in fits])
-        weight = np.stack([fit.say for fit in fits], axis=1) / (sigma**2 + [fit.scatter**2 for fit in fits])
+        weight = np.stack([fit.robust_weight for fit in fits], axis=1) / (sigma**2 + [fit.scatter**2 for fit in fits])
         influence = np.zeros_like(self.value)
         influence[used] = weight * (value - mean) / weight.sum(axis=0)
         spread = np.sqrt([fit.covariance[0, 0] for fit in fits])

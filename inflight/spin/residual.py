@@ -1,26 +1,34 @@
-"""Tones left and what they follow.
+"""Spin tones of a residual, and what they follow.
 
-What of a residual still goes with the spin, and what it follows: tones of synthetic turns.
+Takes the rows of a spin comparison (`inflight.model.rows`) and coordinates; makes tones, their dependences,
+and sentences about the strongest, one after the other. The dependences, their errors between blocks and the
+test against chance are those of `inflight.residual.dependence`.
 
-The rows of a spin comparison (`inflight.model.rows`) of one interval are one turn. Its harmonics are the
-tones: of the field along the spin axis, and of the modulus of the field across it (Plaschke et al. 2019,
-eqs. 21 to 26). A tone is a complex amplitude ``A``, its part of the row ``Re(A exp(-i h phase))``, the rms of
-that ``|A|/sqrt 2``.
-Uncertainties are jackknives over blocks of time.
-
-Where the tones of a turning sensor's residual come from, in words: the strongest, one after the other.
+The rows of one interval are one turn. Its harmonics are the tones: of the field along the spin axis, and of
+the modulus of the field across it (Plaschke et al. 2019, eqs. 21 to 26). A tone is a complex amplitude ``A``,
+its part of the row ``Re(A exp(-i h phase))``, the rms of that ``|A|/sqrt 2``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import repeat
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.residual import CLEAR, LONELY, MIN_BLOCKS, bin_edges, jackknife
+from inflight.lsq import jackknife
+from inflight.residual import (
+    DEPENDENCES,
+    BinnedFit,
+    bin_edges,
+    bin_of,
+    bins_of,
+    shifted,
+    successive,
+)
 from inflight.samples import ORDER, Complex
 
 Ints = npt.NDArray[np.int64]
@@ -31,8 +39,30 @@ ROWS = ("along the spin axis", "of the modulus across it")
 #: Tones in the order of `Tones.value`: (row, harmonic).
 TONES = tuple((row, harmonic) for row in range(len(ROWS)) for harmonic in range(1, ORDER + 1))
 
-#: Bins of a coordinate: intervals are few.
-_BINS = 12
+
+@dataclass(frozen=True, kw_only=True)
+class ToneSettings:
+    """How dependences of tones are measured and reported; see also `inflight.residual.DependenceSettings`.
+
+    Attributes
+    ----------
+    bins : int
+        Bins of a coordinate: intervals are few. Assumed.
+    count : int
+        Structures that are reported at most.
+    least_part : float
+        Part of the tones' own rms below which a structure is not worth a sentence. Assumed.
+    rival : float
+        Explaining this part of what the best coordinate does, a rival may as well be the cause. Assumed.
+    """
+
+    bins: int = 12
+    count: int = 4
+    least_part: float = 0.05
+    rival: float = 0.8
+
+
+TONE_SETTINGS = ToneSettings()
 
 
 @dataclass(frozen=True)
@@ -74,11 +104,11 @@ class Tones:
 def tones_of(rows: Floats, sectors: int) -> Complex:
     """Return the tones of rows (time, 2) of synthetic turns of so many samples; (interval, 8), nT."""
     whole = rows[: len(rows) // sectors * sectors].reshape(-1, sectors, rows.shape[1])
-    # The first sample stands half a sector after phase zero.
+    # The first sample is half a sector after phase zero.
     phase = (np.arange(sectors) + 0.5) * 2.0 * np.pi / sectors
-    wheel = np.exp(1j * phase[:, None] * np.arange(1, ORDER + 1))
+    waves = np.exp(1j * phase[:, None] * np.arange(1, ORDER + 1))
     # As a cosine and a sine: Re(A exp(-i h phase)).
-    found = np.einsum("isr,sh->irh", whole, wheel) * 2.0 / sectors
+    found = np.einsum("isr,sh->irh", whole, waves) * 2.0 / sectors
     return np.asarray(found.reshape(len(whole), -1))
 
 
@@ -90,7 +120,7 @@ class ToneCoordinate:
     ----------
     values : ndarray, shape (interval,)
         In `unit`.
-    wheel : ndarray of complex, shape (interval,), optional
+    channel_tone : ndarray of complex, shape (interval,), optional
         A channel's own tone: residual tones in step with it are looked for, in proportion to it.
     """
 
@@ -98,10 +128,10 @@ class ToneCoordinate:
     unit: str
     kind: str
     values: Floats
-    wheel: Complex | None = None
+    channel_tone: Complex | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ToneDependence:
     """Tones in bins of a coordinate, with uncertainties between blocks.
 
@@ -126,7 +156,7 @@ class ToneDependence:
     @property
     def clear(self) -> npt.NDArray[np.bool_]:
         """Tones that stand out by five sigma; (8,)."""
-        return np.asarray(self.amplitude > CLEAR * self.sigma_amplitude)
+        return np.asarray(self.amplitude > DEPENDENCES.clear * self.sigma_amplitude)
 
     @property
     def strongest(self) -> int:
@@ -134,38 +164,10 @@ class ToneDependence:
         return int(np.argmax(np.where(self.clear, self.amplitude + self.amplitude.max(), self.amplitude)))
 
 
-@dataclass(frozen=True)
-class _Binned:
-    """Intervals of a coordinate by bin, with the factor that the tone is a multiple of."""
-
-    used: npt.NDArray[np.bool_]
-    index: Ints
-    factor: Complex
-    bins: int
-
-    @classmethod
-    def of(cls, one: ToneCoordinate, usable: npt.NDArray[np.bool_], block: Ints) -> _Binned | None:
-        """Return the bins of a coordinate; None when it does not vary."""
-        known = usable & np.isfinite(one.values)
-        if one.wheel is not None:
-            known &= np.isfinite(one.wheel)
-            if not known.any() or np.abs(one.wheel[known]).max() == 0.0:
-                return None
-            return cls(known, np.zeros(known.sum(), dtype=np.int64), one.wheel[known], 1)
-        if one.kind == "spin_phase":
-            count = int(known.sum())
-            return cls(known, np.zeros(count, dtype=np.int64), np.ones(count, dtype=np.complex128), 1)
-        # In time, each bin takes several blocks.
-        bins = int(np.clip(np.unique(block[known]).size // 4, 2, _BINS)) if one.kind == "time" else _BINS
-        edges = bin_edges(one.values[known], bins)
-        if edges is None:
-            return None
-        index = np.clip(np.searchsorted(edges, one.values[known], side="right") - 1, 0, edges.size - 2)
-        return cls(known, index.astype(np.int64), np.ones(index.size, dtype=np.complex128), edges.size - 1)
-
-
 def tone_dependence(tones: Tones, one: ToneCoordinate, block: Ints) -> ToneDependence | None:
-    """Measure how tones depend on a coordinate.
+    """Measure how tones depend on a coordinate: the fit of `inflight.residual.BinnedFit`.
+
+    In each bin a mean tone; of a channel's own tone one factor for all; of the spin's phase the mean of all.
 
     Parameters
     ----------
@@ -179,55 +181,55 @@ def tone_dependence(tones: Tones, one: ToneCoordinate, block: Ints) -> ToneDepen
     ToneDependence or None
         None when the coordinate does not vary, or too few blocks meet.
     """
-    usable = np.isfinite(tones.value).all(axis=1) & (tones.weight > 0.0)
-    cut = _Binned.of(one, usable, block)
-    if cut is None:
+    used = np.isfinite(tones.value).all(axis=1) & (tones.weight > 0.0) & np.isfinite(one.values)
+    if one.channel_tone is not None:
+        used &= np.isfinite(one.channel_tone)
+    blocks, which = np.unique(block[used], return_inverse=True)
+    index = _bins(one, used, block)
+    if index is None or blocks.size < DEPENDENCES.min_blocks:
         return None
-    blocks, which = np.unique(block[cut.used], return_inverse=True)
-    if blocks.size < MIN_BLOCKS:
-        return None
-    weight, value = tones.weight[cut.used], tones.value[cut.used]
-    if cut.bins > 1:
+    weight, value, bins = tones.weight[used], tones.value[used], int(index.max()) + 1
+    if bins > 1:
         value = value - weight @ value / weight.sum()
-    cell = which * cut.bins + cut.index
-    shape = (blocks.size, cut.bins)
-    size = np.bincount(cell, weight * np.abs(cut.factor) ** 2, shape[0] * shape[1]).reshape(shape)
-    turned = weight[:, None] * np.conj(cut.factor)[:, None] * value
-    total = np.stack([_summed(column, cell, shape) for column in turned.T], axis=2)
-    met = (size > 0.0).sum(axis=0) >= LONELY
-    if not met.any() or (cut.bins > 1 and met.sum() < 2):
+    factor = np.ones(index.size, dtype=np.complex128) if one.channel_tone is None else one.channel_tone[used]
+    fit = BinnedFit.of(factor[:, None, None], value[:, None, :], which, index, bins, weight)
+    met = fit.met()
+    if met.sum() < min(2, bins):
         return None
-    mean, without = (
-        _ratio(total.sum(axis=0), size.sum(axis=0)),
-        _ratio(total.sum(axis=0) - total, size.sum(axis=0) - size),
-    )
-    share = np.where(met, size.sum(axis=0), 0.0) / weight.sum()
+    mean, without = fit.value[:, 0], fit.without[:, :, 0]
+    share = np.where(met, fit.size.sum(axis=0), 0.0) / weight.sum()
     sigma = np.hypot(jackknife(without.real), jackknife(without.imag))
     amplitude = np.sqrt(np.maximum(share @ (np.abs(mean) ** 2 - sigma**2), 0.0) / 2.0)
     each = np.sqrt(np.einsum("p,bpt->bt", share, np.abs(without) ** 2) / 2.0)
-    spread = np.maximum(jackknife(each), 1e-9)
-    with np.errstate(invalid="ignore"):
-        centre = np.bincount(cut.index, one.values[cut.used], cut.bins) / np.bincount(
-            cut.index, minlength=cut.bins
-        )
     hidden = np.where(met, 1.0, np.nan)[:, None]
-    return ToneDependence(one, centre, mean * hidden, sigma * hidden, amplitude, spread)
+    with np.errstate(invalid="ignore"):
+        centre = np.bincount(index, one.values[used], bins) / np.bincount(index, minlength=bins)
+    return ToneDependence(
+        coordinate=one,
+        centre=centre,
+        mean=mean * hidden,
+        sigma=sigma * hidden,
+        amplitude=amplitude,
+        sigma_amplitude=np.maximum(jackknife(each), 1e-9),
+    )
 
 
-def _summed(values: Complex, cell: Ints, shape: tuple[int, int]) -> Complex:
-    parts = [np.bincount(cell, part, shape[0] * shape[1]) for part in (values.real, values.imag)]
-    return np.asarray(parts[0] + 1j * parts[1]).reshape(shape)
+def _bins(one: ToneCoordinate, used: npt.NDArray[np.bool_], block: Ints) -> Ints | None:
+    """Return the bin of each used interval; None when the coordinate does not vary."""
+    if one.channel_tone is not None:
+        turns = used.any() and np.abs(one.channel_tone[used]).max() > 0.0
+        return np.zeros(int(used.sum()), dtype=np.int64) if turns else None
+    if one.kind == "spin_phase":
+        return np.zeros(int(used.sum()), dtype=np.int64) if used.any() else None
+    edges = bin_edges(one.values[used], bins_of(one.kind, block[used], TONE_SETTINGS.bins))
+    return None if edges is None else bin_of(one.values[used], edges)
 
 
-def _ratio(total: Complex, size: Floats) -> Complex:
-    return np.asarray(np.where(size > 0.0, 1.0, 0.0)[..., None] * total / np.maximum(size, 1e-300)[..., None])
-
-
-def taken_off(tones: Tones, found: ToneDependence) -> Tones:
+def without_structure(tones: Tones, found: ToneDependence) -> Tones:
     """Return tones less what follows a coordinate clearly."""
     one, mean = found.coordinate, np.where(found.clear, np.nan_to_num(found.mean), 0.0)
-    if one.wheel is not None:
-        fitted = np.nan_to_num(one.wheel)[:, None] * mean[0]
+    if one.channel_tone is not None:
+        fitted = np.nan_to_num(one.channel_tone)[:, None] * mean[0]
     elif one.kind == "spin_phase":
         fitted = np.broadcast_to(mean[0], tones.value.shape)
     else:
@@ -237,13 +239,6 @@ def taken_off(tones: Tones, found: ToneDependence) -> Tones:
         columns = [np.interp(at, found.centre[met], mean[met, tone]) for tone in range(mean.shape[1])]
         fitted = np.nan_to_num(np.stack(columns, axis=1))
     return Tones(tones.value - fitted, tones.weight, tones.noise)
-
-
-#: Structures told, and the part of the tones' own rms below which one is not worth a sentence.
-_COUNT, _LEAST_PART = 4, 0.05
-
-#: Explaining so much of what the best one does, a rival may as well be behind it.
-_RIVAL = 0.8
 
 
 @dataclass(frozen=True)
@@ -281,13 +276,15 @@ class ToneFailure:
 
     @property
     def sentence(self) -> str:
-        """What a physicist would say of it."""
+        """The structure as a sentence: which tone, what it follows, how large, and what could make it."""
         opening = "The residual" if self.rank == 0 else "Beyond that, the residual"
         row, harmonic = TONES[self.tone]
-        told = f"{opening} {ROWS[row]}, {_times(harmonic)}, {self._follows()}{self._ends()}; it could be "
+        structure = (
+            f"{opening} {ROWS[row]}, {_times(harmonic)}, {self._follows()}{self._ends()}; it could be "
+        )
         rivals = ", ".join(self.rivals)
         also = f". These data cannot tell it from: {rivals}" if rivals else ""
-        return f"{told}{meaning(self.dependence.coordinate, row, harmonic)}{also}."
+        return f"{structure}{meaning(self.dependence.coordinate, row, harmonic)}{also}."
 
     def _follows(self) -> str:
         size = f"{self.amplitude:.4f} +- {self.sigma:.4f} nT rms"
@@ -296,7 +293,7 @@ class ToneFailure:
             return f"has a steady tone of {size}"
         return (
             f"goes in step with {one.name}, {size}"
-            if one.wheel is not None
+            if one.channel_tone is not None
             else f"follows {one.name} with {size}"
         )
 
@@ -329,7 +326,7 @@ _OF = {
     (1, 3): "a non-linearity of a spin-plane sensor",
 }
 
-#: What a tone of the modulus or along the axis that grows with the field says.
+#: What makes a tone of the modulus or along the axis that grows with the field.
 _OF_FIELD = {
     ("field_along", 1, 1): "the elevation of a spin-plane sensor",
     ("field_across", 0, 1): "the direction of the spin axis",
@@ -355,7 +352,7 @@ def meaning(one: ToneCoordinate, row: int, harmonic: int) -> str:
     """Return what could make a tone follow a coordinate."""
     if (one.kind, row, harmonic) in _OF_FIELD:
         return _OF_FIELD[one.kind, row, harmonic]
-    if one.wheel is not None or one.kind in _CURRENTS:
+    if one.channel_tone is not None or one.kind in _CURRENTS:
         return f"a stray field of what {one.name.rsplit(' at ', 1)[0]} drives"
     of = _OF.get((row, harmonic), "a field of the spacecraft that goes with the spin")
     if one.kind == "spin_phase":
@@ -377,37 +374,52 @@ def find_tone_failures(
     block : ndarray of int, shape (interval,)
         Blocks of the jackknife.
     """
-    whole = told = _measured(tones, coordinates.values(), block)
-    least = _LEAST_PART * float(np.sqrt(np.sum(tones.size**2)))
-    failures: list[ToneFailure] = []
-    left = tones
-    while len(failures) < _COUNT:
-        clear = [one for one in told if one.clear.any() and one.amplitude[one.strongest] > least]
-        if not clear:
-            break
-        best = max(clear, key=lambda one: one.amplitude[one.strongest])
-        left = taken_off(left, best)
-        after = _measured(left, coordinates.values(), block)
-        failures.append(ToneFailure(best, best.strongest, _rivals(best, clear, after), len(failures)))
-        told = after
-    return failures, whole
+
+    def measured(of: Tones) -> list[ToneDependence]:
+        found = (tone_dependence(of, one, block) for one in coordinates.values())
+        return [one for one in found if one is not None]
+
+    def chance(rest: Tones, best: ToneDependence) -> float:
+        found = [tone_dependence(rest, one, block) for one in _at_other_times(best.coordinate)]
+        return max((float(one.amplitude[best.strongest]) for one in found if one is not None), default=0.0)
+
+    structures = successive(
+        tones,
+        measured,
+        size=lambda one: float(one.amplitude[one.strongest]),
+        is_clear=lambda one: bool(one.clear.any()),
+        remove=without_structure,
+        chance=chance,
+        least=TONE_SETTINGS.least_part * float(np.sqrt(np.sum(tones.size**2))),
+        count=TONE_SETTINGS.count,
+    )
+    failures = [
+        ToneFailure(best, best.strongest, _rivals(best, clear, after), rank)
+        for rank, (best, _, clear, _, after) in enumerate(structures)
+    ]
+    return failures, measured(tones)
 
 
-def _measured(tones: Tones, coordinates: Iterable[ToneCoordinate], block: Ints) -> list[ToneDependence]:
-    found = (tone_dependence(tones, one, block) for one in coordinates)
-    return [one for one in found if one is not None]
+def _at_other_times(one: ToneCoordinate) -> Iterator[ToneCoordinate]:
+    """Yield a coordinate as it was in other parts of the record; none of the spin's own phase."""
+    if one.kind == "spin_phase":
+        return
+    channel_tones = shifted(one.channel_tone) if one.channel_tone is not None else repeat(None)
+    for values, tone in zip(shifted(one.values), channel_tones, strict=False):
+        yield replace(one, values=values, channel_tone=tone)
 
 
 def _rivals(
     best: ToneDependence, clear: Sequence[ToneDependence], after: Sequence[ToneDependence]
 ) -> tuple[str, ...]:
+    """Return the coordinates that explain as much of the tone, and nothing beyond the best one."""
     tone = best.strongest
-    left = {one.coordinate.name: bool(one.clear[tone]) for one in after}
+    remains = {one.coordinate.name: bool(one.clear[tone]) for one in after}
     return tuple(
         one.coordinate.name
         for one in clear
         if one is not best
         and one.clear[tone]
-        and one.amplitude[tone] > _RIVAL * best.amplitude[tone]
-        and not left.get(one.coordinate.name, False)
+        and one.amplitude[tone] > TONE_SETTINGS.rival * best.amplitude[tone]
+        and not remains.get(one.coordinate.name, False)
     )

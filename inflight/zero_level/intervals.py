@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from inflight.arrays import Floats
 from inflight.errors import CalibrationError, SamplesError
-from inflight.residual import SIGNIFICANCE, noise_of
+from inflight.residual import SIGNIFICANCE, channel_noise
 from inflight.time import GAP, SECOND, Int64
 
 Bools = npt.NDArray[np.bool_]
@@ -149,7 +149,7 @@ class Intervals:
                 f"{len(stamps)} intervals of {length_s:g} s at least half full found, {fewest} needed",
                 remedy="take a longer span, or shorter intervals",
             )
-        noise = np.array([noise_of(values[:, axis])[0] for axis in range(3)])
+        noise = np.array([channel_noise(values[:, axis])[0] for axis in range(3)])
         return cls(
             tt2000=stamps,
             field=filled,
@@ -272,7 +272,7 @@ def _spikes(values: Floats) -> Bools:
         return out
     for column in values.T:
         change = np.diff(column)
-        usual = max(float(np.sqrt(2.0)) * noise_of(column)[0], 1.4826 * float(np.median(np.abs(change))))
+        usual = max(float(np.sqrt(2.0)) * channel_noise(column)[0], 1.4826 * float(np.median(np.abs(change))))
         ahead, behind = change[:-1], change[1:]
         least = np.minimum(np.abs(ahead), np.abs(behind))
         out[1:-1] |= (least > SIGNIFICANCE * usual) & (np.abs(ahead + behind) < INTERVALS.returns * least)

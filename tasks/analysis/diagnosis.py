@@ -1,4 +1,9 @@
-"""Which physical effect is missing: survey, pass, search, verdict."""
+"""Which physical effect is missing: plan, pass, search, verdict.
+
+Takes a catalog, a mission and a span; makes a `Diagnosis` (`diagnose`). The pieces are `plan_pass` (survey
+the span, linearise the model, decide what is tried), `make_pass` (make or find the Gram blocks),
+`begin_search` and `context_of` (what `inflight.diagnosis.conclude` takes).
+"""
 
 from __future__ import annotations
 
@@ -9,28 +14,36 @@ from typing import Any
 import numpy as np
 
 from inflight.catalog import Catalog
-from inflight.design import MOST, Term
-from inflight.diagnosis import Diagnosis, Material, Rules, Search, carriers_of, conclude, make_library
-from inflight.dual import Switched
+from inflight.design import BURSTS
+from inflight.diagnosis import (
+    Context,
+    Diagnosis,
+    Rules,
+    Search,
+    conclude,
+    make_library,
+    time_variable_columns,
+)
+from inflight.dual import JumpAttribution
 from inflight.effects import channels_of
 from inflight.errors import CatalogError
 from inflight.frames import GEOMETRY
 from inflight.mission import Mission
 from inflight.model import folding_of
 from inflight.tasks.analysis.gram_pass import (
-    MEMORY_S,
+    PASS,
     DiagnoseSettings,
     Loaded,
     PassPlan,
     Survey,
     block_parts,
     cadence_for,
+    find_switchings,
     load_evidence,
     make_blocks,
     placebo_shifts,
     stretches_between,
     survey,
-    switched_in,
 )
 from inflight.tasks.archive import (
     ArchiveIndex,
@@ -43,16 +56,17 @@ from inflight.tasks.archive import (
     shows_spin,
 )
 from inflight.tasks.models import UsedModel, current_model
+from inflight.tasks.pipelines import learns_states
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, DayLike, day_bounds, is_within
 
-#: A record of so few days is cut to what was measured.
+#: The span of a record of no more days is what was measured, not whole days; assumed.
 _SHORT_DAYS = 3
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A pass that has been made: what the search reads."""
+@dataclass(frozen=True, kw_only=True)
+class PassResult:
+    """A pass that has been made: what the search reads. `switched` are switchings that two sensors show."""
 
     plan: PassPlan
     used: UsedModel
@@ -61,7 +75,7 @@ class Prepared:
     context: str
     run: str
     days_failed: int
-    switched: Switched | None = None
+    switched: JumpAttribution | None = None
 
 
 def diagnose(
@@ -91,14 +105,14 @@ def diagnose(
         When there is nothing to work on, or the model does not fit the mission.
     """
     settings = settings or DiagnoseSettings()
-    made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
-    search, material = search_of(made, settings), material_of(made, mission)
-    # Columns that join make new evidence, gigabytes of it: nothing here may hold on to the old one.
+    made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
+    context, searches = context_of(made, mission), [begin_search(made, settings)]
+    # Columns that join make new Gram blocks, gigabytes of them: nothing here may hold on to the old ones.
     del made
-    return conclude(search, material)
+    return conclude(searches.pop(), context)[0]
 
 
-def prepare(
+def make_pass(
     cat: Catalog,
     mission: Mission,
     start: DayLike | None,
@@ -109,10 +123,10 @@ def prepare(
     progress: Progress | None = None,
     used: UsedModel | None = None,
     narrow: Callable[[PassPlan], PassPlan] | None = None,
-) -> Prepared:
-    """Make or find the evidence of a span and a model, the present one if none; a narrow one stays apart."""
+) -> PassResult:
+    """Make or find the Gram blocks of a span and a model, the present one if none; narrow ones stay apart."""
     tell = progress or (lambda stage, done, total: None)
-    made = planned(cat, mission, settings, start, end, used, tell)
+    made = plan_pass(cat, mission, settings, start, end, used, tell)
     plan = narrow(made.plan) if narrow else made.plan
     context = cat.save_context(mission.text, made.used.model.name, made.used.version, {})
     dataset = f"equations/{settings.comparison}/{'own' if narrow else 'library'}"
@@ -120,17 +134,17 @@ def prepare(
         cat, mission, plan, made.index, made.base, settings, context, dataset, client, tell
     )
     loaded = load_evidence(cat, plan, blocks)
-    if loaded.outliers.share > MOST:
-        # So much of a span is no outlier: the evidence with it stands beside the one without.
+    if loaded.outliers.share > BURSTS.largest_share:
+        # So much of a span is no outlier: the Gram blocks with it are stored apart from those without.
         plan = replace(plan, keep_bursts=True)
         run, blocks = make_blocks(
             cat, mission, plan, made.index, made.base, settings, context, f"{dataset}-bursts", client, tell
         )
         loaded = load_evidence(cat, plan, blocks)
         dataset = f"{dataset}-bursts"
-    seen = switched_in(mission, plan, loaded.series)
+    seen = find_switchings(mission, plan, loaded.series)
     if seen is not None:
-        # Rows at switchings go, and the levels between those that nobody recorded are free.
+        # Rows at switchings are left out, and the levels between those that nobody recorded are free.
         plan = replace(plan, stretches=stretches_between(seen, plan))
         run, blocks = make_blocks(
             cat,
@@ -146,11 +160,20 @@ def prepare(
         )
         loaded = load_evidence(cat, plan, blocks)
     failed = len(plan.blocks) - len(blocks)
-    return Prepared(plan, made.used, made.survey, loaded, context, run, failed, seen)
+    return PassResult(
+        plan=plan,
+        used=made.used,
+        survey=made.survey,
+        loaded=loaded,
+        context=context,
+        run=run,
+        days_failed=failed,
+        switched=seen,
+    )
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedPass:
     """A pass that is still to be made: what a worker is given, and the archive it reads."""
 
     plan: PassPlan
@@ -160,7 +183,7 @@ class Planned:
     survey: Survey
 
 
-def planned(
+def plan_pass(
     cat: Catalog,
     mission: Mission,
     settings: DiagnoseSettings,
@@ -168,8 +191,8 @@ def planned(
     end: DayLike | None = None,
     used: UsedModel | None = None,
     tell: Progress = lambda stage, done, total: None,
-) -> Planned:
-    """Look at the span, linearise the model, and decide what is tried.
+) -> PlannedPass:
+    """Survey the span, linearise the model, and decide what is tried.
 
     Raises
     ------
@@ -197,12 +220,15 @@ def planned(
     cadence = native if platform else cadence_for(span[1] - span[0], native)
     if settings.cadence_s is not None and not platform:
         cadence = native * max(1, round(settings.cadence_s * SECOND / native))
-    reader = ChannelReader(cat, mission, channels, index, cadence, span, settings.comparison)
+    levels = learns_states(mission, settings.comparison)
+    reader = ChannelReader(
+        cat, mission, channels, index, cadence, span, settings.comparison, by_levels=levels
+    )
     tell("survey", 0, 1)
     found = survey(cat, mission, used.model, needs, index, days, reader)
     tell("survey", 1, 1)
     plan = _plan(mission, found, needs, channels, days, span, cadence)
-    return Planned(plan, index, base, used, found)
+    return PlannedPass(plan, index, base, used, found)
 
 
 def _span(index: ArchiveIndex, base: Need, days: Sequence[np.datetime64], whole: bool) -> tuple[int, int]:
@@ -248,28 +274,28 @@ def _plan(
             {"name": name, "family": "unknown", "reason": "the channel does not change"}
         )
     blocks = tuple(tuple(days[at : at + width]) for at in range(0, len(days), width))
-    memory = min(MEMORY_S, length / SECOND / 50.0)
+    correlation_s = min(PASS.correlation_time_s, length / SECOND / PASS.correlation_spans)
     return PassPlan(
-        found.model,
-        library,
-        tuple(needs),
-        tuple(channels),
-        tuple(days),
-        blocks,
-        parts,
-        cadence,
-        span,
-        memory,
-        found.channels,
+        model=found.model,
+        library=library,
+        needs=tuple(needs),
+        channel_needs=tuple(channels),
+        days=tuple(days),
+        blocks=blocks,
+        parts=parts,
+        cadence_ns=cadence,
+        span=span,
+        correlation_time_s=correlation_s,
+        channel_summaries=found.channels,
     )
 
 
-def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
-    """Return a search over the evidence, nothing taken yet."""
+def begin_search(made: PassResult, settings: DiagnoseSettings) -> Search:
+    """Return the first state of a search over a pass: nothing taken yet."""
     raw = made.loaded.raw
-    days = _groups(raw.start, DAY)
+    days = _groups_of_blocks(raw.start, DAY)
     rules = Rules(draws=settings.draws, seed=settings.seed, rounds=settings.rounds)
-    return Search(
+    return Search.begin(
         raw,
         made.loaded.white,
         made.plan.library,
@@ -277,11 +303,11 @@ def search_of(made: Prepared, settings: DiagnoseSettings) -> Search:
         _within_groups(days, len(raw)),
         rules,
         made.loaded.within,
-        carriers=carriers_of(made.plan.library),
+        time_variable=time_variable_columns(made.plan.library),
     )
 
 
-def _groups(start: Any, width: int) -> list[list[int]]:
+def _groups_of_blocks(start: Any, width: int) -> list[list[int]]:
     """Return blocks by consecutive spans of a length, from the first block's start."""
     place = (start - start[0]) // width
     return [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
@@ -294,7 +320,7 @@ def _within_groups(days: list[list[int]], blocks: int) -> list[list[int]]:
     return [part.tolist() for part in np.array_split(np.arange(blocks), 4)]
 
 
-def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
+def intervals_of(made: PassResult, settings: DiagnoseSettings) -> list[list[int]]:
     """Return the blocks of each calibration interval; all in one when nothing it fits is a block's own."""
     raw = made.loaded.raw
     own = [
@@ -307,7 +333,7 @@ def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
     ]
     if own and not any(timed.time == "block" for timed in own):
         return [list(range(len(raw)))]
-    groups = _groups(raw.start, settings.interval_days * DAY)
+    groups = _groups_of_blocks(raw.start, settings.interval_days * DAY)
     # A short rest joins the interval before it.
     if len(groups) > 1 and len(groups[-1]) < 0.5 * len(groups[0]):
         rest = groups.pop()
@@ -315,21 +341,19 @@ def intervals_of(made: Prepared, settings: DiagnoseSettings) -> list[list[int]]:
     return groups
 
 
-def material_of(made: Prepared, mission: Mission) -> Material:
-    """Return what a verdict needs beside the search."""
-    effects: dict[str, Term] = {term.key: term for term in made.plan.library.all_terms}
-    return Material(
-        mission,
-        made.used.model,
-        made.plan.model,
-        effects,
-        made.loaded.series,
-        dict(made.loaded.sums),
-        made.plan.cadence_ns / SECOND,
-        made.loaded.floor,
-        made.context,
-        made.run,
-        made.plan.memory_s,
-        made.loaded.outliers,
+def context_of(made: PassResult, mission: Mission) -> Context:
+    """Return what a verdict needs in addition to the search."""
+    return Context(
+        mission=mission,
+        model=made.used.model,
+        linearised=made.plan.model,
+        series=made.loaded.series,
+        sums=dict(made.loaded.sums),
+        cadence_s=made.plan.cadence_ns / SECOND,
+        floor=made.loaded.floor,
+        context_id=made.context,
+        run=made.run,
+        correlation_time_s=made.plan.correlation_time_s,
+        outliers=made.loaded.outliers,
         switched=made.switched,
     )

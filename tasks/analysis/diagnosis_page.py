@@ -1,8 +1,9 @@
-"""Page of diagnose.
+"""The page of a diagnosis: one HTML file that needs nothing but itself.
 
-Sections of a diagnosis's report: each a heading, text that needs no script, and figures.
-
-The report of a diagnosis: one HTML file that needs nothing but itself.
+Takes a finished search and its context (`examine` makes them of a span); makes sections, each a heading,
+text that needs no script, and figures (`diagnosis_sections`), and the page of them (`report`): where the
+residual fails, what it follows, which effect explains it, how the error falls, what stands for what, the
+ledger.
 """
 
 from __future__ import annotations
@@ -19,23 +20,21 @@ import numpy as np
 from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.diagnosis import (
+    BeforeAfter,
+    Context,
     Diagnosis,
-    Material,
-    Periodogram,
     Search,
-    Seen,
     Signature,
     along_field,
+    before_after,
     conclude,
     cross_talk,
     epoch,
-    fold,
     heat_maps,
-    known_periods,
     lag_profile,
-    periodogram,
+    periods_of,
+    residual_lines,
     responses,
-    seen_of,
     shifts_of,
     sizes_of,
     trials,
@@ -44,6 +43,7 @@ from inflight.diagnosis import (
 from inflight.figures import (
     Section,
     along_field_figures,
+    axis_spectrum_figures,
     candidate_table,
     cross_talk_figure,
     daily_figure,
@@ -57,29 +57,31 @@ from inflight.figures import (
     html_page,
     lag_figure,
     ledger_table,
+    most_significant,
     order_figure,
-    periodogram_figures,
     response_figures,
     response_key,
     rivals_apart,
     shift_table,
     short_name,
     strongest_pairs,
-    telling,
     unscorable_list,
     verdict_strip,
     waterfall_figure,
 )
 from inflight.mission import Mission
-from inflight.residual import drawn_periods, told_period
-from inflight.residual import known_periods as named_periods
-from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
+from inflight.residual import drawn_periods, fold, format_period
+from inflight.tasks.analysis.diagnosis import (
+    begin_search,
+    context_of,
+    make_pass,
+)
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings
-from inflight.tasks.pipelines.states import named_units
+from inflight.tasks.pipelines import units_of
 from inflight.tasks.report import Progress, write_page
 from inflight.time import SECOND, DayLike, to_utc
 
-#: Channels whose response is drawn, beside those of found effects; and found effects drawn one by one.
+#: Channels whose response is drawn, other than those of found effects; and found effects drawn one by one.
 _CHANNELS, _EFFECTS = 6, 6
 
 _STATES = ("before", "after")
@@ -87,7 +89,7 @@ _STATES = ("before", "after")
 # Fails here.
 
 
-def fails_here(seen: Seen) -> Section:
+def fails_here(seen: BeforeAfter) -> Section:
     """Return heat maps, and the residual against the field's direction."""
     plots = [plot for one in heat_maps(seen) for plot in heat_map_figures(one, seen.changed)]
     note = [
@@ -109,7 +111,7 @@ def fails_here(seen: Seen) -> Section:
     )
 
 
-def follows(seen: Seen, found: Diagnosis) -> Section:
+def follows(seen: BeforeAfter, found: Diagnosis) -> Section:
     """Return the responses to the channels of found effects and of the best candidates."""
     found_ones = responses(seen, _channels(seen, found))
     note = (
@@ -122,7 +124,7 @@ def follows(seen: Seen, found: Diagnosis) -> Section:
     return "What it follows", [f'<p class="quiet">{escape(note)}</p>', response_key()] if plots else [], plots
 
 
-def _channels(seen: Seen, found: Diagnosis) -> list[str]:
+def _channels(seen: BeforeAfter, found: Diagnosis) -> list[str]:
     """Return the channels of found effects, then those of the best candidates."""
     there = [name for name in seen.series.channels if seen.series[name].ndim == 1]
     own = [name for one in found.effects for name in one.channels if name in there]
@@ -131,14 +133,15 @@ def _channels(seen: Seen, found: Diagnosis) -> list[str]:
     return [*dict.fromkeys(own), *more[:_CHANNELS]]
 
 
-def spectrum(seen: Seen, material: Material) -> Section:
-    """Return the periodograms along each axis before and after."""
-    after = _periodogram(seen, material, seen.after)
-    before = _periodogram(seen, material, seen.before) if seen.changed else None
+def spectrum(seen: BeforeAfter, context: Context) -> Section:
+    """Return the spectra along each axis before and after, with their lines."""
+    known = periods_of(context)
+    after, lines = residual_lines(seen.series, np.where(seen.good[:, None], seen.after, np.nan), known)
+    before = None
+    if seen.changed:
+        before, _ = residual_lines(seen.series, np.where(seen.good[:, None], seen.before, np.nan), known)
     if after is None:
         return "Spectrum along each axis", [], []
-    stated = {name: period / SECOND for name, period in material.mission.periods.items()}
-    known = drawn_periods(named_periods(stated, None))
     note = (
         "The residual times the field's direction: a field along one axis shows at its own period there. "
         "Grey dotted periods are known; a red one stands beyond chance and nothing known explains it."
@@ -146,24 +149,14 @@ def spectrum(seen: Seen, material: Material) -> Section:
     return (
         "Spectrum along each axis",
         [f'<p class="quiet">{escape(note)}</p>'],
-        periodogram_figures(before, after, known),
+        axis_spectrum_figures(before, after, drawn_periods(known), lines),
     )
-
-
-def _periodogram(seen: Seen, material: Material, values: np.ndarray) -> Periodogram | None:
-    series = seen.series
-    weight = np.where(seen.good, series["weight"], 0.0)
-    known, turned = np.nan_to_num(values), np.nan_to_num(series.direction())
-    if not turned.any():
-        # A platform's residual has no direction of its own: its spectrum stands in the first place.
-        turned[:, :, 0] = 1.0
-    return periodogram(series.tt2000, known, turned, weight, known_periods(material))
 
 
 # Which effect.
 
 
-def which_effect(search: Search, material: Material, found: Diagnosis) -> Section:
+def which_effect(search: Search, context: Context, found: Diagnosis) -> Section:
     """Return the table of candidates and how their gains fall."""
     names = [str(one["name"]) for one in found.candidates if not one["placebo"]]
     rivals = {one.name: one.rivals for one in found.effects}
@@ -175,7 +168,7 @@ def which_effect(search: Search, material: Material, found: Diagnosis) -> Sectio
     )
     text = [
         f'<p class="quiet">{escape(note)}</p>',
-        candidate_table(found.candidates, trials(search, material, names), rivals),
+        candidate_table(found.candidates, trials(search, context, names), rivals),
         unscorable_list(found.unscorable),
     ]
     return "Which effect", [one for one in text if one], [drop_figure(found.candidates)]
@@ -184,12 +177,12 @@ def which_effect(search: Search, material: Material, found: Diagnosis) -> Sectio
 # The error falls.
 
 
-def error_falls(seen: Seen, search: Search, material: Material, found: Diagnosis) -> Section:
+def error_falls(seen: BeforeAfter, search: Search, context: Context, found: Diagnosis) -> Section:
     """Return the held-out error step by step, daily sizes and distributions."""
-    told = found.residual
-    floor = tuple(float(told[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
-    steps = waterfall(search, material)
-    start, end = float(told["held_out_before_nT"]), float(told["held_out_after_nT"])
+    sizes_nt = found.residual
+    floor = tuple(float(sizes_nt[f"noise_floor_{end}"]) for end in ("nT", "low_nT", "high_nT"))
+    steps = waterfall(search, context)
+    start, end = float(sizes_nt["held_out_before_nT"]), float(sizes_nt["held_out_after_nT"])
     sizes = sizes_of(seen)
     states = _STATES if seen.changed else ("now", "now")
     plots = [
@@ -207,8 +200,8 @@ def error_falls(seen: Seen, search: Search, material: Material, found: Diagnosis
     return "How the error falls", [f'<p class="quiet">{escape(note)}</p>'], plots
 
 
-def shapes(seen: Seen, search: Search, found: Diagnosis) -> Section:
-    """Lag profiles of responses, epochs of events, and the fold of a period that is left."""
+def shapes(seen: BeforeAfter, search: Search, found: Diagnosis) -> Section:
+    """Lag profiles of responses, epochs of events, and the fold of a period that remains."""
     plots: list[Any] = []
     rows = float(search.forms["raw"].count.sum())
     for option in search.accepted[:_EFFECTS]:
@@ -217,19 +210,19 @@ def shapes(seen: Seen, search: Search, found: Diagnosis) -> Section:
             plots.append(lag_figure(option.name, profile, rows))
         if option.change is not None:
             plots += [epoch_figure(short_name(option.name), epoch(seen, when)) for when in option.change.at]
-    left: Signature | None = found.remaining.get("signature")
-    if left is not None and left.period_s:
-        plots.append(_folded(seen, left.period_s))
+    signature: Signature | None = found.remaining.get("signature")
+    if signature is not None and signature.period_s:
+        plots.append(_folded(seen, signature.period_s))
     note = "The best lag lies between those of the bank; its error is a jackknife over folds of blocks."
     return "Form of what was found", [f'<p class="quiet">{escape(note)}</p>'] if plots else [], plots
 
 
-def _folded(seen: Seen, period: float) -> Any:
+def _folded(seen: BeforeAfter, period: float) -> Any:
     good, series = seen.good, seen.series
     rows = seen.after.shape[1]
     seconds = np.repeat((series.tt2000[good] - series.tt2000[0]) / SECOND, rows)
     y, u = seen.after[good].reshape(-1), series.direction()[good].reshape(-1, 3)
-    return fold_figure(told_period(period), *fold(seconds, y, u, period))
+    return fold_figure(format_period(period), *fold(seconds, y, u, period))
 
 
 # Cross-talk.
@@ -242,9 +235,11 @@ def stands_for(search: Search, found: Diagnosis) -> Section:
         return "What stands for what", [], []
     shifts = [
         shift
-        for option, one, told in zip(search.accepted, found.effects, found.as_json()["effects"], strict=True)
+        for option, one, fields in zip(
+            search.accepted, found.effects, found.as_json()["effects"], strict=True
+        )
         for shift in shifts_of(search, option, one.coefficients)
-        if shift.coefficient in {value["name"] for value in telling(told["coefficients"])}
+        if shift.coefficient in {value["name"] for value in most_significant(fields["coefficients"])}
     ]
     text = [
         '<p class="quiet">Correlations of errors, the whole span as one calibration interval: pairs near '
@@ -271,12 +266,12 @@ class DiagnosisReport:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields of the command line's JSON."""
-        told = self.diagnosis.as_json()
+        fields = self.diagnosis.as_json()
         names = ("run", "context", "comparison", "model", "verdict", "sentence", "residual", "remaining")
-        effects = [{"name": one["name"], "family": one["family"]} for one in told["effects"]]
+        effects = [{"name": one["name"], "family": one["family"]} for one in fields["effects"]]
         return (
             {"command": "report", "path": str(self.path)}
-            | {name: told[name] for name in names}
+            | {name: fields[name] for name in names}
             | {"effects": effects}
         )
 
@@ -292,7 +287,7 @@ def report(
     client: Any = None,
     progress: Progress | None = None,
 ) -> DiagnosisReport:
-    """Diagnose a span and write the page of it; evidence that is there already is not made again.
+    """Diagnose a span and write the page of it; Gram blocks that are there already are not made again.
 
     Parameters
     ----------
@@ -322,7 +317,7 @@ class Examined(NamedTuple):
     """A finished search, and all that its sections are made from: arguments of `diagnosis_sections`."""
 
     search: Search
-    material: Material
+    context: Context
     found: Diagnosis
     settings: DiagnoseSettings
     facts: Mapping[str, Any]
@@ -341,20 +336,20 @@ def examine(
     """Diagnose a span and return with the result what it was made from; arguments are those of `report`."""
     settings = settings or DiagnoseSettings()
     tell = progress or (lambda stage, done, total: None)
-    made = prepare(cat, mission, start, end, settings, client=client, progress=progress)
+    made = make_pass(cat, mission, start, end, settings, client=client, progress=progress)
     tell("search", 0, 1)
-    search, material = search_of(made, settings), material_of(made, mission)
-    found = conclude(search, material)
+    context = context_of(made, mission)
+    found, search = conclude(begin_search(made, settings), context)
     tell("search", 1, 1)
     facts = {"evidence key": made.plan.key, "days that failed": made.days_failed or None}
-    units = named_units(cat, mission, settings.comparison, start, end)
+    units = units_of(cat, mission, settings.comparison, start, end)
     facts["units that switch"] = "; ".join(one["sentence"] for one in units) if units else None
-    return Examined(search, material, found, settings, facts)
+    return Examined(search, context, found, settings, facts)
 
 
 def diagnosis_page(
     search: Search,
-    material: Material,
+    context: Context,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -362,14 +357,14 @@ def diagnosis_page(
     """Return the page of a finished search as HTML; parameters are those of `diagnosis_sections`."""
     raw = search.raw
     first, last = (np.datetime_as_string(to_utc(int(edge)), "D") for edge in (raw.start[0], raw.end[-1] - 1))
-    name = f"{material.mission.mission}: what is missing from the model, {first} to {last}"
-    sections = diagnosis_sections(search, material, found, settings, facts)
-    return html_page(name, sections, material.mission.acknowledgement)
+    name = f"{context.mission.mission}: what is missing from the model, {first} to {last}"
+    sections = diagnosis_sections(search, context, found, settings, facts)
+    return html_page(name, sections, context.mission.acknowledgement)
 
 
 def diagnosis_sections(
     search: Search,
-    material: Material,
+    context: Context,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any] | None = None,
@@ -383,19 +378,19 @@ def diagnosis_sections(
     facts : mapping, optional
         More lines of the ledger.
     """
-    seen = seen_of(search, material)
-    told = found.as_json()
-    strip = verdict_strip(found.verdict, found.sentence, told["residual"], told["remaining"]["verdict"])
+    seen = before_after(search, context)
+    fields = found.as_json()
+    strip = verdict_strip(found.verdict, found.sentence, fields["residual"], fields["remaining"]["verdict"])
     sections: list[Section] = [
-        ("Verdict", [strip, *found_effects(told), *rivals_apart(told)], []),
+        ("Verdict", [strip, *found_effects(fields), *rivals_apart(fields)], []),
         fails_here(seen),
         follows(seen, found),
-        spectrum(seen, material),
-        which_effect(search, material, found),
-        error_falls(seen, search, material, found),
+        spectrum(seen, context),
+        which_effect(search, context, found),
+        error_falls(seen, search, context, found),
         shapes(seen, search, found),
         stands_for(search, found),
-        _ledger(search, material, found, settings, facts or {}),
+        _ledger(search, context, found, settings, facts or {}),
     ]
     return [section for section in sections if section[1] or section[2]]
 
@@ -405,22 +400,22 @@ def diagnosis_sections(
 
 def _ledger(
     search: Search,
-    material: Material,
+    context: Context,
     found: Diagnosis,
     settings: DiagnoseSettings,
     facts: Mapping[str, Any],
 ) -> Section:
     y = search.raw.residuals[search.residual]
-    data = hashlib.sha256(np.ascontiguousarray(search.raw.gram[:, :, y]).tobytes()).hexdigest()
+    data = hashlib.sha256(np.ascontiguousarray(search.raw.rows(np.array([y]))[:, 0]).tobytes()).hexdigest()
     rules = search.rules
     listed = {
-        "mission": material.mission.mission,
+        "mission": context.mission.mission,
         "comparison": found.comparison,
         "model": f"{found.model.get('name')} version {found.model.get('version')}",
         "blocks": f"{found.blocks['count']} of {found.blocks['length_s'] / 3600.0:.3g} h, "
         f"{found.blocks['independent']:.0f} of them independent",
         "samples left out": _left_out(found.outliers),
-        "cadence of the search": f"{material.cadence_s:g} s",
+        "cadence of the search": f"{context.cadence_s:g} s",
         "settings": ", ".join(f"{name}={value}" for name, value in settings.model_dump().items()),
         "rules": f"t > {rules.t:g}, gain > {rules.gain:g}, family-wise p < {rules.p:g}, "
         f"over the best placebo t > {rules.t:g}",
@@ -440,16 +435,16 @@ def _ledger(
 
 
 def _left_out(outliers: Mapping[str, Any]) -> str:
-    """Return how many samples are not in the evidence, and when the first bursts of them were."""
+    """Return how many samples are not in the Gram blocks, and when the first bursts of them were."""
     if not outliers:
         return "none"
     text = f"{outliers['samples']}, {outliers['spikes']} of them single"
     if not outliers["burst_count"]:
         return text
     kept = ", kept because they hold too much of the span" if outliers["kept"] else ""
-    told = [
+    first = [
         f"{one['start']} to {one['end']} ({one['times_usual']:.0f} times the usual scatter)"
         for one in outliers["bursts"]
     ]
-    more = "; ..." if len(told) < outliers["burst_count"] else ""
-    return f"{text}; {outliers['burst_count']} bursts{kept}: {'; '.join(told)}{more}"
+    more = "; ..." if len(first) < outliers["burst_count"] else ""
+    return f"{text}; {outliers['burst_count']} bursts{kept}: {'; '.join(first)}{more}"

@@ -1,17 +1,15 @@
-"""The pass.
+"""The pass: each day of the archive is read once and becomes Gram blocks, which answer all later questions.
 
-The noise floor of a day, kept as sums in its report, and that of several days together.
+Takes a `PassPlan` (the model at the values it is linearised at, the library, the blocks) and the archive;
+makes, for every block, the Gram matrices of [calibration | model | candidates | residual], raw and
+prewhitened, a coarse series for pictures and signatures, and sums over the native samples
+(`block_evidence`). `make_blocks` makes the blocks that are missing or whose inputs changed; `load_evidence`
+reads them.
 
-The pass: one look at every day of the archive makes the evidence that all later questions are put to.
-
-A worker turns some days into Gram matrices of [calibration | model | candidates | residual] and a
-coarse series for pictures and signatures. Days whose inputs did not change are not looked at again.
-
-Blocks of evidence of a span: those that are missing or out of date are made, the rest is kept.
-
-Before the pass: where the residual is linearised, what each channel does, how the span is cut.
-
-What switches in a dual comparison, with housekeeping and without, and the stretches between.
+Before the pass, `survey` reads a few days: where the residual is linearised and what each channel does;
+`cadence_for`, `block_parts` and `placebo_shifts` say how the span is divided. After it, `find_switchings`
+says what switches in a comparison of two sensors without housekeeping, and `stretches_between` the
+stretches between.
 """
 
 from __future__ import annotations
@@ -29,16 +27,25 @@ from pydantic import BaseModel, ConfigDict, Field
 from inflight.arrays import Floats
 from inflight.calibration import PARTS, Reference, fit_block, split_chain, usable
 from inflight.catalog import Catalog, Day, idempotency_key
-from inflight.design import Library, Outliers, Rows, Term, Told, coarsen, design, turns_of
-from inflight.diagnosis import Features, Series, Stretches, features_of, pack_blocks, thin
-from inflight.dual import Switched, switched
+from inflight.design import (
+    ChannelSummary,
+    Library,
+    Outliers,
+    Rows,
+    Term,
+    coarsen,
+    design,
+    sensor_matrices,
+)
+from inflight.diagnosis import Features, Series, Stretches, features_of, pack_blocks, thin_rows
+from inflight.dual import JumpAttribution, attribute_jumps
 from inflight.effects import SpinningSensor, VectorSensor, channels_of
 from inflight.errors import CalibrationError, WorkerError
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
-from inflight.mission import Mission, is_told_by_states, sensors_of
+from inflight.lsq import GramArrays, GramBlocks, gram_of, parts_of, prewhiten
+from inflight.mission import Mission, sensors_of
 from inflight.model import Model, ModelEffect, RowFilter, make_effect, rows_of
-from inflight.residual import NoiseFloor, joined_floor, level_of_rows
+from inflight.residual import NoiseFloor, floor_of_rows, join_floors
 from inflight.samples import FOLDING_VERSION, Folding
 from inflight.spin import fit_folded_samples, spinning_sensor_of
 from inflight.tasks.archive import (
@@ -47,12 +54,12 @@ from inflight.tasks.archive import (
     DerivedChannels,
     Need,
     as_variables,
-    each_result,
     load_samples,
     orbit_of,
     stand_in_value,
 )
-from inflight.tasks.pipelines import Job, Outcome, adopted_days, make_days, take_outcome
+from inflight.tasks.batches import each_result
+from inflight.tasks.pipelines import Job, Outcome, adopted_days, learns_states, make_days, take_outcome
 from inflight.tasks.pipelines.states import housekeeping
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, day_bounds
@@ -60,7 +67,7 @@ from inflight.time import DAY, SECOND, day_bounds
 
 def floor_of_samples(residual: Floats, good: np.ndarray, stamps: np.ndarray) -> dict[str, float]:
     """Return the white level of a day's residual, all rows together, as sums of squares over its samples."""
-    level = level_of_rows(residual, good, stamps)
+    level = floor_of_rows(residual, good, stamps)
     if not np.isfinite(level.level_nT):
         return {"floor_samples": 0.0, "floor": 0.0, "floor_low": 0.0, "floor_high": 0.0}
     return {
@@ -90,10 +97,10 @@ def floor_of_turns(samples: xr.Dataset, good: np.ndarray, sectors: int) -> dict[
     }
 
 
-def joined_floors(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
+def floor_of_reports(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
     """Return the white level of several blocks together."""
     known = [report for report in reports if report.get("floor_samples")]
-    return joined_floor(
+    return join_floors(
         [
             NoiseFloor(
                 float(np.sqrt(report["floor"] / report["floor_samples"])),
@@ -106,14 +113,58 @@ def joined_floors(reports: Sequence[Mapping[str, Any]]) -> NoiseFloor:
     )
 
 
-#: Bumped by hand when the numbers of the evidence change.
+#: Raised by hand when the numbers of the Gram blocks change; it is part of their key.
 EVIDENCE_VERSION = 14
 
-#: Days lose the bins without geometry when these are at most this part of them.
-_GEOMETRY_GAPS = 0.3
 
-#: Rows of the series are at least so far apart in long records, seconds.
-_SERIES_S, _LONG_DAYS = 60.0, 100
+@dataclass(frozen=True, kw_only=True)
+class PassSettings:
+    """How a span is divided, and what a survey reads.
+
+    Attributes
+    ----------
+    geometry_gaps : float
+        Days lose the bins without geometry when these are at most this part of them; assumed.
+    series_s, long_days : float, int
+        Rows of the series are at least so far apart, s, in records of more than so many days: a bound on
+        memory.
+    placebos : int
+        Channels that get a placebo (MISSING_EFFECT 2.1: about 20).
+    surveyed_days, surveyed_samples : int
+        Days a survey reads, evenly spread, and samples of each that enter its fit: a bound on time, assumed.
+    target_blocks, most_blocks : int
+        Blocks that a record should have, and blocks of a long one at most (MISSING_EFFECT 2.2: 200).
+    correlation_time_s, correlation_spans : float
+        Correlation time the prewhitened form assumes, s (MISSING_EFFECT 2.2: 600 s), and so many of them at
+        least in a span; assumed.
+    cadences : tuple of (float, float)
+        The library's cadence for spans of up to so many days, s: what keeps a pass in minutes, measured by
+        benchmarks/search.py.
+    steady : float
+        A channel whose values spread by less than this part of their size does not change: rounding.
+    rows : int
+        A short record is not thinned below so many rows; assumed.
+    longest_stretch_s : int
+        A stretch between unexplained switchings is divided into these, s: offsets wander by hours; assumed.
+    """
+
+    geometry_gaps: float = 0.3
+    series_s: float = 60.0
+    long_days: int = 100
+    placebos: int = 16
+    surveyed_days: int = 12
+    surveyed_samples: int = 20_000
+    target_blocks: int = 96
+    most_blocks: int = 200
+    correlation_time_s: float = 600.0
+    correlation_spans: float = 50.0
+    cadences: tuple[tuple[float, float], ...] = ((2.0, 10.0), (20.0, 10.0), (70.0, 20.0), (np.inf, 30.0))
+    steady: float = 1e-9
+    rows: int = 5000
+    longest_stretch_s: int = 3 * 3600
+
+
+PASS = PassSettings()
 
 #: Sums over the native samples that the reports of blocks hold.
 SUMS = (
@@ -129,9 +180,9 @@ SUMS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PassPlan:
-    """All a worker needs to make evidence; no database behind it.
+    """All a worker needs to make Gram blocks; no database behind it.
 
     Attributes
     ----------
@@ -149,9 +200,9 @@ class PassPlan:
     cadence_ns : int
     span : tuple of int
         TT2000 of the record.
-    memory_s : float
+    correlation_time_s : float
         Correlation time of the prewhitened form.
-    told : mapping of str to Told
+    channel_summaries : mapping of str to ChannelSummary
     keep_bursts : bool
         Bursts are counted and stay in.
     stretches : Stretches, optional
@@ -167,8 +218,8 @@ class PassPlan:
     parts: int
     cadence_ns: int
     span: tuple[int, int]
-    memory_s: float
-    told: Mapping[str, Told]
+    correlation_time_s: float
+    channel_summaries: Mapping[str, ChannelSummary]
     keep_bursts: bool = False
     stretches: Stretches | None = None
 
@@ -182,8 +233,8 @@ class PassPlan:
         """Bins that become one row of the series."""
         if self.folding is not None:
             return 1
-        wanted = _SERIES_S if len(self.days) > _LONG_DAYS else 0.0
-        return max(1, round(wanted * SECOND / self.cadence_ns))
+        spacing_s = PASS.series_s if len(self.days) > PASS.long_days else 0.0
+        return max(1, round(spacing_s * SECOND / self.cadence_ns))
 
     @property
     def folding(self) -> Folding | None:
@@ -191,7 +242,7 @@ class PassPlan:
         return self.model.layout.folding if self.model.layout is not None else None
 
     @property
-    def kept(self) -> RowFilter | None:
+    def row_filter(self) -> RowFilter | None:
         """The filter residuals and columns go through."""
         return (
             self.folding
@@ -207,7 +258,7 @@ class PassPlan:
     @property
     def key(self) -> str:
         """sha256 of everything but the archive that the evidence is made from."""
-        told = {
+        parts = {
             "version": EVIDENCE_VERSION,
             "folding": [FOLDING_VERSION, self.folding.interval_ns] if self.folding else None,
             "model": self.model.text,
@@ -215,21 +266,29 @@ class PassPlan:
             "shifts": dict(self.library.placebos),
             "parts": self.parts,
             "cadence": self.cadence_ns,
-            "memory": self.memory_s,
+            "memory": self.correlation_time_s,
             "span": self.span,
-            "means": {name: one.mean for name, one in self.told.items()},
+            "means": {name: one.mean for name, one in self.channel_summaries.items()},
             "keep_bursts": self.keep_bursts,
             "stretches": [self.stretches.edges, self.stretches.lost] if self.stretches else None,
         }
-        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def evidence_batch(cat: Catalog, mission: Mission, made: PassPlan, index: ArchiveIndex, job: Job) -> Outcome:
     """Make the evidence of a batch of blocks and write it as one segment; blocks go by their first day."""
+    comparison = made.model.comparison
     reader = ChannelReader(
-        cat, mission, made.channel_needs, index, made.cadence_ns, made.span, made.model.comparison
+        cat,
+        mission,
+        made.channel_needs,
+        index,
+        made.cadence_ns,
+        made.span,
+        comparison,
+        by_levels=learns_states(mission, comparison),
     )
-    derived = DerivedChannels(reader, made.days, made.told, made.library.placebos)
+    derived = DerivedChannels(reader, made.days, made.channel_summaries, made.library.placebos)
     days_of = {block[0]: block for block in made.blocks}
     return make_days(
         cat,
@@ -251,7 +310,7 @@ def block_evidence(
     raw, white, _, sums = found[0]
     total = dict(sums)
     for more_raw, more_white, _, more in found[1:]:
-        raw, white = _summed(raw, more_raw), _summed(white, more_white)
+        raw, white = _sum_blocks(raw, more_raw), _sum_blocks(white, more_white)
         total = {name: total[name] + more[name] for name in total}
     kept = [_as_recorded(one[2], derived.reader.day(day)) for one, day in zip(found, days, strict=True)]
     series, features = _series(made, raw, kept)
@@ -259,17 +318,17 @@ def block_evidence(
     dataset["series"] = (("block", "sample", "feature"), series, {"features": features.as_json()})
     if made.within_blocks:
         names = [name for term in made.library.base for name in term.columns]
-        inside = [one[0].absorbed(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
+        inside = [one[0].marginalise(names, [range(len(one[0]))], np.zeros(len(names))) for one in found]
         within = inside[0]
         for more_raw in inside[1:]:
-            within = _summed(within, more_raw)
+            within = _sum_blocks(within, more_raw)
         packed = within.as_dataset()["gram"].rename(entry="entry_within")
         dataset = dataset.assign(gram_within=packed)
     return dataset.assign_attrs(cadence_ns=made.cadence_ns), total
 
 
 def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
-    """Return rows whose channels are missing where they were not recorded; a series tells where that was."""
+    """Return rows whose channels are missing where they were not recorded, so that a series has it."""
     samples = {
         name: rows.samples[name].copy(data=values)
         for name, values in recorded.items()
@@ -278,12 +337,12 @@ def _as_recorded(rows: Rows, recorded: Mapping[str, Floats]) -> Rows:
     return replace(rows, samples=rows.samples.assign(samples))
 
 
-def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
+def _series(made: PassPlan, raw: GramArrays, rows: Sequence[Rows]) -> tuple[np.ndarray, Features]:
     """Return the coarse series of a block (or of the blocks of a day), and what it holds."""
     plain = [name for name in made.library.channels if name and not set(name) & set("@~*")]
-    channels = list(dict.fromkeys([*made.told, *plain, *GEOMETRY]))
+    channels = list(dict.fromkeys([*made.channel_summaries, *plain, *GEOMETRY]))
     features = features_of(rows[0], channels)
-    thinned = [thin(one, features, made.series_step) for one in rows]
+    thinned = [thin_rows(one, features, made.series_step) for one in rows]
     stamps = np.concatenate([one[0] for one in thinned])
     values = np.concatenate([one[1] for one in thinned])
     days = max(len(block) for block in made.blocks)
@@ -293,8 +352,8 @@ def _series(made: PassPlan, raw: Evidence, rows: Sequence[Rows]) -> tuple[np.nda
     return pack_blocks(stamps, values, [*raw.start.tolist(), int(raw.end[-1])], int(samples)), features
 
 
-def _summed(one: Evidence, other: Evidence) -> Evidence:
-    return one.joined([other]).merged([range(len(one) + len(other))])
+def _sum_blocks(one: GramArrays, other: GramArrays) -> GramArrays:
+    return one.join([other]).merge([min(one.start[0], other.start[0]), max(one.end[-1], other.end[-1])])
 
 
 def _day_evidence(
@@ -304,26 +363,28 @@ def _day_evidence(
     index: ArchiveIndex,
     derived: DerivedChannels,
     day: np.datetime64,
-) -> tuple[Evidence, Evidence, Rows, dict[str, Any]]:
+) -> tuple[GramArrays, GramArrays, Rows, dict[str, Any]]:
     rows, sums = day_rows(cat, mission, made, index, derived, day)
     columns = design(made.library.all_terms, rows)
     stamps = rows.samples["tt2000"].values
     edges = derived.reader.edges(day)
-    cuts = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
-    parts = parts_of(stamps, cuts)
+    bounds = [int(edges[0] + part * (edges[-1] - edges[0]) // made.parts) for part in range(made.parts + 1)]
+    parts = parts_of(stamps, bounds)
     residual = rows.residual[:, :, None]
-    white = [prewhiten(values, rows.weight, stamps, made.memory_s) for values in (columns, residual)]
+    white = [
+        prewhiten(values, rows.weight, stamps, made.correlation_time_s) for values in (columns, residual)
+    ]
     count = np.array([rows.weight[part].sum() * residual.shape[1] for part in parts])
     names = (*made.library.columns, "residual")
     common = (
-        np.array(cuts[:-1], dtype=np.int64),
-        np.array(cuts[1:], dtype=np.int64),
+        np.array(bounds[:-1], dtype=np.int64),
+        np.array(bounds[1:], dtype=np.int64),
         count,
         np.array([*made.scale, 1.0]),
     )
     return (
-        Evidence(names, gram_of(columns, residual, rows.weight, parts), *common),
-        Evidence(names, gram_of(white[0], white[1], rows.weight, parts), *common),
+        GramArrays(names, gram_of(columns, residual, rows.weight, parts), *common),
+        GramArrays(names, gram_of(white[0], white[1], rows.weight, parts), *common),
         rows,
         sums,
     )
@@ -353,10 +414,10 @@ def day_rows(
     values = derived.on(day, made.library.channels, there)
     variables = as_variables(mission, values, geometry if there else None)
     edges = derived.reader.edges(day)
-    turn = turns_of(made.model, (start + end) // 2)
+    matrices = sensor_matrices(made.model, (start + end) // 2)
     recorded = derived.reader.day(day)
-    rows, sums = coarsen(samples, native, edges, variables, turn, recorded, made.keep_bursts)
-    rows = replace(rows, weight=np.where(_lost(there, rows.weight > 0), 0.0, rows.weight))
+    rows, sums = coarsen(samples, native, edges, variables, matrices, recorded, made.keep_bursts)
+    rows = replace(rows, weight=np.where(_without_geometry(there, rows.weight > 0), 0.0, rows.weight))
     if made.stretches is not None:
         rows = _in_stretches(rows, made.stretches)
     if made.folding is None:
@@ -367,25 +428,25 @@ def day_rows(
 
 
 def _in_stretches(rows: Rows, stretches: Stretches) -> Rows:
-    """Return rows whose residual is relative to its stretch; those in none weigh nothing."""
+    """Return rows whose residual is relative to its stretch; those in none have no weight."""
     stamps = rows.samples["tt2000"].values
     weight = np.where(stretches.is_lost(stamps), 0.0, rows.weight)
     residual = np.nan_to_num(stretches.keep(rows.residual, stamps, weight > 0))
-    return replace(rows, residual=residual, weight=weight, kept=stretches)
+    return replace(rows, residual=residual, weight=weight, row_filter=stretches)
 
 
-def _lost(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
-    """Return which bins have no geometry, when most have: what is not there must not pass for a shadow."""
+def _without_geometry(geometry: Mapping[str, Floats], used: np.ndarray) -> np.ndarray:
+    """Return which bins have no geometry, when most have: a missing one must not pass for a shadow."""
     out = np.zeros(used.size, dtype=bool)
     for values in geometry.values():
         missing = ~np.isfinite(values.reshape(used.size, -1)).all(axis=1)
-        if (missing & used).sum() <= _GEOMETRY_GAPS * max(used.sum(), 1):
+        if (missing & used).sum() <= PASS.geometry_gaps * max(used.sum(), 1):
             out |= missing
     return out
 
 
 def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, samples: xr.Dataset) -> xr.Dataset:
-    """Return what position and attitude say of a day's bins."""
+    """Return the geometry of a day's bins, from position and attitude."""
     data = orbit_of(mission, reader, day)
     bins = data["tt2000"].size
     for role in ("vector", "outboard"):
@@ -397,13 +458,13 @@ def _geometry(mission: Mission, reader: ChannelReader, day: np.datetime64, sampl
     return found.drop_vars([name for name in ("position", "attitude", "vector", "outboard") if name in found])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Loaded:
     """The evidence of a span: raw, prewhitened, within-day when it was made apart, the series, outliers."""
 
-    raw: Evidence
-    white: Evidence
-    within: Evidence | None
+    raw: GramBlocks
+    white: GramBlocks
+    within: GramBlocks | None
     series: Series
     sums: Mapping[str, float]
     floor: NoiseFloor
@@ -416,32 +477,32 @@ def load_evidence(cat: Catalog, made: PassPlan, days: Sequence[Day]) -> Loaded:
     scale = np.array([*made.scale, 1.0])
     ordered = sorted(days, key=lambda day: day.day)
     parts = [cat.read(day) for day in ordered]
-    raw = [Evidence.of(part, names, scale) for part in parts]
-    white = [Evidence.of(part, names, scale, "gram_white") for part in parts]
+    raw = [GramArrays.of(part, names, scale) for part in parts]
+    white = [GramArrays.of(part, names, scale, "gram_white") for part in parts]
     within = None
     if made.within_blocks:
         base = {name for term in made.library.base for name in term.columns}
         kept = [place for place, name in enumerate(names) if name not in base]
         left = tuple(names[place] for place in kept)
-        apart = [Evidence.of(part, left, scale[kept], "gram_within") for part in parts]
-        within = apart[0].joined(apart[1:])
+        apart = [GramArrays.of(part, left, scale[kept], "gram_within") for part in parts]
+        within = apart[0].join(apart[1:])
     packed = np.concatenate([part["series"].values for part in parts])
     starts = np.concatenate([part["start"].values for part in parts])
     features = Features.of_json(parts[0]["series"].attrs["features"])
-    filled = {need.name: stand_in_value(made.told, need.name) for need in made.channel_needs}
+    filled = {need.name: stand_in_value(made.channel_summaries, need.name) for need in made.channel_needs}
     series = Series.of(packed, starts, features, filled)
     sums = {
         name: sum(float(day.report[name]) for day in ordered)
         for name in ("count", "square", "inside", "spikes")
     }
     return Loaded(
-        raw[0].joined(raw[1:]),
-        white[0].joined(white[1:]),
-        within,
-        replace(series, kept=made.kept),
-        sums,
-        joined_floors([day.report for day in ordered]),
-        Outliers.of([day.report for day in ordered], made.keep_bursts),
+        raw=raw[0].join(raw[1:]),
+        white=white[0].join(white[1:]),
+        within=within,
+        series=replace(series, row_filter=made.row_filter),
+        sums=sums,
+        floor=floor_of_reports([day.report for day in ordered]),
+        outliers=Outliers.of([day.report for day in ordered], made.keep_bursts),
     )
 
 
@@ -477,7 +538,7 @@ def make_blocks(
         size = settings.batch_blocks
         batches = [tuple(todo[at : at + size]) for at in range(0, len(todo), size)]
         jobs = [
-            Job(batch, _of(keys, batch), _of(parents, batch), index, plan.needs, run.id, dataset)
+            Job(batch, _choose(keys, batch), _choose(parents, batch), index, plan.needs, run.id, dataset)
             for batch in batches
         ]
         tell("pass", 0, len(todo))
@@ -500,30 +561,8 @@ def make_blocks(
         return run.id, [kept[day] for day in sorted(kept)]
 
 
-def _of(told: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
-    return {day: told[day] for day in days}
-
-
-#: Channels that get a placebo.
-_PLACEBOS = 16
-
-#: Days looked at, evenly spread, and samples of each that enter the fit.
-_DAYS, _SAMPLES = 12, 20_000
-
-#: Blocks that are wanted of a record, and blocks of a long one at most.
-WANTED_BLOCKS, MOST_BLOCKS = 96, 200
-
-#: Correlation time the prewhitened form assumes, s; a fiftieth of the span when that is less.
-MEMORY_S = 600.0
-
-#: The library's cadence for spans of up to so many days, s.
-_CADENCES = ((2.0, 10.0), (20.0, 10.0), (70.0, 20.0), (np.inf, 30.0))
-
-#: A channel whose values spread by less than this part of their size does not change.
-_STILL = 1e-9
-
-#: Rows of a short record: it is not thinned below so many.
-_ROWS = 5000
+def _choose(by_day: Mapping[np.datetime64, Any], days: Sequence[np.datetime64]) -> dict[np.datetime64, Any]:
+    return {day: by_day[day] for day in days}
 
 
 @dataclass(frozen=True)
@@ -547,7 +586,7 @@ class Survey:
     model: Model
     base: tuple[Term, ...]
     fixed: tuple[Term, ...]
-    channels: Mapping[str, Told]
+    channels: Mapping[str, ChannelSummary]
     still: tuple[str, ...]
 
 
@@ -560,22 +599,18 @@ def survey(
     days: Sequence[np.datetime64],
     reader: ChannelReader,
 ) -> Survey:
-    """Look at some days of the span.
+    """Read some days of the span: linearise the residual, summarise the channels.
 
     Raises
     ------
     CalibrationError
         When no day has enough usable samples.
     """
-    some = _spread(days)
+    places = np.linspace(0, len(days) - 1, min(PASS.surveyed_days, len(days))).round().astype(int)
+    some = [days[place] for place in np.unique(places)]
     fitted, base, fixed = _linearised(cat, mission, model, needs, index, some)
-    told, still = _channels(reader, some)
-    return Survey(fitted, base, fixed, told, still)
-
-
-def _spread(days: Sequence[np.datetime64]) -> list[np.datetime64]:
-    places = np.unique(np.linspace(0, len(days) - 1, min(_DAYS, len(days))).round().astype(int))
-    return [days[place] for place in places]
+    changing, still = _channels(reader, some)
+    return Survey(fitted, base, fixed, changing, still)
 
 
 def _linearised(
@@ -589,7 +624,7 @@ def _linearised(
     """Return the model at its fitted nine parameters, and the terms of these."""
     kind = mission.comparisons[model.comparison].kind
     if kind == "spin":
-        return _turning(cat, mission, model, needs, index, days)
+        return _linearised_spin(cat, mission, model, needs, index, days)
     if kind == "platform":
         return model, (), ()
     if kind == "dual":
@@ -599,7 +634,7 @@ def _linearised(
         return model, (_extra_base(mission, model),), ()
     middle = sum(day_bounds(days[len(days) // 2])) // 2
     prior = prior_of(own[0], middle)
-    parts = [_thinned(cat, mission, model, day, needs, index) for day in days]
+    parts = [_thinned_samples(cat, mission, model, day, needs, index) for day in days]
     whole = [np.concatenate(one) for one in zip(*parts, strict=True)]
     if whole[3].sum() < 2 * prior.value.size:
         raise CalibrationError(
@@ -609,12 +644,12 @@ def _linearised(
     value = prior.value
     if np.any(prior.sigma > 0):
         value = fit_block(whole[0], whole[1], whole[2], whole[3], prior).value
-    entry = _at(own[0], value)
+    entry = _at_values(own[0], value)
     effects = tuple(entry if one is own[0] else one for one in model.effects)
     return replace(model, effects=effects), *_nine_terms(entry, prior)
 
 
-def _turning(
+def _linearised_spin(
     cat: Catalog,
     mission: Mission,
     model: Model,
@@ -635,13 +670,13 @@ def _turning(
     assert entry is not None
     base, fixed = [], []
     for name in SpinningSensor.SPIN_RELATED:
-        told = entry.parameters[name]
-        if told.free:
+        timed = entry.parameters[name]
+        if timed.free:
             kinds = SpinningSensor.parameters()[name]
-            known = np.where(np.isfinite(told.sigma[:, 0]), told.sigma[:, 0], kinds.sigma)
+            known = np.where(np.isfinite(timed.sigma[:, 0]), timed.sigma[:, 0], kinds.sigma)
             base.append(Term(entry.name, entry, (name,), tuple(known.tolist())))
         else:
-            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * told.parameter.size))
+            fixed.append(Term(entry.name, entry, (name,), (np.inf,) * timed.parameter.size))
     return model, tuple(base), tuple(fixed)
 
 
@@ -658,7 +693,7 @@ def prior_of(entry: ModelEffect, tt2000: int) -> Reference:
     return Reference(np.concatenate([one.at(tt2000) for one in timed]), np.concatenate(sigma), entry.name)
 
 
-def _at(entry: ModelEffect, value: Floats) -> ModelEffect:
+def _at_values(entry: ModelEffect, value: Floats) -> ModelEffect:
     parameters = dict(entry.parameters)
     for place, part in enumerate(PARTS):
         numbers = value[3 * place : 3 * place + 3][:, None]
@@ -694,7 +729,7 @@ def _dual_base(mission: Mission, model: Model) -> Term:
     return Term("calibration", entry, ("matrix", "shift"), (np.inf,) * 12)
 
 
-def _thinned(
+def _thinned_samples(
     cat: Catalog,
     mission: Mission,
     model: Model,
@@ -705,15 +740,15 @@ def _thinned(
     samples = load_samples(cat, mission, model, day, list(needs), index, geometry=False)
     reading, additive, scalar = split_chain(model, samples)
     good = usable(samples, reading, additive, scalar)
-    step = max(1, len(reading) // _SAMPLES)
+    step = max(1, len(reading) // PASS.surveyed_samples)
     additive = np.broadcast_to(additive, reading.shape)
     return reading[::step], additive[::step], scalar[::step], good[::step]
 
 
 def _channels(
     reader: ChannelReader, days: Sequence[np.datetime64]
-) -> tuple[dict[str, Told], tuple[str, ...]]:
-    told, still, kinds = {}, [], channels_of(reader.mission)
+) -> tuple[dict[str, ChannelSummary], tuple[str, ...]]:
+    changing, still, kinds = {}, [], channels_of(reader.mission)
     read = {day: reader.day(day) for day in days}
     for name in reader.scalars:
         values = np.concatenate([read[day][name] for day in days])
@@ -723,18 +758,19 @@ def _channels(
             continue
         low, high = np.quantile(finite, [0.05, 0.95])
         spread = float(high - low) or float(np.ptp(finite))
-        if spread <= _STILL * max(float(np.abs(finite).max()), 1e-300):
+        if spread <= PASS.steady * max(float(np.abs(finite).max()), 1e-300):
             still.append(name)
             continue
-        told[name] = Told(float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind)
-    return told, tuple(still)
+        changing[name] = ChannelSummary(
+            float(finite.mean()), spread, 1.0 - finite.size / values.size, kinds[name].kind
+        )
+    return changing, tuple(still)
 
 
 def cadence_for(span_ns: int, native_ns: int) -> int:
     """Return the library's cadence for a span: native when it is slow or the record short, nanoseconds."""
-    wanted = next(seconds for days, seconds in _CADENCES if span_ns <= days * DAY) * SECOND
-    wanted = min(wanted, span_ns / _ROWS)
-    return native_ns * max(1, int(wanted // native_ns))
+    usual = next(seconds for days, seconds in PASS.cadences if span_ns <= days * DAY) * SECOND
+    return native_ns * max(1, int(min(usual, span_ns / PASS.rows) // native_ns))
 
 
 def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int]:
@@ -743,11 +779,11 @@ def block_parts(days: int, span_ns: int, orbit_ns: int | None) -> tuple[int, int
     A block of a short span is a part of a day, of an orbit or more where one is known; of a long one,
     some days.
     """
-    if days > MOST_BLOCKS:
-        return 1, -(-days // MOST_BLOCKS)
+    if days > PASS.most_blocks:
+        return 1, -(-days // PASS.most_blocks)
     day_ns = span_ns / days
     most = max(1, int(day_ns // orbit_ns)) if orbit_ns and day_ns > orbit_ns else 10**6
-    return int(np.clip(-(-WANTED_BLOCKS // days), 1, most)), 1
+    return int(np.clip(-(-PASS.target_blocks // days), 1, most)), 1
 
 
 def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, float]:
@@ -755,7 +791,10 @@ def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, f
     generator = np.random.default_rng(20_000)
     names = sorted(found.channels)
     chosen = (
-        [names[place] for place in np.unique(np.linspace(0, len(names) - 1, _PLACEBOS).round().astype(int))]
+        [
+            names[place]
+            for place in np.unique(np.linspace(0, len(names) - 1, PASS.placebos).round().astype(int))
+        ]
         if names
         else []
     )
@@ -771,11 +810,7 @@ def placebo_shifts(found: Survey, orbit: int | None, length: int) -> dict[str, f
     return out
 
 
-#: A stretch between unexplained switchings is cut to this, s.
-_LONGEST_S = 3 * 3600
-
-
-def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | None:
+def find_switchings(mission: Mission, plan: PassPlan, series: Series) -> JumpAttribution | None:
     """Return the switchings in the residual of a pass without stretches.
 
     Parameters
@@ -786,9 +821,9 @@ def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | 
     Returns
     -------
     Switched or None
-        None of another comparison than one of two sensors that tell of states, or when there are none.
+        None of another comparison than one of two sensors on one boom, or when there are none.
     """
-    if not is_told_by_states(mission, plan.model.comparison):
+    if not learns_states(mission, plan.model.comparison):
         return None
     residual = series["residual"].reshape(len(series.tt2000), -1)
     there = (series["weight"] > 0) & np.asarray(np.isfinite(residual).all(axis=1))
@@ -802,19 +837,20 @@ def switched_in(mission: Mission, plan: PassPlan, series: Series) -> Switched | 
     row_ns = series.step_s * SECOND
     cadence = {need.name: need.cadence_ns for need in plan.channel_needs}
     reach = {name: int(np.ceil(cadence[name] / row_ns)) + 1 for name in names}
-    return switched(series.tt2000[there], residual[there], channels, reach)
+    return attribute_jumps(series.tt2000[there], residual[there], channels, reach)
 
 
-def stretches_between(found: Switched, plan: PassPlan) -> Stretches:
+def stretches_between(found: JumpAttribution, plan: PassPlan) -> Stretches:
     """Return the stretches between switchings that no channel follows, and what belongs to none.
 
     A channel is late or early by some of its own cadence: around every switching the residual holds what
-    the channel does not tell of, in proportion to the field that the calibration rests on. These rows go.
-    Offsets wander by hours, which no scatter between blocks tells of: no stretch is longer than some of them.
+    the channel does not show, in proportion to the field that the calibration rests on. These rows are left
+    out. Offsets wander by hours, which no scatter between blocks shows: no stretch is longer than some of
+    them.
     """
     half = plan.cadence_ns * plan.series_step // 2
     lost = tuple(zip((found.last + half).tolist(), (found.first - half).tolist(), strict=True))
-    step = _LONGEST_S * SECOND
+    step = PASS.longest_stretch_s * SECOND
     regular = [at for day in plan.days for at in range(day_bounds(day)[0], day_bounds(day)[1], step)]
     middle = found.last + (found.first - found.last) // 2
     return Stretches(tuple(sorted({*regular, *middle[~found.follows].tolist()})), lost)

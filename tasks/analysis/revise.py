@@ -1,14 +1,12 @@
-"""Workbench, diagnose_span.
+"""The model revised: an effect added, dropped or taken back, everything fitted anew, a new version saved.
 
-What a change of the model did: residual before and after, and which other parameters moved.
+Takes a catalog, a mission and a span, as `inflight.tasks.analysis.compare` and `diagnose` do; `Workbench`
+holds the Gram blocks of one pass in memory. Its *root* is the version of the model they were made at; what
+later versions added or dropped is algebra on them. Only an effect whose columns are not among them costs a
+pass, over the model's columns and its own. Each change makes a `Revision`: the residual before and after,
+the effect's numbers, and which other parameters moved.
 
-The model revised: an effect added, dropped or taken back, everything fitted anew, a new version saved.
-
-`Workbench` holds the evidence of one pass in memory. Its *root* is the version of the model the
-evidence was made at; what later versions added or dropped is algebra on that evidence. Only an effect
-whose columns are not in it costs a pass, over the model's columns and its own.
-
-A diagnosis as the command line and the flow run it, and where its last result is kept.
+`diagnose_span` is a diagnosis as the command line and the flow run it; `last_diagnosis` reads its result.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -27,38 +25,38 @@ from inflight.design import EQUATIONS, Library, Term
 from inflight.diagnosis import (
     DRIFTS,
     Addition,
+    AdditionMaker,
     Diagnosis,
-    Fitted,
-    Ground,
-    Maker,
+    FitSetup,
+    JointFit,
     Search,
     addition_of,
+    addition_of_entry,
     best_lag,
-    carriers_of,
     conclude,
-    find_wanted,
-    held_at_nothing,
-    known_addition,
+    find_request,
+    neutral_changes,
+    row_variance,
+    time_variable_columns,
     values_of,
-    variance_of,
 )
 from inflight.effects import did_you_mean
 from inflight.errors import ModelError, SettingsError
-from inflight.lsq import Evidence
+from inflight.lsq import GramBlocks
 from inflight.mission import Mission
 from inflight.model import Model, ModelEffect, folding_of
-from inflight.tasks.analysis.diagnosis import Prepared, intervals_of, material_of, prepare, search_of
+from inflight.tasks.analysis.diagnosis import PassResult, begin_search, context_of, intervals_of, make_pass
 from inflight.tasks.analysis.gram_pass import DiagnoseSettings, PassPlan
 from inflight.tasks.models import UsedModel, before_last, current_model, evidence_root
-from inflight.tasks.pipelines.states import named_units
+from inflight.tasks.pipelines import units_of
 from inflight.tasks.report import Progress, to_json
 from inflight.time import DayLike
 
-#: A parameter's uncertainty that changes by this factor tells of cross-talk made or removed.
+#: A parameter's uncertainty that changes by this factor shows cross-talk made or removed; assumed.
 _CROSS_TALK = 1.5
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True)
 class Revision:
     """What a change of the model did.
 
@@ -103,7 +101,7 @@ class Revision:
         }
 
 
-def moved(before: Fitted, after: Fitted, units: Mapping[str, str]) -> list[dict[str, Any]]:
+def moved_parameters(before: JointFit, after: JointFit, units: Mapping[str, str]) -> list[dict[str, Any]]:
     """Return the parameters of two fits that moved by more than a sigma, or whose sigma did.
 
     Parameters
@@ -124,15 +122,23 @@ def moved(before: Fitted, after: Fitted, units: Mapping[str, str]) -> list[dict[
     ):
         for name in (name for name in was if name in now):
             by = now[name] - was[name]
-            why = _why(by, was_sigma[name], sigma[name])
+            why = _why_moved(by, was_sigma[name], sigma[name])
             if why:
                 plain = name.removeprefix("model:")
-                told = {"parameter": plain, "by": by, "sigma": sigma[name], "sigma_before": was_sigma[name]}
-                found.append(told | {"unit": units.get(plain, ""), "why": why})
+                found.append(
+                    {
+                        "parameter": plain,
+                        "by": by,
+                        "sigma": sigma[name],
+                        "sigma_before": was_sigma[name],
+                        "unit": units.get(plain, ""),
+                        "why": why,
+                    }
+                )
     return sorted(found, key=lambda one: -abs(one["by"]) / max(one["sigma_before"], 1e-300))
 
 
-def _why(by: float, was: float, now: float) -> str:
+def _why_moved(by: float, was: float, now: float) -> str:
     if now > _CROSS_TALK * was:
         return "cross-talk made"
     if was > _CROSS_TALK * now:
@@ -140,7 +146,7 @@ def _why(by: float, was: float, now: float) -> str:
     return "moved" if abs(by) > min(was, now) else ""
 
 
-def numbers(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]]:
+def fitted_values(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]]:
     """Return the fitted numbers of some of a model's effects: name, value, sigma and unit."""
     return [
         {
@@ -159,26 +165,27 @@ def numbers(model: Model, entries: Sequence[ModelEffect]) -> list[dict[str, Any]
 
 @dataclass
 class Workbench:
-    """The evidence of a span in memory, and the model that is being revised on it.
+    """The Gram blocks of a span in memory, and the model that is being revised with them.
 
     Parameters
     ----------
     cat : Catalog
     mission : Mission
+    start, end : UTC date, optional
+        Half-open span of days; the whole archive when absent.
     settings : DiagnoseSettings
-    start, end : UTC date or None
-        The span of the evidence.
     fresh : bool
-        Make the evidence at the present version, even if an earlier one has some.
+        Make the Gram blocks at the present version, even if an earlier one has some.
     client, progress
         As of `inflight.tasks.analysis.diagnosis.diagnose`.
     """
 
     cat: Catalog
     mission: Mission
-    settings: DiagnoseSettings = field(default_factory=DiagnoseSettings)
     start: DayLike | None = None
     end: DayLike | None = None
+    settings: DiagnoseSettings = field(default_factory=DiagnoseSettings)
+    _: KW_ONLY
     fresh: bool = False
     client: Any = None
     progress: Progress | None = None
@@ -188,17 +195,17 @@ class Workbench:
         root = evidence_root(self.cat, self.mission, self.current)
         if self.fresh and root and root[0].text != self.current.text:
             root = None
-        #: The mission as it was when the evidence was made; it keys the evidence.
+        #: The mission as it was when the Gram blocks were made; it is part of their key.
         used, self._measured = root or (self.current, self.mission)
         self.made = self._prepared(used, None)
         if used.text == self.current.text:
             self.made = replace(self.made, used=self.current)
-        self._narrow: tuple[tuple[str, ...], Prepared] | None = None
-        #: The fit of the model as it stands is asked for again with the next change.
-        self._last: tuple[Evidence, tuple[Any, ...], Fitted] | None = None
+        self._narrow: tuple[tuple[str, ...], PassResult] | None = None
+        #: The fit of the present model is needed again with the next change.
+        self._last: tuple[GramBlocks, tuple[Any, ...], JointFit] | None = None
         self._restore()
 
-    def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> Prepared:
+    def _prepared(self, used: UsedModel, needs: Sequence[Term] | None) -> PassResult:
         def narrow(plan: PassPlan) -> PassPlan:
             own = plan.library
             there = {name for term in (*own.base, *own.refined) for name in term.columns}
@@ -207,7 +214,7 @@ class Workbench:
 
         narrower = None if needs is None else narrow
         how: Any = {"client": self.client, "progress": self.progress, "used": used, "narrow": narrower}
-        return prepare(self.cat, self._measured, self.start, self.end, self.settings, **how)
+        return make_pass(self.cat, self._measured, self.start, self.end, self.settings, **how)
 
     def _restore(self) -> None:
         """Find out what the present version added to the root, and dropped of it."""
@@ -215,7 +222,7 @@ class Workbench:
         now = {entry.name for entry in self.current.model.effects}
         self.dropped = sorted(root - now)
         added = [entry for entry in self.current.model.effects if entry.name not in root]
-        self.additions: list[Addition] = [known_addition(self.maker, entry) for entry in added]
+        self.additions: list[Addition] = [addition_of_entry(self.maker, entry) for entry in added]
         for entry in self.root.model.effects:
             if isinstance(entry.effect, EQUATIONS) and entry.name in now:
                 self.additions += self._freed(entry.name)
@@ -233,34 +240,28 @@ class Workbench:
 
     @property
     def root(self) -> UsedModel:
-        """The version the evidence was made at."""
+        """The version the Gram blocks were made at."""
         return self.made.used
 
     @property
-    def maker(self) -> Maker:
+    def maker(self) -> AdditionMaker:
         """What makes additions, with names that are free now."""
         names = {one.name for model in (self.root.model, self.current.model) for one in model.effects}
         plan = self.made.plan
-        return Maker(
-            self.mission,
-            plan.model,
-            plan.library,
-            carriers_of(plan.library),
-            self.made.loaded.raw,
-            frozenset(names),
+        return AdditionMaker(
+            mission=self.mission,
+            model=plan.model,
+            library=plan.library,
+            time_variable=time_variable_columns(plan.library),
+            raw=self.made.loaded.raw,
+            names=frozenset(names),
         )
-
-    @cached_property
-    def _search(self) -> Search:
-        return search_of(self.made, self.settings)
 
     def candidates(self) -> list[str]:
         """Return the names of everything that `add` knows without a pass, in the library's order."""
-        kinds = [kind for kind in DRIFTS if self._has_carrier(kind)]
+        columns = self.maker.time_variable
+        kinds = [kind for kind in DRIFTS if getattr(columns, kind.removesuffix("_drift"))]
         return [one.name for one in self.made.plan.library.candidates if not one.placebo] + kinds
-
-    def _has_carrier(self, drift: str) -> bool:
-        return bool(getattr(self.maker.carriers, drift.removesuffix("_drift")))
 
     # Changes of the model.
 
@@ -278,12 +279,12 @@ class Workbench:
         ModelError
             When nothing is called so, or it cannot be fitted.
         """
-        wanted = find_wanted(self.maker, effect)
-        addition = wanted.addition
-        if wanted.bank:
-            ground, fixed = self._ground([*self.additions, addition], self.dropped)
-            lag = best_lag(ground, fixed, [c for one in self.additions for c in one.columns], wanted.bank)
-            addition = wanted.at_lag(lag)
+        request = find_request(self.maker, effect)
+        addition = request.addition
+        if request.bank:
+            setup, fixed = self._fit_setup([*self.additions, addition], self.dropped)
+            lag = best_lag(setup, fixed, [c for one in self.additions for c in one.columns], request.bank)
+            addition = request.at_lag(lag)
         more = [*self.additions, addition]
         return self._revise("add", f"add {addition.name}", more, self.dropped, addition)
 
@@ -321,14 +322,14 @@ class Workbench:
             When there is nothing to go back to.
         """
         found = before_last(self.cat, self.mission, self.current)
-        ground, fixed = self._ground(self.additions, self.dropped)
-        before, first = self._fit(ground, fixed, self.additions), self.current
+        setup, fixed = self._fit_setup(self.additions, self.dropped)
+        before, first = self._fit(setup, fixed, self.additions), self.current
         message = f"undo version {first.version}: back to version {found.version}"
         self.current = self._saved(found.model, message, found.text)
         self._restore()
-        ground, fixed = self._ground(self.additions, self.dropped)
-        after = self._fit(ground, fixed, self.additions)
-        return self._told("undo", message, first.version, before, after)
+        setup, fixed = self._fit_setup(self.additions, self.dropped)
+        after = self._fit(setup, fixed, self.additions)
+        return self._revision("undo", message, first.version, before, after)
 
     def _revise(
         self,
@@ -338,18 +339,17 @@ class Workbench:
         dropped: list[str],
         addition: Addition | None = None,
     ) -> Revision:
-        ground, fixed = self._ground(additions, dropped)
+        setup, fixed = self._fit_setup(additions, dropped)
         interleaved = any(one.interleaved for one in (*additions, *self.additions))
         same = self._held(dropped)[1] == self._held(self.dropped)[1]
-        old = self._ground(self.additions, self.dropped, ground if same else None)
+        old = self._fit_setup(self.additions, self.dropped, setup if same else None)
         before = self._fit(*old, self.additions, interleaved)
-        after = self._fit(ground, fixed, additions, interleaved)
-        model, parent = self._model(ground, additions, dropped, after), self.current.version
+        after = self._fit(setup, fixed, additions, interleaved)
+        model, parent = self._model(setup, additions, dropped, after), self.current.version
         self.current = self._saved(model, message, model.text)
         self.additions, self.dropped = additions, dropped
-        told = self._told(command, message, parent, before, after)
-        told.values = numbers(model, addition.entries) if addition else []
-        return told
+        values = fitted_values(model, addition.entries) if addition else []
+        return replace(self._revision(command, message, parent, before, after), values=values)
 
     def _saved(self, model: Model, message: str, text: str) -> UsedModel:
         version = self.cat.save_model(model.name, text, self.current.version, message, again=True)
@@ -359,32 +359,32 @@ class Workbench:
 
     def _fit(
         self,
-        ground: Ground,
+        setup: FitSetup,
         fixed: Mapping[str, float],
         additions: Sequence[Addition],
         interleaved: bool | None = None,
-    ) -> Fitted:
+    ) -> JointFit:
         columns = [column for one in additions for column in one.columns]
         apart = any(one.interleaved for one in additions) if interleaved is None else interleaved
         key = (tuple(one.name for one in additions), tuple(sorted(fixed)), apart)
-        if self._last is None or self._last[0] is not ground.raw or self._last[1] != key:
-            self._last = ground.raw, key, ground.fit(columns, fixed, interleaved=apart)
+        if self._last is None or self._last[0] is not setup.raw or self._last[1] != key:
+            self._last = setup.raw, key, setup.fit(columns, fixed, interleaved=apart)
         return self._last[2]
 
-    def _ground(
-        self, additions: Sequence[Addition], dropped: Sequence[str], beside: Ground | None = None
-    ) -> tuple[Ground, dict[str, float]]:
-        """Return what a fit stands on, and the parameters held at nothing for what was dropped.
+    def _fit_setup(
+        self, additions: Sequence[Addition], dropped: Sequence[str], same: FitSetup | None = None
+    ) -> tuple[FitSetup, dict[str, float]]:
+        """Return what a fit needs, and the changes of parameters that take out what was dropped.
 
         Parameters
         ----------
-        beside : Ground, optional
-            Taken when it serves: what is compared should stand on the same.
+        same : FitSetup, optional
+            Taken when it has all columns: what is compared should come from the same Gram blocks.
         """
         held, hard = self._held(dropped)
         names = {part for one in additions for column in one.columns for part, _ in column.parts}
-        if beside is not None and names <= set(beside.raw.names):
-            return beside, held
+        if same is not None and names <= set(same.raw.names):
+            return same, held
         if names <= set(self.made.loaded.raw.names) and not hard:
             return self._whole, held
         needs = [term for one in additions for term in one.needs]
@@ -395,11 +395,11 @@ class Workbench:
                 model = model.drop(name)
             used = UsedModel(model, self.root.version, model.text)
             self._narrow = key, self._prepared(used, needs)
-        return _ground_of(self._narrow[1], self.settings), held
+        return _fit_setup_of(self._narrow[1], self.settings), held
 
     @cached_property
-    def _whole(self) -> Ground:
-        return _ground_of(self.made, self.settings)
+    def _whole(self) -> FitSetup:
+        return _fit_setup_of(self.made, self.settings)
 
     def _held(self, dropped: Sequence[str]) -> tuple[dict[str, float], tuple[str, ...]]:
         """Return changes that take dropped effects out, and those that ask for a pass without them."""
@@ -407,7 +407,7 @@ class Workbench:
         hard = []
         terms = {term.entry.name: term for term in self.made.plan.library.refined}
         for name in dropped:
-            found = held_at_nothing(self.root.model.effect(name), terms[name]) if name in terms else None
+            found = neutral_changes(self.root.model.effect(name), terms[name]) if name in terms else None
             if found is None:
                 hard.append(name)
             else:
@@ -415,12 +415,12 @@ class Workbench:
         return held, tuple(hard)
 
     def _model(
-        self, ground: Ground, additions: Sequence[Addition], dropped: Sequence[str], fitted: Fitted
+        self, setup: FitSetup, additions: Sequence[Addition], dropped: Sequence[str], fitted: JointFit
     ) -> Model:
         """Return the root's model with everything at its fitted values."""
         model = self.root.model
         value, sigma = {}, {}
-        for term in ground.refined:
+        for term in setup.refined:
             starts = values_of(term.entry)
             for name in (name for name in starts if f"model:{name}" in fitted.value):
                 value[name] = starts[name] + fitted.value[f"model:{name}"]
@@ -432,22 +432,24 @@ class Workbench:
             model = one.put_into(model, fitted.value, fitted.sigma)
         return model
 
-    # What is told.
+    # What a change did.
 
-    def _told(self, command: str, effect: str, parent: int, before: Fitted, after: Fitted) -> Revision:
+    def _revision(
+        self, command: str, effect: str, parent: int, before: JointFit, after: JointFit
+    ) -> Revision:
         inside = self.made.loaded.sums["inside"] / max(self.made.loaded.sums["count"], 1.0)
         sizes = [
             float(np.sqrt(one + inside))
             for one in (before.in_sample, after.in_sample, before.held_out, after.held_out)
         ]
         return Revision(
-            command,
-            effect,
-            self.current,
-            parent,
-            (sizes[0], sizes[1]),
-            (sizes[2], sizes[3]),
-            moved(before, after, self._units()),
+            command=command,
+            effect=effect,
+            model=self.current,
+            parent=parent,
+            in_sample=(sizes[0], sizes[1]),
+            held_out=(sizes[2], sizes[3]),
+            moved=moved_parameters(before, after, self._units()),
             run=self.made.run,
             context=self.made.context,
         )
@@ -466,20 +468,24 @@ class Workbench:
     # The search.
 
     def diagnose(self) -> Diagnosis:
-        """Search what is missing from the present version; its evidence is made anew when it has none."""
+        """Search what is missing from the present version; its Gram blocks are made when there are none."""
+        return self._searched()[0]
+
+    def _searched(self) -> tuple[Diagnosis, Search]:
         self._refresh()
-        material = material_of(self.made, self.mission)
-        model = replace(material.model, version=self.root.version)
-        return conclude(self._search, replace(material, model=model))
+        context = context_of(self.made, self.mission)
+        model = replace(context.model, version=self.root.version)
+        return conclude(begin_search(self.made, self.settings), replace(context, model=model))
 
     def auto(self) -> tuple[Diagnosis, list[Revision]]:
         """Search, and save one version for every effect the search took, in order."""
-        found = self.diagnose()
-        # Lags, widths and products that the search made have their columns in its evidence.
-        self.made = replace(self.made, loaded=replace(self.made.loaded, raw=self._search.raw))
+        found, search = self._searched()
+        # Lags, widths and products that the search made have their columns in its Gram blocks.
+        loaded = replace(self.made.loaded, raw=search.raw)
+        self.made = replace(self.made, plan=replace(self.made.plan, library=search.library), loaded=loaded)
         self.__dict__.pop("_whole", None)
         steps = []
-        for option in self._search.accepted:
+        for option in search.accepted:
             addition = addition_of(self.maker, option)
             message = f"auto: add {addition.name}"
             steps.append(self._revise("auto", message, [*self.additions, addition], self.dropped, addition))
@@ -490,19 +496,19 @@ class Workbench:
             self._measured = self.mission
             self.made = self._prepared(self.current, None)
             self._narrow = None
-        for name in ("_search", "_whole"):
-            self.__dict__.pop(name, None)
+        self.__dict__.pop("_whole", None)
         self._restore()
 
 
-def _ground_of(made: Prepared, settings: DiagnoseSettings) -> Ground:
+def _fit_setup_of(made: PassResult, settings: DiagnoseSettings) -> FitSetup:
     library = made.plan.library
-    return Ground(
+    base = [name for term in library.base for name in term.columns]
+    return FitSetup(
         made.loaded.raw,
         tuple(library.base),
         tuple(library.refined),
         intervals_of(made, settings),
-        variance_of(made.loaded.white, library.base),
+        row_variance(made.loaded.white.select(base), library.base),
     )
 
 
@@ -533,7 +539,7 @@ def diagnose_span(
     -------
     dict
         `Diagnosis.as_json`; when versions are saved, ``command`` is ``auto`` and ``versions`` has what
-        `Revision.as_json` tells of each.
+        `Revision.as_json` gives of each.
 
     Raises
     ------
@@ -546,17 +552,17 @@ def diagnose_span(
     mission = workspace.mission()
     require_sampled(mission, settings.comparison)
     bench = Workbench(
-        Catalog(workspace.root), mission, settings, start, end, fresh=True, client=client, progress=progress
+        Catalog(workspace.root), mission, start, end, settings, fresh=True, client=client, progress=progress
     )
     if save:
         found, steps = bench.auto()
         fields = found.as_json() | {"command": "auto", "versions": [one.as_json() for one in steps]}
     else:
         fields = bench.diagnose().as_json()
-    units = named_units(bench.cat, mission, settings.comparison, start, end)
+    units = units_of(bench.cat, mission, settings.comparison, start, end)
     if units is not None:
         fields["units"] = units
-    keep(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
+    save_diagnosis(workspace, fields, {"start": start, "end": end, "settings": settings.model_dump()})
     return fields
 
 
@@ -593,7 +599,7 @@ def _has_rows(mission: Mission, comparison: str) -> bool:
     return folding_of(mission, comparison) is not None and bool({"sun_pulse", "spin_phase"} & kinds)
 
 
-def keep(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+def save_diagnosis(workspace: Workspace, fields: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     """Write a diagnosis whole or not at all, with what was asked for; a read-only workspace keeps none."""
     path = workspace.reports / f"diagnosis-{fields['comparison']}.json"
     part = path.with_suffix(f".{os.getpid()}.part")
@@ -622,7 +628,7 @@ def open_workbench(
     client: Any = None,
     progress: Progress | None = None,
 ) -> Workbench:
-    """Return a workbench on the evidence of the last diagnosis; without one, evidence is made of all days.
+    """Return a workbench with the Gram blocks of the last diagnosis; without one, they are made of all days.
 
     Raises
     ------
@@ -634,4 +640,4 @@ def open_workbench(
     asked = (last_diagnosis(workspace, comparison) or {}).get("asked") or {}
     settings = DiagnoseSettings.model_validate(asked.get("settings") or {"comparison": comparison})
     span = asked.get("start"), asked.get("end")
-    return Workbench(Catalog(workspace.root), mission, settings, *span, client=client, progress=progress)
+    return Workbench(Catalog(workspace.root), mission, *span, settings, client=client, progress=progress)

@@ -8,7 +8,7 @@ from .channels import (
     stand_in_value,
 )
 from .deliveries import SECOND_FLUXGATE, simulate, simulate_dual, simulate_spinning
-from .ingestion import each_result, ingest, result_of
+from .ingestion import ingest
 from .inputs import (
     AMBIENT,
     INPUTS,
@@ -60,7 +60,6 @@ __all__ = [
     "channel_series",
     "cut_at_flips",
     "day_faults",
-    "each_result",
     "flips_of",
     "geometry_channels",
     "ingest",
@@ -71,7 +70,6 @@ __all__ = [
     "partial_problems",
     "position_channel",
     "replaceable_needs",
-    "result_of",
     "saturated",
     "shows_spin",
     "simulate",

@@ -14,12 +14,12 @@ import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
-from inflight.design import Told, channel_on, grid
+from inflight.design import ChannelSummary, bin_channel, grid
 from inflight.effects import NO_CAUSE
 from inflight.frames import add_geometry
-from inflight.mission import Mission, is_told_by_states
+from inflight.mission import Mission
 from inflight.model import folding_of
-from inflight.residual import without_noise
+from inflight.residual import piecewise_mean
 from inflight.samples import Folding, Part, fold_series, parse, product
 from inflight.tasks.archive.inputs import ArchiveIndex, Need, channel_homes, clock_of
 from inflight.tasks.archive.samples import channel_series, spin_phase
@@ -108,6 +108,9 @@ class ChannelReader:
         First and last TT2000 of the whole record: bins do not reach beyond it.
     comparison : str
         Of a spin comparison, channels fast enough to go with the spin are folded like its field.
+    by_levels : bool
+        Whether readings are taken as levels between which they switch: where currents stand for fields many
+        times the noise, their own noise must not.
     """
 
     cat: Catalog
@@ -117,11 +120,8 @@ class ChannelReader:
     cadence_ns: int
     span: tuple[int, int]
     comparison: str = "main"
+    by_levels: bool = False
     _read: dict[np.datetime64, dict[str, Floats]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        #: Where currents stand for fields many times the noise, their own noise must not.
-        self._by_levels = is_told_by_states(self.mission, self.comparison)
 
     @property
     def scalars(self) -> list[str]:
@@ -179,14 +179,14 @@ class ChannelReader:
                 if self.mission.instruments[instrument].channels[name].kind in ("attitude", "position"):
                     cadence = max(cadence, self.cadence_ns + 1)
                 values, stamps = data[need.channel].values, data["tt2000"].values
-                if self._by_levels and values.ndim == 1:
-                    values = without_noise(np.asarray(values, dtype=np.float64))
+                if self.by_levels and values.ndim == 1:
+                    values = piecewise_mean(np.asarray(values, dtype=np.float64))
                 if turning is not None and turning.is_seen_by(cadence):
                     # One instrument's channels have the same stamps.
                     phase = turning.phase(stamps) if phase is None else phase
                     out[need.name] = turning.folded(values, stamps, phase, edges)
                 else:
-                    out[need.name] = channel_on(values, stamps, edges, cadence)
+                    out[need.name] = bin_channel(values, stamps, edges, cadence)
         return out
 
 
@@ -222,7 +222,7 @@ class DerivedChannels:
 
     reader: ChannelReader
     days: Sequence[np.datetime64]
-    told: Mapping[str, Told]
+    told: Mapping[str, ChannelSummary]
     shifts: Mapping[str, float]
     _by_orbit: dict[np.datetime64, xr.Dataset] = field(default_factory=dict, init=False, repr=False)
 
@@ -285,7 +285,7 @@ class DerivedChannels:
         return np.where(np.isfinite(values), values, stand_in_value(self.told, channel))
 
 
-def stand_in_value(told: Mapping[str, Told], channel: str) -> float:
+def stand_in_value(told: Mapping[str, ChannelSummary], channel: str) -> float:
     """Return what a channel's missing values are taken for: its mean, or nothing of one with components."""
     return told[channel].mean if channel in told else 0.0
 

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -34,9 +34,10 @@ from inflight.catalog.readers import (
     read_times,
     split_days,
 )
-from inflight.errors import InflightError, MissionError, ReadError, StorageError, WorkerError
+from inflight.errors import InflightError, MissionError, ReadError, StorageError
 from inflight.instruments import Files, Instrument
 from inflight.mission import Mission
+from inflight.tasks.batches import each_result
 from inflight.tasks.report import Progress, RunReport, problem_of
 from inflight.time import as_day, day_bounds, day_of, day_range, parse_utc, to_tt2000, to_utc
 
@@ -50,8 +51,6 @@ class IngestSettings:
 
     Attributes
     ----------
-    in_flight : int
-        Jobs given to a cluster before the first result is waited for (assumed).
     batch_bytes : int
         Samples of one batch in memory, before packing; it bounds the memory of a worker (assumed).
     most_days : int
@@ -60,7 +59,6 @@ class IngestSettings:
         Days that an unreadable file may mark as failed by the span of its name (assumed).
     """
 
-    in_flight: int = 16
     batch_bytes: int = 64_000_000
     most_days: int = 60
     longest_name_span: int = 366
@@ -69,8 +67,6 @@ class IngestSettings:
 INGEST = IngestSettings()
 
 Problem = dict[str, str]
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,46 +234,6 @@ def named_days(span: NameSpan) -> tuple[str, ...]:
         return ()
     last = first if span.end is None else as_day(str(to_utc(span.end - 1)))
     return tuple(str(day) for day in day_range(first, last + 1)[: INGEST.longest_name_span])
-
-
-def each_result(
-    client: Any, function: Callable[..., Result], jobs: Sequence[Sequence[Any]]
-) -> Iterator[Result]:
-    """Yield the results of a function in the order of its jobs, on a Dask client when there is one.
-
-    At most `INGEST.in_flight` jobs are out at once, so results never pile up.
-    """
-    if client is None:
-        for job in jobs:
-            yield function(*job)
-        return
-    waiting: deque[Any] = deque()
-    for job in jobs:
-        waiting.append(client.submit(function, *job, pure=False))
-        if len(waiting) >= INGEST.in_flight:
-            yield result_of(waiting.popleft())
-    while waiting:
-        yield result_of(waiting.popleft())
-
-
-def result_of(future: Any) -> Any:
-    """Return the result of a Dask future.
-
-    Raises
-    ------
-    WorkerError
-        When several processes in turn died of it. What the function itself raised is raised as it is.
-    """
-    from distributed import KilledWorker
-
-    try:
-        return future.result()
-    except KilledWorker as error:
-        raise WorkerError(
-            f"{error.allowed_failures + 1} Dask processes in turn ended while they did one piece of work",
-            remedy="look for what ends them, most often too little memory: fewer '--workers' or "
-            "'--batch-days' need less; then run again",
-        ) from error
 
 
 def within(days: Iterable[str], span: tuple[int | None, int | None]) -> list[str]:

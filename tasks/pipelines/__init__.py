@@ -1,4 +1,11 @@
-"""tasks/pipelines."""
+"""Ways of calibrating: each is a `Pipeline`, and nothing else asks which one a comparison has.
+
+In goes an archive of days and a mission, out come statistics of days, calibration tables, level-2 products
+and reports of them. `registry.py` is the file to open first: the table of pipelines, `pipeline_of`, and the
+verb `reprocess`. What all have in common stands in `base` (the protocol in `base/pipeline.py`), each pipeline
+in a folder of its own: `scalar`, `mission`, `spin`, `states`, `relation`. `check_pipeline` tests one of your
+own.
+"""
 
 import lazy_loader
 

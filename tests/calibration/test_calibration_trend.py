@@ -49,7 +49,7 @@ def days(tt2000):
 
 def test_a_linear_trend_is_recovered_from_daily_equations_within_its_sigma():
     equations = blocks_with_trend(3e-6, np.array([1.0, 5.0]))
-    trended = equations.expand({"a": {"constant": np.ones_like, "linear": days}})
+    trended = equations.with_trends({"a": {"constant": np.ones_like, "linear": days}})
     assert trended.columns == ["a*constant", "a*linear", "b"]
     solution = trended.solve(np.array([1.0, 1.0, 100.0]))
     value, covariance = trended.physical(solution)
@@ -68,7 +68,7 @@ def test_without_the_trend_the_scores_of_first_and_last_blocks_differ_in_sign():
 
 def test_expanding_by_a_constant_changes_nothing_but_the_name():
     equations = blocks_with_trend(0.0, np.array([1.0, 5.0]))
-    same = equations.expand({"b": {"constant": np.ones_like}})
+    same = equations.with_trends({"b": {"constant": np.ones_like}})
     plain = equations.solve(np.array([1.0, 100.0]))
     expanded = same.solve(np.array([1.0, 100.0]))
     np.testing.assert_allclose(expanded.value, plain.value, rtol=1e-10)

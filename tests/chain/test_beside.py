@@ -170,9 +170,9 @@ def test_what_one_parameter_does_to_all_others_is_what_a_fit_without_it_gives(hi
     sigma = np.array([one for term in terms_of(model) for one in term.sigma])
     rest = [name for name in equations.columns if name != "time_shift.seconds"]
     kept = np.array([name in rest for name in equations.columns])
-    away = equations.reference.copy()
+    away = equations.first_reference.copy()
     away[~kept] += 0.01
-    fixed, base = (one.select(rest) for one in (equations.at(away), equations.at(equations.reference)))
+    fixed, base = (one.select(rest) for one in (equations.at(away), equations.at(equations.first_reference)))
     pair = [one.physical(one.solve(sigma[kept]))[0] for one in (fixed, base)]
     # Held 10 ms too high is the same as ignored when it is 10 ms too low.
     moved = pair[1] - pair[0]

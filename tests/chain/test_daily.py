@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.calibration import RESIDUAL, NormalEquations
+from inflight.calibration import NormalEquations
 from inflight.errors import CalibrationError
+from inflight.lsq import RESIDUAL
 from inflight.mission_fit import daily_parameters, fit_trends, make_trend
-from inflight.mission_fit.trends import middles
 from inflight.tasks.pipelines.mission.tables import faults_of, faults_table, stated_periods
 from inflight.time import DAY, day_bounds
 
@@ -62,7 +62,7 @@ def mission(seed: int = 0, own: np.ndarray | None = None, memory: int = 1) -> Tr
 def daily(truth: Truth, names: list[str]) -> xr.Dataset:
     fit = fit_trends(
         truth.equations,
-        dict.fromkeys(NINE[:3], make_trend("linear", middles(truth.equations))),
+        dict.fromkeys(NINE[:3], make_trend("linear", truth.equations.middle)),
         np.full(len(COLUMNS), 10.0),
         units=dict.fromkeys(COLUMNS, "s"),
     )

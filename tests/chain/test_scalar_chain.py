@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 from ruamel.yaml import YAML
 
-from inflight.lsq import left
+from inflight.lsq import marginalise
 from inflight.mission import Mission
 from inflight.mission_fit import Continuous, fit_mission, of_everything, terms_of, with_nine
 from inflight.mission_fit.daily_equations import wide_equations
@@ -162,7 +162,7 @@ def test_what_cannot_be_told_apart_says_so_in_the_covariance(pair):
     data, places = equations.dataset, [equations.columns.index(name) for name in pair]
     direction = np.array(list(pair.values())) / data["scale"].values[places]
     others = np.setdiff1d(np.arange(len(equations.columns)), places)
-    beside = left(data["gram"].values.sum(axis=0)[:-1, :-1], others, np.array(places))
+    beside = marginalise(data["gram"].values.sum(axis=0)[:-1, :-1], others, np.array(places))
     told = direction @ beside @ direction / fit.rms**2
     tighter = min(pair, key=lambda name: sigma[name])
     # Of the change itself, all others free, the data know next to nothing ...

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.calibration import RESIDUAL, NormalEquations
+from inflight.calibration import NormalEquations
+from inflight.lsq import RESIDUAL
 from inflight.mission_fit import DayDrift
 from inflight.tasks.pipelines.mission.day import alike, means_of_channels, pack_parts, part_of
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from inflight.residual import NO_FLOOR, NoiseFloor, joined_floor, noise_floor
+from inflight.residual import NO_FLOOR, NoiseFloor, join_floors, noise_floor
 
 WHITE = 0.1
 
@@ -109,11 +109,11 @@ def test_a_hundred_readings_have_a_floor_with_a_wide_interval():
 
 def test_days_together_have_the_mean_variance_and_a_narrower_interval():
     days = levels(white, seeds=30)
-    together = joined_floor([*days, NO_FLOOR])
+    together = join_floors([*days, NO_FLOOR])
     assert together.level_nT == pytest.approx(np.sqrt(np.mean([day.level_nT**2 for day in days])))
     assert together.sigma_nT < 0.4 * days[0].sigma_nT
     assert together.low_nT < WHITE < together.high_nT
-    assert joined_floor(days[:1]).sigma_nT == pytest.approx(days[0].sigma_nT, rel=0.05)
-    assert np.isnan(joined_floor([NO_FLOOR]).level_nT)
-    noisy = joined_floor([NoiseFloor(0.1, 0.1, 0.1, 100), NoiseFloor(0.3, 0.3, 0.3, 100)])
+    assert join_floors(days[:1]).sigma_nT == pytest.approx(days[0].sigma_nT, rel=0.05)
+    assert np.isnan(join_floors([NO_FLOOR]).level_nT)
+    noisy = join_floors([NoiseFloor(0.1, 0.1, 0.1, 100), NoiseFloor(0.3, 0.3, 0.3, 100)])
     assert noisy.level_nT == pytest.approx(np.sqrt((0.01 + 0.09) / 2))

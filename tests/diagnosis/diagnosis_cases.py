@@ -15,22 +15,22 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from inflight.calibration import PARTS, Reference, fit_block
-from inflight.design import Library, Rows, Term, Told, coarsen, design, turns_of
+from inflight.design import ChannelSummary, Library, Rows, Term, coarsen, design, sensor_matrices
 from inflight.diagnosis import (
-    Carriers,
+    Context,
     Diagnosis,
-    Material,
     Rules,
     Search,
     Series,
+    TimeVariableColumns,
     conclude,
     features_of,
     make_library,
     pack_blocks,
-    thin,
+    thin_rows,
 )
 from inflight.frames import GEOMETRY, add_geometry
-from inflight.lsq import Evidence, gram_of, parts_of, prewhiten
+from inflight.lsq import GramArrays, gram_of, parts_of, prewhiten
 from inflight.mission import Mission
 from inflight.model import Model, rows_of
 from inflight.residual import NoiseFloor
@@ -330,9 +330,9 @@ class Case:
     library: Library
     rows: Rows
     residuals: np.ndarray
-    raw: Evidence
-    white: Evidence
-    told: Mapping[str, Told]
+    raw: GramArrays
+    white: GramArrays
+    told: Mapping[str, ChannelSummary]
 
     def search(
         self, residual: int = 0, without: Sequence[str] = (), interval_days: int = 15, **rules: float
@@ -344,24 +344,23 @@ class Case:
             candidates=[one for one in self.library.candidates if one.mechanism not in without],
             unscorable=list(self.library.unscorable),
         )
-        return Search(
+        return Search.begin(
             alone(self.raw, residual),
             alone(self.white, residual),
             library,
             groups_of(self.raw, interval_days * DAY),
             groups_of(self.raw, DAY),
             Rules(**rules),
-            carriers=carriers_of(library),
+            time_variable=carriers_of(library),
         )
 
-    def material(self, residual: int = 0) -> Material:
+    def material(self, residual: int = 0) -> Context:
         """Return what a verdict needs beside the search."""
         rows = replace(self.rows, residual=self.residuals[:, :, residual])
         features = features_of(rows, [*self.told, *GEOMETRY])
-        stamps, values = thin(rows, features, 1)
+        stamps, values = thin_rows(rows, features, 1)
         edges = [*self.raw.start.tolist(), int(self.raw.end[-1])]
         packed = pack_blocks(stamps, values, edges, int(DAY // (STEP_S * SECOND)) + 2)
-        terms = {term.key: term for term in self.library.all_terms}
         good = rows.weight > 0
         sums = {
             "count": float(good.sum()),
@@ -371,14 +370,22 @@ class Case:
         }
         floor = NoiseFloor(NOISE_NT, 0.98 * NOISE_NT, 1.02 * NOISE_NT, int(good.sum()))
         series = Series.of(packed, self.raw.start, features)
-        return Material(self.mission, self.model, self.model, terms, series, sums, STEP_S, floor)
+        return Context(
+            mission=self.mission,
+            model=self.model,
+            linearised=self.model,
+            series=series,
+            sums=sums,
+            cadence_s=STEP_S,
+            floor=floor,
+        )
 
     def diagnose(self, residual: int = 0, without: Sequence[str] = (), **rules: float) -> Diagnosis:
         """Return the diagnosis of one residual."""
-        return conclude(self.search(residual, without, **rules), self.material(residual))
+        return conclude(self.search(residual, without, **rules), self.material(residual))[0]
 
 
-def alone(evidence: Evidence, residual: int) -> Evidence:
+def alone(evidence: GramArrays, residual: int) -> GramArrays:
     """Return evidence with one of its residuals, as a pass over an archive makes it."""
     own = len(evidence.names) - len(evidence.residuals)
     kept = np.array([*range(own), own + residual])
@@ -390,7 +397,7 @@ def alone(evidence: Evidence, residual: int) -> Evidence:
     )
 
 
-def groups_of(evidence: Evidence, width: int) -> list[list[int]]:
+def groups_of(evidence: GramArrays, width: int) -> list[list[int]]:
     """Return the blocks of each span of a length; a short rest joins the span before."""
     place = (evidence.start - evidence.start[0]) // width
     groups = [np.flatnonzero(place == one).tolist() for one in np.unique(place)]
@@ -400,13 +407,13 @@ def groups_of(evidence: Evidence, width: int) -> list[list[int]]:
     return groups
 
 
-def carriers_of(library: Library) -> Carriers:
+def carriers_of(library: Library) -> TimeVariableColumns:
     """Return the columns that may change in time."""
 
     def named(part: str) -> tuple[str, ...]:
         return tuple(name for name in library.columns if part in name)
 
-    return Carriers(
+    return TimeVariableColumns(
         named("vector_sensor.offset"),
         named("vector_sensor.scale_factor"),
         named("time_shift.seconds"),
@@ -458,13 +465,13 @@ def samples_of(flight: Flight, readings: Readings) -> xr.Dataset:
     )
 
 
-def told_of(flight: Flight, names: Sequence[str]) -> dict[str, Told]:
+def told_of(flight: Flight, names: Sequence[str]) -> dict[str, ChannelSummary]:
     """Return means and ranges of channels."""
     out = {}
     for name in names:
         low, high = np.quantile(flight[name], [0.05, 0.95])
         kind = {"temperature": "temperature", "current": "current"}[name.split("_")[1]]
-        out[name] = Told(float(flight[name].mean()), float(high - low), 0.0, kind)
+        out[name] = ChannelSummary(float(flight[name].mean()), float(high - low), 0.0, kind)
     return out
 
 
@@ -539,13 +546,13 @@ def rows_on_bins(
             base = parse(name).parts[0].channel
             variables[name] = xr.Variable("time", values, {"units": flight.samples[base].attrs["units"]})
     return coarsen(
-        samples, rows_of(model, samples), edges, variables, turns_of(model, int(flight.tt2000[0]))
+        samples, rows_of(model, samples), edges, variables, sensor_matrices(model, int(flight.tt2000[0]))
     )[0]
 
 
 def evidence_of(
     library: Library, rows: Rows, residuals: np.ndarray, block_days: float = 1.0, every: int = 1
-) -> tuple[Evidence, Evidence]:
+) -> tuple[GramArrays, GramArrays]:
     """Return raw and prewhitened evidence, a block a day or another span."""
     columns, weight = design(library.all_terms, rows)[::every], rows.weight[::every]
     residuals, stamps = residuals[::every], rows.samples["tt2000"].values[::every]
@@ -560,6 +567,6 @@ def evidence_of(
     common = (np.array(cuts[:-1]), np.array(cuts[1:]), rows_in, scale)
     white = [prewhiten(values, weight, stamps, 600.0) for values in (columns, residuals)]
     return (
-        Evidence(names, gram_of(columns, residuals, weight, parts), *common),
-        Evidence(names, gram_of(*white, weight, parts), *common),
+        GramArrays(names, gram_of(columns, residuals, weight, parts), *common),
+        GramArrays(names, gram_of(*white, weight, parts), *common),
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inflight.lsq import Evidence
+from inflight.lsq import GramArrays
 
 DAY_NS = 86_400_000_000_000
 
@@ -19,13 +19,13 @@ class RowCase:
     values: np.ndarray
 
     @property
-    def evidence(self) -> Evidence:
+    def evidence(self) -> GramArrays:
         """The Gram matrix of each block; scales are not 1, so that nobody forgets them."""
         blocks, rows, width = self.values.shape
         gram = np.einsum("bri,brj->bij", self.values, self.values)
         start = DAY_NS * np.arange(blocks, dtype=np.int64)
         scale = np.append(1.0 + np.arange(width - 1) / 8.0, 1.0)
-        return Evidence(self.names, gram, start, start + DAY_NS, np.full(blocks, float(rows)), scale)
+        return GramArrays(self.names, gram, start, start + DAY_NS, np.full(blocks, float(rows)), scale)
 
     def of(self, *names: str) -> np.ndarray:
         """Return columns; (block, row, column)."""

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from inflight.design import Outliers, coarsen, grid
-from inflight.design.columns import bursts, is_signal
+from inflight.design.columns import find_bursts, is_signal
 from inflight.model import ResidualRows
 from inflight.time import SECOND
 
@@ -28,7 +28,7 @@ def wild(size=30.0, seed=2, at=BURST):
 
 def found_in(residual, usable=None, stamps=None):
     usable = np.ones(len(residual), dtype=bool) if usable is None else usable
-    return bursts(residual, stamps_of(len(residual)) if stamps is None else stamps, usable)
+    return find_bursts(residual, stamps_of(len(residual)) if stamps is None else stamps, usable)
 
 
 def rows_of(residual, ripple=0.0, at=BURST, seed=3):

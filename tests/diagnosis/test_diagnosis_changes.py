@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, flight_of, read
 
-from inflight.diagnosis import Carriers, batches, drifts, episodes, steps
-from inflight.diagnosis.refine import at_its_moment
-from inflight.residual import told_period
+from inflight.diagnosis import TimeVariableColumns, batches, drifts, episodes, steps
+from inflight.diagnosis.refine import refine_change_time
+from inflight.diagnosis.time_changes import ChangeSettings
+from inflight.residual import format_period
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, BLOCK_DAYS = 14, 0.25
@@ -82,7 +83,7 @@ def test_the_moment_is_told_with_how_sharp_it_is(residual):
     assert STEP_S / 12**0.5 < effect.at_sigma_s < 0.1 * BLOCK_DAYS * 86_400
     told = told_of(residual)
     when = effect.at[0].rstrip("Z").replace("T", " ")
-    assert f"{when} +- {told_period(effect.at_sigma_s)}" in told.sentence
+    assert f"{when} +- {format_period(effect.at_sigma_s)}" in told.sentence
     assert told.as_json()["effects"][0]["at_sigma_s"] == effect.at_sigma_s
 
 
@@ -95,7 +96,7 @@ def test_a_change_at_its_moment_leaves_the_noise(residual):
 
 def test_a_drift_has_no_moment():
     search = stepped().search()
-    made = {one.name: one for one in drifts(search.raw, search.carriers)}
+    made = {one.name: one for one in drifts(search.raw, search.time_variable)}
     assert {"scale_drift", "offset_drift", "angle_drift", "clock_drift"} <= set(made)
     assert all(one.at == () for one in made.values())
     assert {name: len(one.functions) for name, one in made.items() if name != "bias_drift"} == {
@@ -108,8 +109,8 @@ def test_a_drift_has_no_moment():
 
 def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
     search = stepped().search()
-    found = drifts(search.raw, search.carriers) + steps(search.raw, search.carriers)
-    lone = Carriers(clock=search.carriers.clock)
+    found = drifts(search.raw, search.time_variable) + steps(search.raw, search.time_variable)
+    lone = TimeVariableColumns(clock=search.time_variable.clock)
     found += episodes(search.raw, search.forms["raw"], lone, search.y())
     parts = list(batches(found))
     assert sorted(one.name for part in parts for one in part) == sorted(one.name for one in found)
@@ -119,7 +120,7 @@ def test_changes_looked_at_in_batches_are_all_changes_held_out_alike():
 
 def test_a_batch_scores_what_all_changes_together_score(monkeypatch):
     apart = stepped().search(draws=50).table()
-    monkeypatch.setattr("inflight.diagnosis.time_changes._BATCH", 10_000)
+    monkeypatch.setattr("inflight.diagnosis.time_changes.CHANGES", ChangeSettings(batch_columns=10_000))
     whole = stepped().search(draws=50).table()
     assert {one.name for one in apart.options} == {one.name for one in whole.options}
     place = {one.name: at for at, one in enumerate(whole.options)}
@@ -165,10 +166,8 @@ def put_to_its_moment():
     case = stepped()
     search, material = case.search(2), case.material(2)
     at_edge = next(one for one in search.table().options if one.name == "clock_step@2024-03-09T00:00:00")
-    search.add(at_edge)
-    exact = at_its_moment(search, material, at_edge)
-    search.drop(at_edge)
-    search.add(exact)
+    search, exact = refine_change_time(search.add(at_edge), material, at_edge)
+    search = search.drop(at_edge).add(exact)
     return search, material, at_edge, exact
 
 
@@ -181,13 +180,12 @@ def test_whatever_may_change_is_held_against_a_step_at_the_same_moment():
 
 def test_a_moment_that_is_found_already_stays():
     search, material, _, exact = put_to_its_moment()
-    assert at_its_moment(search, material, exact) is exact
+    assert refine_change_time(search, material, exact)[1] is exact
 
 
 def test_a_change_that_comes_back_knows_the_columns_that_joined_meanwhile():
     search, _, at_edge, exact = put_to_its_moment()
-    search.drop(exact)
-    search.add(at_edge)
+    search = search.drop(exact).add(at_edge)
     one, other = search.raw.index([*at_edge.columns, *exact.columns])
     total = search.raw.total
     assert total[one, other] ** 2 > 0.9 * total[one, one] * total[other, other]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from inflight.design import bin_means, bridged, channel_on, coarsen, grid
-from inflight.design.columns import spikes
+from inflight.design import bin_channel, bin_means, bridge_gaps, coarsen, grid
+from inflight.design.columns import find_spikes
 from inflight.model import ResidualRows
 from inflight.time import SECOND
 
@@ -53,63 +53,63 @@ def quiet(seed=1, count=3000):
 def test_a_single_wild_sample_is_a_spike(size):
     residual = quiet()
     residual[[700, 2200]] += size
-    assert np.flatnonzero(spikes(residual)).tolist() == [700, 2200]
+    assert np.flatnonzero(find_spikes(residual)).tolist() == [700, 2200]
 
 
 def test_two_wild_samples_beside_each_other_are_spikes():
     residual = quiet()
     residual[1500:1502] += 40.0
-    assert spikes(residual)[1500:1502].all()
+    assert find_spikes(residual)[1500:1502].all()
 
 
 @pytest.mark.parametrize("size", [20.0, -0.5])
 def test_a_step_is_no_spike(size):
     residual = quiet()
     residual[1234:] += size
-    assert not spikes(residual).any()
+    assert not find_spikes(residual).any()
 
 
 def test_a_slow_effect_of_20_nt_is_no_spike():
     residual = quiet() + 20.0 * np.sin(2 * np.pi * np.arange(3000) / 300)[:, None]
-    assert not spikes(residual).any()
+    assert not find_spikes(residual).any()
 
 
 def test_a_switch_of_20_nt_is_no_spike():
     residual = quiet() + 20.0 * (np.arange(3000) // 50 % 2)[:, None]
-    assert not spikes(residual).any()
+    assert not find_spikes(residual).any()
 
 
 def test_a_lively_hour_is_no_series_of_spikes_but_a_wild_sample_in_it_is():
     residual = quiet()
     residual[1000:1400] *= 12.0
-    assert spikes(residual).sum() <= 2
+    assert find_spikes(residual).sum() <= 2
     residual[1200] += 60.0
-    assert spikes(residual)[1200]
+    assert find_spikes(residual)[1200]
 
 
 def test_missing_samples_are_no_spikes():
     residual = quiet()
     residual[100:130] = np.nan
     residual[500] = 9.0
-    assert np.flatnonzero(spikes(residual)).tolist() == [500]
+    assert np.flatnonzero(find_spikes(residual)).tolist() == [500]
 
 
 def test_a_record_too_short_has_no_spikes():
-    assert not spikes(np.array([[0.0], [99.0], [0.0]])).any()
+    assert not find_spikes(np.array([[0.0], [99.0], [0.0]])).any()
 
 
 def test_a_faster_channel_is_averaged():
     edges = grid(START, START + 600 * SECOND, 60 * SECOND)
     stamps = stamps_of(600)
     values = np.arange(600.0)
-    on = channel_on(values, stamps, edges, SECOND)
+    on = bin_channel(values, stamps, edges, SECOND)
     np.testing.assert_allclose(on, 29.5 + 60 * np.arange(10))
 
 
 def test_a_slower_channel_is_a_straight_line_between_its_readings():
     edges = grid(START, START + 600 * SECOND, 10 * SECOND)
     stamps = stamps_of(11, 60.0)
-    on = channel_on(3.0 * np.arange(11), stamps, edges, 60 * SECOND)
+    on = bin_channel(3.0 * np.arange(11), stamps, edges, 60 * SECOND)
     centre = (edges[:-1] - START) / SECOND + 5.0
     np.testing.assert_allclose(on, 3.0 * centre / 60.0, atol=1e-12)
 
@@ -117,7 +117,7 @@ def test_a_slower_channel_is_a_straight_line_between_its_readings():
 def test_a_slower_channel_of_three_components_keeps_them():
     edges = grid(START, START + 600 * SECOND, 10 * SECOND)
     values = np.stack([np.arange(11.0), np.ones(11), -np.arange(11.0)], axis=1)
-    on = channel_on(values, stamps_of(11, 60.0), edges, 60 * SECOND)
+    on = bin_channel(values, stamps_of(11, 60.0), edges, 60 * SECOND)
     assert on.shape == (60, 3)
     np.testing.assert_allclose(on[:, 0], -on[:, 2])
     np.testing.assert_allclose(on[:, 1], 1.0)
@@ -128,7 +128,7 @@ def test_a_short_gap_is_bridged_and_a_long_one_is_not():
     stamps, values = stamps_of(6000), np.arange(6000.0)
     values[600:900] = np.nan
     values[3000:4200] = np.nan
-    on = channel_on(values, stamps, edges, SECOND)
+    on = bin_channel(values, stamps, edges, SECOND)
     np.testing.assert_allclose(on[10:15], 29.5 + 60 * np.arange(10, 15))
     assert np.isnan(on[50:70]).all()
     assert np.isfinite(np.delete(on, range(50, 70))).all()
@@ -138,7 +138,7 @@ def test_a_slower_channel_is_not_drawn_across_its_gaps():
     stamps, values = stamps_of(60, 60.0), np.arange(60.0)
     values[20:40] = np.nan
     edges = grid(START, START + 3600 * SECOND, 10 * SECOND)
-    on = channel_on(values, stamps, edges, 60 * SECOND)
+    on = bin_channel(values, stamps, edges, 60 * SECOND)
     inside = (edges[:-1] > stamps[22]) & (edges[:-1] < stamps[37])
     assert np.isnan(on[inside]).all()
     assert np.isfinite(on[edges[:-1] < stamps[19]]).all()
@@ -146,12 +146,12 @@ def test_a_slower_channel_is_not_drawn_across_its_gaps():
 
 def test_a_channel_that_says_nothing_is_missing_everywhere():
     edges = grid(START, START + 600 * SECOND, 60 * SECOND)
-    assert np.isnan(channel_on(np.full(600, np.nan), stamps_of(600), edges, SECOND)).all()
+    assert np.isnan(bin_channel(np.full(600, np.nan), stamps_of(600), edges, SECOND)).all()
 
 
 def test_ends_are_not_bridged():
     values = np.array([np.nan, 1.0, np.nan, 3.0, np.nan])
-    np.testing.assert_array_equal(bridged(values), [np.nan, 1.0, 2.0, 3.0, np.nan])
+    np.testing.assert_array_equal(bridge_gaps(values), [np.nan, 1.0, 2.0, 3.0, np.nan])
 
 
 def coarse(residual, good=None, step=10):

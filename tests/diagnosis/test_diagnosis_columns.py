@@ -10,7 +10,7 @@ import xarray as xr
 
 from inflight.calibration import SCALE, kernel_parameters, kernel_scale
 from inflight.calibration.scalar import _fill
-from inflight.design import Rows, Term, design, term_of, turns_of
+from inflight.design import Rows, Term, design, sensor_matrices, term_of
 from inflight.design.columns import term_columns
 from inflight.model import Model, make_effect, rows_of
 
@@ -62,7 +62,7 @@ def rows_at(model, samples):
     held = samples.assign(
         field=(("time", "axis"), native.field, {"units": "nT"}), field_direction=corrected["field_direction"]
     )
-    turn = turns_of(model, int(samples["tt2000"].values[0]))
+    turn = sensor_matrices(model, int(samples["tt2000"].values[0]))
     return Rows(held, native.residual, native.directions, turn, np.ones(len(native.residual)))
 
 

@@ -9,8 +9,8 @@ from diagnosis_cases import DAY, NOISE_NT, POLAR, SECOND, STEP_S, case_of, fligh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from inflight.diagnosis.search import cut_around
-from inflight.lsq import Evidence
+from inflight.diagnosis.search import intervals_around
+from inflight.lsq import GramArrays
 from inflight.time import parse_utc, to_tt2000
 
 DAYS, INTERVAL_DAYS, BLOCK_DAYS = 14, 7, 0.25
@@ -84,11 +84,10 @@ def test_intervals_are_those_asked_for_once_a_step_is_dropped():
         and one.family == "sensor"
         and abs(one.change.at[0] - int(search.raw.start[asked[1][0]])) <= BLOCK_DAYS * DAY
     )
-    search.add(step)
+    search = search.add(step)
     assert search.intervals != asked
     assert search.as_found().intervals == asked
-    search.drop(step)
-    assert search.intervals == asked
+    assert search.drop(step).intervals == asked
 
 
 # The cuts themselves.
@@ -96,7 +95,7 @@ def test_intervals_are_those_asked_for_once_a_step_is_dropped():
 
 def blocks(count):
     edges = np.arange(count + 1, dtype=np.int64) * DAY
-    empty = Evidence(
+    empty = GramArrays(
         ("residual",), np.zeros((count, 1, 1)), edges[:-1], edges[1:], np.ones(count), np.ones(1)
     )
     return replace(empty)
@@ -108,7 +107,7 @@ def test_intervals_hold_every_block_once_and_keep_their_edges_away(count, width,
     evidence = blocks(count * width)
     cut = [list(range(at, at + width)) for at in range(0, count * width, width)]
     at = [int(moment * DAY) for moment in moments]
-    found = cut_around(evidence, cut, at)
+    found = intervals_around(evidence, cut, at)
     assert [block for group in found for block in group] == list(range(count * width))
     for group in found[1:]:
         edge = int(evidence.start[group[0]])
@@ -117,10 +116,10 @@ def test_intervals_hold_every_block_once_and_keep_their_edges_away(count, width,
 
 def test_an_edge_near_a_moment_goes_half_an_interval_to_both_sides():
     cut = [list(range(at, at + 8)) for at in (0, 8, 16)]
-    found = cut_around(blocks(24), cut, [int(8.5 * DAY)])
+    found = intervals_around(blocks(24), cut, [int(8.5 * DAY)])
     assert [group[0] for group in found] == [0, 4, 12, 16]
 
 
 def test_intervals_of_one_block_stay_together_around_a_moment():
     cut = [[at] for at in range(6)]
-    assert cut_around(blocks(6), cut, [3 * DAY]) == [[0], [1], [2, 3], [4], [5]]
+    assert intervals_around(blocks(6), cut, [3 * DAY]) == [[0], [1], [2, 3], [4], [5]]

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from inflight.design import design
 from inflight.diagnosis import Search
-from inflight.diagnosis.stepwise import detectable, estimate, mimics, within_and_raw
+from inflight.diagnosis.stepwise import calibration_shifts, detectable_amplitude, estimate, form_disagreement
 
 TRUTH = np.array([0.5, -0.4, -0.8])
 SEEDS, EVERY, DAYS = 200, 3, 40
@@ -35,8 +35,13 @@ def hidden():
     )
     search = case.search()
     # The same search, of all residuals.
-    every = Search(
-        case.raw, case.white, search.library, search.intervals, search.days, carriers=search.carriers
+    every = Search.begin(
+        case.raw,
+        case.white,
+        search.library,
+        search.intervals,
+        search.days,
+        time_variable=search.time_variable,
     )
     return case, every
 
@@ -49,9 +54,7 @@ def estimates_of(search, name):
     option = option_of(search, name)
     out = []
     for residual in range(1, SEEDS + 1):
-        search.residual, search.accepted = residual, [option]
-        out.append(estimate(search, option))
-    search.residual, search.accepted = 0, []
+        out.append(estimate(replace(search, residual=residual, accepted=(option,)), option))
     return out
 
 
@@ -85,18 +88,15 @@ def test_raw_and_within_day_values_of_the_right_effect_agree():
     option = option_of(search, "channel_field(heater_current)")
     told = []
     for residual in range(1, 60):
-        search.residual, search.accepted = residual, [option]
-        told.append(within_and_raw(search, option))
-    search.residual, search.accepted = 0, []
+        told.append(form_disagreement(replace(search, residual=residual, accepted=(option,)), option))
     assert np.median(told) < 2.0
 
 
 def test_what_is_detectable_is_three_times_the_error():
     search = hidden()[1]
     option = option_of(search, "channel_field(heater_current)")
-    search.residual, search.accepted = 1, []
-    np.testing.assert_allclose(detectable(search, option), 3 * found()[0].sigma, rtol=1e-9)
-    search.residual = 0
+    other = replace(search, residual=1)
+    np.testing.assert_allclose(detectable_amplitude(other, option), 3 * found()[0].sigma, rtol=1e-9)
 
 
 def columns_of(case, keys):
@@ -128,12 +128,12 @@ def test_the_retained_part_is_that_of_a_regression_of_the_rows():
 
 def mimicked(name, size):
     """Return shifts of the nine parameters, physical units, and which part of the effect is retained."""
-    search = replace(hidden()[1], accepted=[], rounds=[], forms={})
+    search = replace(hidden()[1], accepted=(), rounds=())
     option = option_of(search, name)
     form = search.forms["raw"]
     (own,), (left,) = search.raw.index(option.columns), form.index(option.columns)
     retained = form.total[left, left] / search.raw.total[own, own]
-    return dict(mimics(search, option, np.array([size]))), float(retained)
+    return dict(calibration_shifts(search, option, np.array([size]))), float(retained)
 
 
 def fitted_shift(case, change):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from row_cases import row_case
 
 from inflight.errors import CalibrationError
-from inflight.lsq import Evidence, gram_of, parts_of, prewhiten, solve_scaled
+from inflight.lsq import GramArrays, gram_of, parts_of, prewhiten, solve_scaled
 from inflight.lsq.gram_blocks import pack, unpack
 from inflight.time import SECOND
 
@@ -27,7 +27,7 @@ def grams_of(rows):
 def test_absorbing_is_a_fit_of_the_rows_in_each_interval(seed, cut, precision):
     case = row_case(seed, blocks=10, rows=12)
     groups = [range(cut), range(cut, 10)]
-    left = case.evidence.absorbed(["n0", "n1", "n2"], groups, np.array(precision))
+    left = case.evidence.marginalise(["n0", "n1", "n2"], groups, np.array(precision))
     expected = case.values[:, :, 3:].copy()
     for group in groups:
         n = case.of("n0", "n1", "n2")[list(group)]
@@ -44,7 +44,7 @@ def test_a_column_that_the_calibration_explains_wholly_is_dead_but_a_residual_ne
     case = row_case(1)
     case.values[:, :, 5] = case.of("n0", "n1") @ [2.0, -1.0]
     case.values[:, :, 10] = case.of("n2")[:, :, 0]
-    left = case.evidence.absorbed(["n0", "n1", "n2"], [range(20)], np.zeros(3))
+    left = case.evidence.marginalise(["n0", "n1", "n2"], [range(20)], np.zeros(3))
     dead, alive = left.names.index("z0"), left.names.index("z1")
     assert not left.gram[:, dead].any()
     assert not left.gram[:, :, dead].any()
@@ -81,13 +81,13 @@ def test_blocks_add_up_whatever_way_they_are_merged_and_joined(cuts, order):
     whole = row_case(3, rows=8).evidence
     edges = [0, *sorted(cuts), 20]
     groups = [list(range(a, b)) for a, b in pairwise(edges)]
-    merged = whole.merged(groups)
+    merged = whole.merge_groups(groups)
     np.testing.assert_allclose(merged.total, whole.total, rtol=1e-12)
     np.testing.assert_allclose(merged.gram[0], whole.gram[groups[0]].sum(axis=0), rtol=1e-12)
     assert merged.count.sum() == whole.count.sum()
     assert (merged.start[0], merged.end[-1]) == (whole.start[0], whole.end[-1])
     pieces = [
-        Evidence(
+        GramArrays(
             whole.names,
             *(part[group] for part in (whole.gram, whole.start, whole.end, whole.count)),
             whole.scale,
@@ -95,7 +95,7 @@ def test_blocks_add_up_whatever_way_they_are_merged_and_joined(cuts, order):
         for group in groups
     ]
     order.shuffle(pieces)
-    joined = pieces[0].joined(pieces[1:])
+    joined = pieces[0].join(pieces[1:])
     for name in ("gram", "start", "end", "count"):
         np.testing.assert_array_equal(getattr(joined, name), getattr(whole, name))
 
@@ -103,9 +103,9 @@ def test_blocks_add_up_whatever_way_they_are_merged_and_joined(cuts, order):
 def test_joining_refuses_what_overlaps_and_what_has_other_columns():
     one = row_case().evidence
     with pytest.raises(CalibrationError, match="overlap"):
-        one.joined([one])
+        one.join([one])
     with pytest.raises(CalibrationError, match="different libraries"):
-        one.joined([one.select(["z0", "n1"])])
+        one.join([one.select(["z0", "n1"])])
 
 
 def test_selecting_keeps_the_residual_last():
@@ -135,7 +135,7 @@ def test_packing_keeps_symmetric_matrices(width, blocks, seed):
 
 def test_a_store_gives_back_the_evidence():
     evidence = row_case(6).evidence
-    back = Evidence.of(evidence.as_dataset(), evidence.names, evidence.scale)
+    back = GramArrays.of(evidence.as_dataset(), evidence.names, evidence.scale)
     for name in ("gram", "start", "end", "count", "scale"):
         np.testing.assert_array_equal(getattr(back, name), getattr(evidence, name))
 
@@ -197,8 +197,8 @@ def test_columns_that_join_later_are_as_if_they_had_been_there():
     np.testing.assert_array_equal(joined.gram, evidence.gram)
     np.testing.assert_array_equal(joined.scale, evidence.scale)
     told = (["n0", "n1", "n2"], [list(range(7)), list(range(7, 20))], np.array([0.0, 3.0, 0.0]))
-    whole = evidence.absorbed(*told)
-    left = small.absorbed_border(*told, across, inner)
-    late = small.absorbed(*told).bordered(fresh, evidence.scale[places], *left)
+    whole = evidence.marginalise(*told)
+    left = small.marginalised_border(*told, across, inner)
+    late = small.marginalise(*told).bordered(fresh, evidence.scale[places], *left)
     assert late.names == whole.names
     np.testing.assert_allclose(late.gram, whole.gram, atol=1e-11)

@@ -5,7 +5,7 @@ import pytest
 
 from inflight.diagnosis import Features, Series
 from inflight.diagnosis.residual import structure_of
-from inflight.diagnosis.spectra import fast_part
+from inflight.diagnosis.signature import fast_part
 from inflight.time import DAY, SECOND
 
 STEP_S, NOISE, DAYS = 8.0, 0.06, 3

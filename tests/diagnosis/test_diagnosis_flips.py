@@ -6,8 +6,8 @@ from row_cases import DAY_NS
 from scipy import stats
 from scipy.signal import lfilter
 
-from inflight.diagnosis import Present, family_wise, flip_ratios, flip_signs
-from inflight.lsq import Evidence
+from inflight.diagnosis import ModelColumns, draw_signs, family_wise_p, sign_flip_ratios
+from inflight.lsq import GramArrays
 
 BLOCKS, ROWS, DRAWS, NULLS = 40, 50, 400, 400
 CANDIDATES = ("z0", "z1", "z2"), ("z3",), ("z4",), ("z5", "z6"), ("z7",), ("z8",), ("z9", "z10", "z11")
@@ -28,16 +28,16 @@ def null_evidence(effect=0.0, seed=0):
     names = (*(f"z{k}" for k in range(12)), "p0", "p1", *(f"residual~{k}" for k in range(NULLS)))
     start = DAY_NS * np.arange(BLOCKS, dtype=np.int64)
     gram = np.einsum("bri,brj->bij", values, values, optimize=True)
-    return Evidence(names, gram, start, start + DAY_NS, np.full(BLOCKS, float(ROWS)), np.ones(len(names)))
+    return GramArrays(names, gram, start, start + DAY_NS, np.full(BLOCKS, float(ROWS)), np.ones(len(names)))
 
 
 def p_values(evidence, candidates, most=NULLS):
     """Return p-values, family-wise over the candidates; (residual, candidate)."""
-    present = Present(evidence.index(("p0", "p1")), np.zeros(2))
+    present = ModelColumns(evidence.index(("p0", "p1")), np.zeros(2))
     columns = [evidence.index(one) for one in candidates]
-    signs, units = flip_signs(BLOCKS, DRAWS, 0)
-    found = [flip_ratios(evidence, present, columns, y, signs, units) for y in evidence.residuals[:most]]
-    return np.array([family_wise(*one) for one in found])
+    signs, units = draw_signs(BLOCKS, DRAWS, 0)
+    found = [sign_flip_ratios(evidence, present, columns, y, signs, units) for y in evidence.residuals[:most]]
+    return np.array([family_wise_p(*one) for one in found])
 
 
 @pytest.fixture(scope="module")
@@ -75,12 +75,12 @@ def test_a_real_effect_is_found_and_named():
 
 def test_a_p_value_counts_the_flips_whose_largest_ratio_is_as_large():
     flipped = np.array([[1.0, 0.5], [0.2, 3.0], [0.1, 0.4], [2.0, 1.9]])
-    np.testing.assert_allclose(family_wise(np.array([2.5, 0.0, 9.0]), flipped), [2 / 5, 1.0, 1 / 5])
+    np.testing.assert_allclose(family_wise_p(np.array([2.5, 0.0, 9.0]), flipped), [2 / 5, 1.0, 1 / 5])
 
 
 def test_no_more_units_are_flipped_than_blocks_and_neighbours_flip_together():
-    signs, units = flip_signs(500, 7, 3)
+    signs, units = draw_signs(500, 7, 3)
     assert signs.shape == (7, len(units))
     assert set(np.unique(signs)) == {-1.0, 1.0}
     assert np.concatenate(units).tolist() == list(range(500))
-    assert len(flip_signs(9, 7, 3)[1]) == 9
+    assert len(draw_signs(9, 7, 3)[1]) == 9

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from row_cases import DAY_NS
 
-from inflight.diagnosis import Present, folds_of
-from inflight.diagnosis.candidates import LAGS
-from inflight.diagnosis.refine import mixture, profile
-from inflight.lsq import Evidence
+from inflight.diagnosis import ModelColumns, make_folds
+from inflight.diagnosis.candidates import BANK
+from inflight.diagnosis.refine import lag_weights, profile_lag
+from inflight.lsq import GramArrays
 from inflight.samples import respond
 
 STEP_S, BLOCKS = 60.0, 30
@@ -25,7 +25,7 @@ def mixed_up(lag, bank):
     channel = switch(0, 30_000)
     wanted = respond(channel, STEP_S, lag)
     columns = np.stack([respond(channel, STEP_S, one) if one else channel for one in bank], axis=1)
-    return np.std((columns @ mixture(lag, bank) - wanted)[1000:]) / np.std(wanted[1000:])
+    return np.std((columns @ lag_weights(lag, bank) - wanted)[1000:]) / np.std(wanted[1000:])
 
 
 @pytest.mark.parametrize("lag", BETWEEN)
@@ -36,31 +36,33 @@ def test_neighbours_of_a_bank_of_threefold_steps_respond_as_lags_between_them(la
 @pytest.mark.parametrize("lag", BETWEEN)
 def test_neighbours_of_the_librarys_bank_respond_nearly_as_lags_between_them(lag):
     """Its steps are fourfold: up to 7 % of a column is missed, and a refined lag is off by as much."""
-    assert mixed_up(lag, LAGS) < 0.075
+    assert mixed_up(lag, BANK.lags) < 0.075
 
 
-@pytest.mark.parametrize("lag", LAGS)
+@pytest.mark.parametrize("lag", BANK.lags)
 def test_a_lag_of_the_bank_is_its_own_column(lag):
-    np.testing.assert_allclose(mixture(lag, LAGS) @ np.array([one == lag for one in LAGS]), 1.0, atol=0.02)
+    np.testing.assert_allclose(
+        lag_weights(lag, BANK.lags) @ np.array([one == lag for one in BANK.lags]), 1.0, atol=0.02
+    )
 
 
 def lag_case(lag, size, seed, noise=0.09):
-    """Evidence of a switch whose slow response is seen along two turning directions, beside a slow offset."""
+    """Gram blocks of a switch with a slow response along two turning directions, and a slow offset."""
     g = np.random.default_rng(seed)
     count = BLOCKS * 1440
     channel = switch(seed, count)
     angle = 2 * np.pi * np.arange(count) * STEP_S / 5600.0
     turning = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    bank = {one: (respond(channel, STEP_S, one) if one else channel)[:, None] * turning for one in LAGS}
+    bank = {one: (respond(channel, STEP_S, one) if one else channel)[:, None] * turning for one in BANK.lags}
     truth = (respond(channel, STEP_S, lag) if lag else channel)[:, None] * turning @ size
     y = -truth + g.normal(0, noise, count) + 0.3 * turning[:, 0]
     values = np.column_stack([turning, *bank.values(), y]).reshape(BLOCKS, 1440, -1)
-    names = ("p0", "p1", *(f"c{k}" for k in range(2 * len(LAGS))), "residual")
+    names = ("p0", "p1", *(f"c{k}" for k in range(2 * len(BANK.lags))), "residual")
     start = DAY_NS * np.arange(BLOCKS, dtype=np.int64)
     gram = np.einsum("bri,brj->bij", values, values, optimize=True)
-    evidence = Evidence(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
-    places = {one: 2 + 2 * at + np.arange(2) for at, one in enumerate(LAGS)}
-    return evidence, Present(np.array([0, 1]), np.zeros(2)), places
+    evidence = GramArrays(names, gram, start, start + DAY_NS, np.full(BLOCKS, 1440.0), np.ones(len(names)))
+    places = {one: 2 + 2 * at + np.arange(2) for at, one in enumerate(BANK.lags)}
+    return evidence, ModelColumns(np.array([0, 1]), np.zeros(2)), places
 
 
 BIASED = pytest.mark.xfail(
@@ -82,7 +84,7 @@ def test_a_lag_between_those_of_the_bank_is_found_within_its_error(lag, size):
     misses = []
     for seed in range(5):
         evidence, present, places = lag_case(lag, np.array([size, -0.7 * size]), seed)
-        found = profile(evidence, present, places, evidence.residuals[0], folds_of(BLOCKS))
+        found = profile_lag(evidence, present, places, evidence.residuals[0], make_folds(BLOCKS))
         assert found.sigma < 0.15 * lag
         misses.append((found.best - lag) / found.sigma)
         assert found.left.min() > 0.9 * BLOCKS * 1440 * 0.09**2
@@ -91,7 +93,7 @@ def test_a_lag_between_those_of_the_bank_is_found_within_its_error(lag, size):
 
 def test_no_lag_is_found_where_there_is_none():
     evidence, present, places = lag_case(0.0, np.array([0.5, -0.3]), 1)
-    found = profile(evidence, present, places, evidence.residuals[0], folds_of(BLOCKS))
+    found = profile_lag(evidence, present, places, evidence.residuals[0], make_folds(BLOCKS))
     assert found.best < 20.0
     assert found.as_json()["best_s"] == found.best
     assert found.lags[np.argmin(found.left)] < 20.0

@@ -43,7 +43,9 @@ def searched(orbit, field=0.0, some=NOISES):
         residuals = residuals + flight.along(flight["heater_current"][:, None] * field)[:, None]
     case = case_of(flight, [read(flight)], residuals, block_days=0.4, channels=CHANNELS[2:5])
     one = case.search()
-    return Search(case.raw, case.white, one.library, one.intervals, one.days, carriers=one.carriers)
+    return Search.begin(
+        case.raw, case.white, one.library, one.intervals, one.days, time_variable=one.time_variable
+    )
 
 
 @pytest.mark.parametrize("orbit", ORBITS)
@@ -62,7 +64,7 @@ def test_what_is_there_is_found_in_every_noise():
 def test_the_quick_look_lets_nothing_pass_that_a_table_would_add():
     """With rules that noise often meets: all that the whole tables would add is looked at."""
     search = searched(POLAR, some=8)
-    search = replace(search, rules=replace(search.rules, t=0.5, gain=0.0005, draws=10), forms={})
+    search = replace(search, rules=replace(search.rules, t=0.5, gain=0.0005, draws=10))
     quick = suspects(search, range(1, 9))
     for residual in range(1, 9):
         table = replace_residual(search, residual).table()

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm as normal
 from scipy.stats import t as student
 
-from inflight.lsq import hac_t, promised_t
+from inflight.lsq import expected_gain_t, hac_t
 
 
 def bartlett_t(series):
@@ -78,7 +78,7 @@ def test_each_block_is_held_against_what_the_others_make_of_its_promise():
     few = 3.0 / student.isf(normal.sf(3.0), freedom)
     expected = few * gained.sum() / np.sqrt(max(whole, products[0]))
     used = np.ones((30, 1), dtype=bool)
-    assert promised_t(gained[:, None], promised[:, None], used)[0] == pytest.approx(expected, rel=1e-12)
+    assert expected_gain_t(gained[:, None], promised[:, None], used)[0] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("uneven", [False, True])
@@ -86,7 +86,7 @@ def test_each_block_is_held_against_what_the_others_make_of_its_promise():
 def test_an_effect_that_is_not_there_hardly_ever_has_a_t_of_three(blocks, uneven):
     promised = promises(blocks, uneven)
     gained, expected = gains(promised, 0.0, 4000, np.random.default_rng(6))
-    t = promised_t(gained, expected, np.ones(gained.shape, dtype=bool))
+    t = expected_gain_t(gained, expected, np.ones(gained.shape, dtype=bool))
     assert np.mean(t > 3.0) < 0.004
 
 
@@ -94,18 +94,18 @@ def test_a_gain_that_lies_where_it_is_foretold_is_no_scatter():
     promised = promises(100, uneven=True)
     gained, expected = gains(promised, 4.0, 200, np.random.default_rng(7))
     used = np.ones(gained.shape, dtype=bool)
-    assert np.median(promised_t(gained, expected, used)) > 3.0 * np.median(hac_t(gained, used))
+    assert np.median(expected_gain_t(gained, expected, used)) > 3.0 * np.median(hac_t(gained, used))
 
 
 def test_the_same_gain_where_it_is_not_foretold_is():
     promised = promises(100, uneven=True)
     gained, expected = gains(promised, 4.0, 200, np.random.default_rng(7))
     used = np.ones(gained.shape, dtype=bool)
-    elsewhere = promised_t(gained, np.roll(expected, 5, axis=0), used)
+    elsewhere = expected_gain_t(gained, np.roll(expected, 5, axis=0), used)
     assert np.median(elsewhere) < 3.0
 
 
 def test_a_gain_of_one_block_has_no_others_that_bear_it_out():
     promised = np.where(np.arange(50) == 7, 1.0, 1e-9)[:, None]
     gained = np.where(np.arange(50) == 7, 5.0, 0.0)[:, None]
-    assert promised_t(gained, promised, np.ones(gained.shape, dtype=bool))[0] < 3.0
+    assert expected_gain_t(gained, promised, np.ones(gained.shape, dtype=bool))[0] < 3.0

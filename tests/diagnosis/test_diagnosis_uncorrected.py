@@ -9,8 +9,14 @@ import xarray as xr
 from diagnosis_cases import NOISE_NT, POLAR, STEP_S, case_of, evidence_of, flight_of, read
 
 from inflight.design import Rows
-from inflight.diagnosis import Features, Series, conclude, features_of, pack_blocks, thin
-from inflight.diagnosis.residual import held_out, known_evidence, of_known_rows, uncorrected, unknown_rows
+from inflight.diagnosis import Features, Series, conclude, features_of, pack_blocks, thin_rows
+from inflight.diagnosis.residual import (
+    correctable_evidence,
+    held_out_rms,
+    uncorrectable_rows,
+    unknown_rows,
+    with_correctable_rows,
+)
 from inflight.samples import parse
 from inflight.time import SECOND
 
@@ -45,7 +51,7 @@ def searched(option="channel_field(heater_current)"):
     case, lost = gappy()
     search, material = case.search(), case.material()
     series = replace(material.series, missing={"heater_current": lost})
-    search.add(next(one for one in search.options if one.name == option))
+    search = search.add(next(one for one in search.options if one.name == option))
     return search, replace(material, series=series), lost
 
 
@@ -55,7 +61,7 @@ def told_of(with_gaps):
     material = case.material()
     if with_gaps:
         material = replace(material, series=replace(material.series, missing={"heater_current": lost}))
-    return conclude(case.search(draws=500), material)
+    return conclude(case.search(draws=500), material)[0]
 
 
 def test_rows_without_the_channel_of_an_effect_count_as_no_error_and_no_structure():
@@ -86,7 +92,7 @@ def test_sizes_before_and_after_are_of_the_same_rows():
     raw, white = evidence_of(case.library, rows, case.residuals)
     alone = replace(case, rows=rows, raw=raw, white=white)
     without = alone.search()
-    before = held_out(without, alone.material())
+    before = held_out_rms(without, alone.material())
     assert told_of(True).residual["held_out_before_nT"] == pytest.approx(before, rel=1e-3)
 
 
@@ -95,19 +101,19 @@ def test_evidence_of_the_known_rows_is_that_of_a_record_without_the_others(step)
     case, lost = gappy()
     search, material, _ = searched()
     features = features_of(case.rows, CHANNELS)
-    stamps, values = thin(case.rows, features, step)
+    stamps, values = thin_rows(case.rows, features, step)
     edges = [*case.raw.start.tolist(), int(case.raw.end[-1])]
     series = Series.of(pack_blocks(stamps, values, edges, 1000), case.raw.start, features)
     # Gaps that are whole rows of the thinned series, too.
     lost = np.repeat(lost[: len(series.tt2000) * step : step], step)
     series = replace(series, missing={"heater_current": lost[::step]})
-    gaps = uncorrected(search, series, material.terms)
-    found = known_evidence(search, gaps, material.terms, material.turn)
+    gaps = uncorrectable_rows(search, series)
+    found = correctable_evidence(search, gaps, material.sensor_matrices)
     rows = replace(case.rows, weight=np.where(lost, 0.0, case.rows.weight))
     direct = evidence_of(case.library, rows, case.residuals)[0]
     base, sigma = search.base()
     names = list(found.names[:-1])
-    wanted = direct.select([*base, *names]).absorbed(
+    wanted = direct.select([*base, *names]).marginalise(
         base, search.intervals, search.precision(direct, base, sigma)
     )
     np.testing.assert_allclose(found.count, wanted.count, rtol=1e-6)
@@ -119,22 +125,21 @@ def test_evidence_of_the_known_rows_is_that_of_a_record_without_the_others(step)
 
 def test_nothing_is_lost_while_no_effect_follows_the_channel():
     search, material, _ = searched("channel_field(payload_current)")
-    assert of_known_rows(search, material).gaps is None
+    assert with_correctable_rows(search, material).gaps is None
 
 
 def test_rows_come_back_with_the_effect_that_lost_them():
     search, material, lost = searched()
-    known = of_known_rows(search, material)
+    known = with_correctable_rows(search, material)
     assert not (known.series["weight"][lost] > 0).any()
-    search.drop(search.accepted[0])
-    again = of_known_rows(search, known)
+    again = with_correctable_rows(search.drop(search.accepted[0]), known)
     np.testing.assert_array_equal(again.series["weight"], material.series["weight"])
 
 
 def test_a_channel_that_was_never_recorded_leaves_the_sizes_of_the_whole_record():
     search, material, lost = searched()
     series = replace(material.series, missing={"heater_current": np.ones_like(lost)})
-    assert of_known_rows(search, replace(material, series=series)).gaps is None
+    assert with_correctable_rows(search, replace(material, series=series)).gaps is None
 
 
 # What a response and a play know after a gap.
@@ -187,7 +192,7 @@ def test_a_series_remembers_where_a_channel_was_not_recorded_and_holds_its_usual
     )
     rows = Rows(samples, np.zeros((count, 1)), {}, {}, weight)
     features = features_of(rows, ["c"])
-    stamps, values = thin(rows, features, 5)
+    stamps, values = thin_rows(rows, features, 5)
     packed = pack_blocks(stamps, values, [0, int(stamps[-1]) + 1], 20)
     series = Series.of(packed, np.array([0]), features, {"c": 7.0})
     assert np.flatnonzero(series.missing["c"]).tolist() == [4, 5, 10, 11]

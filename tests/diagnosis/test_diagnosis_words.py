@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from inflight.diagnosis import Signature
-from inflight.diagnosis.residual import holding
-from inflight.diagnosis.result import FoundEffect, sentence, stopped
-from inflight.lsq import Evidence
+from inflight.diagnosis.residual import dominant_blocks
+from inflight.diagnosis.result import FoundEffect, sentence, stop_reason
+from inflight.lsq import GramArrays
 from inflight.time import SECOND
 
 SIZES = {"held_out_before_nT": 0.2, "held_out_after_nT": 0.2, "noise_floor_nT": 0.198, "structure_nT": 0.01}
@@ -23,7 +23,20 @@ SWITCH = Signature(
 
 def effect(rms):
     return FoundEffect(
-        "solar", "solar", ("solar_current",), ("x",), (), 0.5, 9.0, 0.01, 0.9, 0.0, None, 9.0, None, rms
+        name="solar",
+        family="solar",
+        channels=("solar_current",),
+        axes=("x",),
+        coefficients=(),
+        gain=0.5,
+        t=9.0,
+        flip_p=0.01,
+        retained=0.9,
+        lag_s=0.0,
+        lag_sigma_s=None,
+        placebo_t=9.0,
+        consistency=None,
+        rms_nT=rms,
     )
 
 
@@ -67,7 +80,7 @@ def test_a_short_span_is_said_to_be_short():
 def test_a_long_span_of_which_few_blocks_tell_is_not_said_to_be_short_but_when_they_were():
     holding = [block(4), block(5), block(9, 0.2)]
     given = told("NOT_IDENTIFIABLE", blocks=blocks(90.0, 2.9, holding))
-    for said in (sentence(given), stopped(given, 8, False)):
+    for said in (sentence(given), stop_reason(given, 8, False)):
         assert "short" not in said
         assert "3 of 90 blocks hold nearly all of the residual's square" in said
         assert "2010-03-01 04:00 to 2010-03-01 06:00; 2010-03-01 09:00 to 2010-03-01 10:00" in said
@@ -75,11 +88,11 @@ def test_a_long_span_of_which_few_blocks_tell_is_not_said_to_be_short_but_when_t
 
 def test_the_blocks_that_hold_nearly_all_are_the_fewest_in_order_of_time():
     hours = 700_000_000 * SECOND + 3600 * SECOND * np.arange(91)
-    evidence = Evidence(("residual",), np.ones((90, 1, 1)), hours[:-1], hours[1:], np.ones(90), np.ones(1))
+    evidence = GramArrays(("residual",), np.ones((90, 1, 1)), hours[:-1], hours[1:], np.ones(90), np.ones(1))
     square = np.full(90, 0.1)
-    assert holding(evidence, square) == []
+    assert dominant_blocks(evidence, square) == []
     square[[40, 12]] = 300.0, 400.0
-    found = holding(evidence, square)
+    found = dominant_blocks(evidence, square)
     assert [one["part"] for one in found] == pytest.approx([400 / square.sum(), 300 / square.sum()])
     assert found[0]["start"] < found[0]["end"] < found[1]["start"]
 

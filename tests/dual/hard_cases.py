@@ -1,4 +1,4 @@
-"""Two sensors in trouble: cases that break what the judge takes for granted, one thing at a time.
+"""Two sensors in trouble: cases that break what the held-out decision assumes, one thing at a time.
 
 Independent of `tests.dual_cases`: another ambient field, other units, and no dipole code in common. Each
 maker takes a random generator and returns a case with its truth.
@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual import Body, Candidates, Judgement, Readings, judge
+from inflight.dual import Body, Candidates, HeldOutDecision, Readings, decide
 from inflight.time import SECOND
 
 #: Samples of a case, and the sensors' distances from the middle of the body, m.
 COUNT = 4000
 NEAR, FAR = 1.0, 1.8
 REACH = 0.35
-#: Largest ratio of the error after the correction to that before that is no harm.
-HARM = 1.02
+#: From this ratio of the errors after and before on a correction made a case worse.
+WORSE = 1.02
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class Hard:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a judgement made of a case: errors without their constants, nT a component."""
+    """Errors of a case before and after the decision, without their constants, nT a component."""
 
     before: float
     after: float
-    pull: float  # rms error of the correction over its rms sigma; NaN where none is applied
-    judgement: Judgement
+    error_over_sigma: float  # rms error of the correction over its rms sigma; NaN where none is applied
+    decision: HeldOutDecision
 
     @property
     def ratio(self) -> float:
@@ -55,22 +55,24 @@ class Outcome:
 
     @property
     def applied(self) -> bool:
-        return self.judgement.chosen != "none"
+        return self.decision.chosen != "none"
 
 
 def outcome(case: Hard) -> Outcome:
-    """Judge a case and compare with the truth."""
+    """Decide on a case and compare with the truth."""
     readings = case.readings
     candidates = Candidates(readings, case.body)
-    judgement = judge(readings, candidates.fit, candidates.expectations)
-    good, found = readings.good, judgement.correction
+    decision = decide(readings, candidates.fit, candidates.priors)
+    good, found = readings.good, decision.correction
     before = _size((readings.outboard - case.ambient)[good])
     after = _size((found.corrected(readings.outboard) - case.ambient)[good])
     known = found.known & good
-    pull = float("nan")
+    error_over_sigma = float("nan")
     if found.applied and known.any():
-        pull = _size((found.field - case.stray)[known]) / float(np.sqrt(np.mean(found.sigma[known] ** 2)))
-    return Outcome(before, after, pull, judgement)
+        error_over_sigma = _size((found.field - case.stray)[known]) / float(
+            np.sqrt(np.mean(found.sigma[known] ** 2))
+        )
+    return Outcome(before, after, error_over_sigma, decision)
 
 
 def _size(values: Floats) -> float:

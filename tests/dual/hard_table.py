@@ -8,7 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tests.dual.hard_cases import HARM, MAKERS, make, outcome
+from tests.dual.hard_cases import MAKERS, WORSE, make, outcome
 
 
 def main() -> None:
@@ -21,9 +21,9 @@ def main() -> None:
     for kind in MAKERS:
         found = [outcome(make(kind, given.first_seed + one)) for one in range(given.seeds)]
         ratio = np.array([one.ratio for one in found])
-        applied, harmed = sum(one.applied for one in found), int(np.sum(ratio > HARM))
-        worse += harmed
-        table.add_row(kind, str(applied), f"{np.median(ratio):.2f}", f"{ratio.max():.2f}", str(harmed))
+        applied, made_worse = sum(one.applied for one in found), int(np.sum(ratio > WORSE))
+        worse += made_worse
+        table.add_row(kind, str(applied), f"{np.median(ratio):.2f}", f"{ratio.max():.2f}", str(made_worse))
     console = Console()
     console.print(table)
     console.print(f"{worse} of {given.seeds * len(MAKERS)} made worse by more than 2 %")

@@ -26,7 +26,7 @@ class Case:
 
     def part(self, rows: slice) -> "Case":
         return Case(
-            self.readings.part(rows),
+            self.readings.select(rows),
             self.on[rows],
             self.ambient[rows],
             self.stray[rows],

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from inflight.dual import Readings, process, train
-from inflight.dual.candidates import combined_correction, state_fields, state_places
+from inflight.dual import Readings, correction_by_states, train
+from inflight.dual.candidates import combined_correction, state_fields, state_rows
 from inflight.dual.gradiometer import fit_gradiometer
 from inflight.time import SECOND
 
@@ -36,7 +36,7 @@ def error(field, stray):
 def test_a_current_within_a_state_is_taken_off_too():
     readings, stray = world(1)
     training = train(readings)
-    states = process(readings, training)
+    states = correction_by_states(readings, training)
     gradiometer = fit_gradiometer(readings)
     both = combined_correction(readings, training, states, gradiometer)
     assert error(both.field, stray) < error(states.field, stray)
@@ -61,6 +61,6 @@ def test_unknown_states_have_no_place():
     readings, _ = world(3)
     training = train(readings)
     numbers = np.append(training.number[::-1], [-1, -2, 10_000])
-    place = state_places(training, numbers)
+    place = state_rows(training, numbers)
     assert np.array_equal(training.number[place[: len(training)]], numbers[: len(training)])
     assert np.all(place[len(training) :] == -1)

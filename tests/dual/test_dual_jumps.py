@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from switching_cases import power_law
 
 from benchmarks.thresholds import false_alarm_probability, published_jumps
-from inflight.dual.change_points import find_jumps, spikes
+from inflight.dual.change_points import find_jumps, find_spikes
 from inflight.errors import SettingsError
 
 
@@ -79,7 +79,7 @@ def test_a_spike_stands_out_and_a_step_does_not():
     values = noise_of("white", 13)
     values[500] += 30.0
     values[9_000:] += 30.0
-    assert_array_equal(np.flatnonzero(spikes(values)), [500])
+    assert_array_equal(np.flatnonzero(find_spikes(values)), [500])
 
 
 def test_the_published_thresholds_have_the_false_alarms_of_white_noise():

@@ -7,7 +7,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from switching_cases import ADDED_INBOARD, ADDED_OUTBOARD, OUT_LESS_IN, Case, case, six_states, switched
 
-from inflight.dual import Correction, Readings, continued, from_dataset, process, to_dataset, train
+from inflight.dual import (
+    Correction,
+    Readings,
+    continue_training,
+    correction_by_states,
+    train,
+    training_from_dataset,
+    training_to_dataset,
+)
 from inflight.dual.segments import segments_of
 from inflight.errors import CalibrationError
 from inflight.flags import Flag
@@ -42,13 +50,13 @@ def test_the_papers_six_states_are_recovered_with_the_ambient_field_known(seed):
     made, _ = six_states(seed)
     training = train(made.readings, ambient=made.ambient)
     assert training.constant_known
-    assert np.count_nonzero(training.seen) == 6
+    assert np.count_nonzero(training.observed) == 6
     for state in range(6):
         nearest = np.argmin(np.abs(training.centre[:6, 0] + OUT_LESS_IN[state]))
         assert_allclose(training.centre[nearest, 0], -OUT_LESS_IN[state], atol=0.02)
         assert_allclose(-training.correction[nearest, 0], ADDED_OUTBOARD[state], atol=0.02)
     later, true = six_states(seed + 50, ambient=3.0)
-    found = process(later.readings, training)
+    found = correction_by_states(later.readings, training)
     assert len(set(zip(found.state.tolist(), true.tolist(), strict=True))) == 6
     left = found.corrected(later.readings.outboard) - later.ambient
     assert np.sqrt(np.mean(left**2)) < 0.03
@@ -89,7 +97,7 @@ def test_the_stated_errors_of_the_units_cover():
 def test_states_are_right_and_the_stray_field_is_gone_in_cruise(options):
     commissioning, cruise = split(case(521, switches=120, count=50_000, **options))
     training = train(commissioning.readings)
-    found = process(cruise.readings, training)
+    found = correction_by_states(cruise.readings, training)
     known = found.state >= 0
     assert known.mean() > 0.98
     pairs = set(zip(found.state[known].tolist(), cruise.code[known].tolist(), strict=True))
@@ -113,7 +121,7 @@ def test_the_stated_error_of_the_correction_covers():
     for seed in range(640, 652):
         commissioning, cruise = split(case(seed, count=30_000, switches=90, ambient=2.0))
         training = train(commissioning.readings)
-        found = process(cruise.readings, training)
+        found = correction_by_states(cruise.readings, training)
         left = found.field - relative(training, commissioning, cruise)
         for number in np.unique(found.state[found.state >= 0]):
             own = np.flatnonzero(found.state == number)
@@ -132,8 +140,8 @@ def test_a_combination_never_trained_is_corrected_all_the_same():
     unseen = cruise.code == 7
     assert unseen.any()
     training = train(commissioning.readings)
-    found = process(cruise.readings, training)
-    assert not training.seen[found.state[unseen].max()]
+    found = correction_by_states(cruise.readings, training)
+    assert not training.observed[found.state[unseen].max()]
     left = (found.field - relative(training, commissioning, cruise))[unseen]
     assert np.sqrt(np.nanmedian(left**2)) < 3.0 * np.nanmedian(found.sigma[unseen])
 
@@ -144,7 +152,7 @@ def test_a_unit_never_trained_is_unknown_and_never_forced(seed):
     on[:30_000, 3] = 0
     commissioning, cruise = split(case(seed, count=50_000, on=on))
     training = train(commissioning.readings)
-    found = process(cruise.readings, training)
+    found = correction_by_states(cruise.readings, training)
     new = cruise.on[:, 3] == 1
     assert np.mean(found.state[new] == -1) > 0.95
     assert (found.flag[found.state == -1] & UNKNOWN).all()
@@ -157,19 +165,19 @@ def test_an_unknown_state_takes_the_fallback_with_a_wider_error():
     on[:30_000, 3] = 0
     commissioning, cruise = split(case(545, count=50_000, on=on))
     training = train(commissioning.readings)
-    alone = process(cruise.readings, training)
+    alone = correction_by_states(cruise.readings, training)
     count = len(cruise.readings)
     # Such as a gradiometer's: right but for a constant of its own and an error of 0.3 nT.
     wrong = 0.3 * np.sin(np.arange(count) / 900.0)[:, None] * np.ones(3)
     estimate = Correction(
-        cruise.stray + np.array([5.0, 0.0, -5.0]) + wrong,
-        np.tile(0.01 * np.eye(3), (count, 1, 1)),
-        np.full(count, -1),
-        np.full(count, np.nan),
-        np.zeros(count, dtype=np.uint32),
-        "gradiometer",
+        field=cruise.stray + np.array([5.0, 0.0, -5.0]) + wrong,
+        covariance=np.tile(0.01 * np.eye(3), (count, 1, 1)),
+        state=np.full(count, -1),
+        probability=np.full(count, np.nan),
+        flag=np.zeros(count, dtype=np.uint32),
+        method="gradiometer",
     )
-    both = process(cruise.readings, training, fallback=estimate)
+    both = correction_by_states(cruise.readings, training, fallback=estimate)
     lost = alone.state == -1
     left = (both.field - relative(training, commissioning, cruise))[lost]
     assert np.abs(left.mean(axis=0)).max() < 0.3
@@ -188,8 +196,10 @@ def test_passing_disturbances_are_flagged_and_leave_the_state():
     for place in at:
         inboard[place : place + 4] += [8.0, -5.0, 3.0]
     inboard[at[0] - 25] += 9.0
-    found = process(Readings(cruise.readings.stamps, inboard, cruise.readings.outboard), training)
-    undisturbed = process(cruise.readings, training)
+    found = correction_by_states(
+        Readings(cruise.readings.stamps, inboard, cruise.readings.outboard), training
+    )
+    undisturbed = correction_by_states(cruise.readings, training)
     for place in at:
         assert (found.flag[place : place + 4] & TRANSIENT).all()
         assert_array_equal(found.state[place : place + 4], -2)
@@ -215,8 +225,8 @@ def test_two_states_at_one_point_are_ambiguous_and_their_spread_is_the_error():
         transitions=np.pad(training.transitions, (0, 1)) + 1.0,
         occupancy=np.vstack([training.occupancy, training.occupancy[1]]),
     )
-    found = process(cruise.readings, twin)
-    alone = process(cruise.readings, training)
+    found = correction_by_states(cruise.readings, twin)
+    alone = correction_by_states(cruise.readings, training)
     same = alone.state == 1
     assert (found.flag[same] & AMBIGUOUS).all()
     assert (found.sigma[same] > 1.0).all()
@@ -226,7 +236,7 @@ def test_two_states_at_one_point_are_ambiguous_and_their_spread_is_the_error():
 def test_without_switching_nothing_is_corrected():
     quiet = case(571, units=1, switches=0)
     training = train(quiet.readings)
-    found = process(quiet.readings, training)
+    found = correction_by_states(quiet.readings, training)
     assert len(training) == 1
     assert_allclose(found.field, 0.0, atol=1e-12)
 
@@ -236,7 +246,7 @@ def test_long_losses_of_a_sensor_are_unknown_and_short_ones_are_bridged():
     inboard = cruise.readings.inboard.copy()
     inboard[3_000:3_004] = np.nan
     inboard[5_000:5_200] = np.nan
-    found = process(
+    found = correction_by_states(
         Readings(cruise.readings.stamps, inboard, cruise.readings.outboard), train(commissioning.readings)
     )
     assert (found.state[3_000:3_004] == found.state[2_999]).all()
@@ -246,13 +256,13 @@ def test_long_losses_of_a_sensor_are_unknown_and_short_ones_are_bridged():
 
 def test_a_training_survives_its_table():
     training = train(case(581).readings)
-    again = from_dataset(to_dataset(training))
+    again = training_from_dataset(training_to_dataset(training))
     for name in ("centre", "covariance", "correction", "occupancy", "transitions", "number"):
         assert_array_equal(getattr(again, name), getattr(training, name))
     assert again.drift_rate.bend.tolist() == training.drift_rate.bend.tolist()
     assert (again.start, again.end, again.reference) == (training.start, training.end, training.reference)
     with pytest.raises(CalibrationError, match="train anew"):
-        from_dataset(to_dataset(training).assign_attrs(dual_training=9))
+        training_from_dataset(training_to_dataset(training).assign_attrs(dual_training=9))
 
 
 def test_states_keep_their_numbers_through_a_later_training():
@@ -262,7 +272,7 @@ def test_states_keep_their_numbers_through_a_later_training():
     shifted = late.readings.inboard + np.array([0.7, -0.4, 0.2])
     moved = Readings(late.readings.stamps, shifted, late.readings.outboard)
     first, second = train(early.readings), train(moved)
-    going = continued(first, second)
+    going = continue_training(first, second)
     assert_allclose(going.shift, [0.7, -0.4, 0.2], atol=0.05)
     one, other = going.matched.T
     assert_array_equal(going.training.number[other], first.number[one])
@@ -287,14 +297,14 @@ def test_a_unit_that_aged_is_told():
     # The first unit now reaches the outboard sensor with 1.5 nT more, and the inboard one as well.
     noise = np.random.default_rng(3).normal(0.0, 0.05, (2, *late.ambient.shape))
     read = [one + 1.5 * on[:, :1] + more for one, more in zip(read, noise, strict=True)]
-    going = continued(train(early.readings), train(Readings(late.readings.stamps, *read)))
+    going = continue_training(train(early.readings), train(Readings(late.readings.stamps, *read)))
     assert going.aged.any()
 
 
 def test_one_state_alone_that_moved_far_is_not_taken_for_any():
     first = train(case(594, count=30_000, switches=60, ambient=1.0).readings)
     quiet = case(595, count=5_000, units=1, switches=0)
-    places = first.centre[first.seen]
+    places = first.centre[first.observed]
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     one, other = np.unravel_index(np.argmin(np.where(apart > 0, apart, np.inf)), apart.shape)
     ambient = quiet.readings.outboard
@@ -303,8 +313,8 @@ def test_one_state_alone_that_moved_far_is_not_taken_for_any():
         level = places[one] + share * (places[other] - places[one])
         return train(Readings(quiet.readings.stamps, ambient + level, quiet.ambient))
 
-    near = continued(first, later(0.1))
-    assert near.training.number.tolist() == [int(first.number[first.seen][one])]
-    half = continued(first, later(0.45))
+    near = continue_training(first, later(0.1))
+    assert near.training.number.tolist() == [int(first.number[first.observed][one])]
+    half = continue_training(first, later(0.45))
     assert not len(half.matched)
     assert half.training.number.min() >= first.next_number

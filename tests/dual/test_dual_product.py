@@ -22,12 +22,12 @@ def states_correction(**changes):
     spread = np.broadcast_to(0.04 * np.eye(3), (COUNT, 3, 3)).copy()
     spread[-50:] = np.nan
     return Correction(
-        field,
-        spread,
-        state,
-        np.full(COUNT, 0.99),
-        np.zeros(COUNT, dtype=np.uint32),
-        "states",
+        field=field,
+        covariance=spread,
+        state=state,
+        probability=np.full(COUNT, 0.99),
+        flag=np.zeros(COUNT, dtype=np.uint32),
+        method="states",
         **changes,
     )
 

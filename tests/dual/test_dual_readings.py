@@ -45,7 +45,7 @@ def test_the_ambient_field_is_not_in_the_difference():
 def test_a_gap_ends_a_piece_and_a_missing_reading_does_not():
     pair = readings(np.zeros((20, 3)))
     pair.inboard[4, 1] = np.nan
-    kept = pair.part(np.r_[0:10, 15:20])
+    kept = pair.select(np.r_[0:10, 15:20])
     assert kept.pieces() == [slice(0, 10), slice(10, 15)]
     assert_array_equal(np.flatnonzero(~kept.good), [4])
 
@@ -63,7 +63,14 @@ def test_both_sensors_must_share_the_time_base():
 def test_what_is_not_known_and_what_is_not_applied_leaves_the_reading():
     field = np.array([[1.0, 2.0, 3.0], [np.nan] * 3])
     nothing = no_correction(2, "no training")
-    found = Correction(field, nothing.covariance, nothing.state, nothing.probability, nothing.flag, "states")
+    found = Correction(
+        field=field,
+        covariance=nothing.covariance,
+        state=nothing.state,
+        probability=nothing.probability,
+        flag=nothing.flag,
+        method="states",
+    )
     outboard = np.full((2, 3), 10.0)
     assert_allclose(found.corrected(outboard), [[9.0, 8.0, 7.0], [10.0] * 3])
     assert_allclose(found.withheld("does not help").corrected(outboard), outboard)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from inflight.dual import by_state, quiet_steps, regressed, rms, steps_across, switchings
+from inflight.dual import quiet_steps, regress_steps, residual_steps_by_state, rms, steps_across, switchings
 from inflight.dual.correction import TRANSIENT
 from inflight.time import SECOND
 
@@ -53,11 +53,11 @@ def test_a_field_left_in_a_state_shows_with_its_size():
     state, stamps, field, _ = scene(2, left=1.0)
     at = switchings(state, stamps, SECOND)
     steps = steps_across(field, at)
-    found = regressed("number", steps, (at.after - at.before).astype(float))
+    found = regress_steps("number", steps, (at.after - at.before).astype(float))
     assert found is not None
     assert found.is_clear
     assert np.all(np.abs(found.value - [1.0, 0.0, -0.5]) < 4 * found.sigma)
-    assert any(one.is_clear for one in by_state(at, steps))
+    assert any(one.is_clear for one in residual_steps_by_state(at, steps))
 
 
 def test_nothing_is_told_where_nothing_is_left():
@@ -65,7 +65,7 @@ def test_nothing_is_told_where_nothing_is_left():
     for seed in range(60):
         state, stamps, field, _ = scene(seed)
         at = switchings(state, stamps, SECOND)
-        told += sum(one.is_clear for one in by_state(at, steps_across(field, at)))
+        told += sum(one.is_clear for one in residual_steps_by_state(at, steps_across(field, at)))
     # 60 records of four states and three axes each.
     assert told <= 4
 

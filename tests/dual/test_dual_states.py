@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linear_sum_assignment
 from switching_cases import case, power_law, switched
 
-from inflight.dual import Readings, process, train
-from inflight.dual.segments import DriftRate, Track, segments_of
+from inflight.dual import Readings, correction_by_states, train
+from inflight.dual.segments import DriftFilter, DriftRate, segments_of
 from inflight.dual.states import find_states, find_units
 from inflight.simulate.dual import DualSettings, simulate_dual_day
 
@@ -121,7 +121,7 @@ def test_states_said_with_confidence_are_right_where_the_offset_wanders(walk):
         made = case(seed, units=2 + seed % 4)
         away = power_law(np.random.default_rng(seed), len(made.readings), walk, 2.0)
         readings = Readings(made.readings.stamps, made.readings.inboard + away, made.readings.outboard)
-        found = process(readings, train(readings))
+        found = correction_by_states(readings, train(readings))
         segments = segments_of(readings)
         middle = ((segments.first + segments.last) // 2)[~segments.transient]
         state, true = found.state[middle], made.code[middle]
@@ -136,7 +136,7 @@ def test_states_said_with_confidence_are_right_where_the_offset_wanders(walk):
 
 def test_a_drift_that_nobody_looks_at_keeps_a_covariance():
     rate = DriftRate(*(np.full(3, one) for one in (1e-2, 1e-2, 0.0)))
-    track = Track.start(rate)
+    track = DriftFilter.start(rate)
     for _ in range(200):
         track.forward(10.0)
         assert (np.linalg.eigvalsh(track.covariance) >= -1e-9 * track.covariance[:, 0, 0].max()).all()

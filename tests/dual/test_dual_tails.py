@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from inflight.dual import Readings
-from inflight.dual.change_points import without_tails
+from inflight.dual.change_points import winsorise
 from inflight.dual.segments import segments_of
 
 COUNT = 20_000
@@ -51,7 +51,7 @@ def test_a_short_stretch_far_off_is_found_in_them_all_the_same(kind):
 def test_the_size_of_a_step_stays():
     values = noise_of("Student's, 3", 5_200)
     values[10_000:] += [5.0, 0.0, -20.0]
-    clean = without_tails(values)
+    clean = winsorise(values)
     step = clean[10_000:].mean(axis=0) - clean[:10_000].mean(axis=0)
     assert np.abs(step - [5.0, 0.0, -20.0]).max() < 0.1
     assert np.abs(clean[:10_000]).max() < 0.5 * np.abs(values[:10_000]).max()
@@ -63,4 +63,4 @@ def test_other_noise_is_left_as_it_is():
     for first in range(500, COUNT, 700):
         values[first : first + 2] += 30.0
     values[7::4_000] -= 40.0
-    assert_array_equal(without_tails(values), values)
+    assert_array_equal(winsorise(values), values)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from inflight.diagnosis import Stretches
-from inflight.dual import switched
-from inflight.residual import without_noise
+from inflight.dual import attribute_jumps
+from inflight.residual import piecewise_mean
 
 STEP = 10 * 10**9
 HEATER, LAMP, NOBODY = np.array([6.0, -9.0, 4.0]), np.array([-2.0, 1.0, 3.0]), np.array([0.4, 3.0, -5.0])
@@ -41,7 +41,7 @@ def scene(request):
 
 def test_only_what_no_channel_follows_is_unexplained_even_beside_one_that_does(scene):
     stamps, field, channels, at_nobody = scene
-    found = switched(stamps, field, channels, dict.fromkeys(channels, 1))
+    found = attribute_jumps(stamps, field, channels, dict.fromkeys(channels, 1))
     assert found is not None
     middle = (found.last + (found.first - found.last) // 2)[~found.follows] / STEP
     assert middle.size == np.unique(at_nobody).size
@@ -51,7 +51,7 @@ def test_only_what_no_channel_follows_is_unexplained_even_beside_one_that_does(s
 
 def test_the_unit_without_a_channel_has_its_step_within_the_stated_error(scene):
     stamps, field, channels, _ = scene
-    found = switched(stamps, field, channels, dict.fromkeys(channels, 1))
+    found = attribute_jumps(stamps, field, channels, dict.fromkeys(channels, 1))
     step, sigma, count = found.units[0]
     assert count >= 10
     assert np.all(np.abs(step * np.sign(step @ NOBODY) - NOBODY) < 5.0 * sigma)
@@ -59,7 +59,7 @@ def test_the_unit_without_a_channel_has_its_step_within_the_stated_error(scene):
 
 def test_a_difference_that_never_jumps_has_no_switching():
     random = np.random.default_rng(7)
-    assert switched(STEP * np.arange(3000), random.standard_normal((3000, 3)), {}, {}) is None
+    assert attribute_jumps(STEP * np.arange(3000), random.standard_normal((3000, 3)), {}, {}) is None
 
 
 def test_stretches_take_levels_out_and_leave_no_rounding_of_a_constant():
@@ -74,13 +74,13 @@ def test_stretches_take_levels_out_and_leave_no_rounding_of_a_constant():
 def test_a_switched_current_loses_its_noise_and_a_temperature_keeps_its_wander():
     random = np.random.default_rng(11)
     clean = 300.0 * (np.arange(4000) // 500 % 2)
-    out = without_noise(clean + 2.0 * random.standard_normal(4000))
+    out = piecewise_mean(clean + 2.0 * random.standard_normal(4000))
     assert np.abs(out - clean).max() < 0.5
     warm = 20.0 + np.sin(np.arange(4000) / 300.0) + 0.02 * random.standard_normal(4000)
-    assert np.array_equal(without_noise(warm), warm)
+    assert np.array_equal(piecewise_mean(warm), warm)
 
 
 def test_a_missing_reading_stays_missing():
     values = np.where(np.arange(200) < 100, 1.0, 50.0) + 0.1 * np.random.default_rng(3).standard_normal(200)
     values[[20, 120]] = np.nan
-    assert np.array_equal(np.isnan(without_noise(values)), np.isnan(values))
+    assert np.array_equal(np.isnan(piecewise_mean(values)), np.isnan(values))

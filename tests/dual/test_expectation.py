@@ -1,4 +1,4 @@
-"""What geometry lets expect counts where the readings are silent, and gives way where they speak."""
+"""The prior by geometry counts where held-out readings are uncertain, and gives way where they are not."""
 
 from dataclasses import replace
 
@@ -7,12 +7,12 @@ import pytest
 from plain_correction import plain
 from scipy import signal
 
-from inflight.dual import WHOLE, Body, Candidates, Part, Readings, judge
+from inflight.dual import WHOLE, AppliedPart, Body, Candidates, Readings, decide
 from inflight.dual.correction import slow_part
-from inflight.dual.do_no_harm import CHANCE, Expected, Seen, best_part
-from inflight.dual.geometry import dipole_matrix, known_from, matrices_of_any_boom
+from inflight.dual.geometry import dipole_matrix, matrices_of_any_boom, matrix_prior
 from inflight.dual.gradiometer import fit_forms, fit_gradiometer
-from inflight.dual.mixing import Moments
+from inflight.dual.held_out import HELD_OUT, SlopeObservation, SlopePrior, best_part
+from inflight.dual.mixing import SecondMoments
 from inflight.time import SECOND
 
 COUNT = 6000
@@ -40,9 +40,9 @@ def switching(seed, size=0.4):
     return size * on[:, None] * np.array([0.6, -0.5, 0.6])
 
 
-def judged(readings, body=None):
+def decided(readings, body=None):
     candidates = Candidates(readings, body)
-    return judge(readings, candidates.fit, candidates.expectations)
+    return decide(readings, candidates.fit, candidates.priors)
 
 
 def error(field, ambient):
@@ -50,7 +50,7 @@ def error(field, ambient):
 
 
 def test_matrices_of_a_body_hold_that_of_a_unit_in_it():
-    mean, covariance = known_from(BODY.matrices)
+    mean, covariance = matrix_prior(BODY.matrices)
     away = dipole_matrix(BODY.positions, PLACE).ravel() - mean
     assert away @ np.linalg.solve(covariance, away) < 20.0
     assert np.linalg.norm(away) > 0.05
@@ -66,7 +66,7 @@ def test_any_boom_holds_every_ratio_of_a_unit_nearer_to_the_inboard_sensor(ratio
 def test_where_the_ambient_field_hides_everything_the_matrix_is_that_of_the_body():
     readings, _ = boom(1, switching(1), restless=0.5)
     found = fit_gradiometer(readings, "matrix", BODY)
-    mean, _ = known_from(BODY.matrices)
+    mean, _ = matrix_prior(BODY.matrices)
     assert found.matrix == pytest.approx(mean.reshape(3, 3), abs=0.1)
 
 
@@ -74,7 +74,7 @@ def test_noise_of_the_difference_does_not_shrink_the_matrix():
     stray, noise = np.diag([3e4, 1e4, 2e4]), 1e4 * np.eye(3)
     truth = dipole_matrix(BODY.positions, PLACE)
     blocks = 24
-    told = Moments(
+    told = SecondMoments(
         np.tile((stray + noise) / blocks, (blocks, 3, 1, 1)),
         np.tile(truth @ stray / blocks, (blocks, 1, 1)),
         np.tile(noise / blocks, (blocks, 3, 1, 1)),
@@ -93,7 +93,7 @@ def test_geometry_corrects_what_readings_alone_cannot_tell():
     for seed in range(4):
         readings, ambient = boom(seed, switching(seed), restless=0.1)
         raw = error(readings.outboard, ambient)
-        for found, out in ((judged(readings), alone), (judged(readings, BODY), told)):
+        for found, out in ((decided(readings), alone), (decided(readings, BODY), told)):
             out.append(error(found.correction.corrected(readings.outboard), ambient) / raw)
     assert max(told) < 1.0
     assert np.mean(told) < 0.9 * np.mean(alone)
@@ -104,7 +104,7 @@ def test_an_inboard_sensor_that_only_makes_noise_is_refused():
     ambient = coloured(random, 0.1)
     inboard, outboard = random.normal(0.0, 0.02, (COUNT, 3)), ambient + random.normal(0.0, 0.02, (COUNT, 3))
     for body in (None, BODY):
-        found = judged(Readings(np.arange(COUNT) * SECOND, inboard, outboard), body)
+        found = decided(Readings(np.arange(COUNT) * SECOND, inboard, outboard), body)
         assert found.chosen == "none"
         assert "matrix (held-out slope" in found.correction.reason
 
@@ -112,7 +112,7 @@ def test_an_inboard_sensor_that_only_makes_noise_is_refused():
 def test_one_sensors_axis_in_both_readings_is_refused():
     readings, _ = boom(14, switching(14), restless=0.1)
     inboard = np.column_stack([readings.outboard[:, 0], readings.inboard[:, 1:]])
-    found = judged(Readings(readings.stamps, inboard, readings.outboard), BODY)
+    found = decided(Readings(readings.stamps, inboard, readings.outboard), BODY)
     assert found.correction.reason == "the difference of both sensors never changes along an axis"
 
 
@@ -121,16 +121,16 @@ def test_filtered_noise_of_sensors_without_a_stray_field_is_refused():
     ambient = coloured(random, 0.01)
     filtered = signal.lfilter(*signal.butter(4, 0.5), random.normal(size=(2, COUNT, 3)), axis=1)
     inboard, outboard = ambient + np.array([0.07, 0.05])[:, None, None] * filtered
-    assert judged(Readings(np.arange(COUNT) * SECOND, inboard, outboard), BODY).chosen == "none"
+    assert decided(Readings(np.arange(COUNT) * SECOND, inboard, outboard), BODY).chosen == "none"
 
 
 def test_a_drift_of_the_size_that_sensors_have_is_left_alone_and_a_large_one_is_not():
     rise = np.linspace(-1.0, 1.0, COUNT)[:, None] * [0.5, -0.3, 0.4]
     small, ambient = boom(7, 0.05 * rise, restless=0.05)
     raw = error(small.outboard, ambient)
-    assert error(judged(small, BODY).correction.corrected(small.outboard), ambient) < 1.02 * raw
+    assert error(decided(small, BODY).correction.corrected(small.outboard), ambient) < 1.02 * raw
     large, ambient = boom(7, 20.0 * rise, restless=0.05)
-    after = error(judged(large, BODY).correction.corrected(large.outboard), ambient)
+    after = error(decided(large, BODY).correction.corrected(large.outboard), ambient)
     assert after < 0.4 * error(large.outboard, ambient)
 
 
@@ -139,8 +139,8 @@ def test_what_is_slow_is_left_alone_and_what_is_quick_is_taken_off():
     readings, ambient = boom(12, tone, restless=0.002, noise=0.02)
     # The outboard sensor drifts: what the difference holds of it is no stray field.
     drifting = readings.outboard + 0.2 * np.linspace(-1.0, 1.0, COUNT)[:, None] * [1.0, -1.0, 1.0]
-    found = judged(Readings(readings.stamps, readings.inboard, drifting), BODY)
-    assert 0.0 < found.evidence[found.chosen].part.seconds < COUNT
+    found = decided(Readings(readings.stamps, readings.inboard, drifting), BODY)
+    assert 0.0 < found.scores[found.chosen].part.seconds < COUNT
     assert "within" in found.correction.reason
     after = found.correction.corrected(drifting)
     assert error(after, ambient) < 0.9 * error(drifting, ambient)
@@ -156,16 +156,16 @@ def test_what_states_prove_is_as_much_as_drift_does_not_come_into_their_means():
         field = 0.1 * state[:, None] * np.ones(3)
         readings, _ = boom(13, rise + field, restless=0.001)
         made = plain(field, state, method="states")
-        expected = Candidates(readings, BODY).expectations[0].of(made)
-        lost.append(np.std(expected.slope[-1]) / np.mean(expected.slope[0]))
+        prior = Candidates(readings, BODY).priors[0].of(made)
+        lost.append(np.std(prior.slope[-1]) / np.mean(prior.slope[0]))
     assert lost[0] > 3.0 * lost[1]
 
 
 def test_units_outside_of_the_body_that_is_told_refute_it():
-    wrong = replace(BODY, middle=np.array([-8.0, 0.0, 0.0]))
+    wrong = replace(BODY, centre=np.array([-8.0, 0.0, 0.0]))
     readings, ambient = boom(8, switching(8, 5.0), restless=0.001)
-    found = judged(readings, wrong)
-    assert {one.units for one in found.evidence.values()} == {"units nearer to the inboard sensor"}
+    found = decided(readings, wrong)
+    assert {one.units for one in found.scores.values()} == {"units nearer to the inboard sensor"}
     assert error(found.correction.corrected(readings.outboard), ambient) < 0.3 * error(
         readings.outboard, ambient
     )
@@ -173,13 +173,15 @@ def test_units_outside_of_the_body_that_is_told_refute_it():
 
 def test_less_is_taken_off_where_the_whole_might_do_harm():
     draws = np.random.default_rng(9).normal(0.75, 0.15, 4000)
-    after = Expected(np.array([1]), np.array([2.0]), draws[None]).after(Seen.nothing())
-    chances = [after.chance_of_harm(Part(share)) for share in (1.0, 0.7, 0.5)]
+    posterior = SlopePrior(scale=np.array([1]), power=np.array([2.0]), slope=draws[None]).posterior(
+        SlopeObservation.none()
+    )
+    chances = [posterior.risk(AppliedPart(share)) for share in (1.0, 0.7, 0.5)]
     assert chances[0] > chances[1] > chances[2]
     # 2 share <c s> - share^2 <c^2>
-    likely = after.benefit(Part(0.7))
+    likely = posterior.benefit(AppliedPart(0.7))
     assert likely == pytest.approx(2.0 * 0.7 * (2 * draws.mean() - 0.7))
-    assert likely > after.benefit() - 0.1
+    assert likely > posterior.benefit() - 0.1
 
 
 def test_slow_scales_that_may_do_harm_are_left_alone():
@@ -187,20 +189,22 @@ def test_slow_scales_that_may_do_harm_are_left_alone():
     # On the slow scale most of the correction may be something else.
     slopes = np.stack([random.normal(1.0, 0.1, 4000), random.normal(0.5, 0.6, 4000)])
     kept = {100.0: (np.array([1.0, 0.05]), np.array([1.0, 0.005]))}
-    after = Expected(np.array([1, 1024]), np.array([1.0, 2.0]), slopes, kept).after(Seen.nothing())
-    assert best_part(after, constant_known=False).seconds == 100.0
-    whole, quick = (after.chance_of_harm(part) for part in (WHOLE, Part(1.0, 100.0)))
-    assert quick < CHANCE < whole
-    assert best_part(after, constant_known=True) == WHOLE
+    posterior = SlopePrior(
+        scale=np.array([1, 1024]), power=np.array([1.0, 2.0]), slope=slopes, filtered=kept
+    ).posterior(SlopeObservation.none())
+    assert best_part(posterior, constant_known=False).seconds == 100.0
+    whole, quick = (posterior.risk(part) for part in (WHOLE, AppliedPart(1.0, 100.0)))
+    assert quick < HELD_OUT.most_risk < whole
+    assert best_part(posterior, constant_known=True) == WHOLE
 
 
 def test_readings_move_the_expected_slope_to_what_they_say():
     draws = np.random.default_rng(10).uniform(0.2, 2.0, 4000)
-    expected = Expected(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
-    seen = Seen(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
-    assert expected.after(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
-    assert not expected.after(seen).refuted
-    assert expected.after(replace(seen, slope=np.array([9.0, 9.0]))).refuted
+    prior = SlopePrior(scale=np.array([1, 2]), power=np.ones(2), slope=np.stack([draws, draws]))
+    seen = SlopeObservation(np.array([1, 2]), np.ones(2), np.full(2, 0.01), np.zeros((2, 3, 3)))
+    assert prior.posterior(seen).weights @ draws == pytest.approx(1.0, abs=0.05)
+    assert not prior.posterior(seen).refuted
+    assert prior.posterior(replace(seen, slope=np.array([9.0, 9.0]))).refuted
 
 
 def test_readings_that_an_error_of_the_leak_explains_tell_less():
@@ -211,10 +215,10 @@ def test_readings_that_an_error_of_the_leak_explains_tell_less():
     # Where ambient field is strong a small leak makes a slope.
     ambient = np.zeros((2, 3, 3))
     ambient[:, 0, 0] = 100.0
-    seen = Seen(np.array([1, 2]), np.full(2, 1.8), np.full(2, 0.01), ambient)
-    plain = Expected(seen.scale, np.ones(2), np.stack([draws, draws]))
-    known = plain.after(seen).weights @ draws
-    told = replace(plain, leak=leak).after(seen).weights @ draws
+    seen = SlopeObservation(np.array([1, 2]), np.full(2, 1.8), np.full(2, 0.01), ambient)
+    plain = SlopePrior(scale=seen.scale, power=np.ones(2), slope=np.stack([draws, draws]))
+    known = plain.posterior(seen).weights @ draws
+    told = replace(plain, leak=leak).posterior(seen).weights @ draws
     assert known == pytest.approx(1.8, abs=0.05)
     assert told == pytest.approx(draws.mean(), abs=0.4)
     assert told < known - 0.2
@@ -222,30 +226,30 @@ def test_readings_that_an_error_of_the_leak_explains_tell_less():
 
 def test_what_was_taken_for_noise_may_be_stray_field():
     draws = np.random.default_rng(12).uniform(0.2, 1.2, 40_000)
-    seen = Seen(np.array([1, 2]), np.full(2, 3.0), np.full(2, 0.01), np.zeros((2, 3, 3)))
-    clear = Expected(seen.scale, np.ones(2), np.stack([draws, draws]))
-    assert clear.after(seen).refuted
+    seen = SlopeObservation(np.array([1, 2]), np.full(2, 3.0), np.full(2, 0.01), np.zeros((2, 3, 3)))
+    clear = SlopePrior(scale=seen.scale, power=np.ones(2), slope=np.stack([draws, draws]))
+    assert clear.posterior(seen).refuted
     # A correction that lost four fifths to the noise is three times too small.
-    noisy = replace(clear, passed=np.full(2, 0.2)).after(seen)
+    noisy = replace(clear, signal_share=np.full(2, 0.2)).posterior(seen)
     assert not noisy.refuted
     assert noisy.weights @ draws == pytest.approx(1.1, abs=0.1)
 
 
 def test_nothing_is_sure_by_a_single_draw():
     draws = np.random.default_rng(13).normal(1.0, 0.1, 4000)
-    expected = Expected(np.array([1, 2]), np.ones(2), np.stack([draws, draws]))
+    prior = SlopePrior(scale=np.array([1, 2]), power=np.ones(2), slope=np.stack([draws, draws]))
     usual, odd = (
-        Seen(np.array([1, 2]), np.full(2, slope), np.full(2, 1e-4), np.zeros((2, 3, 3)))
+        SlopeObservation(np.array([1, 2]), np.full(2, slope), np.full(2, 1e-4), np.zeros((2, 3, 3)))
         for slope in (1.0, 2.0)
     )
-    assert expected.after(usual).chance_of_harm() < 0.001
-    assert not expected.after(odd).refuted
-    assert expected.after(odd).chance_of_harm() > 0.001
+    assert prior.posterior(usual).risk() < 0.001
+    assert not prior.posterior(odd).refuted
+    assert prior.posterior(odd).risk() > 0.001
 
 
 def test_every_form_starts_from_geometry():
     readings, _ = boom(11, switching(11), restless=0.5)
-    mean, _ = known_from(BODY.matrices)
+    mean, _ = matrix_prior(BODY.matrices)
     for one in fit_forms(readings, ("ratio", "axes", "dipole", "principal", "matrix"), BODY).values():
         if one.form != "principal":
             assert np.trace(one.matrix) == pytest.approx(np.trace(mean.reshape(3, 3)), rel=0.3), one.form
@@ -255,6 +259,8 @@ def test_what_is_left_alone_is_no_error_of_the_part_that_is_taken_off():
     slopes = np.ones((2, 100))
     # Of the slow scale a tenth is left in the part; its slope on that is one, as of the whole.
     kept = {100.0: (np.array([1.0, 0.1]), np.array([1.0, 0.01]))}
-    after = Expected(np.array([1, 1024]), np.array([1.0, 200.0]), slopes, kept).after(Seen.nothing())
-    assert after.away(Part(1.0, 100.0)) == pytest.approx(0.0)
-    assert after.away(Part(0.5, 100.0)) == pytest.approx(0.5)
+    posterior = SlopePrior(
+        scale=np.array([1, 1024]), power=np.array([1.0, 200.0]), slope=slopes, filtered=kept
+    ).posterior(SlopeObservation.none())
+    assert posterior.slope_error(AppliedPart(1.0, 100.0)) == pytest.approx(0.0)
+    assert posterior.slope_error(AppliedPart(0.5, 100.0)) == pytest.approx(0.5)

@@ -6,11 +6,11 @@ import pytest
 from inflight.dual import FORMS, Body, Readings
 from inflight.dual.geometry import dipole_matrix
 from inflight.dual.gradiometer import (
+    correction_by_gradiometer,
     fit_forms,
     fit_gradiometer,
-    gradiometer_correction,
     principal_directions,
-    without_noise,
+    wiener_shrink,
 )
 from inflight.errors import CalibrationError, SettingsError
 from inflight.time import SECOND
@@ -80,7 +80,7 @@ def test_ambient_field_that_leaks_into_the_difference_is_not_taken_for_stray_fie
         sigma = np.sqrt(np.diag(found.mixing.leak_covariance)).reshape(3, 3)
         assert np.sqrt(np.mean(((found.leak - leak) / sigma) ** 2)) < 2.0
         blind = fit_gradiometer(readings, "matrix", leak_sigma=0.0)
-        both = [gradiometer_correction(one, readings).field - stray for one in (found, blind)]
+        both = [correction_by_gradiometer(one, readings).field - stray for one in (found, blind)]
         errors.append([one.std(axis=0).mean() for one in both])
     seeing, blind_error = np.mean(errors, axis=0)
     assert seeing < 0.75 * blind_error
@@ -90,14 +90,14 @@ def test_every_form_lowers_the_error():
     readings, ambient, _ = readings_of(5, dipole_matrix(POSITIONS, PLACE))
     raw = (readings.outboard - ambient).std(axis=0).mean()
     for one in fit_forms(readings, FORMS, BODY).values():
-        left = gradiometer_correction(one, readings).corrected(readings.outboard) - ambient
+        left = correction_by_gradiometer(one, readings).corrected(readings.outboard) - ambient
         assert left.std(axis=0).mean() < 0.5 * raw, one.form
 
 
 def test_missing_readings_have_no_correction_and_the_rest_has():
     readings, _, _ = readings_of(6, 0.4 * np.eye(3))
     readings.inboard[100:150] = np.nan
-    found = gradiometer_correction(fit_gradiometer(readings, "axes"), readings)
+    found = correction_by_gradiometer(fit_gradiometer(readings, "axes"), readings)
     assert np.array_equal(found.known, readings.good)
     assert np.isfinite(found.covariance[readings.good]).all()
 
@@ -109,12 +109,12 @@ def test_what_cannot_be_fitted_is_said():
     with pytest.raises(SettingsError, match="positions"):
         fit_gradiometer(readings, "dipole")
     with pytest.raises(CalibrationError, match="100 samples"):
-        fit_gradiometer(readings.part(slice(0, 100)))
+        fit_gradiometer(readings.select(slice(0, 100)))
 
 
 def test_white_noise_alone_is_not_kept():
     noise = np.random.default_rng(8).normal(0, 0.1, (20_000, 3))
-    kept, _ = without_noise(noise, 0.01 * np.eye(3))
+    kept, _ = wiener_shrink(noise, 0.01 * np.eye(3))
     assert kept.std() < 0.3 * noise.std()
 
 
@@ -122,7 +122,7 @@ def test_a_step_keeps_its_edge_when_noise_is_taken_out():
     step = np.zeros((4000, 3))
     step[2000:] = 5.0
     noisy = step + np.random.default_rng(9).normal(0, 0.1, step.shape)
-    kept, variance = without_noise(noisy, 0.01 * np.eye(3))
+    kept, variance = wiener_shrink(noisy, 0.01 * np.eye(3))
     away = np.abs(np.arange(4000) - 2000) > 500
     assert np.abs(kept - step)[1990:2010].max() < 0.6
     assert (kept - step)[away].std() < 0.05
@@ -171,7 +171,7 @@ def test_units_of_other_scales_at_other_places_are_in_the_sigma():
     noise = random.normal(0.0, 0.01, (2, count, 3))
     readings = Readings(time * SECOND, ambient + stray + difference + noise[0], ambient + stray + noise[1])
     for form in ("ratio", "matrix"):
-        found = gradiometer_correction(fit_gradiometer(readings, form), readings)
+        found = correction_by_gradiometer(fit_gradiometer(readings, form), readings)
         error = found.field - stray
         error -= error.mean(axis=0)
         assert np.sqrt(np.mean(error**2) / np.mean(found.sigma**2)) < 2.0, form

@@ -1,4 +1,4 @@
-"""Two sensors in trouble: what the judge takes for granted fails, and it does no harm."""
+"""Two sensors in trouble: what the held-out decision assumes fails, and it makes nothing worse."""
 
 from dataclasses import replace
 
@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from inflight.dual import Body
-from inflight.dual.geometry import matrices_near
+from inflight.dual.geometry import matrices_near_inboard
 from inflight.dual.gradiometer import fit_forms
-from inflight.dual.noise import FLICKER, wandering
+from inflight.dual.noise import SLOW_NOISE, draw_slow_noise
 from inflight.dual.readings import contrasts, running_sums
-from tests.dual.hard_cases import HARM, body, case, inside, make, outcome, units
+from tests.dual.hard_cases import WORSE, body, case, inside, make, outcome, units
 
 #: Not among them, since two sensors cannot tell: an offset that jumps like a unit, one that follows the day
 #: farther than sensors wander, moments commanded by the field, sensors whose axes are exchanged.
@@ -19,7 +19,7 @@ TROUBLE = ["gain", "crosstalk", "half a sample late", "storm", "turning", "walki
 
 @pytest.mark.parametrize("name", ["dead inboard", "slow inboard", "dead outboard"])
 def test_a_broken_sensor_makes_nothing_worse(name):
-    assert max(outcome(make(name, seed)).ratio for seed in (200, 5)) < HARM
+    assert max(outcome(make(name, seed)).ratio for seed in (200, 5)) < WORSE
 
 
 @pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.6, 0.0, -0.8]])
@@ -29,21 +29,21 @@ def test_a_sensor_that_stands_still_along_an_axis_is_refused(stuck, axis):
     seen = np.eye(3) - np.outer(axis, axis)
     found = outcome(replace(made, **{stuck: getattr(made, stuck) @ seen + 7.0}))
     assert not found.applied
-    assert f"the {stuck} sensor reads one value along an axis" in found.judgement.correction.reason
-    assert not make("coarse", 410).readings.broken
+    assert f"the {stuck} sensor reads one value along an axis" in found.decision.correction.reason
+    assert not make("coarse", 410).readings.defect
 
 
 def test_two_sensors_that_read_the_same_are_left_alone():
     made = make("ordinary", 410)
     found = outcome(replace(made, inboard=made.outboard + 1.0))
     assert not found.applied
-    assert "never changes" in found.judgement.correction.reason
+    assert "never changes" in found.decision.correction.reason
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TROUBLE)
 def test_trouble_makes_no_case_worse(name):
-    assert max(outcome(make(name, seed)).ratio for seed in (300, 301)) < HARM
+    assert max(outcome(make(name, seed)).ratio for seed in (300, 301)) < WORSE
 
 
 def test_six_units_are_farther_from_one_matrix_than_the_regression_shows_and_the_sigma_knows():
@@ -62,13 +62,13 @@ def test_six_units_are_farther_from_one_matrix_than_the_regression_shows_and_the
 
 def test_around_the_body_more_is_possible_than_in_it_and_less_than_on_any_boom():
     small = Body(body().positions, np.zeros(3), np.full(3, 0.05))
-    assert matrices_near(small).std(axis=0).min() > small.matrices.std(axis=0).max()
+    assert matrices_near_inboard(small).std(axis=0).min() > small.matrices.std(axis=0).max()
 
 
 def test_sensors_wander_as_flicker_noise_along_a_line_and_as_a_walk():
     count = 4096
-    own = wandering(count, 200)
-    assert own.flicker.std() == pytest.approx(FLICKER, rel=0.01)
+    own = draw_slow_noise(count, 200)
+    assert own.flicker.std() == pytest.approx(SLOW_NOISE.flicker, rel=0.01)
     octaves = [
         np.mean(contrasts(running_sums(own.flicker), block)[0] ** 2) / block for block in (4, 16, 64, 256)
     ]

@@ -1,4 +1,4 @@
-"""White noise is told where tones, jumps and slow changes hide it from second differences."""
+"""White noise is estimated where tones, jumps and slow changes hide it from second differences."""
 
 import numpy as np
 import pytest

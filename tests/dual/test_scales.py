@@ -14,7 +14,7 @@ def power_by_scale(series, longest):
 def test_white_noise_has_the_same_contrasts_on_every_scale():
     cells = cells_of(np.random.default_rng(1).normal(size=(20_000, 3)))
     for scale in np.unique(cells.scale):
-        here = cells.part(cells.scale == scale)
+        here = cells.select(cells.scale == scale)
         found = np.einsum("c,cii->", here.count, here.covariance) / 3.0 / here.count.sum()
         assert found == pytest.approx(1.0, abs=5.0 / np.sqrt(here.count.sum()))
 

@@ -25,8 +25,8 @@ from rich.table import Table
 from .scenarios import FAMILIES
 from .score import Score, score_seed
 
-#: A correction that makes the error larger by more than this part does harm.
-HARM = 1.02
+#: From this ratio of the errors after and before on a correction made a case worse.
+WORSE = 1.02
 
 
 def main() -> int:
@@ -40,12 +40,12 @@ def main() -> int:
             console.print(_line(one), highlight=False)
     for table in (family_table(scores), constants_table(scores)):
         console.print(table)
-    told = summary(scores)
-    console.print(json.dumps(told, indent=1))
+    numbers = summary(scores)
+    console.print(json.dumps(numbers, indent=1))
     if given.json:
-        whole = {"summary": told, "cases": [asdict(one) for one in scores]}
+        whole = {"summary": numbers, "cases": [asdict(one) for one in scores]}
         given.json.write_text(json.dumps(whole, indent=1), encoding="utf-8")
-    return int(bool(told["worse_by_2_percent"]))
+    return int(bool(numbers["worse_by_2_percent"]))
 
 
 def _arguments() -> argparse.Namespace:
@@ -54,15 +54,15 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--each", action="store_true", help="print a line for each case")
-    told = "size of the body that is told beside the true one; 0: nothing is told of positions"
-    parser.add_argument("--body", type=float, default=1.0, help=told)
+    size = "size of the stated body over that of the true one; 0: no positions are stated"
+    parser.add_argument("--body", type=float, default=1.0, help=size)
     parser.add_argument("--json", type=Path, help="write all scores here")
     parser.add_argument("--width", type=int, default=None, help="of the tables, characters")
     return parser.parse_args()
 
 
-def _scored(seeds: Sequence[int], jobs: int, told: float) -> Iterable[Score]:
-    work = partial(score_seed, told=told)
+def _scored(seeds: Sequence[int], jobs: int, body_size: float) -> Iterable[Score]:
+    work = partial(score_seed, body_size=body_size)
     if jobs == 1:
         yield from map(work, seeds)
         return
@@ -71,14 +71,15 @@ def _scored(seeds: Sequence[int], jobs: int, told: float) -> Iterable[Score]:
 
 
 def _line(one: Score) -> str:
-    told = f"{one.seed} {one.family:8s} {one.ambient:15s} raw {one.raw:7.3f} corrected {one.corrected:7.3f}"
-    return f"{told} ratio {one.ratio:.3f} {one.chosen:10s} pull {one.pull:4.1f} {one.seconds:4.1f} s"
+    case = f"{one.seed} {one.family:8s} {one.ambient:15s} raw {one.raw:7.3f} corrected {one.corrected:7.3f}"
+    error = f"error/sigma {one.error_over_sigma:4.1f}"
+    return f"{case} ratio {one.ratio:.3f} {one.chosen:10s} {error} {one.seconds:4.1f} s"
 
 
 def family_table(scores: Sequence[Score]) -> Table:
     """Return errors without their constants, by what makes the stray field."""
     columns = ("family", "cases", "improved", "left alone", "worse", "worse > 2 %", "median ratio")
-    columns += ("median, applied", "largest", "median pull")
+    columns += ("median, applied", "largest", "median error / sigma")
     table = Table(*columns, title="error of the corrected over that of the raw reading, constants removed")
     groups = [(family, [one for one in scores if one.family == family]) for family in FAMILIES]
     strong = [one for one in scores if one.exceeds]
@@ -92,20 +93,20 @@ def family_table(scores: Sequence[Score]) -> Table:
 def _row(group: Sequence[Score]) -> list[str]:
     ratio = np.array([one.ratio for one in group])
     applied = np.array([one.applied for one in group])
-    pulls = np.array([one.pull for one in group if np.isfinite(one.pull)])
-    shares = [np.mean(ratio < 1.0), np.mean(~applied), np.mean(ratio > 1.0), np.mean(ratio > HARM)]
+    errors = np.array([one.error_over_sigma for one in group if np.isfinite(one.error_over_sigma)])
+    shares = [np.mean(ratio < 1.0), np.mean(~applied), np.mean(ratio > 1.0), np.mean(ratio > WORSE)]
     rest = [f"{np.median(ratio):.3f}", f"{np.median(ratio[applied]):.3f}" if applied.any() else "-"]
-    rest += [f"{ratio.max():.3f}", f"{np.median(pulls):.1f}" if pulls.size else "-"]
+    rest += [f"{ratio.max():.3f}", f"{np.median(errors):.1f}" if errors.size else "-"]
     return [str(len(group)), *(f"{100 * share:.0f} %" for share in shares), *rest]
 
 
 def constants_table(scores: Sequence[Score]) -> Table:
-    """Return errors with their constants, which two sensors cannot tell."""
+    """Return errors with their constants, which two sensors do not determine."""
     table = Table("", "cases", "improved", "worse > 2 %", "median ratio", title="constants left in")
     for name, group in (("stray > noise", [one for one in scores if one.exceeds]), ("all", list(scores))):
         if group:
             ratio = np.array([one.ratio_rms for one in group])
-            better, worse = 100 * np.mean(ratio < 1.0), 100 * np.mean(ratio > HARM)
+            better, worse = 100 * np.mean(ratio < 1.0), 100 * np.mean(ratio > WORSE)
             table.add_row(
                 name, str(len(group)), f"{better:.0f} %", f"{worse:.0f} %", f"{np.median(ratio):.3f}"
             )
@@ -113,7 +114,7 @@ def constants_table(scores: Sequence[Score]) -> Table:
 
 
 def summary(scores: Sequence[Score]) -> dict[str, object]:
-    """Return the numbers that are aimed at, and the seeds that miss them."""
+    """Return the shares of improved, unchanged and worse cases, and the seeds of the worse ones."""
     strong = [one for one in scores if one.exceeds]
     chosen = [one.chosen for one in scores]
     return {
@@ -121,7 +122,7 @@ def summary(scores: Sequence[Score]) -> dict[str, object]:
         "improved_where_stray_exceeds_noise": _share([one.ratio < 1.0 for one in strong]),
         "left_alone": _share([not one.applied for one in scores]),
         "left_alone_where_stray_exceeds_noise": _share([not one.applied for one in strong]),
-        "worse_by_2_percent": [one.seed for one in scores if one.ratio > HARM],
+        "worse_by_2_percent": [one.seed for one in scores if one.ratio > WORSE],
         "largest_ratio": round(max(one.ratio for one in scores), 4),
         "chosen": {name: chosen.count(name) for name in sorted(set(chosen))},
         "seconds_a_case": round(float(np.mean([one.seconds for one in scores])), 2),

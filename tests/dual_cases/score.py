@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inflight.arrays import Floats
-from inflight.dual import Candidates, Correction, Judgement, judge
+from inflight.dual import Candidates, Correction, HeldOutDecision, decide
 
 from .scenarios import Case, make_case
 
@@ -17,8 +17,8 @@ from .scenarios import Case, make_case
 class Score:
     """Errors of one case, nT a component, over the samples that both sensors have.
 
-    `raw`, `corrected`: without their constants; `raw_rms`, `corrected_rms`: with them. `pull`: rms error of
-    the correction over the rms of its sigma, without the constant.
+    `raw`, `corrected`: without their constants; `raw_rms`, `corrected_rms`: with them.
+    `error_over_sigma`: rms error of the correction over the rms of its sigma, without the constant.
     """
 
     seed: int
@@ -30,7 +30,7 @@ class Score:
     corrected: float
     raw_rms: float
     corrected_rms: float
-    pull: float
+    error_over_sigma: float
     seconds: float
     reason: str
 
@@ -47,30 +47,30 @@ class Score:
         return self.chosen != "none"
 
 
-def score_seed(seed: int, told: float = 1.0) -> Score:
-    """Make a case, correct it, and tell what became of it."""
+def score_seed(seed: int, body_size: float = 1.0) -> Score:
+    """Make a case, correct it, and return its errors."""
     case = make_case(seed)
     started = time.perf_counter()
-    judgement = corrected(case, told)
-    return score(case, judgement, time.perf_counter() - started)
+    decision = corrected(case, body_size)
+    return score(case, decision, time.perf_counter() - started)
 
 
-def corrected(case: Case, told: float = 1.0) -> Judgement:
-    """Return the judgement on all candidates; the truth is not given.
+def corrected(case: Case, body_size: float = 1.0) -> HeldOutDecision:
+    """Return the decision on all candidates; the truth is not given.
 
     Parameters
     ----------
-    told : float
-        Size of the body as it is told, beside the true one; 0 when nothing is told of positions.
+    body_size : float
+        Size of the stated body over that of the true one; 0 when no positions are stated.
     """
-    body = replace(case.body, reach=told * case.body.reach) if told else None
+    body = replace(case.body, half_size=body_size * case.body.half_size) if body_size else None
     candidates = Candidates(case.readings, body)
-    return judge(case.readings, candidates.fit, candidates.expectations)
+    return decide(case.readings, candidates.fit, candidates.priors)
 
 
-def score(case: Case, judgement: Judgement, seconds: float = 0.0) -> Score:
+def score(case: Case, decision: HeldOutDecision, seconds: float = 0.0) -> Score:
     good = case.readings.good
-    found = judgement.correction
+    found = decision.correction
     before = (case.readings.outboard - case.ambient)[good]
     after = (found.corrected(case.readings.outboard) - case.ambient)[good]
     return Score(
@@ -78,12 +78,12 @@ def score(case: Case, judgement: Judgement, seconds: float = 0.0) -> Score:
         case.family,
         case.ambient_kind,
         case.exceeds,
-        judgement.chosen,
+        decision.chosen,
         changes(before),
         changes(after),
         float(np.sqrt(np.mean(before**2))),
         float(np.sqrt(np.mean(after**2))),
-        pull(case, found),
+        error_over_sigma(case, found),
         seconds,
         found.reason,
     )
@@ -94,7 +94,8 @@ def changes(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.var(values, axis=0))))
 
 
-def pull(case: Case, found: Correction) -> float:
+def error_over_sigma(case: Case, found: Correction) -> float:
+    """Return the rms error of a correction over its rms sigma; NaN where none is applied."""
     known = found.known & case.readings.good
     if not found.applied or not known.any():
         return float("nan")

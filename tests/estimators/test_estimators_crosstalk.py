@@ -19,7 +19,7 @@ from inflight.calibration import (
 from inflight.calibration.normal_equations import PERFECT
 from inflight.errors import CalibrationError, SamplesError
 from inflight.frames import direction_of
-from inflight.lsq import left, taken_over
+from inflight.lsq import marginalise, regression
 from inflight.mission_fit import SWITCHED, Ignored, correlation, cross_talk, switched_columns
 
 DAYS = (300, 1450, 2000, NOON, MIDNIGHT)
@@ -165,9 +165,9 @@ def test_what_is_taken_over_is_least_squares(seed, fitted):
     rows = np.random.default_rng(seed).normal(size=(40, fitted + 2)) * np.logspace(-3, 3, fitted + 2)
     gram, x, z = rows.T @ rows, np.arange(fitted), np.arange(fitted, fitted + 2)
     expected = np.linalg.lstsq(rows[:, x], rows[:, z])[0]
-    np.testing.assert_allclose(taken_over(gram, x, z), expected, rtol=1e-6)
+    np.testing.assert_allclose(regression(gram, x, z), expected, rtol=1e-6)
     rest = rows[:, z] - rows[:, x] @ expected
-    np.testing.assert_allclose(left(gram, x, z), rest.T @ rest, rtol=1e-6, atol=1e-9 * gram[-1, -1])
+    np.testing.assert_allclose(marginalise(gram, x, z), rest.T @ rest, rtol=1e-6, atol=1e-9 * gram[-1, -1])
 
 
 def test_directions_are_unit_vectors():

@@ -23,7 +23,7 @@ from inflight.mission_fit import (
     spread_law,
 )
 from inflight.mission_fit.trend_selection import compare_trends
-from inflight.mission_fit.trends import equations_of_table, middles
+from inflight.mission_fit.trends import equations_of_table
 from inflight.time import from_mjd2000
 
 SIZES = np.array([2e-6] * 3 + [5e-4] * 3 + [0.02] * 3)
@@ -45,7 +45,7 @@ def trend_figures():
     table = table_of(edges, np.array([nine_at(day + 7.5) for day in edges]) + noise, SIZES, NINE, width=15.0)
     equations = equations_of_table(table)
     origin = int(from_mjd2000(150.0))
-    log = make_trend("log", middles(equations), origin)
+    log = make_trend("log", equations.middle, origin)
     fit = fit_trends(equations, dict.fromkeys(SCALES, log), PRIOR_SIGMA)
     found = compare_trends(equations, SCALES, PRIOR_SIGMA, t0=origin)
     steps = table_jumps(table)
@@ -90,7 +90,7 @@ def behaviour_figures():
         behaviour.parameter_spectrum_figure(spectrum, "offset z"),
         behaviour.running_means_figure(MJD, value, means, "offset z"),
         behaviour.loop_figure(loop, "offset z"),
-        behaviour.steps_figure(steps, "offset z"),
+        behaviour.event_steps_figure(steps, "offset z"),
         behaviour.clock_figure(clock_faults(MJD, shift, np.full(MJD.size, 4e-4)), shift),
     ]
 

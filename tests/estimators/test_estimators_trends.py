@@ -20,7 +20,7 @@ from inflight.effects import VectorSensor
 from inflight.errors import CalibrationError
 from inflight.mission_fit import fit_origin, fit_trends, make_trend
 from inflight.mission_fit.trend_selection import compare_trends
-from inflight.mission_fit.trends import equations_of_table, middles
+from inflight.mission_fit.trends import equations_of_table
 from inflight.model.time_dependence import parse_timed
 from inflight.time import from_mjd2000, mjd2000
 
@@ -34,7 +34,7 @@ def log_table(days, seed=0, growth=2.9e-4, noise=2e-6, origin=150.0):
 
 
 def log_at(equations, mjd=150.0):
-    return make_trend("log", middles(equations), int(from_mjd2000(mjd)))
+    return make_trend("log", equations.middle, int(from_mjd2000(mjd)))
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_an_offset_steps_by_direction_and_not_on_average():
 
 @pytest.mark.parametrize("kind", ["constant", "linear", "parabola", "log", "spline"])
 def test_a_fitted_trend_becomes_an_entry_of_a_model_that_gives_the_same_values(mission, kind):
-    times = middles(mission)
+    times = mission.middle
     trend = make_trend(kind, times, int(from_mjd2000(150.0)) if kind == "log" else None)
     fit = fit_trends(mission, dict.fromkeys(SCALES, trend), PRIOR_SIGMA)
     parameter = VectorSensor.parameters()["scale_factor"]
@@ -206,11 +206,11 @@ def test_a_fitted_trend_becomes_an_entry_of_a_model_that_gives_the_same_values(m
 def test_too_few_days_and_unknown_names_are_refused_in_words():
     equations = log_table(np.array([300.0, 301.0]))
     with pytest.raises(CalibrationError, match="2 blocks do not tell the 3 coefficients"):
-        fit_trends(equations, {"l": make_trend("parabola", middles(equations))}, SPREAD)
+        fit_trends(equations, {"l": make_trend("parabola", equations.middle)}, SPREAD)
     with pytest.raises(CalibrationError, match="no parameter 'm'"):
         fit_trends(equations, {"m": log_at(equations)}, SPREAD)
     with pytest.raises(CalibrationError, match="origin before its first time"):
-        make_trend("log", middles(equations), int(from_mjd2000(400.0)))
+        make_trend("log", equations.middle, int(from_mjd2000(400.0)))
     with pytest.raises(CalibrationError, match="no 8 folds"):
         compare_trends(equations, ["l"], SPREAD)
 

@@ -100,7 +100,7 @@ IMPORTED = (
     "distributed",
     "pyarrow.pandas_compat",
     "inflight.tasks.archive.ingestion",
-    "inflight.tasks.pipelines.reprocessing",
+    "inflight.tasks.pipelines.registry",
 )
 #: What a process can be told to do.
 WORK = {"ingest": _ingest, "reprocess": _reprocess}

@@ -12,17 +12,15 @@ from bokeh.models import BoxAnnotation, ColorBar, Span
 
 from inflight.diagnosis import (
     CrossTalk,
-    Curve,
     HeatMap,
     LagProfile,
-    Periodogram,
-    Response,
     Shift,
     Step,
     Trial,
 )
 from inflight.figures import (
     along_field_figures,
+    axis_spectrum_figures,
     candidate_table,
     cross_talk_figure,
     distinct,
@@ -34,7 +32,6 @@ from inflight.figures import (
     lag_figure,
     ledger_table,
     order_figure,
-    periodogram_figures,
     response_figures,
     response_key,
     shift_table,
@@ -47,8 +44,8 @@ from inflight.figures import (
 )
 from inflight.figures.diagnosis import MEANING, explained
 from inflight.figures.residual import DIVERGING
-from inflight.figures.spectra import unexplained_peaks
 from inflight.figures.style import bare_parameter
+from inflight.residual import Curve, FieldResponse, Power, find_lines
 from inflight.time import day_bounds
 
 NAN = float("nan")
@@ -185,7 +182,16 @@ def response(branches=("rising", "falling"), mean=(0.0, 1.0)):
     found = {name: [curve(name, mean)] * 3 for name in branches}
     found["after"] = [curve("after", (0.0, 0.0))] * 3
     envelope = [np.array([-0.2, -0.2])] * 3, [np.array([0.2, 0.2])] * 3
-    return Response("heater", "mA", ("x", "y", "z"), found, np.array([1.0, 2.0]), *envelope)
+    low, high = envelope
+    return FieldResponse(
+        channel="heater",
+        unit="mA",
+        axes=("x", "y", "z"),
+        branches=found,
+        centre=np.array([1.0, 2.0]),
+        low=low,
+        high=high,
+    )
 
 
 @pytest.mark.parametrize("branches", [("rising", "falling"), ("all",)])
@@ -227,28 +233,34 @@ def test_events_and_folds_are_drawn():
 # Spectra.
 
 
-def spectrum_with(peak, known=()):
-    frequency = np.linspace(0, 0.025, 1001)
-    power = np.ones((3, 1001))
-    ratio = np.ones((3, 1001))
-    power[2, peak], ratio[2, peak] = 100.0, 100.0
-    mask = np.zeros(1001, dtype=bool)
-    mask[list(known)] = True
-    return Periodogram(frequency, power, ratio, mask, 4.0)
+def spectrum_with(peak):
+    """Return a spectrum with one peak along z, at a frequency's place without zero."""
+    frequency = np.linspace(0, 0.025, 1001)[1:]
+    total = np.ones((4, 1000))
+    total[3, peak - 1] = 100.0
+    return Power(frequency, 4.0 * total, 4, 4.0 * np.ones(4))
+
+
+def unexplained_peaks(found, known, axis):
+    """Return the places of the lines that nothing known explains and that an axis shows."""
+    lines = [
+        line for line in find_lines(found, known) if line.is_new and np.isfinite(line.amplitude[1 + axis])
+    ]
+    return [round(1.0 / line.period_s / found.step) for line in lines]
 
 
 def test_a_peak_that_nothing_explains_is_marked_with_its_period():
-    found = spectrum_with(peak=20)
-    assert unexplained_peaks(found, axis=2) == [20]
-    assert unexplained_peaks(found, axis=0) == []
-    plots = periodogram_figures(found, found, {"orbit": 5580.0})
+    found, known = spectrum_with(peak=20), {"orbit": 5580.0}
+    assert unexplained_peaks(found, known, axis=2) == [20]
+    assert unexplained_peaks(found, known, axis=0) == []
+    plots = axis_spectrum_figures(found, found, known, find_lines(found, known))
     assert "2e+03 s" in written(plots[2]) or "33.3 min" in written(plots[2])
     assert "unknown period" not in written(plots[0])
     assert all("orbit" in written(plot) for plot in plots)
 
 
 def test_a_peak_at_a_known_period_is_not_marked():
-    assert unexplained_peaks(spectrum_with(peak=20, known=[20]), axis=2) == []
+    assert unexplained_peaks(spectrum_with(peak=20), {"switch": 2000.0}, axis=2) == []
 
 
 # Candidates.

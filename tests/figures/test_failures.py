@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inflight.residual import Coordinate, find_failures, measure
+from inflight.residual import Coordinate, find_failures, measure, successive
 
 COUNT, BLOCKS = 14_400, 60
 BLOCK = np.repeat(np.arange(BLOCKS), COUNT // BLOCKS)
@@ -64,3 +64,30 @@ def test_noise_is_told_nothing_of():
 
 def test_a_residual_that_is_not_there_is_told_nothing_of():
     assert told(np.full(COUNT, np.nan)) == []
+
+
+def test_what_other_times_explain_as_well_is_no_structure():
+    """A structure counts when it exceeds what its coordinate at other times explains of the rest."""
+    sizes = {"drift": 3.0, "current": 2.0, "warmth": 1.0}
+    chance = {"drift": 3.5, "current": 0.1, "warmth": 0.1}
+    found = successive(
+        dict(sizes),
+        list,
+        size=lambda name: sizes[name],
+        is_clear=lambda _: True,
+        remove=lambda left, name: {one: size for one, size in left.items() if one != name},
+        chance=lambda _, name: chance[name],
+        least=0.5,
+        count=3,
+    )
+    assert [name for name, *_ in found] == ["current", "warmth"]
+
+
+def test_a_structure_of_one_period_is_told_though_other_times_have_it_too():
+    """The phase of a period, shifted, is the same phase: what it explains by that is no chance."""
+    phase = (TIME / 288.0) % 1.0
+    coordinates = {"phase": Coordinate("phase", "", "orbit_phase", phase)}
+    residual = noise() + 0.2 * np.sin(2 * np.pi * phase)
+    found = measure(coordinates.values(), residual, BLOCK)
+    (failure,) = find_failures(coordinates, found, residual, DIRECTION, BLOCK)
+    assert abs(failure.amplitude - 0.2 / np.sqrt(2.0)) < 4 * failure.sigma + 2e-3

@@ -21,7 +21,7 @@ from inflight.figures import (
     spectrum_figure,
     wander_figure,
 )
-from inflight.residual import AxisResponse, Dependence, Line, Wander, daily_wander
+from inflight.residual import AxisResponse, Dependence, Line, ParameterScatter, daily_scatter
 from inflight.residual.dependence import Branch, Loop
 from inflight.time import day_bounds
 
@@ -74,10 +74,27 @@ def test_spectrum_without_the_one_before_and_with_periods_outside():
     assert "pre-flight" not in text
 
 
+def followed(name, unit, centre, mean, sigma, loop=None):
+    """Return a dependence with an amplitude of 0.1 +- 0.01 nT."""
+    return Dependence(
+        coordinate=name,
+        unit=unit,
+        centre=centre,
+        mean=mean,
+        sigma=sigma,
+        amplitude=0.1,
+        sigma_amplitude=0.01,
+        loop=loop,
+    )
+
+
 def test_a_spectrum_marks_unknown_lines_where_they_are_seen():
     frequency = np.linspace(1e-4, 0.5, 43_200)
     seen = np.array([NAN, NAN, NAN, 0.2])
-    lines = [Line(2460.0, "", "", 40.0, seen, seen / 10), Line(5550.0, "orbit", "", 90.0, seen, seen / 10)]
+    lines = [
+        Line(period_s=period, label=label, follows="", ratio=ratio, amplitude=seen, sigma=seen / 10)
+        for period, label, ratio in ((2460.0, "", 40.0), (5550.0, "orbit", 90.0))
+    ]
     along = written(
         spectrum_figure(frequency, np.ones(43_200), np.ones(43_200), {"orbit": 5550.0}, lines, "z")
     )
@@ -93,17 +110,29 @@ def test_branches_are_drawn_where_they_differ():
     branch = Branch(mean, sigma)
     for opening, drawn in ((0.5, True), (0.01, False)):
         loop = Loop(branch, branch, opening, 0.01)
-        text = written(dependence_figure(Dependence("t", "K", centre, mean, sigma, 0.1, 0.01, loop)))
+        text = written(dependence_figure(followed("t", "K", centre, mean, sigma, loop)))
         assert ("rising" in text) == drawn
 
 
 def test_axes_and_wander_are_drawn_from_little():
     ones = np.ones((4, 3))
-    response = AxisResponse("current", "A", np.arange(4.0), ones, ones, np.ones(3), np.ones(3))
+    response = AxisResponse(
+        coordinate="current",
+        unit="A",
+        centre=np.arange(4.0),
+        field=ones,
+        sigma=ones,
+        amplitude=np.ones(3),
+        sigma_amplitude=np.ones(3),
+    )
     assert written(axis_figure(response))
     found = [
-        Wander("fgm.offset[x]", "nT", 3.0, 1.0, 3.0, 0.2, 12),
-        Wander("fgm.offset[y]", "nT", NAN, NAN, NAN, NAN, 0),
+        ParameterScatter(
+            name="fgm.offset[x]", unit="nT", std=3.0, sigma=1.0, ratio=3.0, sigma_ratio=0.2, days=12
+        ),
+        ParameterScatter(
+            name="fgm.offset[y]", unit="nT", std=NAN, sigma=NAN, ratio=NAN, sigma_ratio=NAN, days=0
+        ),
     ]
     assert "offset[y]" in written(wander_figure(found))
     assert written(wander_figure([]))
@@ -115,17 +144,17 @@ def test_the_wander_of_daily_parameters_is_their_scatter_over_their_sigma():
     shape = daily["value"].shape
     daily["value"] = daily["value"] + generator.normal(0, 0.1, shape) * np.array([1.0, 1.0, 3.0, 1.0])
     daily["determined"] = daily["determined"] & (np.arange(shape[1]) != 3)
-    found = daily_wander(daily)
+    found = daily_scatter(daily)
     assert [one.ratio for one in found[:3]] == pytest.approx([1.0, 1.0, 3.0], rel=0.15)
     assert found[0].sigma_ratio == pytest.approx(1 / np.sqrt(2 * 199))
     assert np.isnan(found[3].ratio)
     start, end = int(daily["start"].values[50]), int(daily["start"].values[60])
-    assert {one.days for one in daily_wander(daily, start, end)[:3]} == {10}
+    assert {one.days for one in daily_scatter(daily, start, end)[:3]} == {10}
 
 
 def test_dependence_takes_its_error_bars_into_the_range():
     centre, mean = np.array([1.0, 2.0]), np.array([0.0, NAN])
-    plot = dependence_figure(Dependence("current", "A", centre, mean, np.array([5.0, NAN]), 0.1, 0.01))
+    plot = dependence_figure(followed("current", "A", centre, mean, np.array([5.0, NAN])))
     assert written(plot)
     (bars,) = [item for item in plot.center if isinstance(item, Whisker)]
     drawn = np.concatenate(

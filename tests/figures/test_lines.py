@@ -9,12 +9,12 @@ from inflight.residual import (
     drawn_periods,
     find_lines,
     finest,
+    format_period,
     known_periods,
+    record_power,
     resolve_lines,
-    slow_power,
     stretch_power,
     thinned,
-    told_period,
 )
 
 ORBIT, STEP, DAY = 5550.0, 60.0, 86_400.0
@@ -37,7 +37,7 @@ def switched(t, period, duty=0.4):
 
 
 def found_in(t, residual, direction, known=KNOWN):
-    slow = slow_power(t, residual, direction, STEP)
+    slow = record_power(t, residual, direction, STEP)
     return resolve_lines(t, residual, direction, find_lines(slow, known, shortest=240.0), slow)
 
 
@@ -70,7 +70,7 @@ def test_the_residual_alone_shows_it_beside_its_period():
     """What makes the demodulation necessary: the first peak of the residual is a sideband."""
     t, noise, direction = record()
     residual = noise + 0.1 * (switched(t, 2461.0) - 0.4) * direction[:, 2]
-    slow = slow_power(t, residual, direction, STEP)
+    slow = record_power(t, residual, direction, STEP)
     peak = 1.0 / slow.frequency[np.argmax(slow.density[0])]
     assert abs(1 / peak - 1 / 2461.0) == pytest.approx(1 / ORBIT, rel=0.01)
 
@@ -107,7 +107,7 @@ def test_lines_of_orbit_day_and_mission_are_known_by_name():
     t, noise, direction = record(days=20)
     waves = 0.1 * np.cos(6 * np.pi * t / ORBIT) + 0.1 * np.cos(2 * np.pi * t * (5 / ORBIT + 3 / DAY))
     residual = noise + waves + 0.1 * np.cos(2 * np.pi * t / DAY)
-    lines = find_lines(slow_power(t, residual, direction, STEP), KNOWN, shortest=240.0)
+    lines = find_lines(record_power(t, residual, direction, STEP), KNOWN, shortest=240.0)
     assert {"orbit/3", "orbit/5 + 3/day", "day"} <= {line.label for line in lines}
 
 
@@ -133,7 +133,7 @@ def test_gaps_are_bridged_and_a_stretch_of_little_but_gaps_has_no_spectrum():
     holed = residual[:1440].copy()
     holed[:800] = np.nan
     assert stretch_power(holed, direction[:1440], STEP) is None
-    assert slow_power(t[:2000], residual[:2000], direction[:2000], STEP) is None
+    assert record_power(t[:2000], residual[:2000], direction[:2000], STEP) is None
 
 
 def test_white_noise_has_its_level_with_gaps_too():
@@ -152,7 +152,12 @@ def test_periods_are_named_and_harmonics_beyond_the_sixth_are_not_drawn():
     assert {"orbit", "orbit/6", "day", "torquer"} <= set(drawn)
     assert not {"orbit/7", "orbit/16", "day/2"} & set(drawn)
     assert known_periods({}, None) == {"day": DAY, "day/2": DAY / 2, "day/3": DAY / 3}
-    assert [told_period(s) for s in (19.97, 2461.0, 7200.0, 200_000.0)] == ["20 s", "41 min", "2 h", "2.31 d"]
+    assert [format_period(s) for s in (19.97, 2461.0, 7200.0, 200_000.0)] == [
+        "20 s",
+        "41 min",
+        "2 h",
+        "2.31 d",
+    ]
 
 
 def test_a_thinned_spectrum_keeps_its_power_and_its_slow_end():

@@ -111,7 +111,7 @@ def test_a_field_that_moved_by_a_picotesla_is_different(differing):
     field[7, 1] += 1e-3
     (item,) = differing(data=product(field_nec=field)).values()
     assert item.level == DIFFERENT
-    assert item.largest[1].startswith("0.001 nT (1 of 300 differ, 1 beyond)")
+    assert item.largest[1].startswith("0.001 nT (1 of 300 differ, 1 beyond, most at [7, 1])")
 
 
 def test_a_field_that_moved_by_its_rounding_is_within_tolerance(differing):

@@ -11,12 +11,12 @@ import xarray as xr
 from injections import _ELEMENTS, _OTHERS, ROOT
 
 from inflight.catalog import Catalog, Workspace
-from inflight.diagnosis import Diagnosis, Present, Search, conclude
+from inflight.diagnosis import Diagnosis, ModelColumns, Search, conclude
 from inflight.diagnosis.result import FoundEffect
 from inflight.diagnosis.search import Option
-from inflight.diagnosis.stepwise import sandwich
+from inflight.diagnosis.stepwise import joint_fit
 from inflight.tasks.analysis import DiagnoseSettings
-from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
+from inflight.tasks.analysis.diagnosis import begin_search, context_of, make_pass
 from inflight.tasks.archive import ingest
 
 
@@ -87,9 +87,9 @@ def diagnosed(
     if data is not None:
         ingest(cat, mission, data, instruments, *days)
     settings = DiagnoseSettings(comparison=comparison, draws=500)
-    made = prepare(cat, mission, *days, settings)
-    search = search_of(made, settings)
-    found = conclude(search, material_of(made, mission))
+    made = make_pass(cat, mission, *days, settings)
+    search = begin_search(made, settings)
+    found, search = conclude(search, context_of(made, mission))
     return Diagnosed(search, found)
 
 
@@ -140,11 +140,11 @@ def along(search: Search, option: Option, direction: np.ndarray, before: bool = 
     evidence, y = search.forms["raw"], search.y()
     columns = evidence.index(option.columns)[:3]
     present = search.present("raw", option)
-    both = Present(np.append(present.columns, columns), np.append(present.precision, np.zeros(3)))
+    both = ModelColumns(np.append(present.columns, columns), np.append(present.precision, np.zeros(3)))
     if before:
-        value, covariance = sandwich(evidence, both, y)
+        value, covariance = joint_fit(evidence, both, y)
     else:
-        value, covariance = sandwich(evidence, search.present(), y)
+        value, covariance = joint_fit(evidence, search.present(), y)
         both = search.present()
     place = [int(np.flatnonzero(both.columns == column)[0]) for column in columns]
     weight = direction * evidence.scale[columns]

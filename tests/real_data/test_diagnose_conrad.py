@@ -65,7 +65,7 @@ def delivered(say):
 
 
 def smallest(delivered, option: str, direction: np.ndarray) -> float:
-    """Return what would stand out by three sigma along the field, as `detectable` says it for each axis."""
+    """Return what would stand out by three sigma along the field, as `detectable_amplitude` has it."""
     return 3.0 * along(delivered.search, delivered.option(option), direction, before=True)[1]
 
 
@@ -79,10 +79,10 @@ def test_temperatures_that_hardly_move_are_not_blamed(delivered, record):
 
 def test_the_axes_of_a_field_that_follows_a_temperature_are_said_to_be_unknown(delivered, direction):
     """One direction is seen: along it some nT/K would show, of a single axis tens of nT/K would not."""
-    from inflight.diagnosis.stepwise import detectable
+    from inflight.diagnosis.stepwise import detectable_amplitude
 
     option = delivered.option("channel_field(electronics_temperature)")
-    each = detectable(delivered.search, option)
+    each = detectable_amplitude(delivered.search, option)
     assert each.min() > 20.0 * smallest(delivered, option.name, direction)
 
 

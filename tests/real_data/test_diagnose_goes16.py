@@ -6,7 +6,7 @@ import pytest
 from injections import REAL
 from real_workspaces import diagnosed, workspace
 
-from inflight.diagnosis.stepwise import detectable
+from inflight.diagnosis.stepwise import detectable_amplitude
 
 FOLDER = REAL / "goes16-mag-ib-ob"
 pytestmark = [
@@ -36,7 +36,7 @@ def test_channels_that_stand_still_are_listed_as_unscorable(delivered):
 def test_a_field_of_the_solar_array_at_one_sensor_is_found(delivered, tmp_path_factory):
     """Five times what is called detectable of each axis; its values: see docs/science/real-data.md."""
     option = delivered.option(f"channel_field({SOURCE})")
-    truth = 5.0 * detectable(delivered.search, option) * np.array([1.0, -1.0, 1.0])
+    truth = 5.0 * detectable_amplitude(delivered.search, option) * np.array([1.0, -1.0, 1.0])
     folder = tmp_path_factory.mktemp("goes-with-field")
     original = next(FOLDER.glob("OR_MAG-L1b-GEOF_G16_20170212*.nc"))
     changed = folder / original.name

@@ -90,8 +90,8 @@ SCENE = Scene()
 
 
 def test_a_wrong_sign_in_cross_talk_changes_the_verdicts(monkeypatch):
-    right = crosstalk.taken_over
-    monkeypatch.setattr(crosstalk, "taken_over", lambda *arguments: -right(*arguments))
+    right = crosstalk.regression
+    monkeypatch.setattr(crosstalk, "regression", lambda *arguments: -right(*arguments))
     verdicts = {report.figure.id: report.verdict for report in scorecard(["lag", "bias"])}
     assert verdicts["lag.xz-exact"] == verdicts["bias.scale-factors"] == "contradicted"
     assert verdicts["lag.correlation"] == "reproduced"

@@ -74,12 +74,12 @@ def test_a_state_is_found_with_its_size(sign):
 def test_a_channel_in_step_is_found_whatever_its_phase():
     """A coil whose phase wanders: the mean tone says nothing, the tone in step with it all."""
     named = coordinates(4)
-    wheel = named["coil at the spin"].wheel
+    wheel = named["coil at the spin"].channel_tone
     made = shifted(noisy(4), AXIAL, 2e-3 * wheel)
     (first, *_), found = find_tone_failures(made, named, BLOCK)
     assert first.coordinate == "coil at the spin"
     assert first.tone == AXIAL
-    step = next(one for one in found if one.coordinate.wheel is not None)
+    step = next(one for one in found if one.coordinate.channel_tone is not None)
     assert abs(step.mean[0, AXIAL] - 2e-3) < 4.0 * step.sigma[0, AXIAL]
     assert "stray field" in first.sentence
 

@@ -8,7 +8,7 @@ from inflight.flows import run_plain
 from inflight.simulate.spinning import SpinningSettings
 from inflight.spin import NAMES
 from inflight.tasks.archive import simulate_spinning
-from inflight.tasks.pipelines.tables import month_edges
+from inflight.tasks.pipelines.base.tables import month_edges
 from inflight.time import day_bounds
 
 pytestmark = pytest.mark.slow

@@ -13,9 +13,9 @@ from inflight.errors import CatalogError
 from inflight.flags import Flag
 from inflight.tasks import to_json
 from inflight.tasks.analysis import compare
-from inflight.tasks.analysis import comparing as module
 from inflight.tasks.archive import ingest
 from inflight.tasks.pipelines import blocks_of, reprocess
+from inflight.tasks.pipelines.scalar import compare as module
 from inflight.tasks.pipelines.scalar import compare_page
 from inflight.time import day_bounds
 

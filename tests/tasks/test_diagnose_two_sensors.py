@@ -77,7 +77,7 @@ def test_what_is_left_is_called_a_unit_without_housekeeping(unrecorded):
 
 def test_adding_the_current_takes_its_field_out(unrecorded):
     _, made = unrecorded
-    bench = Workbench(Catalog(made.root), made.mission(), DiagnoseSettings())
+    bench = Workbench(Catalog(made.root), made.mission(), settings=DiagnoseSettings())
     before, after = bench.add("channel_field(spectrometer_current)").as_json()["error"]["held_out_nT"]
     assert after < 0.9 * before
 

@@ -13,9 +13,10 @@ import pytest
 from tiny_mission import TINY_START, TINY_YAML, tiny_readings
 
 from inflight.catalog import Catalog, Workspace
+from inflight.design.columns import BurstSettings
 from inflight.diagnosis import (
+    BeforeAfter,
     Features,
-    Seen,
     Series,
     along_field,
     cross_talk,
@@ -27,11 +28,11 @@ from inflight.diagnosis import (
     trials,
     waterfall,
 )
-from inflight.diagnosis.views import MAP_COLUMNS, MAP_ROWS
+from inflight.diagnosis.views import VIEWS
 from inflight.errors import CatalogError
 from inflight.tasks.analysis import DiagnoseSettings, report
 from inflight.tasks.analysis import diagnosis_page as module
-from inflight.tasks.analysis.diagnosis import material_of, prepare, search_of
+from inflight.tasks.analysis.diagnosis import begin_search, context_of, make_pass
 from inflight.tasks.analysis.diagnosis_page import diagnosis_page
 from inflight.tasks.archive import ingest
 from inflight.time import DAY, SECOND, day_bounds
@@ -89,9 +90,10 @@ def made(place, tmp_path_factory):
 @pytest.fixture(scope="module")
 def searched(place):
     """A search that has taken what it found, with what a verdict needs."""
-    prepared = prepare(Catalog(place.root), place.mission(), None, None, SETTINGS)
-    search, material = search_of(prepared, SETTINGS), material_of(prepared, place.mission())
-    return search, material, module.conclude(search, material)
+    prepared = make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS)
+    search, material = begin_search(prepared, SETTINGS), context_of(prepared, place.mission())
+    found, search = module.conclude(search, material)
+    return search, material, found
 
 
 class _Told(HTMLParser):
@@ -208,9 +210,9 @@ def test_a_real_browser_draws_the_page_without_an_error_and_without_a_network(ma
 
 def test_a_search_without_rounds_has_a_page(place):
     settings = SETTINGS.model_copy(update={"rounds": 0})
-    prepared = prepare(Catalog(place.root), place.mission(), None, None, settings)
-    search, material = search_of(prepared, settings), material_of(prepared, place.mission())
-    found = module.conclude(search, material)
+    prepared = make_pass(Catalog(place.root), place.mission(), None, None, settings)
+    search, material = begin_search(prepared, settings), context_of(prepared, place.mission())
+    found, search = module.conclude(search, material)
     text, _ = told(diagnosis_page(search, material, found, settings))
     assert "No effect was added" in text
     assert "No round took anything" in text
@@ -223,13 +225,13 @@ def test_a_span_of_two_days_has_a_page(place, tmp_path):
 
 def test_bursts_that_hold_too_much_stay_in_evidence_of_their_own(place, monkeypatch):
     """Both are made once: asking again makes neither anew."""
-    monkeypatch.setattr("inflight.tasks.analysis.diagnosis.MOST", -1.0)
-    kept, again = (prepare(Catalog(place.root), place.mission(), None, None, SETTINGS) for _ in range(2))
+    monkeypatch.setattr("inflight.tasks.analysis.diagnosis.BURSTS", BurstSettings(largest_share=-1.0))
+    kept, again = (make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS) for _ in range(2))
     assert kept.loaded.outliers.kept
     assert kept.run
     assert not again.run
     monkeypatch.undo()
-    plain = prepare(Catalog(place.root), place.mission(), None, None, SETTINGS)
+    plain = make_pass(Catalog(place.root), place.mission(), None, None, SETTINGS)
     assert not plain.loaded.outliers.kept
     assert not plain.run
 
@@ -256,7 +258,7 @@ def test_looking_changes_nothing(searched):
     search.holding([])
     waterfall(search, material)
     trials(search, material, [option.name for option in search.options])
-    assert search.accepted == before
+    assert list(search.accepted) == before
 
 
 def test_correlations_are_correlations(searched):
@@ -307,7 +309,7 @@ def series_of(days, step_s, channels, residual, seed=0):
     block = ((tt2000 - start) // DAY).astype(np.int64)
     features = Features(names, widths, ("1",) * len(names), ("v",), 1)
     series = Series(np.asarray(tt2000, dtype=np.int64), values, block, features)
-    return Seen(series, y[:, None], 0.1 * y[:, None], block)
+    return BeforeAfter(series, y[:, None], 0.1 * y[:, None], block)
 
 
 def wave(seconds):
@@ -369,10 +371,14 @@ def test_maps_find_the_phase_and_keep_gaps_open():
     seen = series_of(6, 60, turn, lambda s, u, c: np.where(c["orbit_phase"] > 180.0, 1.0, -1.0))
     seen.series.values[:1440, seen.series.features.place("weight")] = 0.0
     (found,) = heat_maps(seen)
-    assert (found.coordinate, found.reach, found.before.shape) == ("orbit_phase", 360.0, (6, MAP_COLUMNS))
+    assert (found.coordinate, found.reach, found.before.shape) == (
+        "orbit_phase",
+        360.0,
+        (6, VIEWS.map_columns),
+    )
     assert np.isnan(found.before[0]).all()
-    assert np.nanmax(found.before[1:, : MAP_COLUMNS // 2 - 1]) < -0.9
-    assert np.nanmin(found.before[1:, MAP_COLUMNS // 2 + 1 :]) > 0.9
+    assert np.nanmax(found.before[1:, : VIEWS.map_columns // 2 - 1]) < -0.9
+    assert np.nanmin(found.before[1:, VIEWS.map_columns // 2 + 1 :]) > 0.9
     np.testing.assert_allclose(found.after[1:], 0.1 * found.before[1:])
 
 
@@ -380,7 +386,7 @@ def test_maps_find_the_phase_and_keep_gaps_open():
 def test_maps_and_sizes_stay_small_whatever_the_span(days, step_s):
     seen = series_of(days, step_s, {}, lambda s, u, c: u[:, 0])
     (found,) = heat_maps(seen)
-    assert found.before.shape[0] <= MAP_ROWS
+    assert found.before.shape[0] <= VIEWS.map_rows
     assert np.isfinite(found.before).any()
     sizes = sizes_of(seen)
     assert sizes.day.size <= 1000

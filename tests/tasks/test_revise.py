@@ -241,7 +241,7 @@ def test_whatever_is_added_takes_the_products_to_the_noise(tmp_path, hidden, sca
     assert residual_of_products(made) == pytest.approx(NOISE, rel=0.05)
     again = Workbench(cat, mission)
     assert [one.name for one in again.additions] or effect == "bias_step"
-    fitted = again._fit(*again._ground(again.additions, again.dropped), again.additions)
+    fitted = again._fit(*again._fit_setup(again.additions, again.dropped), again.additions)
     assert np.sqrt(fitted.held_out) == pytest.approx(told["error"]["held_out_nT"][1], rel=0.02)
 
 
@@ -260,7 +260,7 @@ def test_auto_puts_a_step_into_the_model_at_its_moment(tmp_path):
     assert steps[-1].held_out[1] == pytest.approx(NOISE, rel=0.05)
     assert residual_of_products(made) == pytest.approx(NOISE, rel=0.05)
     again = Workbench(cat, mission)
-    fitted = again._fit(*again._ground(again.additions, again.dropped), again.additions)
+    fitted = again._fit(*again._fit_setup(again.additions, again.dropped), again.additions)
     assert np.sqrt(fitted.held_out) == pytest.approx(steps[-1].held_out[1], rel=0.02)
 
 

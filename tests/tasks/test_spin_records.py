@@ -125,7 +125,7 @@ def test_a_day_without_housekeeping_keeps_its_place_in_what_tones_may_follow():
     by_name = {one.name: one for one in _tone_coordinates(found, mission)}
     assert {one.values.size for one in by_name.values()} == {12}
     np.testing.assert_array_equal(np.isfinite(by_name["coil_current at the spin"].values[4:8]), False)
-    np.testing.assert_allclose(np.abs(by_name["coil_current at the spin"].wheel[8:]), 3.0)
+    np.testing.assert_allclose(np.abs(by_name["coil_current at the spin"].channel_tone[8:]), 3.0)
 
 
 def test_selected_means_stand_beside_their_own_day_when_one_is_gone():

@@ -8,7 +8,15 @@ import pytest
 import xarray as xr
 
 from inflight.catalog import Catalog, Workspace
-from inflight.dual import WHOLE, Candidates, Part, correction_by_gradiometer, from_dataset, judge, to_dataset
+from inflight.dual import (
+    WHOLE,
+    AppliedPart,
+    Candidates,
+    correction_by_stored_gradiometer,
+    decide,
+    training_from_dataset,
+    training_to_dataset,
+)
 from inflight.dual.training import relative_to
 from inflight.simulate.dual import DualSettings
 from inflight.tasks.archive import ingest, simulate_dual
@@ -43,26 +51,26 @@ def forced(cat, mission, planned, day):
     around = planned.index.around([day])
     readings, _ = window_readings(cat, mission, planned.model, [day], planned.needs, around)
     candidates = Candidates(readings, body_of(mission, "main"))
-    found = judge(readings, candidates.fit, candidates.expectations)
+    found = decide(readings, candidates.fit, candidates.priors)
     applied = replace(found.correction, applied=True, reason="forced")
     tables = {}
     for method in ("states", "matrix"):
-        for name, part in ((method, WHOLE), (f"quick {method}", Part(1.0, 20_000.0))):
-            evidence = found.evidence | {method: replace(found.evidence[method], part=part)}
-            told = replace(found, chosen=method, correction=applied, evidence=evidence)
+        for name, part in ((method, WHOLE), (f"quick {method}", AppliedPart(1.0, 20_000.0))):
+            scores = found.scores | {method: replace(found.scores[method], part=part)}
+            told = replace(found, chosen=method, correction=applied, scores=scores)
             tables[name] = table_of(candidates, told)
     return readings, tables
 
 
 def relative(table, number):
     """Return a table whose corrections are relative to another of its states."""
-    told = to_dataset(relative_to(from_dataset(table), number))
+    told = training_to_dataset(relative_to(training_from_dataset(table), number))
     return table.assign(told.data_vars).assign_attrs(told.attrs)
 
 
 def test_a_gradiometer_has_the_constant_of_the_states_whichever_they_are_relative_to(days):
     readings, tables = days[0]
-    free = correction_by_gradiometer(tables["matrix"], readings)
+    free = correction_by_stored_gradiometer(tables["matrix"], readings)
     far = []
     for number in tables["states"]["number"].values[:6].tolist():
         states = correction_of(relative(tables["states"], number), readings)

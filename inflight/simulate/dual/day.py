@@ -1,4 +1,8 @@
-"""One simulated day of two sensors on one boom: what is delivered, and the truth behind it."""
+"""One simulated day of two sensors on one boom: what is delivered, and the truth behind it.
+
+The ambient field is solar wind; to it each sensor adds the dipole fields of the units that are on, its offset
+and noise. All random numbers follow from seed, stream and day, so that a day does not depend on others.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +31,12 @@ _CHANNELS = {"transmitter": "I_TX", "spectrometer": "I_SPEC", "camera": "I_CAM"}
 
 
 def simulate_dual_day(settings: DualSettings, day: DayLike) -> SimulatedDay:
-    """Return one day of a simulated mission, the same whatever other days are asked for.
+    """Return one day of a simulated mission, the same whatever other days are simulated.
 
     Parameters
     ----------
     settings : DualSettings
-        The mission; what ages and wanders counts from its `start`.
+        The mission; ageing and drift begin at its `start`.
     day : date, str or datetime64
         UTC.
 
@@ -112,7 +116,7 @@ class _Scene:
         return np.asarray(chosen[np.searchsorted(begins, self.since, side="right") - 1])
 
     def _array_current(self, seconds: Float) -> Float:
-        """Current of the array, mA: a daily swing and a slow wander."""
+        """Current of the array, mA: a daily swing and slow noise."""
         absolute = self.start / SECOND + seconds
         slow = drift(absolute, self.settings.seed, "array", (0.05,), periods=(1800.0, 40_000.0))[:, 0]
         swing = 0.1 * np.sin(2.0 * np.pi * absolute / (DAY / SECOND))
@@ -221,7 +225,7 @@ class _Scene:
         return np.asarray(sum(bits, np.zeros(self.since.size, dtype=np.int64)))
 
     def truth(self) -> xr.Dataset:
-        """What nobody who processes the deliveries may see."""
+        """The truth, which is not delivered to the processing."""
         truth = _delivery(
             self.times.tt2000,
             FIELD=self.field,

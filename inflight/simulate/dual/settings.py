@@ -1,4 +1,7 @@
-"""What a simulation of two sensors on one boom is asked for: span, effects, defects, numbers."""
+"""Settings of a simulation of two sensors on one boom: span, effects, defects, numbers of the spacecraft.
+
+Effects and numbers have the names that `inflight simulate` and a mission's overrides use.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +14,14 @@ from pydantic import Field
 from inflight.simulate.dual.switching import UNITS
 from inflight.simulate.mission import MissionParameters, MissionSettings
 
-#: Effects present unless removed with `without`: name -> what it is. `hide` keeps a unit's current back.
+#: Effects present unless removed with `without`: name -> what it is. With `hide` the current of a unit is not
+#: delivered.
 STANDARD: dict[str, str] = {unit.name: f"field of the {unit.name.replace('_', ' ')}" for unit in UNITS} | {
     "offset": "constant readings in zero field",
     "offset_drift": "offsets of both sensors wander by days",
     "thermal_drift": "the inboard offset follows the temperature of the body",
 }
-#: Effects absent unless asked for with `include` or `hide`.
+#: Effects absent unless requested with `include` or `hide`.
 EXTRA: dict[str, str] = {
     "six_states": "one of six free pairs of vectors at a time (Venus Express, Table 1) in place of the units",
     "new_unit": "a unit that nobody switched before `new_unit_day`, without housekeeping",

@@ -1,4 +1,7 @@
-"""What on the spacecraft switches, and when: units by themselves, or one of six states at a time."""
+"""Units of the simulated spacecraft and when they switch: each by itself, or one of six states at a time.
+
+The six states are those of Table 1 of the Venus Express paper along x; along y and z they are chosen.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ class Unit:
     position, moment : tuple of float
         m, and A m^2 when it is on; spacecraft axes.
     current : float
-        What its housekeeping shows when it is on, mA; 0 where it has none.
+        Of its housekeeping when it is on, mA; 0 where it has none.
     switches : float
         Mean number of switchings a day.
     """
@@ -53,11 +56,11 @@ UNITS = (
     Unit("camera", (0.20, 0.45, -0.30), (0.012, 0.022, -0.016), 310.0, 12.0),
     Unit("survival_heater", (-0.15, -0.40, -0.45), (0.02, 0.026, 0.018), 0.0, 10.0),
 )
-#: Comes late, and no housekeeping tells it.
+#: Appears late, and has no housekeeping.
 NEW_UNIT = Unit("new_unit", (0.05, 0.20, -0.25), (-0.02, 0.012, -0.018), 0.0, 14.0)
 
 #: Outboard less inboard, and what is added to the outboard reading, along x, nT (Table 1 of the Venus
-#: Express paper); along y and z the paper says nothing: chosen.
+#: Express paper); along y and z the paper gives none: chosen.
 _TABLE_1_X = ((-9.39, -6.18), (-6.71, -6.12), (-4.05, -1.68), (0.5, 0.5), (2.89, 2.49), (2.72, 3.63))
 _TABLE_1_YZ = (
     ((-3.1, -1.2), (2.4, 0.9)),

@@ -1,17 +1,7 @@
-from .day import CHAIN_VERSION, Witnesses, chain_batch
-from .fit import chain_arguments, chained, save_fitted, spread_offsets
+from .pipeline import MissionPipeline
 from .report import chain_report
-from .sections import Part, with_error
 
 __all__ = [
-    "CHAIN_VERSION",
-    "Part",
-    "Witnesses",
-    "chain_arguments",
-    "chain_batch",
+    "MissionPipeline",
     "chain_report",
-    "chained",
-    "save_fitted",
-    "spread_offsets",
-    "with_error",
 ]

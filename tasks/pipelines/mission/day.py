@@ -1,18 +1,14 @@
-"""A day of the whole-mission fit.
+"""A day of the whole-mission fit: its own fit, its wide equations, and what only its samples can witness.
 
-Parts of a chain's day side by side in one Dataset, and back again.
-
-A part is a table of rows: segments, epochs, channels. Its numbers stand in two arrays a day, one of floats
-and one of whole numbers, and an attribute says which columns are which variable: a store has a file for each
-array of each day, and fifty small ones would take longer to write and to read than all they hold to compute.
-Days of one store need arrays of one size: a part that has more rows on one day than on another is filled up,
-and says how many it has.
-
-A day of the whole chain: its own fit, its wide equations, and what only fast samples can witness.
-
-One look at a day's samples makes all that later steps are computed from: normal equations of everything
-the model lets data move, the equations of the torquers' band, epochs of currents that step, and means of
+One pass over a day's samples makes all that later steps are computed from: normal equations of everything the
+model lets data move, the equations of the torquers' band, epochs of currents that step, and means of
 channels.
+
+These parts stand side by side in one Dataset (`pack_parts`, `part_of`). A part is a table of rows: segments,
+epochs, channels. Its numbers stand in two arrays a day, one of floats and one of whole numbers, and an
+attribute says which columns are which variable: a store has a file for each array of each day, and fifty
+small ones would take longer to write and to read than all they hold to compute. Days of one store need arrays
+of one size: a part that has more rows on one day than on another is filled up, and says how many it has.
 """
 
 from __future__ import annotations
@@ -27,11 +23,10 @@ import numpy.typing as npt
 import xarray as xr
 
 from inflight.arrays import Floats
-from inflight.calibration import RESIDUAL, BlockFit, NormalEquations
-from inflight.catalog import Catalog
+from inflight.calibration import BlockFit, NormalEquations
 from inflight.errors import SamplesError
 from inflight.frames import direction_of, geometry_at
-from inflight.lsq import in_amperes
+from inflight.lsq import RESIDUAL, in_amperes
 from inflight.mission import Mission
 from inflight.mission_fit import (
     Beside,
@@ -42,10 +37,10 @@ from inflight.mission_fit import (
     wide_and_beside,
     with_nine,
 )
-from inflight.model import Model, ResidualRows, rows_of
+from inflight.model import ResidualRows, rows_of
 from inflight.residual import find_steps
 from inflight.tasks.archive import channel_homes, own_readings, position_channel
-from inflight.tasks.pipelines.job import Job, Outcome, make_days
+from inflight.tasks.pipelines.base import Batch
 from inflight.tasks.pipelines.scalar import fit_day
 from inflight.time import Int64, day_bounds, usual_step
 
@@ -59,13 +54,14 @@ _ARRAYS = {"f": "number", "i": "stamp"}
 def pack_parts(day: xr.Dataset, parts: Mapping[str, xr.Dataset | None]) -> xr.Dataset:
     """Return a day with its parts: variables ``part.number``, ``part.stamp`` (block, row, column).
 
-    A part that is None leaves nothing behind. Rows beyond the most kept are spread evenly over the day.
+    A part that is None or has no row leaves nothing behind. Rows beyond the most kept are spread evenly over
+    the day.
     """
     made: dict[str, xr.Variable] = {}
     for name, part in parts.items():
-        if part is None:
-            continue
         dim, most = ROWS[name]
+        if part is None or not part.sizes[dim]:
+            continue
         chosen = _chosen(part.sizes[dim], most)
         kept = part.isel({dim: chosen})
         made[f"{name}.kept"] = xr.Variable("block", np.array([len(chosen)], dtype=np.int64))
@@ -195,9 +191,6 @@ def _unpacked(layout: dict[str, Any], days: Sequence[xr.Dataset], name: str) -> 
     return xr.Dataset(own, coordinates, layout["attributes"])
 
 
-#: Bumped by hand when the numbers of the chain's days change.
-CHAIN_VERSION = 3
-
 #: Kinds of channels whose currents may step.
 CURRENTS = ("solar_current", "battery_current", "camera_current", "heater", "current")
 
@@ -263,24 +256,7 @@ class Witnesses:
         return Beside(self.temperatures, self.orbit)
 
 
-def chain_batch(
-    cat: Catalog, mission: Mission, model: Model, job: Job, witnesses: Witnesses, min_coverage: float
-) -> Outcome:
-    """Make the chain's days of a batch and write them as one segment; parameters as `calibrate_batch`."""
-    return make_days(
-        cat, job, lambda day: chain_day(cat, mission, model, day, job, witnesses, min_coverage), alike
-    )
-
-
-def chain_day(
-    cat: Catalog,
-    mission: Mission,
-    model: Model,
-    day: np.datetime64,
-    job: Job,
-    witnesses: Witnesses,
-    min_coverage: float,
-) -> tuple[xr.Dataset, dict[str, Any]]:
+def chain_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return all that one day says, and a report of its own fit.
 
     Raises
@@ -288,7 +264,8 @@ def chain_day(
     CalibrationError
         As `inflight.tasks.pipelines.scalar.calibrate.calibrate_day`.
     """
-    fitted = fit_day(cat, mission, model, day, job, None, min_coverage)
+    model, fitted = batch.model, fit_day(batch, day)
+    witnesses = Witnesses.of(batch.mission, model.comparison)
     span = day_bounds(day)
     attributes = {
         "comparison": model.comparison,
@@ -297,7 +274,7 @@ def chain_day(
         "filter": "raw",
     }
     means = _means(
-        _currents(fitted.samples, witnesses.driven) | _temperatures(cat, job, day, witnesses.temperatures)
+        _currents(fitted.samples, witnesses.driven) | _temperatures(batch, day, witnesses.temperatures)
     )
     if not fitted.fit.used:
         # Fields without the channels the model needs: the day tells nothing, and gets a product all the same.
@@ -398,12 +375,12 @@ def _currents(samples: xr.Dataset, names: Sequence[str]) -> dict[str, Floats]:
     return out
 
 
-def _temperatures(cat: Catalog, job: Job, day: np.datetime64, names: Sequence[str]) -> dict[str, Floats]:
+def _temperatures(batch: Batch, day: np.datetime64, names: Sequence[str]) -> dict[str, Floats]:
     """Return a day's own readings of temperatures, each at its own cadence; empty ones of what is missing."""
     out = {}
-    for need in job.needs:
+    for need in batch.job.needs:
         if need.name in names and need.part is None:
-            found = own_readings(cat, job.index, need, day)
+            found = own_readings(batch.cat, batch.job.index, need, day)
             out[need.name] = np.zeros(0) if found is None else np.asarray(found, dtype=np.float64)
     return out
 

@@ -1,11 +1,10 @@
-"""The whole-mission fit.
+"""The whole-mission fit: all days at once, the tables of what they witness, and reading both back.
 
-The whole chain of a mission: one look at every day, one fit of all days, tables of what they witness.
-
-Stages of `inflight.tasks.pipelines.reprocessing.reprocess` for the table ``continuous``. Products are made
-with the fitted model, whose scale factors are functions of time, so that no day jumps against its neighbour.
-
-What a workspace holds of its chain: the published days and the tables that belong together.
+`chained` takes the statistics of all days (`chain_day`), fits everything the model lets data move
+(`inflight.mission_fit.fit_mission`), and makes every table that their parts allow; a table that cannot be
+made only says why. Products are made with the fitted model, whose scale factors are functions of time, so
+that no day jumps against its neighbour. `chain_results` reads the published days and the tables that belong
+together.
 """
 
 from __future__ import annotations
@@ -40,7 +39,8 @@ from inflight.mission_fit import (
 )
 from inflight.model import Model
 from inflight.tasks.models import preflight_model
-from inflight.tasks.pipelines.mission.day import Witnesses, equations_of_days, means_of_channels, part_of
+from inflight.tasks.pipelines.base import Plan, equations_of, newest_record, product_of
+from inflight.tasks.pipelines.mission.day import equations_of_days, means_of_channels, part_of
 from inflight.tasks.pipelines.mission.tables import (
     BESIDE,
     beside_makers,
@@ -51,13 +51,13 @@ from inflight.tasks.pipelines.mission.tables import (
     periods_of,
     stated_periods,
 )
-from inflight.tasks.pipelines.planning import Plan, equations_of, product_of
-from inflight.tasks.pipelines.publication import tables_key
-from inflight.tasks.pipelines.tables import newest_record
 from inflight.time import day_bounds, day_of, to_tt2000
 
 #: Days whose spread tells what the noise alone makes of it, at least.
 _FEWEST_DAYS = 5
+
+#: Name of the dataset of the days' statistics.
+STATISTICS = "chain"
 
 #: Attributes of tables: what all of one run are made from; and, of ``trend``, what could not be made and why.
 MADE_FROM, LEFT_OUT = "made_from", "left_out"
@@ -82,14 +82,15 @@ class Chained:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def chain_arguments(cat: Catalog, mission: Mission, made: Plan, jobs: Sequence[Any]) -> list[tuple[Any, ...]]:
-    """Return the arguments of `chain_batch` for the jobs of a plan."""
-    witnesses = Witnesses.of(mission, made.settings.comparison)
-    return [(cat, mission, made.model, job, witnesses, made.settings.min_coverage) for job in jobs]
-
-
-def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chained:
+def chained(
+    cat: Catalog, mission: Mission, plan: Plan, days: Mapping[np.datetime64, Day], made_from: str
+) -> Chained:
     """Fit all days together and make every table their parts allow.
+
+    Parameters
+    ----------
+    made_from : str
+        What the tables of one fit have in common: readers must know which belong together.
 
     Raises
     ------
@@ -98,17 +99,17 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
     """
     ordered = [days[day] for day in sorted(days)]
     read = [cat.read(day) for day in ordered]
-    settings = made.settings
+    settings, model = plan.settings, plan.model
     origin = None if settings.origin is None else int(to_tt2000(np.datetime64(settings.origin, "ns")))
     every, drift = equations_of_days(read)
     full = np.flatnonzero(every.dataset["count"].values > 0)
-    found = fit_mission(every.filled, made.model, settings.trend, origin, drift.of_blocks(full))
+    found = fit_mission(every.filled, model, settings.trend, origin, drift.of_blocks(full))
     noise = np.array([float(day["after"].values[0]) for day in read])
     # A day that could not be fitted is taken to be as noisy as the others.
     noise = np.where(every.dataset["count"].values > 0, noise, np.median(noise[full]))
     out = Chained(found)
     every = drift.taken_out(every, rates(found.fit, every))
-    out.tables["continuous"] = continuous_table(every, found, made.model, noise)
+    out.tables["continuous"] = continuous_table(every, found, model, noise)
     out.tables["trend"] = found.fit.table()
     if found.choice is not None:
         out.tables["trend-choice"] = found.choice.table()
@@ -121,21 +122,20 @@ def chained(cat: Catalog, made: Plan, days: Mapping[np.datetime64, Day]) -> Chai
         "panels": lambda: _panels(read),
         "torquer-mean": lambda: _torquer_mean(read, settings.mean_days),
         "daily-after": lambda: daily_after(found.equations, found),
-        "daily-temperature": lambda: daily_temperatures(_mission(cat, made), made.model, read),
-        "clock-faults": lambda: _clock_faults(out),
-        "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(_mission(cat, made))),
+        "daily-temperature": lambda: daily_temperatures(mission, model, read),
+        "clock-faults": lambda: faults_table(_made(out, "daily-after")),
+        "periods": lambda: periods_of(_made(out, "daily-after"), stated_periods(mission)),
     }
     some = [read[place] for place in full]
-    makers |= beside_makers(_mission(cat, made), made.model, found.equations, some, found)
+    makers |= beside_makers(mission, model, found.equations, some, found)
     for name, make in makers.items():
         try:
             out.tables[name] = make()
         except InflightError as error:
             out.left_out[name] = error.message
-    # Tables of older runs stay certified where this one has none: a reader must know which belong together.
-    same = tables_key(made, "", days)[:16]
+    # Tables of older runs stay certified where this one has none.
     for table in out.tables.values():
-        table.attrs[MADE_FROM] = same
+        table.attrs[MADE_FROM] = made_from
     out.tables["trend"].attrs[LEFT_OUT] = json.dumps(out.left_out)
     return out
 
@@ -144,14 +144,6 @@ def _made(out: Chained, name: str) -> xr.Dataset:
     if name not in out.tables:
         raise CalibrationError(out.left_out[name], remedy="see the table it is made from")
     return out.tables[name]
-
-
-def _clock_faults(out: Chained) -> xr.Dataset:
-    return faults_table(_made(out, "daily-after"))
-
-
-def _mission(cat: Catalog, made: Plan) -> Mission:
-    return Mission.parse(cat.context(made.context).mission_text)
 
 
 def _own_fits(read: Sequence[xr.Dataset], found: Continuous) -> xr.Dataset:
@@ -226,9 +218,9 @@ def spread_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> xr.Dat
         return error.message
 
 
-def save_fitted(cat: Catalog, made: Plan, run: Run, found: Continuous) -> Model:
+def save_fitted(cat: Catalog, base: Model, run: Run, found: Continuous) -> Model:
     """Save the fitted model as a version of ``<model>-continuous`` and return it."""
-    model = replace(found.model, name=f"{made.model.name}-continuous")
+    model = replace(found.model, name=f"{base.name}-continuous")
     version = cat.save_model(model.name, model.text, message=f"all days together, run {run.id}")
     return replace(model, version=version)
 
@@ -342,7 +334,7 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
     record = held["continuous"][0]
     days = [
         day
-        for day in cat.days(equations_of(comparison, True), states=("published",))
+        for day in cat.days(equations_of(comparison, STATISTICS), states=("published",))
         if record.start <= day_bounds(day.day)[0] < record.end
     ]
     days.sort(key=lambda day: day.day)
@@ -353,11 +345,15 @@ def chain_results(cat: Catalog, mission: Mission, comparison: str = "main") -> C
         json.loads(tables["trend"].attrs.get(LEFT_OUT, "{}")) if "trend" in tables else {}
     )
     ids = {name: one.id for name, (one, _) in held.items()}
-    reports = _products(cat, comparison)
+    # Only products of the continuous fit tell the spread of their residual.
+    products = cat.days(product_of(comparison), states=("published",))
+    reports = {day.day: day.report for day in products if day.report.get("spread")}
     for name in ("z-offset", "window"):
         _beside(cat, comparison, name, tables, ids, left_out)
     if "z-offset" not in tables:
-        left_out["z-offset"] = _no_offsets(reports)
+        told = spread_offsets(reports)
+        anew = "products were made anew since; reprocess makes the table"
+        left_out["z-offset"] = told if isinstance(told, str) else anew
     model = _looked_with(cat, mission, comparison, days[0])
     version, fitted = _fitted(cat, mission, model)
     read = [_read(cat, day) for day in days]
@@ -398,17 +394,6 @@ def _beside(
         left_out[name] = (
             f"no table {comparison}-window to compare with; 'inflight reprocess --table window' makes one"
         )
-
-
-def _products(cat: Catalog, comparison: str) -> dict[np.datetime64, Mapping[str, Any]]:
-    """Return the reports of products; only those of the continuous fit tell the spread of their residual."""
-    found = cat.days(product_of(comparison), states=("published",))
-    return {day.day: day.report for day in found if day.report.get("spread")}
-
-
-def _no_offsets(reports: Mapping[np.datetime64, Mapping[str, Any]]) -> str:
-    told = spread_offsets(reports)
-    return told if isinstance(told, str) else "products were made anew since; reprocess makes the table"
 
 
 def _read(cat: Catalog, day: Day) -> xr.Dataset:

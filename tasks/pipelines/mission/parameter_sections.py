@@ -1,8 +1,7 @@
-"""Sections of parameters.
+"""Sections of the whole-mission report on parameters, and on what the model does not hold.
 
-Sections of a chain's report on daily parameters: periods, means, steps, clock, temperature.
-
-Sections of a chain's report on what the model does not hold: the coil's lag, day and night, cross-talk.
+Daily parameters: periods, means, steps, clock, temperature. What the model does not hold: the coil's lag, day
+and night, cross-talk. Each function takes `ChainResults` and returns a `Part`.
 """
 
 from __future__ import annotations
@@ -46,8 +45,9 @@ from inflight.mission_fit import (
     running_mean,
     week_pattern,
 )
+from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.mission.fit import ChainResults
-from inflight.tasks.pipelines.mission.sections import SHOWN, Part, with_error
+from inflight.tasks.pipelines.mission.sections import SHOWN
 from inflight.tasks.pipelines.mission.tables import SHORTEST, faults_of, middles, spectra_of, stated_periods
 from inflight.time import DAY, mjd2000, to_tt2000
 

@@ -11,6 +11,7 @@ from inflight import __version__
 from inflight.catalog import Catalog
 from inflight.figures import html_page
 from inflight.mission import Mission
+from inflight.tasks.pipelines.base import Part
 from inflight.tasks.pipelines.mission.fit import ChainResults, chain_results
 from inflight.tasks.pipelines.mission.parameter_sections import (
     behaviour,
@@ -21,7 +22,6 @@ from inflight.tasks.pipelines.mission.parameter_sections import (
     temperature,
 )
 from inflight.tasks.pipelines.mission.sections import (
-    Part,
     coefficients,
     current_steps,
     jumps,

@@ -1,18 +1,11 @@
-"""Sections of the fit's page.
+"""Sections of the whole-mission report: what was fitted, currents that step, torquers, offsets.
 
-Sections of a chain's report on what was fitted: residual, coefficients, trend, jumps.
-
-Sections of a chain's report on currents that step: superposed epochs, dipole, panels by local time.
-
-Sections of a chain's report on the torquers, and on the offsets that the products' residual tells.
+Each function takes `ChainResults` and returns a `Part`: fields, paragraphs and figures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from html import escape
-from math import floor, log10
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +15,7 @@ from bokeh.layouts import column
 from inflight.arrays import Floats
 from inflight.calibration import PARTS, Jumps, table_jumps, trend_jumps, vector_sensor_of
 from inflight.dipole import dipole_split
-from inflight.errors import InflightError, SamplesError, SettingsError
+from inflight.errors import SamplesError, SettingsError
 from inflight.figures import (
     band_level_figure,
     carried_mean_figures,
@@ -52,12 +45,10 @@ from inflight.mission_fit import (
     terms_of,
 )
 from inflight.model import component_names
+from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.mission.fit import ChainResults
 from inflight.tasks.pipelines.mission.tables import node_times
 from inflight.time import Int64, to_utc
-
-#: Numbers smaller than this are written with an exponent.
-_PLAIN = 1e-4
 
 #: How the nine parameters are shown: part, title, factor, unit.
 SHOWN = (
@@ -65,62 +56,6 @@ SHOWN = (
     ("misalignment", "Misalignment angles", 3600.0, "arcsec"),
     ("offset", "Offsets", 1.0, "nT"),
 )
-
-
-@dataclass
-class Part:
-    """One section: what it tells as plain fields, as HTML paragraphs and as figures.
-
-    Attributes
-    ----------
-    key : str
-        Its name in the JSON.
-    absent : dict of str to str
-        What the span cannot tell, and why.
-    """
-
-    key: str
-    heading: str
-    fields: dict[str, Any] = field(default_factory=dict)
-    text: list[str] = field(default_factory=list)
-    plots: list[Any] = field(default_factory=list)
-    absent: dict[str, str] = field(default_factory=dict)
-
-    def say(self, text: str, quiet: bool = False) -> None:
-        """Add a paragraph of plain text."""
-        opening = '<p class="quiet">' if quiet else "<p>"
-        self.text.append(f"{opening}{escape(text)}</p>")
-
-    def lack(self, what: str, why: str) -> None:
-        """Say what is not there, with its reason."""
-        self.absent[what] = why
-        self.text.append(f'<p class="absent"><b>{escape(what)}</b>: not told. {escape(_sentence(why))}</p>')
-
-    def attempt(self, what: str, make: Callable[[], None]) -> None:
-        """Do a piece of the section; when the span does not suffice for it, say so."""
-        try:
-            make()
-        except InflightError as error:
-            remedy = f"; {error.remedy}" if error.remedy else ""
-            self.lack(what, f"{error.message}{remedy}")
-
-
-def _sentence(text: str) -> str:
-    whole = text[:1].upper() + text[1:]
-    return whole if whole.endswith(".") else f"{whole}."
-
-
-def with_error(value: float, sigma: float) -> str:
-    """Return a value and its error to the same digit, two of the error's: ``-0.0450 ± 0.0012``."""
-    if not np.isfinite(value):
-        return ""
-    if not 0.0 < sigma < float("inf"):
-        return f"{value:.5g}"
-    place = floor(log10(sigma)) - 1
-    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
-        return f"{value:.{-place}f} ± {sigma:.{-place}f}"
-    digits = max(1, floor(log10(max(abs(value), sigma))) - place)
-    return f"{value:.{digits}e} ± {sigma:.1e}"
 
 
 def matrix_table(corner: str, rows: Sequence[str], columns: Sequence[str], value: Any, sigma: Any) -> str:

@@ -1,10 +1,7 @@
-"""Its tables.
+"""Tables beside the whole-mission fit, from the days' stored statistics: the archive is not read again.
 
-Tables of what is looked at beside the model: the coil's lag and its rivals, day and night, cross-talk.
-
-All of it is algebra of the days' stored statistics: the archive is not read again.
-
-Tables of what is left to wander from day to day: parameters after the continuous fit, faults, periods.
+What the model may lack: the coil's lag and its rivals, day and night, cross-talk (`beside_makers`). How daily
+parameters scatter after the fit of all days: values of each day, faults of clocks, periods (`daily_after`).
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-from .report import dual_parts, dual_report
-from .reprocess import NO_PRODUCT, reprocess_dual
+from .pipeline import RelationPipeline
+from .report import dual_report
 
 __all__ = [
-    "NO_PRODUCT",
-    "dual_parts",
+    "RelationPipeline",
     "dual_report",
-    "reprocess_dual",
 ]

@@ -20,10 +20,9 @@ from inflight.figures import (
     relation_days_figure,
     relation_figure,
 )
-from inflight.mission import Mission, is_told_by_states
-from inflight.tasks.pipelines.mission import Part, with_error
-from inflight.tasks.pipelines.relation.reprocess import NO_PRODUCT, TABLES
-from inflight.tasks.pipelines.tables import newest_tables
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import Part, newest_tables, with_error
+from inflight.tasks.pipelines.relation.pair import NO_PRODUCT, NO_PRODUCT_OF_BOOM, RELATIONS
 from inflight.tasks.report import write_page
 from inflight.time import day_of
 
@@ -36,16 +35,10 @@ def dual_report(
     Raises
     ------
     CatalogError
-        When none is certified, or the spacecraft's states tell the sensors: these have tables of their own.
+        When none is certified.
     """
-    if is_told_by_states(mission, comparison):
-        raise CatalogError(
-            f"'{comparison}' is told by the spacecraft's states: no table says how its sensors stand to each "
-            "other",
-            remedy="'inflight compare' shows states, units and what is left",
-        )
     tables, parts = dual_parts(cat, comparison)
-    daily = tables["relation-daily"]
+    note, daily = _daily(tables)
     days = [str(one)[:10] for one in day_of(daily["start"].values[[0, -1]])]
     if output is not None:
         title = f"{mission.mission}: {comparison}, {days[0]} to {days[1]}"
@@ -55,7 +48,7 @@ def dual_report(
     return {
         "command": "chain",
         "comparison": comparison,
-        "note": NO_PRODUCT,
+        "note": note,
         "span": days,
         "days": int(daily.sizes["interval"]),
         "tables": {name: f"{comparison}-{name}" for name in sorted(tables)},
@@ -72,13 +65,38 @@ def dual_parts(cat: Catalog, comparison: str) -> tuple[dict[str, xr.Dataset], tu
     CatalogError
         When none is certified.
     """
-    tables = newest_tables(cat, comparison, TABLES)
-    if "relation-daily" not in tables:
-        raise CatalogError(
-            f"no tables are published for comparison '{comparison}'",
-            remedy=f"run 'inflight reprocess --comparison {comparison}' first",
+    for relation in RELATIONS:
+        tables = newest_tables(cat, comparison, tuple(relation.tables))
+        if "relation-daily" in tables:
+            return tables, (_relation(tables), _corners(tables))
+        if "bending" in tables:
+            return tables, (_bending(tables["bending"]),)
+    raise CatalogError(
+        f"no tables are published for comparison '{comparison}'",
+        remedy=f"run 'inflight reprocess --comparison {comparison}' first",
+    )
+
+
+def _daily(tables: Mapping[str, xr.Dataset]) -> tuple[str, xr.Dataset]:
+    """Return what is said where a product would be, and the table with one interval a day."""
+    if "bending" in tables:
+        return NO_PRODUCT_OF_BOOM, tables["bending"]
+    return NO_PRODUCT, tables["relation-daily"]
+
+
+def _bending(table: xr.Dataset) -> Part:
+    part = Part("bending", "How the boom bends")
+    part.say(NO_PRODUCT_OF_BOOM[:1].upper() + NO_PRODUCT_OF_BOOM[1:] + ".")
+    days = [str(one)[:10] for one in day_of(table["start"].values)]
+    part.fields["items"] = [
+        {"day": day, "value": float(np.rad2deg(value)), "sigma": float(np.rad2deg(sigma)), "unit": "deg"}
+        for day, value, sigma in zip(
+            days, table["value"].values[:, 0], table["sigma"].values[:, 0], strict=True
         )
-    return tables, (_relation(tables), _corners(tables))
+    ]
+    rows = [(one["day"], with_error(one["value"], one["sigma"])) for one in part.fields["items"]]
+    part.text.append(html_table(("day", "bend ± sigma, deg"), rows))
+    return part
 
 
 def _relation(tables: Mapping[str, xr.Dataset]) -> Part:

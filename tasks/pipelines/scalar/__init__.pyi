@@ -1,15 +1,12 @@
-from .calibrate import EQUATIONS_VERSION, calibrate_batch, fit_day
-from .compare_page import CompareReport, Drawn, Spectra, compare_parts, fails_text, page_title, wandering_text
+from .calibrate import fit_day
+from .pipeline import ScalarPipeline
+from .product import level2_day
+from .tables import load_equations, span_solution
 
 __all__ = [
-    "EQUATIONS_VERSION",
-    "CompareReport",
-    "Drawn",
-    "Spectra",
-    "calibrate_batch",
-    "compare_parts",
-    "fails_text",
+    "ScalarPipeline",
     "fit_day",
-    "page_title",
-    "wandering_text",
+    "level2_day",
+    "load_equations",
+    "span_solution",
 ]

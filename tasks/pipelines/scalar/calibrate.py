@@ -1,8 +1,11 @@
-"""Calibration of one batch of days: samples, the nine-parameter fit, normal equations as one segment."""
+"""The statistics of a day against a scalar instrument: samples, the nine-parameter fit, normal equations.
+
+The fit is `inflight.calibration.fit_block` (nine parameters: Olsen et al. 2003, eq. 1); its normal equations
+are what tables of windows and spans are added up from.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,49 +24,12 @@ from inflight.calibration import (
     sub_blocks_for,
     usable,
 )
-from inflight.catalog import Catalog
 from inflight.errors import CalibrationError
 from inflight.flags import UNUSABLE, Flag, tally
-from inflight.mission import Mission
-from inflight.model import Model
 from inflight.samples import FIELD_ROLES
 from inflight.tasks.archive import Need, load_samples
-from inflight.tasks.pipelines.job import Job, Outcome, make_days
+from inflight.tasks.pipelines.base import Batch, Job
 from inflight.time import SECOND, day_bounds, usual_step
-
-#: Bumped by hand when the numbers of the normal equations change.
-EQUATIONS_VERSION = 3
-
-
-def calibrate_batch(
-    cat: Catalog,
-    mission: Mission,
-    model: Model,
-    job: Job,
-    reference: Sequence[float] | None,
-    min_coverage: float,
-) -> Outcome:
-    """Make the normal equations of a batch of days and write them as one segment.
-
-    Parameters
-    ----------
-    cat : Catalog
-        Only its workspace is used.
-    model : Model
-        Gives everything but the nine parameters, their start and their priors.
-    reference : sequence of float or None
-        The nine values the equations are expressed at; the model's own when None.
-    min_coverage : float
-        Days with a smaller part of usable samples fail.
-
-    Returns
-    -------
-    Outcome
-        The segment, and why days are not in it.
-    """
-    return make_days(
-        cat, job, lambda day: calibrate_day(cat, mission, model, day, job, reference, min_coverage)
-    )
 
 
 @dataclass(frozen=True)
@@ -89,15 +55,7 @@ class FittedDay:
     report: dict[str, Any]
 
 
-def calibrate_day(
-    cat: Catalog,
-    mission: Mission,
-    model: Model,
-    day: np.datetime64,
-    job: Job,
-    reference: Sequence[float] | None,
-    min_coverage: float,
-) -> tuple[xr.Dataset, dict[str, Any]]:
+def calibrate_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's normal equations with its fit, and a report of what was used.
 
     A day whose fields were measured and whose housekeeping was not leaves empty equations: it tells
@@ -108,10 +66,10 @@ def calibrate_day(
     CalibrationError
         As `fit_day`.
     """
-    done = fit_day(cat, mission, model, day, job, reference, min_coverage)
+    done = fit_day(batch, day)
     attributes = {
-        "comparison": model.comparison,
-        "model": model.sha,
+        "comparison": batch.model.comparison,
+        "model": batch.model.sha,
         "cadence_ns": done.step,
         "filter": "raw",
     }
@@ -119,24 +77,19 @@ def calibrate_day(
     return equations.dataset.assign(fit_variables(done.fit)), done.report
 
 
-def fit_day(
-    cat: Catalog,
-    mission: Mission,
-    model: Model,
-    day: np.datetime64,
-    job: Job,
-    reference: Sequence[float] | None,
-    min_coverage: float,
-) -> FittedDay:
+def fit_day(batch: Batch, day: np.datetime64) -> FittedDay:
     """Read a day's samples and fit the nine parameters to them; nothing is fitted where only channels lack.
+
+    The fit is expressed at the batch's reference, the model's own values without one.
 
     Raises
     ------
     CalibrationError
-        When too few samples are usable, fewer than `min_coverage`, or the fit does not settle.
+        When too few samples are usable, fewer than the settings' `min_coverage`, or the fit does not settle.
     """
-    begun = _Begun.of(cat, mission, model, day, job, reference)
-    return begun.without_fit() if begun.lacks_channels(min_coverage) else begun.fitted(min_coverage)
+    begun = _Begun.of(batch, day)
+    least = batch.settings.min_coverage
+    return begun.without_fit() if begun.lacks_channels(least) else begun.fitted(least)
 
 
 @dataclass(frozen=True)
@@ -154,16 +107,9 @@ class _Begun:
     shared: bool
 
     @classmethod
-    def of(
-        cls,
-        cat: Catalog,
-        mission: Mission,
-        model: Model,
-        day: np.datetime64,
-        job: Job,
-        reference: Sequence[float] | None,
-    ) -> _Begun:
-        samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False)
+    def of(cls, batch: Batch, day: np.datetime64) -> _Begun:
+        mission, model, job, reference = batch.mission, batch.model, batch.job, batch.reference
+        samples = load_samples(batch.cat, mission, model, day, list(job.needs), job.index, geometry=False)
         start, end = day_bounds(day)
         prior = reference_of(model, (start + end) // 2)
         at = (

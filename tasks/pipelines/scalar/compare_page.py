@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,14 +29,11 @@ from inflight.residual import (
     Dependence,
     Failure,
     Line,
-    NoiseFloor,
     Power,
-    Size,
-    Wander,
     drawn_periods,
-    told_period,
+    format_period,
 )
-from inflight.tasks.pipelines.compared import Structure
+from inflight.tasks.pipelines.base import CompareReport, fails_text, wandering_text
 from inflight.time import to_utc
 
 #: Points of the figure of the residual in time.
@@ -46,67 +41,6 @@ _POINTS = 20_000
 
 #: Lines of the spectrum in the page's table.
 _SHOWN = 24
-
-
-@dataclass
-class CompareReport:
-    """What `compare` found; `path` is the page, when one was written."""
-
-    comparison: str
-    context: str
-    before: Size
-    after: Size
-    floor: NoiseFloor
-    by_day: list[dict[str, Any]]
-    fails_where: Sequence[Structure]
-    directions: list[str]
-    determined: list[str]
-    block: str
-    lines: list[Line]
-    wander: list[Wander]
-    path: Path | None = None
-    left_out: int = 0
-    outliers: int = 0
-    acknowledgement: str = ""
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the fields of the command line's JSON."""
-        return {
-            "command": "compare",
-            "run": "",
-            "context": self.context,
-            "comparison": self.comparison,
-            "residual": {
-                "before_nT": self.before.rms,
-                "after_nT": self.after.rms,
-                "before_less_mean_nT": self.before.std,
-                "after_less_mean_nT": self.after.std,
-                "noise_floor_nT": self.floor.level_nT,
-                "noise_floor_interval_nT": [self.floor.low_nT, self.floor.high_nT],
-                "before": self.before.as_json(),
-                "after": self.after.as_json(),
-                "samples_left_out": self.left_out,
-                "outliers": self.outliers,
-            },
-            "by_day": self.by_day,
-            "fails_where": [
-                {
-                    "coordinate": one.coordinate,
-                    "amplitude_nT": one.amplitude,
-                    "sigma_nT": one.sigma,
-                    "sentence": one.sentence,
-                }
-                for one in self.fails_where
-            ],
-            "block": self.block,
-            "parameters": {
-                "determined": self.determined,
-                "combinations": self.directions,
-                "wander": [one.as_json() for one in self.wander],
-            },
-            "spectrum_lines": [line.as_json() for line in self.lines],
-            "path": str(self.path) if self.path else "",
-        }
 
 
 @dataclass(frozen=True)
@@ -227,14 +161,6 @@ def _known(report: CompareReport) -> list[str]:
     return text
 
 
-def fails_text(report: CompareReport) -> list[str]:
-    """Return the structures of a residual as HTML."""
-    if not report.fails_where:
-        return [f"No structure stands out by five sigma between blocks of one {report.block}."]
-    listed = "".join(f"<li>{escape(one.sentence)}</li>" for one in report.fails_where)
-    return [f"<ol>{listed}</ol>", "Each structure is measured after the stronger ones were taken off."]
-
-
 def _legend(report: CompareReport) -> str:
     return (
         f"Mean residual in bins of each coordinate, clear ones first; bands and bars are one sigma between "
@@ -274,7 +200,7 @@ def _lines(report: CompareReport) -> list[str]:
     )
     rows = [
         (
-            told_period(line.period_s),
+            format_period(line.period_s),
             line.label or line.follows or "unknown",
             f"{line.ratio:.0f}",
             *(
@@ -291,25 +217,3 @@ def _lines(report: CompareReport) -> list[str]:
         "there alone."
     )
     return [html_table(head, rows), escape(note)]
-
-
-def wandering_text(report: CompareReport) -> str:
-    """Return the daily scatter of parameters as HTML."""
-    rows = [
-        (
-            one.name.split(".", 1)[-1],
-            one.unit,
-            f"{one.std:.3g}",
-            f"{one.sigma:.3g}",
-            f"{one.ratio:.2f}",
-            f"{one.days}",
-        )
-        for one in report.wander
-        if np.isfinite(one.ratio)
-    ]
-    if not rows:
-        return "Fewer than three days determine any parameter by themselves: no scatter from day to day."
-    head = ("parameter", "unit", "daily scatter", "stated sigma", "ratio", "days")
-    return html_table(head, rows) + (
-        "A ratio well above 1 says that something missing from the model drives the parameter."
-    )

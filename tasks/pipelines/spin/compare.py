@@ -1,12 +1,8 @@
-"""Comparison of a spinning sensor with its model.
+"""Compare of a spinning sensor: what of the products still goes with the spin, and what it follows.
 
-The page of a spin comparison's `compare`: tones before and after, and what they follow.
-
-Compare of a spin comparison: what of the products still goes with the spin, and what it follows.
-
-The residual of a turning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
+The residual of a spinning sensor is its spin tones (Plaschke et al. 2019, section 4): the product itself is
 folded into synthetic turns (`inflight.samples.spin_folding`), and so is the pre-flight calibration of the
-same readings.
+same readings. The page shows tones before and after, and what they follow.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ from inflight.figures import (
 )
 from inflight.mission import Mission
 from inflight.model import Model, folding_of, rows_of, turn_residual
-from inflight.residual import NO_FLOOR, NoiseFloor, Size, daily_wander
+from inflight.residual import NO_FLOOR, NO_SIZE, NoiseFloor, Size, daily_scatter
 from inflight.samples import Complex, Folding, fold
 from inflight.spin import (
     TONES,
@@ -47,16 +43,18 @@ from inflight.spin import (
 )
 from inflight.tasks.archive import ArchiveIndex, Need, SpinClock, load_samples, needs_of
 from inflight.tasks.models import current_model
-from inflight.tasks.pipelines.compare_rows import (
+from inflight.tasks.pipelines.base import (
+    Compared,
+    CompareReport,
     Sources,
     Spans,
     blocks_of,
     channel_means,
+    fails_text,
     geometry_means,
     scalar_channels,
+    wandering_text,
 )
-from inflight.tasks.pipelines.compared import Compared
-from inflight.tasks.pipelines.scalar import CompareReport, fails_text, wandering_text
 from inflight.tasks.report import Progress
 from inflight.time import DAY, SECOND, Int64, day_bounds
 
@@ -161,7 +159,7 @@ def _legend(report: SpinCompareReport) -> str:
 def _in_step(found: Sequence[ToneDependence]) -> str:
     """Return the table of channels that go with the spin themselves."""
     rows = []
-    for one in (one for one in found if one.coordinate.wheel is not None):
+    for one in (one for one in found if one.coordinate.channel_tone is not None):
         tone = one.strongest
         slope, sigma = np.abs(one.mean[0, tone]), one.sigma[0, tone]
         unit = f"nT/{one.coordinate.unit}" if one.coordinate.unit else "nT"
@@ -273,7 +271,7 @@ def compare_spin(
         ],
         block_name,
         [],
-        daily_wander(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
+        daily_scatter(daily, day_bounds(days[0].day)[0], day_bounds(days[-1].day)[1]),
         left_out=found.left_out,
         acknowledgement=mission.acknowledgement,
         tones=(before.size, after.size),
@@ -441,14 +439,21 @@ def _size(rows: Floats, weight: Floats) -> Size:
     known = np.isfinite(rows).all(axis=1) & (weight > 0.0)
     values, shares = rows[known], weight[known]
     if not len(values):
-        nan = float("nan")
-        return Size(0, nan, nan, nan, nan, nan, nan)
+        return NO_SIZE
     rms = float(np.sqrt(shares @ (values**2).sum(axis=1) / (2.0 * shares.sum())))
     # Rows are less their turn's mean: nothing else is left.
     order = np.argsort(np.abs(values).max(axis=1), kind="stable")
     half = np.searchsorted(np.cumsum(shares[order]), 0.5 * shares.sum())
     robust = 1.4826 * float(np.median(np.abs(values[order[: 2 * int(half) + 1]])))
-    return Size(int(known.sum()), 0.0, rms, rms, robust, float(values.min()), float(values.max()))
+    return Size(
+        count=int(known.sum()),
+        mean=0.0,
+        std=rms,
+        rms=rms,
+        robust=robust,
+        least=float(values.min()),
+        largest=float(values.max()),
+    )
 
 
 def _whole(sizes: Sequence[Size], tones: Tones) -> Size:
@@ -458,13 +463,13 @@ def _whole(sizes: Sequence[Size], tones: Tones) -> Size:
     if not known:
         return sizes[0]
     return Size(
-        sum(one.count for one in known),
-        0.0,
-        rms,
-        rms,
-        float(np.median([one.robust for one in known])),
-        min(one.least for one in known),
-        max(one.largest for one in known),
+        count=sum(one.count for one in known),
+        mean=0.0,
+        std=rms,
+        rms=rms,
+        robust=float(np.median([one.robust for one in known])),
+        least=min(one.least for one in known),
+        largest=max(one.largest for one in known),
     )
 
 

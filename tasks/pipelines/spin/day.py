@@ -1,8 +1,8 @@
-"""A day of a spinning sensor.
+"""A day of a spinning sensor: eight parameters, where spin axis and Sun stand, and quiet averages.
 
-How a spinning spacecraft's axis lies in space on a day, from what a mission states or delivers.
-
-What one day of a turning sensor tells: its eight parameters, where they come from, and quiet averages.
+`spin_day` lays out sub-intervals of the day and estimates the eight parameters that the spin determines, in
+each and jointly (Plaschke et al. 2019; `inflight.spin`). `attitude_of` gives the direction of the spin axis,
+from what the mission states or a channel delivers.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from inflight.spin import (
     uncertainty_of_pairs,
 )
 from inflight.tasks.archive import FAULTS, SPIN_AXIS, ArchiveIndex, Need, channel_series, load_samples
-from inflight.tasks.pipelines.job import Job
+from inflight.tasks.pipelines.base import Batch, Job
 from inflight.time import SECOND, Int64, day_bounds
 from inflight.units import factor_and_offset
 
@@ -173,9 +173,7 @@ _EMPTY = {
 }
 
 
-def spin_day(
-    cat: Catalog, mission: Mission, model: Model, day: np.datetime64, job: Job
-) -> tuple[xr.Dataset, dict[str, Any]]:
+def spin_day(batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's estimates, and a report of what was used.
 
     Returns
@@ -194,8 +192,11 @@ def spin_day(
     CalibrationError
         When the day's field does not turn with the phase: the period or the pulses are wrong.
     """
+    mission, model, job = batch.mission, batch.model, batch.job
     entry = require_spinning(model)
-    samples = load_samples(cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False)
+    samples = load_samples(
+        batch.cat, mission, model, day, list(job.needs), job.index, geometry=False, folded=False
+    )
     start, end = day_bounds(day)
     present, known = ground_of(entry, (start + end) // 2)
     readings, good, _ = plain_readings(model, entry, samples)

@@ -1,4 +1,4 @@
-"""What the tables of a turning sensor tell: fields for programs, and one page."""
+"""What the tables of a spinning sensor say: fields for programs, and one page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from inflight.figures import (
 from inflight.flags import Flag
 from inflight.mission import Mission
 from inflight.spin import NAMES, SPIN_RELATED, UNITS
-from inflight.tasks.pipelines.mission import Part, with_error
+from inflight.tasks.pipelines.base import Part, with_error
 from inflight.tasks.pipelines.spin.tables import TABLES, SpinResults
 from inflight.tasks.report import write_page
 from inflight.time import DAY, day_of

@@ -1,10 +1,9 @@
-"""Its tables.
+"""Tables of a spinning sensor: each day's parameters, windows of days, the offset along the spin axis, flips.
 
-Tables of a turning sensor: each day's parameters, windows of days, the offset along the spin axis.
-
-What a workspace holds of a spin comparison: its tables, their days, and the estimates chosen.
-
-What the flips of a mission tell of its sensors and its spacecraft, as a table.
+`spin_table` joins the days of a window and decides whether a new estimate replaces the value in use
+(`inflight.spin.update`); `zero_level_table` finds the offset along the axis from natural fluctuations
+(`inflight.zero_level`), `flipper_table` from flips of the sensor. `SpinResults` reads published tables with
+their days.
 """
 
 from __future__ import annotations
@@ -42,9 +41,8 @@ from inflight.spin import (
     join_parameters,
 )
 from inflight.tasks.archive import flips_of
-from inflight.tasks.pipelines.planning import equations_of, product_of
+from inflight.tasks.pipelines.base import equations_of, newest_tables, product_of
 from inflight.tasks.pipelines.spin.day import ground_of, require_spinning
-from inflight.tasks.pipelines.tables import newest_tables
 from inflight.time import DAY, Int64, day_bounds, day_of, utc_text
 from inflight.zero_level import (
     COMBINED_METHODS,

@@ -1,14 +1,9 @@
-from .compare import DualCompareReport, compare_dual
-from .day import days_to_do
-from .reprocess import reprocess_states
+from .pipeline import StatesPipeline
 from .tables import constant_sentences, housekeeping, named_units
 
 __all__ = [
-    "DualCompareReport",
-    "compare_dual",
+    "StatesPipeline",
     "constant_sentences",
-    "days_to_do",
     "housekeeping",
     "named_units",
-    "reprocess_states",
 ]

@@ -1,8 +1,8 @@
-"""Comparison of two sensors.
+"""Compare of two sensors on one boom: by how far the field steps where the spacecraft switches.
 
-Compare the corrected field of two sensors with the measured one: by how far it steps at switchings.
-
-What is shown of two sensors on one boom: steps, states, units, before and after.
+The steps of the corrected field are held against those of the measured one and against the field where
+nothing switches; what is left is regressed on housekeeping. The page shows steps, states, units, before and
+after.
 """
 
 from __future__ import annotations
@@ -20,18 +20,17 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog, Day
 from inflight.dual import (
-    Remaining,
+    ResidualStep,
     Switchings,
-    by_state,
     name_units,
     quiet_steps,
     quietest_width,
-    regressed,
+    regress_steps,
+    residual_steps_by_state,
     rms,
     steps_across,
     switchings,
 )
-from inflight.errors import CatalogError
 from inflight.figures import (
     PLANES,
     Later,
@@ -43,9 +42,7 @@ from inflight.figures import (
     timeline_figure,
 )
 from inflight.mission import Mission
-from inflight.tasks.pipelines.compare_rows import scalar_channels
-from inflight.tasks.pipelines.compared import Compared
-from inflight.tasks.pipelines.planning import product_of
+from inflight.tasks.pipelines.base import Compared, TextLine, scalar_channels
 from inflight.tasks.pipelines.states.tables import (
     channel_changes,
     constant_changes,
@@ -54,7 +51,7 @@ from inflight.tasks.pipelines.states.tables import (
     unit_signs,
 )
 from inflight.tasks.report import Progress
-from inflight.time import SECOND, DayLike, Int64, to_utc, usual_step
+from inflight.time import SECOND, Int64, to_utc, usual_step
 
 #: Points of a curve that a browser can draw.
 _POINTS = 20_000
@@ -121,7 +118,7 @@ class DualCompareReport:
     comparison: str
     context: str
     days: list[DualDayRows]
-    fails_where: list[tuple[Remaining, str]]
+    fails_where: list[tuple[ResidualStep, str]]
     tables: list[xr.Dataset]
     path: Path | None = None
 
@@ -163,7 +160,7 @@ class DualCompareReport:
                     "coordinate": one.coordinate,
                     "amplitude_nT": float(np.abs(one.value).max()),
                     "sigma_nT": float(one.sigma[np.argmax(np.abs(one.value))]),
-                    "sentence": one.told(unit),
+                    "sentence": one.sentence(unit),
                 }
                 for one, unit in self.fails_where
             ],
@@ -176,30 +173,33 @@ class DualCompareReport:
             "path": str(self.path) if self.path else "",
         }
 
+    def summary(self) -> list[TextLine]:
+        """Return how far the field steps at switchings, before and after, and what is left."""
+        fields = self.as_json()
+        residual = fields["residual"]
+        if residual["note"]:
+            out = [TextLine(residual["note"])]
+        else:
+            out = [TextLine(f"{residual['what']} ({residual['switchings']} switchings):")]
+            for name, label in (("before", "as measured"), ("after", "corrected"), ("noise_floor", "floor")):
+                out.append(TextLine(f"  {label:<12} {residual[f'{name}_nT']:8.3f} nT", "bold"))
+        out += [TextLine(f"  {told}") for told in fields["verdict"]["told"]]
+        return out + [TextLine(f"  {failing['sentence']}") for failing in fields["fails_where"]]
+
 
 def compare_dual(
-    cat: Catalog,
-    mission: Mission,
-    start: DayLike | None,
-    end: DayLike | None,
-    comparison: str,
-    progress: Progress | None,
+    cat: Catalog, mission: Mission, comparison: str, days: Sequence[Day], tell: Progress
 ) -> Compared[DualCompareReport]:
-    """Measure what is left at the switchings of published products; parameters as `compare`.
+    """Measure what is left at the switchings of published products.
 
-    Raises
-    ------
-    CatalogError
-        When no product of the comparison is published in the span.
+    Parameters
+    ----------
+    days : sequence of Day
+        Of the products.
+    tell : callable
+        Called with (stage, done, total).
     """
-    span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
-    days = cat.days(product_of(comparison), span, states=("published",))
-    if not days:
-        raise CatalogError(
-            f"'{product_of(comparison)}' has no published days in the span",
-            remedy="run 'inflight reprocess' first",
-        )
-    rows, tell = [], progress or (lambda stage, done, total: None)
+    rows = []
     tables: dict[int, xr.Dataset] = {}
     for done, day in enumerate(days):
         tell("compare", done, len(days))
@@ -262,7 +262,7 @@ def stretches_of(
     return Stretches(stamps[first], stamps[last - 1] + step, state[first], sure, mean)
 
 
-def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[Remaining, str]]:
+def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[ResidualStep, str]]:
     """Yield what the steps that are left go with, and its unit: states, units, currents."""
     steps = report.joined("after")
     at = Switchings(
@@ -272,18 +272,18 @@ def fails_where(report: DualCompareReport, mission: Mission) -> Iterator[tuple[R
         )
     )
     floor = rms(report.joined("quiet"))
-    for one in by_state(at, steps):
+    for one in residual_steps_by_state(at, steps):
         if one.is_clear:
             yield one, "nT"
     signs = report.signs
     for unit in range(signs.shape[1]):
-        found = regressed(f"unit {unit}", steps, signs[:, unit])
+        found = regress_steps(f"unit {unit}", steps, signs[:, unit])
         if found is not None and found.is_clear:
             yield found, "nT"
     known = scalar_channels(mission)
     for name in sorted({name for one in report.days for name in one.changes}):
         change = np.concatenate([one.changes.get(name, np.full(len(one.at), np.nan)) for one in report.days])
-        found = regressed(name, steps, change)
+        found = regress_steps(name, steps, change)
         # A change of noise alone makes a slope of any size: it must matter at the channel's usual change.
         usual = float(np.nanmax(np.abs(change), initial=0.0))
         if found is not None and found.is_clear and np.abs(found.value).max() * usual > floor:
@@ -393,7 +393,7 @@ def _step_figures(report: DualCompareReport) -> list[Any]:
 def _fails_text(report: DualCompareReport) -> list[str]:
     if not report.fails_where:
         return ["No state, unit or current goes with what is left at the switchings, by four sigma."]
-    listed = "".join(f"<li>{escape(one.told(unit))}</li>" for one, unit in report.fails_where)
+    listed = "".join(f"<li>{escape(one.sentence(unit))}</li>" for one, unit in report.fails_where)
     return [f"<ol>{listed}</ol>"]
 
 

@@ -1,23 +1,16 @@
-"""A window and a day of two sensors.
+"""What a window and a day of two sensors on one boom tell: readings looked through, table of states, product.
 
-What two sensors on one boom deliver, looked through before anything is learnt from it.
-
-A sensor that is dead or not plugged in reads one value, and so does an axis that is stuck or full. The
-difference to the other sensor is then the ambient field itself, and a gradiometer would take that off:
-readings that stay the same while the other sensor's change are no measurements.
-
-What a window of days tells of two sensors: the table of states, and whether the correction helps.
-
-One day of two sensors with the table of states that holds: the product, and what it tells of itself.
-
-Windows of states and the keys of what is made from them: what has to be done, told before it is.
+Before anything is learnt, readings that are no measurements are flagged (`boom_samples`): a sensor that is
+dead or not plugged in reads one value, and so does an axis that is stuck or full. The difference to the other
+sensor is then the ambient field itself, and a gradiometer would take that off. `states_window` learns the
+table of a window of days and judges on held-out stretches whether its correction helps (`inflight.dual`);
+`states_day` corrects a day with the table that holds.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -28,36 +21,36 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from inflight.arrays import Floats
-from inflight.catalog import Catalog, TableRecord, idempotency_key
+from inflight.catalog import Catalog
 from inflight.dual import (
     FORMS,
     WHOLE,
+    AppliedPart,
     Body,
     Candidates,
     Correction,
-    Judgement,
-    Part,
+    HeldOutDecision,
     Readings,
     correction_by_both,
-    correction_by_gradiometer,
+    correction_by_states,
+    correction_by_stored_gradiometer,
+    decide,
     dual_level2,
-    from_dataset,
-    gradiometer_of,
+    gradiometer_from_table,
     gradiometer_variables,
     has_gradiometer,
-    judge,
     no_correction,
     part_of_day,
     part_variables,
-    partly,
-    process,
+    partial_correction,
     quiet_steps,
     quietest_width,
     readings_of,
     rms,
     steps_across,
     switchings,
-    to_dataset,
+    training_from_dataset,
+    training_to_dataset,
 )
 from inflight.errors import InflightError, SamplesError
 from inflight.flags import Flag
@@ -72,20 +65,14 @@ from inflight.tasks.archive import (
     load_samples,
     saturated,
 )
-from inflight.tasks.pipelines.job import Failure, Job, Outcome, failure_of, make_days
-from inflight.tasks.pipelines.planning import Plan, ReprocessSettings
-from inflight.tasks.pipelines.product import rounded
+from inflight.tasks.pipelines.base import Failure, ProductBatch, failure_of, rounded
 from inflight.tasks.pipelines.states.tables import (
-    OWN,
-    Chain,
-    chained_key,
     constant_of,
     constant_part,
     gradiometer_in_states,
     gradiometer_with_states,
     with_remark,
 )
-from inflight.tasks.pipelines.tables import window_edges
 from inflight.time import SECOND, Int64, day_bounds, usual_step
 from inflight.units import factor_and_offset
 
@@ -206,9 +193,6 @@ def _moved(values: Floats) -> float:
     return float(np.ptp([one.mean() for one in np.array_split(known, _PARTS)]))
 
 
-#: Bumped by hand when the numbers of the tables change.
-STATES_VERSION = 8
-
 #: Samples that are learnt from at most; of faster records means are taken.
 _MOST = 3_000_000
 
@@ -226,7 +210,7 @@ def states_window(
     Returns
     -------
     Dataset
-        Of `inflight.dual.tracking.to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`,
+        Of `inflight.dual.tracking.training_to_dataset`, with a gradiometer; variables `slope`, `slope_sigma`,
         `benefit`,
         `chance_of_harm` over `candidate` say what held-out stretches tell of each correction, `share` and
         `slower` which part of it is sure to help. Attributes
@@ -236,7 +220,7 @@ def states_window(
         try:
             readings, ambient = window_readings(cat, mission, model, days, needs, index)
             candidates = Candidates(readings, body_of(mission, model.comparison), ambient=ambient)
-            found = judge(readings, candidates.fit, candidates.expectations)
+            found = decide(readings, candidates.fit, candidates.priors)
             return with_remark(table_of(candidates, found))
         except Exception as error:  # one window must not stop the others; its cause is recorded
             return failure_of(error)
@@ -324,26 +308,26 @@ def thinned(readings: Readings, ambient: Floats, size: int) -> WindowReadings:
     return WindowReadings(Readings(middle[whole], inboard, outboard), None if told is None else known)
 
 
-def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
+def table_of(candidates: Candidates, found: HeldOutDecision) -> xr.Dataset:
     """Return the table of what was learnt from a window and of what was said of its correction."""
-    evidence = list(found.evidence.values())
+    scores = list(found.scores.values())
     one = ("candidate",)
-    table = to_dataset(candidates.training)
+    table = training_to_dataset(candidates.training)
     chosen = found.chosen
     if candidates.gradiometers:
         form = candidates.gradiometers[chosen if chosen in FORMS else "matrix"]
         gradiometer = gradiometer_variables(form, candidates.readings)
         table = table.merge(gradiometer).assign_attrs({**table.attrs, **gradiometer.attrs})
     told = table.assign(
-        slope=(one, np.array([each.slope for each in evidence])),
-        slope_sigma=(one, np.array([each.sigma for each in evidence])),
-        benefit=(one, np.array([each.benefit for each in evidence]), {"units": "nT2"}),
-        chance_of_harm=(one, np.array([each.chance_of_harm for each in evidence]), {"units": "1"}),
-        share=(one, np.array([each.part.share for each in evidence]), {"units": "1"}),
-        slower=(one, np.array([each.part.seconds for each in evidence]), {"units": "s"}),
-        share_away=(one, np.array([each.away for each in evidence]), {"units": "1"}),
-        helps=(one, np.array([each.helps for each in evidence], dtype=np.int64)),
-        candidate=(one, np.array([each.name for each in evidence], dtype="U32")),
+        slope=(one, np.array([each.slope for each in scores])),
+        slope_sigma=(one, np.array([each.sigma for each in scores])),
+        benefit=(one, np.array([each.benefit for each in scores]), {"units": "nT2"}),
+        chance_of_harm=(one, np.array([each.risk for each in scores]), {"units": "1"}),
+        share=(one, np.array([each.part.share for each in scores]), {"units": "1"}),
+        slower=(one, np.array([each.part.seconds for each in scores]), {"units": "s"}),
+        share_away=(one, np.array([each.slope_error for each in scores]), {"units": "1"}),
+        helps=(one, np.array([each.helps for each in scores], dtype=np.int64)),
+        candidate=(one, np.array([each.name for each in scores], dtype="U32")),
     ).assign_attrs(
         method="gradiometer" if chosen in FORMS else chosen,
         applied="no" if chosen == "none" else "yes",
@@ -351,7 +335,7 @@ def table_of(candidates: Candidates, found: Judgement) -> xr.Dataset:
     )
     if chosen in FORMS:
         told = gradiometer_in_states(told, candidates.readings)
-    part = found.evidence[chosen].part if chosen in found.evidence else WHOLE
+    part = found.scores[chosen].part if chosen in found.scores else WHOLE
     if part == WHOLE:
         return told
     whole = whole_correction(told, candidates.readings)
@@ -368,9 +352,9 @@ def correction_of(table: xr.Dataset, readings: Readings) -> Correction:
     told = _told_of(table, str(table.attrs["gradiometer_form"]) if method == "gradiometer" else method)
     if not found.applied or told is None:
         return found
-    part = Part(float(told["share"]), float(told["slower"]))
+    part = AppliedPart(float(told["share"]), float(told["slower"]))
     slow, middle = part_of_day(table, found, readings, part, constant_part(table))
-    return partly(found, part, float(told["share_away"]), slow, middle)
+    return partial_correction(found, part, float(told["share_away"]), slow, middle)
 
 
 def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
@@ -382,14 +366,14 @@ def whole_correction(table: xr.Dataset, readings: Readings) -> Correction:
     method, verdict = str(table.attrs["method"]), str(table.attrs["verdict"])
     if method == "gradiometer":
         return replace(gradiometer_with_states(table, readings), reason=verdict)
-    training = from_dataset(table)
+    training = training_from_dataset(table)
     if not len(training):
         return no_correction(len(readings), verdict)
     if method == "combined":
-        found = correction_by_both(readings, training, gradiometer_of(table))
+        found = correction_by_both(readings, training, gradiometer_from_table(table))
         return replace(found, reason=verdict)
-    fallback = correction_by_gradiometer(table, readings) if gradiometer_helps(table) else None
-    found = process(readings, training, fallback=fallback)
+    fallback = correction_by_stored_gradiometer(table, readings) if gradiometer_helps(table) else None
+    found = correction_by_states(readings, training, fallback=fallback)
     return replace(found, reason=verdict) if str(table.attrs["applied"]) == "yes" else found.withheld(verdict)
 
 
@@ -407,29 +391,20 @@ def gradiometer_helps(table: xr.Dataset) -> bool:
     return told is not None and bool(told["helps"])
 
 
-#: Bumped by hand when the numbers of the products change.
-STATES_PRODUCT_VERSION = 2
-
 #: Flags of samples that are as good as the rest for the eye that asks what is there.
 _HARMLESS = Flag.LEAP_SECOND | Flag.NO_ATTITUDE | Flag.PRIOR_PARAMETERS | Flag.NOT_CORRECTED
 
 
-def states_batch(cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, job: Job) -> Outcome:
-    """Make the products of a batch of days with one table, and write them as one segment."""
-    return make_days(cat, job, lambda day: states_day(cat, mission, model, table, day, job))
-
-
-def states_day(
-    cat: Catalog, mission: Mission, model: Model, table: xr.Dataset, day: np.datetime64, job: Job
-) -> tuple[xr.Dataset, dict[str, Any]]:
+def states_day(batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
     """Return one day's product (`inflight.dual.product.dual_level2`) and a report.
 
     The report's residual is the rms step of the outboard field at the day's switchings, nT a component:
     as measured, corrected, and the floor, that of the corrected field where nothing switches.
     """
-    samples = boom_samples(cat, mission, model, day, job.needs, job.index)
+    mission, model, job = batch.mission, batch.model, batch.job
+    samples = boom_samples(batch.cat, mission, model, day, job.needs, job.index)
     readings, flag = readings_of(model, samples)
-    correction = correction_of(table, readings)
+    correction = correction_of(batch.table, readings)
     flag[~(correction.known & correction.applied)] |= np.uint32(Flag.NOT_CORRECTED)
     product = dual_level2(readings, correction, flag, model.comparison)
     product = rounded(product)
@@ -437,7 +412,7 @@ def states_day(
         "mission": mission.mission,
         "acknowledgement": mission.acknowledgement,
         "day": str(day),
-        "constant": constant_of(table),
+        "constant": constant_of(batch.table),
     }
     return product, report_of(product, day)
 
@@ -469,81 +444,3 @@ def report_of(product: xr.Dataset, day: np.datetime64) -> dict[str, Any]:
         "constant": str(product.attrs["constant"]),
         **{name: value if np.isfinite(value) else None for name, value in steps.items()},
     }
-
-
-#: The table, by name without the comparison.
-STATES = "states"
-
-
-def windows(days: Sequence[np.datetime64], settings: ReprocessSettings) -> list[list[np.datetime64]]:
-    """Return the days of each window that has any: days, windows of the fixed grid, or all together."""
-    if settings.table == "span":
-        return [list(days)]
-    size = 1 if settings.table == "daily" else settings.window_days
-    edges = window_edges(min(days), max(days), size)
-    groups = [[day for day in days if low <= day < high] for low, high in pairwise(edges)]
-    return [group for group in groups if group]
-
-
-def table_name(made: Plan) -> str:
-    """Return the name of a plan's table of states."""
-    return f"{made.settings.comparison}-{STATES}"
-
-
-def window_key(made: Plan, group: Sequence[np.datetime64]) -> str:
-    """Return the key of what a window tells by itself: of its days' readings, mission and model."""
-    told = [STATES, str(STATES_VERSION), made.context, *(made.keys[day] for day in group)]
-    return hashlib.sha256("".join(told).encode()).hexdigest()
-
-
-def product_key(made: Plan, day: np.datetime64, table_key: str) -> str:
-    """Return the key of a day's product, from its readings and the table that holds."""
-    inputs = [made.keys[day], table_key]
-    return idempotency_key(made.product, day, STATES_PRODUCT_VERSION, made.context, inputs)
-
-
-@dataclass
-class KnownTables:
-    """The tables of states that the archive has, certified or left by a run that was ended.
-
-    Attributes
-    ----------
-    joined : dict of str to TableRecord
-        By the whole key.
-    learnt : dict of str to TableRecord
-        By the part of the key that tells a window's own inputs: what it tells by itself need not be
-        learnt again, whatever it was joined to.
-    """
-
-    joined: dict[str, TableRecord] = field(default_factory=dict)
-    learnt: dict[str, TableRecord] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, cat: Catalog, name: str) -> KnownTables:
-        """Return those of a name; damaged ones are not known."""
-        records = [one for one in cat.tables(name) if not one.damaged]
-        return cls({one.key: one for one in records}, {one.key[:OWN]: one for one in records})
-
-
-def days_to_do(cat: Catalog, made: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
-    """Return the days whose products a run would make, and those it would leave alone.
-
-    A window that is to be learnt from changes those behind it: they are joined to it anew.
-    """
-    name = table_name(made)
-    known = KnownTables.of(cat, name)
-    current = {day.day: day.key for day in cat.days(made.product, states=("published",))}
-    groups = windows(made.days, made.settings)
-    chain = Chain.before(cat, name, groups[0][0])
-    todo: list[np.datetime64] = []
-    same: list[np.datetime64] = []
-    for group in groups:
-        key = chained_key(window_key(made, group), chain.keys)
-        for day in group:
-            unchanged = key in known.joined and current.get(day) == product_key(made, day, key)
-            (same if unchanged else todo).append(day)
-        if key in known.joined:
-            chain.add(key, cat.table_by_id(known.joined[key].id))
-        else:
-            chain.add_unknown(key)
-    return todo, same

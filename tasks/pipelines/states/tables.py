@@ -1,22 +1,17 @@
-"""Joined windows, constant part, attribution.
+"""What tables of states say across windows: numbers that run on, the constant part, units and channels.
 
-Windows of states joined in the order of time: the same state and unit have one number in all of them.
+Windows are learnt from independently, in any order. Afterwards each goes on from one of those before it
+(`joined`, `inflight.dual.tracking`), so that the same state and unit have one number in all of them. This can
+be undone: a window that changed is learnt from again, and those behind it are only joined anew. A window with
+few states does not end the sequence: the next one may go on from one before that.
 
-Windows are learnt from independently, in any order and at the same time. Afterwards each goes on from one
-of those before it (`inflight.dual.tracking`), which can be undone: a window that changed is learnt from
-again,
-and those behind it are only joined anew. A window that told little does not end the chain: the next one may
-go on from one before that.
+The constant part (`constant_of`): corrections by states are relative to one state, and windows that know it
+go on from each other. A gradiometer is determined from changes alone, and its constant is arbitrary: it is
+put where the states of the same window have it, so that the field does not step where one method follows the
+other.
 
-The constant part of the corrections: the same in all windows where the data tell it, else told.
-
-Corrections by states are relative to one state, and windows that know it go on from each other. A gradiometer
-is told from changes alone, and its constant is arbitrary: it is put where the states of the same window have
-it, so that the field does not step where one method follows the other.
-
-The units of a table of states beside housekeeping: which channel switches with which unit.
-
-What a table of states says against the delivery it was learnt from.
+Units beside housekeeping (`named_units`): which channel switches with which unit. `with_remark` notes sensors
+that look exchanged.
 """
 
 from __future__ import annotations
@@ -33,29 +28,28 @@ import xarray as xr
 from inflight.arrays import Floats
 from inflight.catalog import Catalog
 from inflight.dual import (
-    SURE,
+    ASSIGNMENT,
     Ageing,
     Correction,
     NamedUnit,
     Readings,
     Switchings,
     Training,
-    alone,
-    continued,
-    correction_by_gradiometer,
-    from_dataset,
-    gradiometer_of,
+    continue_training,
+    correction_by_states,
+    correction_by_stored_gradiometer,
+    covariance_of_product,
+    gradiometer_from_table,
     has_gradiometer,
-    leaves_slow_alone,
     name_units,
-    process,
-    quadratic,
+    omits_slow_part,
+    standalone_training,
     switchings,
-    to_dataset,
+    training_from_dataset,
+    training_to_dataset,
 )
-from inflight.mission import Mission, is_told_by_states
-from inflight.tasks.pipelines.compare_rows import scalar_channels
-from inflight.tasks.pipelines.planning import product_of
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import UsedTable, product_of, scalar_channels
 from inflight.time import SECOND, DayLike, Int64, day_bounds, day_of, usual_step
 
 #: Characters of a key that tell a window's own inputs; the others tell the windows before it, too.
@@ -134,17 +128,17 @@ def joined(before: Sequence[xr.Dataset], table: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        Numbers and constant part of `inflight.dual.tracking.continued`. Of states that both windows know
-        `change` and `change_sigma` (state, axis) tell how the outboard correction changed beside what all
-        have in common, nT, and `aged` (state,) where that is more than noise. Attribute `goes_on` is ``yes``
-        or ``no``.
+        Numbers and constant part of `inflight.dual.tracking.continue_training`. Of states that both windows
+        know `change` and `change_sigma` (state, axis) tell how the outboard correction changed beside what
+        all have in common, nT, and `aged` (state,) where that is more than noise. Attribute `goes_on` is
+        ``yes`` or ``no``.
     """
-    later = from_dataset(table)
+    later = training_from_dataset(table)
     bare = table.drop_vars([name for name in _CHANGES if name in table])
     bare.attrs.pop("table_id", None)
-    known = [(one, from_dataset(one)) for one in before if one.sizes["state"]]
+    known = [(one, training_from_dataset(one)) for one in before if one.sizes["state"]]
     if not known or not len(later):
-        return _with_training(bare, alone(later), "no")
+        return _with_training(bare, standalone_training(later), "no")
     going = _continued(known, later)
     told = _with_training(bare, going.training, "yes" if len(going.matched) else "no")
     return told.assign(_changes(going))
@@ -158,7 +152,7 @@ def _continued(known: Sequence[tuple[xr.Dataset, Training]], later: Training) ->
     order = sorted(known, key=lambda one: str(one[0].attrs.get("applied")) != "yes")
     tried: list[Ageing] = []
     for _, earlier in order:
-        going = continued(replace(earlier, next_number=number, next_unit=unit), later)
+        going = continue_training(replace(earlier, next_number=number, next_unit=unit), later)
         if _keeps_constant(earlier, going):
             return going
         tried.append(going)
@@ -175,7 +169,7 @@ def _keeps_constant(earlier: Training, going: Ageing) -> bool:
 
 
 def _with_training(table: xr.Dataset, training: Training, goes_on: str) -> xr.Dataset:
-    fresh = to_dataset(training)
+    fresh = training_to_dataset(training)
     return table.assign(fresh.data_vars).assign_attrs({**fresh.attrs, "goes_on": goes_on})
 
 
@@ -214,12 +208,12 @@ def gradiometer_in_states(table: xr.Dataset, readings: Readings) -> xr.Dataset:
     Dataset
         With variable `gradiometer_in_states`, NaN for states in which no sample surely is.
     """
-    training = from_dataset(table)
+    training = training_from_dataset(table)
     mean = np.full((len(training), 3), np.nan)
     if len(training) and readings.good.any():
-        taken = correction_by_gradiometer(table, readings)
-        states = process(readings, training)
-        sure = taken.known & (states.probability >= SURE)
+        taken = correction_by_stored_gradiometer(table, readings)
+        states = correction_by_states(readings, training)
+        sure = taken.known & (states.probability >= ASSIGNMENT.least_probability)
         for row, number in enumerate(training.number.tolist()):
             inside = sure & (states.state == number)
             if inside.any():
@@ -233,11 +227,11 @@ def gradiometer_with_states(table: xr.Dataset, readings: Readings) -> Correction
     The field is the gradiometer's; flags about states do not concern it. Where only what is quick will be
     taken off, the error of the constant is none of its own.
     """
-    found = correction_by_gradiometer(table, readings)
-    training = from_dataset(table)
+    found = correction_by_stored_gradiometer(table, readings)
+    training = training_from_dataset(table)
     if not len(training) or not readings.good.any():
         return found
-    states = process(readings, training)
+    states = correction_by_states(readings, training)
     told = replace(found, state=states.state, probability=states.probability)
     constant = _constant(table)
     if constant is None:
@@ -246,7 +240,7 @@ def gradiometer_with_states(table: xr.Dataset, readings: Readings) -> Correction
     return replace(
         told,
         field=told.field + value,
-        covariance=told.covariance + (not leaves_slow_alone(table)) * np.diag(sigma**2),
+        covariance=told.covariance + (not omits_slow_part(table)) * np.diag(sigma**2),
         constant_known=training.constant_known,
     )
 
@@ -259,7 +253,7 @@ def constant_part(table: xr.Dataset) -> Floats:
     if str(table.attrs["method"]) == "gradiometer":
         constant = _constant(table)
         return np.zeros(3) if constant is None else constant[0]
-    training = from_dataset(table)
+    training = training_from_dataset(table)
     # All states move alike.
     return training.correction[0] if len(training) else np.zeros(3)
 
@@ -275,7 +269,7 @@ def constant_of(table: xr.Dataset) -> str:
         ``relative to state N``, or ``that of the window from DAY alone`` where a gradiometer has no state
         to go by.
     """
-    if str(table.attrs["applied"]) != "yes" or leaves_slow_alone(table):
+    if str(table.attrs["applied"]) != "yes" or omits_slow_part(table):
         return MEASURED
     if str(table.attrs["method"]) == "gradiometer" and _constant(table) is None:
         return f"that of the window from {day_of(int(table['start']))!s:.10} alone"
@@ -322,10 +316,10 @@ def _constant(table: xr.Dataset) -> tuple[Floats, Floats] | None:
     seen = np.flatnonzero(np.isfinite(taken).all(axis=1))
     if not seen.size:
         return None
-    training = from_dataset(table)
+    training = training_from_dataset(table)
     centre, seconds = training.centre[seen], np.maximum(training.seconds[seen], 1.0)
     away = centre - np.average(centre, axis=0, weights=seconds)
-    spread = training.covariance[seen] + quadratic(gradiometer_of(table).covariance, away)
+    spread = training.covariance[seen] + covariance_of_product(gradiometer_from_table(table).covariance, away)
     variance = np.einsum("sii->si", spread) + training.scatter**2 + 1e-12
     weight = 1.0 / variance
     weight /= weight.sum(axis=0)
@@ -432,10 +426,8 @@ def named_units(
 ) -> list[dict[str, Any]] | None:
     """Return the units of the span's states and the channels behind them, as plain fields.
 
-    None of a comparison without products of states. Units without a channel are told as such.
+    None of a comparison without products. Units without a channel are told as such.
     """
-    if not is_told_by_states(mission, comparison):
-        return None
     span = slice(str(start) if start is not None else None, str(end) if end is not None else None)
     days = cat.days(product_of(comparison), span, states=("published",))
     if not days:
@@ -511,7 +503,7 @@ def _looks_swapped(table: xr.Dataset) -> bool:
         if clear.any():
             return float(np.linalg.norm(outer[clear])) > _LARGER * float(np.linalg.norm(inner[clear]))
     if has_gradiometer(table) and str(table.attrs["method"]) == "gradiometer":
-        matrix = gradiometer_of(table).matrix
+        matrix = gradiometer_from_table(table).matrix
         return float(np.linalg.norm(matrix)) > _LARGER * float(np.linalg.norm(matrix + np.eye(3)))
     return False
 
@@ -527,7 +519,7 @@ def _steps(table: xr.Dataset) -> Iterator[tuple[Floats, Floats, Floats]]:
         yield value, difference, np.asarray(table[covariance].values)
 
 
-def remarks_of(tables: Mapping[np.datetime64, tuple[int, str, xr.Dataset]]) -> list[dict[str, str]]:
+def remarks_of(tables: Mapping[np.datetime64, UsedTable]) -> list[dict[str, str]]:
     """Return the remarks of the tables that hold, as problems of days that are there all the same."""
     seen: dict[int, dict[str, Any]] = {}
     for day in sorted(tables):

@@ -1,4 +1,9 @@
-"""A batch of days and what became of it."""
+"""A batch of days for one worker, and what became of it.
+
+`Batch` and `ProductBatch` are what a pipeline's `make_day` and `make_product` are given. `make_days` makes
+each day of a batch and writes those that succeed as one segment of the archive; a day that fails does not
+stop the others, and its `Failure` is recorded.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +17,10 @@ from threadpoolctl import threadpool_limits
 
 from inflight.catalog import Catalog, DayData, Segment, cause_of, write_segment
 from inflight.errors import InflightError
+from inflight.mission import Mission
+from inflight.model import Model
 from inflight.tasks.archive import ArchiveIndex, Need, cached_readings
+from inflight.tasks.pipelines.base.planning import ReprocessSettings
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,48 @@ class Job:
     dataset: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """What a worker is given to make the statistics of a batch of days.
+
+    Attributes
+    ----------
+    cat : Catalog
+        Only its workspace is used.
+    model : Model
+        What is fitted, its start and its priors.
+    job : Job
+        The days, and what they are made from.
+    reference : sequence of float, optional
+        Parameters that the equations are expressed at; the model's own when None.
+    """
+
+    cat: Catalog
+    mission: Mission
+    model: Model
+    job: Job
+    settings: ReprocessSettings
+    reference: Sequence[float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProductBatch(Batch):
+    """What a worker is given to make the products of a batch of days.
+
+    Attributes
+    ----------
+    model : Model
+        What is corrected, in order.
+    table : xarray.Dataset
+        The calibration table whose values the model takes.
+    preflight : Model
+        What the residual before calibration is made with.
+    """
+
+    table: xr.Dataset
+    preflight: Model
+
+
 @dataclass
 class Outcome:
     """What a worker made of its batch."""
@@ -61,7 +111,7 @@ def make_days(
     cat: Catalog,
     job: Job,
     make: Callable[[np.datetime64], tuple[xr.Dataset, dict[str, Any]]],
-    together: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
+    alike: Callable[[Sequence[xr.Dataset]], list[xr.Dataset]] = list,
 ) -> Outcome:
     """Make each day of a batch, on one BLAS thread, and write those that succeed as one segment.
 
@@ -73,8 +123,8 @@ def make_days(
         The batch.
     make : callable
         Returns the dataset and the report of a day.
-    together : callable, optional
-        Makes the datasets of the days fit for one store.
+    alike : callable, optional
+        Gives the datasets of the days variables of one size, as one store needs them.
 
     Returns
     -------
@@ -91,7 +141,7 @@ def make_days(
                 continue
             made.append(DayData(day, dataset, job.keys[day], job.parents[day], report))
         if made:
-            fit = together([one.dataset for one in made])
+            fit = alike([one.dataset for one in made])
             made = [replace(one, dataset=dataset) for one, dataset in zip(made, fit, strict=True)]
             outcome.segment = write_segment(cat.workspace, job.run, job.dataset, made)
     return outcome

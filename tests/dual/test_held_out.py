@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 from plain_correction import plain
 
-from inflight.dual import Candidates, Readings, judge
+from inflight.dual import Candidates, Readings, decide
 from inflight.time import SECOND
 
 COUNT = 8000
@@ -26,24 +26,24 @@ def world(seed):
     return Readings(np.arange(COUNT) * SECOND, inboard, outboard), ambient, stray, random
 
 
-def judge_all(readings, body=None):
+def decide_all(readings, body=None):
     candidates = Candidates(readings, body)
-    return judge(readings, candidates.fit, candidates.expectations)
+    return decide(readings, candidates.fit, candidates.priors)
 
 
-def judged(readings, **fields):
-    return judge(
+def decided(readings, **fields):
+    return decide(
         readings,
         lambda _: {name: partial(field_correction, field=field) for name, field in fields.items()},
-        Candidates(readings).expectations,
+        Candidates(readings).priors,
     )
 
 
 def test_the_stray_field_itself_has_the_slope_one_and_is_applied():
     readings, _, stray, _ = world(1)
-    found = judged(readings, truth=stray)
-    evidence = found.evidence["truth"]
-    assert abs(evidence.slope - 1.0) < 4.0 * evidence.sigma
+    found = decided(readings, truth=stray)
+    score = found.scores["truth"]
+    assert abs(score.slope - 1.0) < 4.0 * score.sigma
     assert found.chosen == "truth"
     assert found.correction.applied
     assert "help" in found.correction.reason
@@ -51,7 +51,7 @@ def test_the_stray_field_itself_has_the_slope_one_and_is_applied():
 
 def test_a_field_of_the_wrong_sign_is_told_to_do_harm():
     readings, _, stray, _ = world(2)
-    found = judged(readings, wrong=-stray)
+    found = decided(readings, wrong=-stray)
     assert found.chosen == "none"
     assert not found.correction.applied
     assert "it would do harm" in found.correction.reason
@@ -60,12 +60,12 @@ def test_a_field_of_the_wrong_sign_is_told_to_do_harm():
 
 def test_three_times_too_much_is_left_alone():
     readings, _, stray, _ = world(3)
-    assert judged(readings, much=3.0 * stray).chosen == "none"
+    assert decided(readings, much=3.0 * stray).chosen == "none"
 
 
 def test_ambient_field_in_disguise_is_left_alone():
     readings, ambient, _, _ = world(4)
-    found = judged(readings, leak=0.02 * ambient)
+    found = decided(readings, leak=0.02 * ambient)
     assert found.chosen == "none"
     # Where the leak is known the readings refute it; where it is not, a leak is what they are like.
     assert any(told in found.correction.reason for told in ("ambient field", "it would do harm"))
@@ -73,8 +73,8 @@ def test_ambient_field_in_disguise_is_left_alone():
 
 def test_noise_is_left_alone_and_the_better_of_two_is_chosen():
     readings, _, stray, random = world(5)
-    assert judged(readings, noise=random.normal(0, 0.05, stray.shape)).chosen == "none"
-    assert judged(readings, whole=stray, part=stray * [1.0, 1.0, 0.0]).chosen == "whole"
+    assert decided(readings, noise=random.normal(0, 0.05, stray.shape)).chosen == "none"
+    assert decided(readings, whole=stray, part=stray * [1.0, 1.0, 0.0]).chosen == "whole"
 
 
 def test_two_quiet_sensors_are_left_alone():
@@ -82,14 +82,14 @@ def test_two_quiet_sensors_are_left_alone():
     ambient = np.cumsum(random.normal(0, 0.05, (COUNT, 3)), axis=0)
     both = [ambient + random.normal(0, 0.02, ambient.shape) for _ in range(2)]
     readings = Readings(np.arange(COUNT) * SECOND, *both)
-    found = judge_all(readings)
+    found = decide_all(readings)
     after = found.correction.corrected(readings.outboard) - ambient
     assert after.std() <= 1.02 * (readings.outboard - ambient).std()
 
 
 def test_too_few_readings_have_a_reason():
     readings, _, _, _ = world(7)
-    short = readings.part(slice(0, 200))
-    found = judge_all(short)
+    short = readings.select(slice(0, 200))
+    found = decide_all(short)
     assert found.chosen == "none"
     assert found.correction.reason

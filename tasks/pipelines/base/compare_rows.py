@@ -18,7 +18,7 @@ from inflight.frames import add_geometry
 from inflight.instruments import Channel
 from inflight.mission import Mission
 from inflight.tasks.archive import channel_homes, geometry_channels, position_channel
-from inflight.tasks.pipelines.planning import product_of
+from inflight.tasks.pipelines.base.planning import product_of
 from inflight.time import DAY, SECOND, Int64, day_bounds, day_of
 
 #: Blocks of the uncertainties: a day when the span has at least so many days, else three hours.

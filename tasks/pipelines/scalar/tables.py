@@ -1,50 +1,43 @@
-"""Calibration tables from stored normal equations: a day, a window of days, the whole span."""
+"""Calibration tables from stored normal equations: a day, a window of days, the whole span.
+
+Normal equations of days are sums: those of a window are added and solved with the model's prior
+(`inflight.calibration.NormalEquations`). Where the solution lies so far from where the equations were
+linearised that the neglected second order exceeds `MOST_BEND`, `relinearise_at` asks for another pass.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
 
 from inflight.arrays import Floats
 from inflight.calibration import Interval, NormalEquations, bend, calibration_table, empty_block, reference_of
-from inflight.catalog import Catalog, Day, TableRecord
+from inflight.catalog import Catalog, Day
+from inflight.errors import CatalogError
 from inflight.lsq import WEIGHTED_RMS, Solution, residual_sum
 from inflight.model import Model
-from inflight.time import as_day, day_bounds
+from inflight.time import day_bounds
 
-#: Bumped by hand when the numbers of the tables change.
-TABLES_VERSION = 4
-
-#: The first day of the grid of windows.
-GRID_ORIGIN = np.datetime64("2000-01-01", "D")
-
-#: Equations are linearised again when the fit bends the residual by more than this; nT.
+#: Equations are linearised again when the linearisation error of the residual exceeds this; nT.
 MOST_BEND = 1e-3
 
 
-def newest_record(cat: Catalog, name: str) -> TableRecord | None:
-    """Return the record of the table of a name that was certified last and is whole; None without one."""
-    records = [one for one in cat.tables(name) if one.certified and not one.damaged]
-    return records[-1] if records else None
-
-
-def newest_table(cat: Catalog, name: str) -> xr.Dataset | None:
-    """Return the table of a name that was certified last and is whole; None without one."""
-    record = newest_record(cat, name)
-    return None if record is None else cat.table_by_id(record.id)
-
-
-def newest_tables(cat: Catalog, comparison: str, names: Sequence[str]) -> dict[str, xr.Dataset]:
-    """Return the newest tables of a comparison by name, those that there are."""
-    found = {name: newest_table(cat, f"{comparison}-{name}") for name in names}
-    return {name: table for name, table in found.items() if table is not None}
-
-
 def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
-    """Read the normal equations of days, published or verified, in order of time."""
+    """Read the normal equations of days, published or verified, in order of time.
+
+    Raises
+    ------
+    CatalogError
+        When there is no day.
+    """
+    if not days:
+        raise CatalogError(
+            "no normal equations of single days are published in the span",
+            remedy="run 'inflight reprocess' first; a fit of all days at once keeps equations of its own",
+        )
     parts = [cat.read(day) for day in sorted(days, key=lambda day: day.day)]
     static = parts[0][["scale"]]
     rows = xr.concat(
@@ -53,27 +46,12 @@ def load_equations(cat: Catalog, days: Sequence[Day]) -> NormalEquations:
     return NormalEquations(rows.assign(scale=static["scale"]))
 
 
-def window_edges(first: np.datetime64, last: np.datetime64, days: int) -> list[np.datetime64]:
-    """Return the edges of the fixed grid of windows that covers the days first to last (inclusive)."""
-    step = np.timedelta64(days, "D")
-    begin = GRID_ORIGIN + ((as_day(first) - GRID_ORIGIN) // step) * step
-    count = int((as_day(last) - begin) // step) + 1
-    return [begin + index * step for index in range(count + 1)]
-
-
-def month_edges(first: np.datetime64, last: np.datetime64) -> list[np.datetime64]:
-    """Return the edges of the calendar months that hold the days first to last (inclusive)."""
-    begin, end = (as_day(day).astype("datetime64[M]") for day in (first, last))
-    months = np.arange(begin, end + np.timedelta64(2, "M"), dtype="datetime64[M]")
-    return list(months.astype("datetime64[D]"))
-
-
 def daily_table(equations: NormalEquations, model: Model) -> xr.Dataset:
     """Return the table of the blocks' own fits, one interval a block."""
     data = equations.dataset
     rows = []
     for index in range(len(equations)):
-        one = NormalEquations(data.isel(block=[index]))
+        one = equations.of_blocks(slice(index, index + 1))
         start, end = int(data["start"].values[index]), int(data["end"].values[index])
         prior = reference_of(model, (start + end) // 2)
         if not len(one.filled):
@@ -124,7 +102,7 @@ def _interval(part: NormalEquations, model: Model, start: int, end: int) -> Inte
     common = part.at(prior.value)
     solution = common.solve(prior.sigma, prior.value)
     value, covariance = common.physical(solution)
-    gram, count = common.dataset["gram"].values.sum(axis=0), float(common.dataset["count"].values.sum())
+    gram, count = common.total, float(common.count.sum())
     return Interval(
         start,
         end,
@@ -158,13 +136,8 @@ def relinearise_at(equations: NormalEquations, model: Model, strength: float) ->
     equations = equations.filled
     if not len(equations):
         return None
-    whole = equations.at(equations.reference)
+    whole = equations.at_one_reference()
     prior = reference_of(model, int(whole.dataset["start"].values[0]))
     value, _ = whole.physical(whole.solve(prior.sigma, prior.value))
     places = equations.dataset["linearised_at"].values[:, :-1]
     return value if max(bend(value, at, strength) for at in places) > MOST_BEND else None
-
-
-def content_keys(days: Mapping[np.datetime64, Day]) -> list[str]:
-    """Return the keys of days in order: what a table's own key is made from."""
-    return [days[day].key for day in sorted(days)]

@@ -1,42 +1,130 @@
-"""Residual steps, unrecorded switchings, channel attribution.
+"""Switchings: the steps of a field at them, those without a record, and the channels behind units.
 
-How far the corrected field still steps where the spacecraft switches: what a correction is judged by.
+A *switching* is where one state ends and another begins; a *step* is the mean of a field after less that
+before.
 
-The ambient field does not know when the spacecraft switches, so a field without stray field steps there no
-more than anywhere else. That is all two sensors tell without a known field: a constant error is not in it.
-
-Switchings that no channel follows: jumps of the difference of two sensors beside those of housekeeping.
-
-A unit without housekeeping that switches is no noise. Its field stands for an hour, in the difference and in
-the reading that the difference is calibrated against, so that everything fitted beside it is wrong by more
-than its scatter tells. What switches together with a channel is told by the sizes: steps are regressed on the
-changes of the channels, robustly, and one that disagrees is unexplained, too.
-
-Which housekeeping channel stands behind a unit that switches, or that none does.
+- `switchings`, `steps_across`, `quiet_steps`, `regress_steps`: how far the corrected field still steps where
+  the spacecraft switches. The ambient field is independent of the spacecraft, so a field without stray field
+  steps there no more than anywhere else. A constant error is not in it.
+- `attribute_jumps`: which jumps of the difference no housekeeping channel follows. The field of a unit
+  without housekeeping stays for an hour, in the difference and in the reading that it is calibrated against,
+  so that everything fitted with it is wrong by more than its scatter shows. What switches together with a
+  channel is found by the sizes: steps are regressed on the changes of the channels, robustly.
+- `name_units`: which channel switches with which unit, by a permutation test.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from inflight.arrays import Floats
-from inflight.dual.change_points import Places, find_jumps
+from inflight.dual.change_points import Rows, find_jumps
 from inflight.dual.correction import TRANSIENT
 from inflight.dual.readings import white_covariance
 from inflight.lsq import TO_SIGMA
 from inflight.time import Int64
 
-#: Samples of a mean on either side; longer ones see more of the ambient field, shorter ones more noise.
-WIDTH = 8
 
-_WIDTHS = (1, 2, 4, 8, 16, 32)
+@dataclass(frozen=True, kw_only=True)
+class ResidualStepSettings:
+    """Numbers of steps at switchings.
 
-#: The fewest switchings whose scatter says anything, and errors that must be passed to be told.
-_FEWEST_SWITCHINGS, _CLEAR = 4, 4.0
+    Attributes
+    ----------
+    width : int
+        Samples of a mean on either side where no width is measured. Assumed: longer ones hold more of the
+        ambient field, shorter ones more noise.
+    widths : tuple of int
+        Widths of which that with the smallest steps without a switching is taken. Assumed: an octave apart.
+    fewest : int
+        Switchings whose scatter gives an error, at least. Assumed.
+    clear_sigmas : float
+        A residual step is reported from so many errors on. Level of significance: four sigmas.
+    """
+
+    width: int = 8
+    widths: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
+    fewest: int = 4
+    clear_sigmas: float = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttributionSettings:
+    """Numbers of the attribution of jumps to channels.
+
+    Attributes
+    ----------
+    width : int
+        Rows of a mean on either side of a jump, at most. Assumed.
+    one_jump : int
+        Jumps this near to each other are one, rows. Assumed.
+    changed_sigmas, changed_range : float
+        A channel changes at a jump when it moves by so many of its usual changes and by this part of its
+        range. Level of significance, and assumed.
+    fewest_jumps : int
+        Jumps at which a channel changes to be regressed on, at least. Assumed.
+    disagrees : float
+        Scatters beyond which a step is not explained by the channels. Level of significance: six sigmas.
+    rounds : int
+        Rounds of the robust fit. Assumed: half by least absolute lengths, half by weights.
+    half_weight : float
+        Residuals, in scatters, that have half the weight. Assumed.
+    median_length : float
+        Median of the length of a vector of three components of unit variance. Derived: the root of the median
+        of chi-square with three degrees of freedom.
+    same_sigmas, same_size : float
+        Steps belong to one unit when they agree within so many scatters, or this part of their size. Level
+        of significance, and assumed: units age.
+    """
+
+    width: int = 8
+    one_jump: int = 2
+    changed_sigmas: float = 8.0
+    changed_range: float = 0.02
+    fewest_jumps: int = 3
+    disagrees: float = 6.0
+    rounds: int = 40
+    half_weight: float = 2.0
+    median_length: float = 1.5382
+    same_sigmas: float = 6.0
+    same_size: float = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamingSettings:
+    """Numbers of the match of channels and units.
+
+    Attributes
+    ----------
+    agreement : float
+        Squared correlation of a channel's changes with a unit's switchings from which they match. Assumed:
+        the unit explains half of the channel's changes.
+    chance : float
+        Part of the rearrangements that may agree as well. Level of significance, shared by all pairs of unit
+        and channel (Bonferroni).
+    rearrangements : int
+        Of a channel's changes among the switchings. Derived: they resolve the level down to one in twenty
+        thousand.
+    fewest : int
+        Switchings of a unit at least. Assumed.
+    rival : float
+        A channel is named after the best one when it agrees by this part of it. Assumed.
+    """
+
+    agreement: float = 0.5
+    chance: float = 0.005
+    rearrangements: int = 20_000
+    fewest: int = 4
+    rival: float = 0.9
+
+
+RESIDUAL_STEPS = ResidualStepSettings()
+ATTRIBUTION = AttributionSettings()
+NAMING = NamingSettings()
 
 Ints = npt.NDArray[np.int64]
 
@@ -81,19 +169,19 @@ def switchings(state: Ints, stamps: Ints, step: int) -> Switchings:
     if not settled.size:
         nothing = np.empty(0, dtype=np.int64)
         return Switchings(nothing, nothing, nothing, nothing, np.empty((0, 2), dtype=np.int64))
-    told = state[settled]
+    known = state[settled]
     gap = np.diff(stamps[settled]) > (np.diff(settled) + 2) * step
-    change = np.diff(told) != 0
-    cuts = np.flatnonzero(change | gap)
-    edges = np.concatenate([[-1], cuts, [settled.size - 1]])
+    change = np.diff(known) != 0
+    ends = np.flatnonzero(change | gap)
+    edges = np.concatenate([[-1], ends, [settled.size - 1]])
     lengths = np.diff(edges)
-    real = change[cuts] & ~gap[cuts]
-    where = cuts[real]
+    real = change[ends] & ~gap[ends]
+    where = ends[real]
     room = np.column_stack([lengths[:-1][real], lengths[1:][real]])
-    return Switchings(settled[where], settled[where + 1], told[where], told[where + 1], room)
+    return Switchings(settled[where], settled[where + 1], known[where], known[where + 1], room)
 
 
-def steps_across(field: Floats, at: Switchings, width: int = WIDTH) -> Floats:
+def steps_across(field: Floats, at: Switchings, width: int = RESIDUAL_STEPS.width) -> Floats:
     """Return the step of a field at each switching, means after less before; (switching, axis), nT.
 
     NaN where a state is shorter than `width` samples or more than half of them are missing.
@@ -113,7 +201,7 @@ def steps_across(field: Floats, at: Switchings, width: int = WIDTH) -> Floats:
     return out
 
 
-def quiet_steps(field: Floats, at: Switchings, width: int = WIDTH) -> Floats:
+def quiet_steps(field: Floats, at: Switchings, width: int = RESIDUAL_STEPS.width) -> Floats:
     """Return the same steps where nothing switches: at a third and two thirds of the states between.
 
     The same number of samples is left out in the middle as at the switchings, in the median.
@@ -132,10 +220,10 @@ def quiet_steps(field: Floats, at: Switchings, width: int = WIDTH) -> Floats:
 
 
 def quietest_width(field: Floats, at: Switchings) -> int:
-    """Return the width whose steps are smallest where nothing switches; `WIDTH` where none tells."""
-    sizes = {width: rms(quiet_steps(field, at, width)) for width in _WIDTHS}
+    """Return the width whose steps are smallest where nothing switches; the default without any such step."""
+    sizes = {width: rms(quiet_steps(field, at, width)) for width in RESIDUAL_STEPS.widths}
     known = {width: size for width, size in sizes.items() if np.isfinite(size)}
-    return min(known, key=lambda width: known[width]) if known else WIDTH
+    return min(known, key=lambda width: known[width]) if known else RESIDUAL_STEPS.width
 
 
 def rms(steps: Floats) -> float:
@@ -145,13 +233,13 @@ def rms(steps: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class Remaining:
-    """What is left at the switchings of one state, one unit or one channel.
+class ResidualStep:
+    """Residual step at the switchings of one state, one unit or one channel.
 
     Attributes
     ----------
     coordinate : str
-        What it goes with.
+        What it is regressed on.
     value, sigma : ndarray, shape (3,)
         nT, or nT per unit of the channel; the error follows from the scatter.
     count : int
@@ -166,17 +254,17 @@ class Remaining:
     @property
     def is_clear(self) -> bool:
         """Whether a component is certainly not zero."""
-        return bool(np.any(np.abs(self.value) > _CLEAR * self.sigma))
+        return bool(np.any(np.abs(self.value) > RESIDUAL_STEPS.clear_sigmas * self.sigma))
 
-    def told(self, unit: str) -> str:
-        """Return a sentence."""
+    def sentence(self, unit: str) -> str:
+        """Return the finding in words."""
         axis = int(np.argmax(np.abs(self.value) / self.sigma))
         size = f"{self.value[axis]:+.3g} ± {self.sigma[axis]:.2g} {unit} along {'xyz'[axis]}"
         return f"after the correction {size} still goes with {self.coordinate} ({self.count} switchings)"
 
 
-def regressed(coordinate: str, steps: Floats, change: Floats) -> Remaining | None:
-    """Return how steps follow a change of something at the same switchings; None where too few tell.
+def regress_steps(coordinate: str, steps: Floats, change: Floats) -> ResidualStep | None:
+    """Return the regression of steps on a change at the same switchings; None for too few.
 
     Parameters
     ----------
@@ -187,58 +275,39 @@ def regressed(coordinate: str, steps: Floats, change: Floats) -> Remaining | Non
 
     Returns
     -------
-    Remaining or None
+    ResidualStep or None
         The slope through zero: where nothing changes there is no step. Its error is the sandwich of the
         scatter, each switching with its leverage (MacKinnon and White 1985).
     """
     known = np.isfinite(steps).all(axis=1) & np.isfinite(change) & (change != 0)
     x, y = change[known], steps[known]
-    if x.size < _FEWEST_SWITCHINGS:
+    if x.size < RESIDUAL_STEPS.fewest:
         return None
     square = float(x @ x)
     value = x @ y / square
-    left = (y - x[:, None] * value) / (1.0 - x**2 / square)[:, None]
-    sigma = np.sqrt(x**2 @ left**2) / square
-    return Remaining(coordinate, value, np.maximum(sigma, np.finfo(float).tiny), int(x.size))
+    residual = (y - x[:, None] * value) / (1.0 - x**2 / square)[:, None]
+    sigma = np.sqrt(x**2 @ residual**2) / square
+    return ResidualStep(coordinate, value, np.maximum(sigma, np.finfo(float).tiny), int(x.size))
 
 
-def by_state(at: Switchings, steps: Floats) -> Iterator[Remaining]:
-    """Yield what is left when a state is entered, and with the other sign when it is left."""
+def residual_steps_by_state(at: Switchings, steps: Floats) -> Iterator[ResidualStep]:
+    """Yield the residual step of each state: where it begins, and with the other sign where it ends."""
     for state in np.unique(np.concatenate([at.before, at.after])):
         sign = (at.after == state).astype(float) - (at.before == state)
         name = f"state {state}" if state >= 0 else "unknown states"
-        if (found := regressed(name, steps, sign)) is not None:
+        if (found := regress_steps(name, steps, sign)) is not None:
             yield found
 
 
-#: Rows of a mean on either side of a jump, at most; jumps this near to each other are one.
-_WIDTH, _ONE = 8, 2
-
-#: A channel changes at a jump when it moves by so many of its usual changes and this part of its range.
-_CHANGED, _PART = 8.0, 0.02
-
-#: Jumps at which a channel must change to be regressed on, and scatters beyond which a step disagrees.
-_FEWEST_JUMPS, _DISAGREES = 3, 6.0
-
-#: Turns of the robust fit, and residuals (in scatters) that count half.
-_TURNS, _HALF = 40, 2.0
-
-#: Median of the length of a vector of three components of unit variance.
-_MEDIAN_LENGTH = 1.5382
-
-#: Steps belong to one unit when they agree within so many scatters, or this part of their size.
-_LIKE, _LIKE_PART = 6.0, 0.05
-
-
 @dataclass(frozen=True)
-class Switched:
-    """Switchings that a difference shows.
+class JumpAttribution:
+    """Jumps of a difference, and which of them changes of channels explain.
 
     Attributes
     ----------
     last, first : ndarray of int64, shape (switching,)
-        TT2000 of the last row before it and the first one after that know nothing of it; where channels
-        follow, of these, too.
+        TT2000 of the last row before it and the first one after it; where channels follow, of their changes,
+        too.
     follows : ndarray of bool, shape (switching,)
         Whether changes of channels explain it.
     step : ndarray, shape (switching, axis)
@@ -265,32 +334,32 @@ class Switched:
         A unit switches on and off by the same vector; its sign is that which makes the largest component
         positive.
         """
-        left = np.flatnonzero(~self.follows)
+        open_rows = np.flatnonzero(~self.follows)
         out = []
-        while left.size:
-            near = [_like(self.step[left], self.step[one], self.scatter) for one in left]
+        while open_rows.size:
+            near = [_sign_of_same(self.step[open_rows], self.step[one], self.scatter) for one in open_rows]
             signs = max(near, key=lambda sign: int(np.count_nonzero(sign)))
-            own = (self.step[left] * signs[:, None])[signs != 0]
+            own = (self.step[open_rows] * signs[:, None])[signs != 0]
             mean = np.median(own, axis=0)
             mean = mean * np.sign(mean[np.argmax(np.abs(mean))])
             spread = TO_SIGMA * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
-            # A median is a little less sure than a mean.
+            # A median is a little less precise than a mean.
             sigma = np.maximum(spread, self.scatter) * np.sqrt(np.pi / 2.0 / len(own))
             out.append((mean, sigma, len(own)))
-            left = left[signs == 0]
+            open_rows = open_rows[signs == 0]
         return out
 
 
-def _like(steps: Floats, one: Floats, scatter: float) -> Floats:
+def _sign_of_same(steps: Floats, one: Floats, scatter: float) -> Floats:
     """Return +1 or -1 for steps that are one step or its negative, 0 for others; (step,)."""
-    limit = max(_LIKE * scatter, _LIKE_PART * float(np.linalg.norm(one)))
+    limit = max(ATTRIBUTION.same_sigmas * scatter, ATTRIBUTION.same_size * float(np.linalg.norm(one)))
     up, down = (np.linalg.norm(steps - sign * one, axis=1) < limit for sign in (1.0, -1.0))
     return np.where(up, 1.0, np.where(down, -1.0, 0.0))
 
 
-def switched(
+def attribute_jumps(
     stamps: Int64, difference: Floats, channels: Mapping[str, Floats], reach: Mapping[str, int]
-) -> Switched | None:
+) -> JumpAttribution | None:
     """Return the jumps of a difference, and which of them channels explain; None when there are none.
 
     Parameters
@@ -304,40 +373,37 @@ def switched(
     reach : mapping of str to int
         Rows that a step of each channel is spread over.
     """
-    places, _ = find_jumps(difference)
-    if not places.size:
+    jumps, _ = find_jumps(difference)
+    if not jumps.size:
         return None
-    first, last = _joined(places)
+    # Jumps that are too near to be distinguished are one, from its first to its last row.
+    edges = np.flatnonzero(np.diff(jumps) > ATTRIBUTION.one_jump) + 1
+    first = jumps[np.concatenate([[0], edges])]
+    last = jumps[np.concatenate([edges - 1, [jumps.size - 1]])]
     step, rows = _steps(difference, first, last)
     changes = {name: _changes(channels[name], first, last, reach[name]) for name in sorted(channels)}
-    names = [name for name, one in changes.items() if np.count_nonzero(one[0]) >= _FEWEST_JUMPS]
+    names = [name for name, one in changes.items() if np.count_nonzero(one[0]) >= ATTRIBUTION.fewest_jumps]
     used = [changes[name] for name in names]
     change = np.stack([one[0] for one in used], axis=1) if used else np.zeros((first.size, 0))
     white = np.sqrt(np.trace(white_covariance(difference)) / 3.0)
     # A step's own noise at least: where all steps agree by chance there is no smaller scatter.
     least = float(white * np.sqrt(2.0 / np.median(rows)))
-    left, scatter = _regressed(step, change, np.array([one[1] for one in used]), least)
-    follows = np.linalg.norm(left, axis=1) <= _DISAGREES * scatter
+    residual, scatter = _robust_residuals(step, change, np.array([one[1] for one in used]), least)
+    follows = np.linalg.norm(residual, axis=1) <= ATTRIBUTION.disagrees * scatter
     spread = 1 + max((reach[name] for name in names), default=0) * follows
     before, after = np.maximum(first - spread, 0), np.minimum(last + spread - 1, stamps.size - 1)
-    return Switched(stamps[before], stamps[after], follows, left, float(np.median(scatter)))
+    return JumpAttribution(stamps[before], stamps[after], follows, residual, float(np.median(scatter)))
 
 
-def _joined(places: Places) -> tuple[Places, Places]:
-    """Return the first and the last of jumps that are too near to be told apart."""
-    edges = np.flatnonzero(np.diff(places) > _ONE) + 1
-    return places[np.concatenate([[0], edges])], places[np.concatenate([edges - 1, [places.size - 1]])]
-
-
-def _steps(values: Floats, first: Places, last: Places) -> tuple[Floats, Floats]:
+def _steps(values: Floats, first: Rows, last: Rows) -> tuple[Floats, Floats]:
     """Return mean after less mean before, the rows next to a jump left out, and the rows of the shorter."""
     ends = np.concatenate([[0], last + 1])[:-1]
     begins = np.concatenate([first, [len(values)]])[1:]
     step, rows = np.zeros((first.size, values.shape[1])), np.ones(first.size)
     for one in range(first.size):
         low, high = max(int(first[one]) - 1, 1), min(int(last[one]) + 1, len(values) - 1)
-        before = values[max(int(ends[one]), low - _WIDTH, 0) : low]
-        after = values[high : min(int(begins[one]), high + _WIDTH)]
+        before = values[max(int(ends[one]), low - ATTRIBUTION.width, 0) : low]
+        after = values[high : min(int(begins[one]), high + ATTRIBUTION.width)]
         before = before if len(before) else values[low - 1 : low]
         after = after if len(after) else values[high : high + 1]
         step[one] = after.mean(axis=0) - before.mean(axis=0)
@@ -345,7 +411,7 @@ def _steps(values: Floats, first: Places, last: Places) -> tuple[Floats, Floats]
     return step, rows
 
 
-def _changes(values: Floats, first: Places, last: Places, reach: int) -> tuple[Floats, float]:
+def _changes(values: Floats, first: Rows, last: Rows, reach: int) -> tuple[Floats, float]:
     """Return the change of a channel across each jump, 0 where it is no more than elsewhere or unknown.
 
     With it comes the size of its usual change, one sigma.
@@ -357,12 +423,12 @@ def _changes(values: Floats, first: Places, last: Places, reach: int) -> tuple[F
     if known.size < 2 * width + 2:
         return np.zeros(first.size), 0.0
     usual = TO_SIGMA * float(np.median(np.abs(known[width:] - known[:-width])))
-    limit = max(_CHANGED * usual, _PART * float(np.ptp(known)))
+    limit = max(ATTRIBUTION.changed_sigmas * usual, ATTRIBUTION.changed_range * float(np.ptp(known)))
     return np.where(np.isfinite(change) & (np.abs(change) > limit), change, 0.0), usual
 
 
-def _regressed(step: Floats, change: Floats, usual: Floats, least: float) -> tuple[Floats, Floats]:
-    """Return what changes of channels leave of steps (robust fit), and the scatter of a component of each.
+def _robust_residuals(step: Floats, change: Floats, usual: Floats, least: float) -> tuple[Floats, Floats]:
+    """Return residuals of steps after the changes of channels (robust fit), and the scatter of each.
 
     Parameters
     ----------
@@ -373,41 +439,32 @@ def _regressed(step: Floats, change: Floats, usual: Floats, least: float) -> tup
     least : float
         Scatter of a component at least, nT.
     """
-    takes: npt.NDArray[np.bool_] = np.asarray((change != 0).any(axis=1))
+    changes: npt.NDArray[np.bool_] = np.asarray((change != 0).any(axis=1))
     alone = np.full(len(step), least)
-    if np.count_nonzero(takes) <= change.shape[1]:
+    if np.count_nonzero(changes) <= change.shape[1]:
         return step, alone
-    x, y = change[takes] / np.abs(change).max(axis=0), step[takes]
+    x, y = change[changes] / np.abs(change).max(axis=0), step[changes]
     weight, scatter, slope = np.ones(len(x)), least, np.zeros((x.shape[1], 3))
-    for turn in range(_TURNS):
+    for number in range(ATTRIBUTION.rounds):
         slope = np.linalg.lstsq(x * weight[:, None], y * weight[:, None], rcond=None)[0]
         size = np.linalg.norm(y - x @ slope, axis=1)
-        scatter = max(float(np.median(size)) / _MEDIAN_LENGTH, least)
+        scatter = max(float(np.median(size)) / ATTRIBUTION.median_length, least)
         # Least absolute lengths first, which no start misleads; then what lies near.
-        root = size / scatter if turn < _TURNS // 2 else 1.0 + (size / (_HALF * scatter)) ** 2
+        root = (
+            size / scatter
+            if number < ATTRIBUTION.rounds // 2
+            else 1.0 + (size / (ATTRIBUTION.half_weight * scatter)) ** 2
+        )
         weight = 1.0 / np.sqrt(np.maximum(root, 1e-2))
-    left = step.copy()
-    left[takes] = y - x @ slope
-    # A channel's own noise, read into nT, is part of what is left where it changes.
-    read = usual / np.abs(change).max(axis=0) * np.linalg.norm(slope, axis=1)
-    noise = np.sqrt(scatter**2 + ((change != 0) @ read**2) / 3.0)
-    return left, np.where(takes, noise, alone)
+    residual = step.copy()
+    residual[changes] = y - x @ slope
+    # A channel's own noise, in nT, is part of the residual where it changes.
+    of_channel = usual / np.abs(change).max(axis=0) * np.linalg.norm(slope, axis=1)
+    noise = np.sqrt(scatter**2 + ((change != 0) @ of_channel**2) / 3.0)
+    return residual, np.where(changes, noise, alone)
 
 
-#: Part of a channel's changes and of a unit's switchings that belong to each other in a match.
-MATCH = 0.5
-
-#: Rearrangements of a channel's changes that may do as well, by chance.
-_CHANCE, _REARRANGED = 0.005, 20_000
-
-#: The fewest switchings of a unit that tell anything.
-_FEWEST_OF_UNIT = 4
-
-#: A rival is told beside the best channel when it explains nearly as much.
-_RIVAL = 0.9
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NamedUnit:
     """A unit and the channels that switch with it.
 
@@ -417,7 +474,7 @@ class NamedUnit:
     switchings : int
         How often it was seen to switch.
     channels : tuple of str
-        The best first; more than one when these cannot be told apart, none without housekeeping.
+        The best first; more than one when these cannot be distinguished, none without housekeeping.
     agreement : tuple of float
         Squared correlation of the channel's changes with the unit's switchings, over all switchings.
     per_unit : tuple of float
@@ -454,52 +511,48 @@ def name_units(signs: Floats, changes: Mapping[str, Floats], *, seed: int = 0) -
         of unit and channel (Bonferroni).
     """
     random = np.random.default_rng(seed)
-    # Rearrangements tell no smaller level than their number does.
-    pairs = min(max(1, signs.shape[1] * len(changes)), round(_CHANCE * _REARRANGED / 2.0))
-    return [_named(unit, signs[:, unit], changes, _CHANCE / pairs, random) for unit in range(signs.shape[1])]
+    # A level below one over the number of rearrangements cannot be shown.
+    pairs = min(max(1, signs.shape[1] * len(changes)), round(NAMING.chance * NAMING.rearrangements / 2.0))
+    return [
+        _named(unit, signs[:, unit], changes, NAMING.chance / pairs, random) for unit in range(signs.shape[1])
+    ]
 
 
 def _named(
     unit: int, sign: Floats, changes: Mapping[str, Floats], level: float, random: np.random.Generator
 ) -> NamedUnit:
+    """Return the channels of one unit, or why none is named."""
     count = int(np.count_nonzero(sign))
-    if count < _FEWEST_OF_UNIT:
-        return NamedUnit(
-            unit, count, (), (), (), f"it was seen to switch {count} times, at least {_FEWEST_OF_UNIT} needed"
-        )
+    nameless = NamedUnit(unit=unit, switchings=count, channels=(), agreement=(), per_unit=())
+    if count < NAMING.fewest:
+        seldom = f"it was seen to switch {count} times, at least {NAMING.fewest} needed"
+        return replace(nameless, reason=seldom)
     if not changes:
-        return NamedUnit(unit, count, (), (), (), "there is no housekeeping at its switchings")
+        return replace(nameless, reason="there is no housekeeping at its switchings")
     found = []
     for name, change in changes.items():
         known = np.isfinite(change)
-        if np.count_nonzero(sign[known]) < _FEWEST_OF_UNIT:
+        if np.count_nonzero(sign[known]) < NAMING.fewest:
             continue
-        agreement, per_unit = _agreement(sign[known], change[known])
-        if agreement >= MATCH and _by_chance(sign[known], change[known], agreement, random) <= level:
-            found.append((agreement, name, per_unit))
+        on, by = sign[known], change[known]
+        # The squared correlation through zero, and the change for one switching on.
+        squares, product = float(by @ by) * float(on @ on), float(on @ by)
+        agreement = product**2 / squares if squares > 0 else 0.0
+        if agreement < NAMING.agreement:
+            continue
+        if _chance(on, by, agreement, random) <= level:
+            found.append((agreement, name, product / float(on @ on)))
     if not found:
-        return NamedUnit(unit, count, (), (), (), "no channel changes when it switches")
+        return replace(nameless, reason="no channel changes when it switches")
     found.sort(reverse=True)
-    near = [one for one in found if one[0] >= _RIVAL * found[0][0]]
-    return NamedUnit(
-        unit,
-        count,
-        tuple(one[1] for one in near),
-        tuple(one[0] for one in near),
-        tuple(one[2] for one in near),
-    )
+    near = [one for one in found if one[0] >= NAMING.rival * found[0][0]]
+    agreements, names, per_units = zip(*near, strict=True)
+    return replace(nameless, channels=names, agreement=agreements, per_unit=per_units)
 
 
-def _agreement(sign: Floats, change: Floats) -> tuple[float, float]:
-    """Return the squared correlation through zero, and the change for one switching on."""
-    squares = float(change @ change) * float(sign @ sign)
-    product = float(sign @ change)
-    return (product**2 / squares if squares > 0 else 0.0), product / float(sign @ sign)
-
-
-def _by_chance(sign: Floats, change: Floats, agreement: float, random: np.random.Generator) -> float:
-    """Return how probable it is that the same changes, at the switchings in another order, agree as well."""
-    rearranged = random.permuted(np.broadcast_to(change, (_REARRANGED, change.size)), axis=1)
+def _chance(sign: Floats, change: Floats, agreement: float, random: np.random.Generator) -> float:
+    """Return the probability that the same changes, at the switchings in another order, agree as well."""
+    rearranged = random.permuted(np.broadcast_to(change, (NAMING.rearrangements, change.size)), axis=1)
     squares = float(change @ change) * float(sign @ sign)
     better = int(np.count_nonzero((rearranged @ sign) ** 2 / squares >= agreement * (1.0 - 1e-9)))
-    return (better + 1) / (_REARRANGED + 1)
+    return (better + 1) / (NAMING.rearrangements + 1)

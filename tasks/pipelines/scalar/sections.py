@@ -1,4 +1,4 @@
-"""What published tables show: parameters with errors over days, and everything found beside them."""
+"""What published tables show: parameters with errors over days, the newest values, the zero level."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ import xarray as xr
 
 from inflight.catalog import Catalog
 from inflight.figures import Section, html_table, parameter_figures
-from inflight.mission import Mission, dual_comparisons, is_told_by_states
-from inflight.tasks.pipelines.mission import chain_report
-from inflight.tasks.pipelines.relation import dual_parts
-from inflight.tasks.pipelines.spin import TABLES, SpinResults, spin_table_parts
-from inflight.tasks.pipelines.tables import newest_record, newest_table
+from inflight.tasks.pipelines.base import newest_table
 from inflight.time import to_utc
 
 #: Intervals of a table that are listed with their text; the newest.
@@ -23,31 +19,18 @@ _LISTED = 40
 _USED = ("window", "span")
 
 
-def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
-    """Return sections of the newest published tables of a comparison; none when there are no tables.
+def table_sections(cat: Catalog, comparison: str) -> list[Section]:
+    """Return sections of the newest published tables of a scalar comparison; none when there are no tables.
 
     Raises
     ------
-    CatalogError, SettingsError
-        As `dual_report` and `chain_report`, when tables are damaged or not whole.
+    CatalogError
+        When a table is damaged.
     """
-    if is_told_by_states(mission, comparison):
-        # What a table of states says is told beside what it does to the measurements.
-        return []
-    if mission.comparisons[comparison].kind == "spin":
-        if any(newest_table(cat, f"{comparison}-{name}") is None for name in TABLES):
-            return []
-        told = spin_table_parts(SpinResults.of(cat, mission, comparison))
-        return [(part.heading, part.text, part.plots) for part in told if part.text or part.plots]
-    if comparison in dual_comparisons(mission):
-        return [(part.heading, part.text, part.plots) for part in dual_parts(cat, comparison)[1]]
     out = _parameters(cat, comparison)
     zero = newest_table(cat, f"{comparison}-zero-level")
     if zero is not None:
         out.append(("Zero level", _zero_level(zero), []))
-    if newest_record(cat, f"{comparison}-continuous") is not None:
-        parts = chain_report(cat, mission, comparison).parts
-        out += [(part.heading, part.text, part.plots) for part in parts if part.text or part.plots]
     return out
 
 

@@ -1,0 +1,86 @@
+"""Running independent batches: one after the other in this process, or on the processes of a Dask client.
+
+`reprocess`, `ingest` and `diagnose` cut their work into batches whose results do not depend on each other.
+`each_result` runs them and yields the results in the order of the batches, so that what is registered does
+not depend on which process was faster; a `Mapper` is the same with a name for the stage, and is what a flow
+puts in its place.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, TypeVar
+
+from inflight.errors import WorkerError
+from inflight.tasks.report import Progress
+
+Result = TypeVar("Result")
+
+#: Runs a function over the argument lists of independent batches and yields the outcomes in order:
+#: (stage, function, argument lists).
+Mapper = Callable[[str, Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[Any]]
+
+#: Batches submitted to a Dask client at once, at most: enough to keep the processes busy (assumed).
+IN_FLIGHT = 16
+
+
+def each_result(
+    client: Any, function: Callable[..., Result], jobs: Sequence[Sequence[Any]]
+) -> Iterator[Result]:
+    """Yield the results of a function in the order of its jobs, on a Dask client when there is one.
+
+    At most `IN_FLIGHT` jobs are submitted at once, so results never pile up.
+    """
+    if client is None:
+        for job in jobs:
+            yield function(*job)
+        return
+    waiting: deque[Any] = deque()
+    for job in jobs:
+        waiting.append(client.submit(function, *job, pure=False))
+        if len(waiting) >= IN_FLIGHT:
+            yield result_of(waiting.popleft())
+    while waiting:
+        yield result_of(waiting.popleft())
+
+
+def result_of(future: Any) -> Any:
+    """Return the result of a Dask future.
+
+    Raises
+    ------
+    WorkerError
+        When several processes in turn ended while they did it. What the function itself raised is raised
+        as it is.
+    """
+    from distributed import KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise WorkerError(
+            f"{error.allowed_failures + 1} Dask processes in turn ended while they did one piece of work",
+            remedy="look for what ends them, most often too little memory: fewer '--workers' or "
+            "'--batch-days' need less; then run again",
+        ) from error
+
+
+def batch_mapper(client: Any, progress: Progress | None = None) -> Mapper:
+    """Return a mapper that runs batches here, or on a Dask client, and reports how many are done."""
+    tell = progress or (lambda stage, done, total: None)
+
+    def run_batches(
+        stage: str, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]
+    ) -> Iterator[Any]:
+        return counted(tell, stage, each_result(client, function, arguments), len(arguments))
+
+    return run_batches
+
+
+def counted(progress: Progress, stage: str, results: Iterable[Any], total: int) -> Iterator[Any]:
+    """Yield results, reporting after each one how many of `total` are done."""
+    progress(stage, 0, total)
+    for done, result in enumerate(results, start=1):
+        progress(stage, done, total)
+        yield result

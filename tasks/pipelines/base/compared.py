@@ -1,0 +1,184 @@
+"""A comparison measured: its numbers for programs and people, and its figures, drawn when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from math import isfinite
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from inflight.figures import Later, Section, html_table
+from inflight.residual import Line, NoiseFloor, ParameterScatter, Size
+from inflight.tasks.pipelines.base.parts import TextLine
+
+_NO_FLOOR = "unknown: every stretch of the residual has missing samples"
+
+
+class Structure(Protocol):
+    """One structure of a residual: of `inflight.residual.dependence` or `inflight.spin.residual`."""
+
+    @property
+    def coordinate(self) -> str:
+        """What the residual follows."""
+
+    @property
+    def amplitude(self) -> float:
+        """Rms of the structure, nT."""
+
+    @property
+    def sigma(self) -> float:
+        """Its standard deviation between blocks, nT."""
+
+    @property
+    def sentence(self) -> str:
+        """What a physicist would say of it."""
+
+
+class Report(Protocol):
+    """What a comparison or a set of tables says; `path` is its page, when one was written."""
+
+    path: Path | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+
+    def summary(self) -> list[TextLine]:
+        """Return what the command line prints for a person, the page excepted."""
+
+
+Report_co = TypeVar("Report_co", bound=Report, covariant=True)
+
+
+@dataclass
+class CompareReport:
+    """What `compare` found; `path` is the page, when one was written."""
+
+    comparison: str
+    context: str
+    before: Size
+    after: Size
+    floor: NoiseFloor
+    by_day: list[dict[str, Any]]
+    fails_where: Sequence[Structure]
+    directions: list[str]
+    determined: list[str]
+    block: str
+    lines: list[Line]
+    wander: list[ParameterScatter]
+    path: Path | None = None
+    left_out: int = 0
+    outliers: int = 0
+    acknowledgement: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+        return {
+            "command": "compare",
+            "run": "",
+            "context": self.context,
+            "comparison": self.comparison,
+            "residual": {
+                "before_nT": self.before.rms,
+                "after_nT": self.after.rms,
+                "before_less_mean_nT": self.before.std,
+                "after_less_mean_nT": self.after.std,
+                "noise_floor_nT": self.floor.level_nT,
+                "noise_floor_interval_nT": [self.floor.low_nT, self.floor.high_nT],
+                "before": self.before.as_json(),
+                "after": self.after.as_json(),
+                "samples_left_out": self.left_out,
+                "outliers": self.outliers,
+            },
+            "by_day": self.by_day,
+            "fails_where": [
+                {
+                    "coordinate": one.coordinate,
+                    "amplitude_nT": one.amplitude,
+                    "sigma_nT": one.sigma,
+                    "sentence": one.sentence,
+                }
+                for one in self.fails_where
+            ],
+            "block": self.block,
+            "parameters": {
+                "determined": self.determined,
+                "combinations": self.directions,
+                "wander": [one.as_json() for one in self.wander],
+            },
+            "spectrum_lines": [line.as_json() for line in self.lines],
+            "path": str(self.path) if self.path else "",
+        }
+
+    def summary(self) -> list[TextLine]:
+        """Return what a person reads: residual before and after, what the data determine, where it fails."""
+        out = [
+            TextLine(f"residual {name:<7} {size.rms:8.3f} nT rms, {size.std:.3f} nT about its mean", "bold")
+            for name, size in (("before", self.before), ("after", self.after))
+        ]
+        if self.outliers:
+            robust = self.after.robust
+            out.append(
+                TextLine(f"  its robust sigma {robust:8.3f} nT; the rms counts {self.outliers} outliers")
+            )
+        level = self.floor.level_nT
+        known = f"{level:8.3f} nT" if isfinite(level) else _NO_FLOOR
+        out.append(TextLine(f"noise floor      {known}"))
+        determined = ", ".join(name.rpartition(".")[2] for name in self.determined) or "nothing"
+        out.append(TextLine(f"  determined by these data: {determined}"))
+        return out + [TextLine(f"  {one.sentence}") for one in self.fails_where]
+
+
+@dataclass(frozen=True)
+class Compared(Generic[Report_co]):
+    """A comparison measured: its numbers, and its figures, drawn when asked for.
+
+    Attributes
+    ----------
+    report : CompareReport or DualCompareReport
+    title : str
+        Of the page.
+    parts : sequence of Later
+        Everything that is shown: the explorer makes what is looked at, the page all of it.
+    """
+
+    report: Report_co
+    title: str
+    parts: Sequence[Later]
+
+    def sections(self) -> list[Section]:
+        """Make everything that is shown."""
+        return [(heading, *make()) for heading, make in self.parts]
+
+
+def fails_text(report: CompareReport) -> list[str]:
+    """Return the structures of a residual as HTML."""
+    if not report.fails_where:
+        return [f"No structure stands out by five sigma between blocks of one {report.block}."]
+    listed = "".join(f"<li>{escape(one.sentence)}</li>" for one in report.fails_where)
+    return [f"<ol>{listed}</ol>", "Each structure is measured after the stronger ones were taken off."]
+
+
+def wandering_text(report: CompareReport) -> str:
+    """Return the daily scatter of parameters as HTML."""
+    rows = [
+        (
+            one.name.split(".", 1)[-1],
+            one.unit,
+            f"{one.std:.3g}",
+            f"{one.sigma:.3g}",
+            f"{one.ratio:.2f}",
+            f"{one.days}",
+        )
+        for one in report.wander
+        if np.isfinite(one.ratio)
+    ]
+    if not rows:
+        return "Fewer than three days determine any parameter by themselves: no scatter from day to day."
+    head = ("parameter", "unit", "daily scatter", "stated sigma", "ratio", "days")
+    return html_table(head, rows) + (
+        "A ratio well above 1 says that something missing from the model drives the parameter."
+    )

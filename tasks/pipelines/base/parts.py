@@ -1,0 +1,110 @@
+"""Parts of a report: a section as fields, text and figures, and lines for the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from math import floor, log10
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from inflight.errors import InflightError
+from inflight.figures import Section
+
+#: Numbers smaller than this are written with an exponent.
+_PLAIN = 1e-4
+
+
+class TextLine(NamedTuple):
+    """A line as the command line prints it; `style` is ``bold``, ``dim`` or nothing."""
+
+    text: str
+    style: str = ""
+
+
+@dataclass
+class Part:
+    """One section: what it tells as plain fields, as HTML paragraphs and as figures.
+
+    Attributes
+    ----------
+    key : str
+        Its name in the JSON.
+    absent : dict of str to str
+        What the span cannot tell, and why.
+    """
+
+    key: str
+    heading: str
+    fields: dict[str, Any] = field(default_factory=dict)
+    text: list[str] = field(default_factory=list)
+    plots: list[Any] = field(default_factory=list)
+    absent: dict[str, str] = field(default_factory=dict)
+
+    def say(self, text: str, quiet: bool = False) -> None:
+        """Add a paragraph of plain text."""
+        opening = '<p class="quiet">' if quiet else "<p>"
+        self.text.append(f"{opening}{escape(text)}</p>")
+
+    def lack(self, what: str, why: str) -> None:
+        """Say what is not there, with its reason."""
+        self.absent[what] = why
+        whole = why[:1].upper() + why[1:]
+        whole = whole if whole.endswith(".") else f"{whole}."
+        self.text.append(f'<p class="absent"><b>{escape(what)}</b>: not told. {escape(whole)}</p>')
+
+    def attempt(self, what: str, make: Callable[[], None]) -> None:
+        """Do a piece of the section; when the span does not suffice for it, say so."""
+        try:
+            make()
+        except InflightError as error:
+            remedy = f"; {error.remedy}" if error.remedy else ""
+            self.lack(what, f"{error.message}{remedy}")
+
+
+def shown(parts: Sequence[Part]) -> list[Section]:
+    """Return sections of a page, those that hold anything."""
+    return [(part.heading, part.text, part.plots) for part in parts if part.text or part.plots]
+
+
+@dataclass
+class TablesReport:
+    """What published tables say: fields for programs, and lines for a person.
+
+    Attributes
+    ----------
+    fields : dict
+        Of the command line's JSON.
+    lines : list of TextLine
+        What a person reads first.
+    path : Path, optional
+        Of the page, when one was written.
+    """
+
+    fields: dict[str, Any]
+    lines: list[TextLine]
+    path: Path | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the command line's JSON."""
+        return self.fields
+
+    def summary(self) -> list[TextLine]:
+        """Return what a person reads."""
+        return self.lines
+
+
+def with_error(value: float, sigma: float) -> str:
+    """Return a value and its error to the same digit, two of the error's: ``-0.0450 ± 0.0012``."""
+    if not np.isfinite(value):
+        return ""
+    if not 0.0 < sigma < float("inf"):
+        return f"{value:.5g}"
+    place = floor(log10(sigma)) - 1
+    if -10 <= place <= 0 and max(abs(value), sigma) >= _PLAIN:
+        return f"{value:.{-place}f} ± {sigma:.{-place}f}"
+    digits = max(1, floor(log10(max(abs(value), sigma))) - place)
+    return f"{value:.{digits}e} ± {sigma:.1e}"

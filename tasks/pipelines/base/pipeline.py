@@ -1,0 +1,293 @@
+"""What a way of calibrating is: one class says all that is its own, and nothing else asks which it is.
+
+A `Pipeline` is made of plain questions, in the order in which a reprocessing asks them:
+
+1. `handles`: is this comparison of this mission its own?
+2. `make_plan`: which days are there to do, and what is each made from?
+3. `make_day`: what is kept of a day's samples (its *statistics*: normal equations, estimates, Gram matrices)?
+4. `solve`: which tables follow from the statistics of all days?
+5. `make_product`: what is a day's field, with the table that holds?
+6. `compare`, `report`, `sections`: how well does it agree, what do the tables say, what is shown of them?
+
+A pipeline holds no state: it is sent to worker processes by its name. To write one, copy
+``docs/templates/pipeline.py`` and run `inflight.tasks.pipelines.check_pipeline` on it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog, Day
+from inflight.figures import Section
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base.compared import Compared, Report
+from inflight.tasks.pipelines.base.job import Batch, ProductBatch
+from inflight.tasks.pipelines.base.planning import Plan, ReprocessSettings, equations_of, plan_archive_days
+from inflight.tasks.pipelines.base.publication import Reprocessing, Solved, TableKeeper
+from inflight.tasks.pipelines.base.tables import content_keys
+from inflight.tasks.report import Progress
+from inflight.time import DayLike
+
+
+@dataclass(frozen=True, kw_only=True)
+class Versions:
+    """Versions of a pipeline's algorithms, raised by hand when its numbers change.
+
+    Each enters the idempotency keys of what it makes: what was published with an older version is made anew.
+
+    Attributes
+    ----------
+    statistics : int
+        Of what `Pipeline.make_day` makes.
+    tables : int
+        Of what `Pipeline.solve` makes of it.
+    products : int
+        Of what `Pipeline.make_product` makes; 0 for a pipeline without products.
+    """
+
+    statistics: int
+    tables: int
+    products: int
+
+
+class Pipeline(ABC):
+    """One way of calibrating a comparison.
+
+    Attributes
+    ----------
+    tag : str
+        Its name, as users and documents call it.
+    versions : Versions
+    statistics : str
+        Name of the dataset of the days' statistics, ``equations/<comparison>/<statistics>``; empty for a
+        pipeline whose tables are made from samples directly, and which has no `make_day`.
+    has_products : bool
+        Whether a field comes of it.
+    note : str
+        What is said where a product would be, for a pipeline without.
+    learns_states : bool
+        Whether it tells states of the spacecraft apart, between which the field of currents switches.
+    """
+
+    tag: ClassVar[str]
+    versions: ClassVar[Versions]
+    statistics: ClassVar[str] = "base"
+    has_products: ClassVar[bool] = True
+    note: ClassVar[str] = ""
+    learns_states: ClassVar[bool] = False
+
+    # --- choosing ---------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
+        """Return True for a comparison of a mission that is calibrated in this way.
+
+        Parameters
+        ----------
+        mission : Mission
+        settings : ReprocessSettings
+            With a `comparison` that the mission has.
+        """
+
+    # --- what is read, and what has to be done ----------------------------------------------------------
+
+    def extra_channels(self, mission: Mission, comparison: str) -> Sequence[str]:
+        """Return the channels that are read beside the model's own, by name; none unless overridden."""
+        del mission, comparison
+        return ()
+
+    def make_plan(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        settings: ReprocessSettings,
+        span: tuple[DayLike | None, DayLike | None],
+    ) -> Plan:
+        """Find out what has to be done for a half-open span of UTC days.
+
+        Raises
+        ------
+        MissionError
+            When the settings ask for what this way of calibrating has not.
+        CatalogError
+            When there is no day to work on.
+        """
+        return plan_archive_days(
+            cat,
+            mission,
+            settings,
+            span,
+            equations=equations_of(settings.comparison, self.statistics or "base"),
+            version=self.versions.statistics,
+            channels=self.extra_channels(mission, settings.comparison),
+        )
+
+    def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
+        """Return the days that a run would make, and those it would leave alone."""
+        del cat
+        return [day for batch in plan.batches for day in batch], plan.unchanged
+
+    # --- a day ------------------------------------------------------------------------------------------
+
+    def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Return the statistics of one day, along ``block``, and a report as plain numbers; runs in a worker.
+
+        Raises
+        ------
+        InflightError
+            When nothing can be made of the day; it is recorded as failed, with the reason.
+        """
+        raise NotImplementedError(f"pipeline '{self.tag}' keeps no statistics of days")
+
+    def alike(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+        """Return the statistics of a batch with variables of one size, as one store needs them."""
+        return list(days)
+
+    def linearise_at(
+        self, cat: Catalog, plan: Plan, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
+    ) -> list[float] | None:
+        """Return where the statistics of all days are to be made anew; None when they are near enough.
+
+        Parameters
+        ----------
+        last : sequence of float or None
+            Where they were linearised last; None for each day's own start.
+        """
+        del cat, plan, days, last
+        return None
+
+    # --- tables -----------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+        """Make the tables and stage those that are new.
+
+        Parameters
+        ----------
+        work : Reprocessing
+        days : mapping of datetime64[D] to Day
+            The statistics of all days that were made with the plan's mission and model; empty for a pipeline
+            that keeps none.
+
+        Raises
+        ------
+        CalibrationError
+            When no day tells anything.
+        """
+
+    def table_key(self, plan: Plan, name: str, days: Mapping[np.datetime64, Day]) -> str:
+        """Return the key of a table: a hash of the statistics and settings it is made from."""
+        told = [name, str(plan.settings.window_days), str(self.versions.tables), plan.context]
+        return hashlib.sha256("".join([*content_keys(days), *told]).encode()).hexdigest()
+
+    def keeper(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> TableKeeper:
+        """Return what stages the tables of a run."""
+        return TableKeeper(work=work, days=days, key_of=lambda name: self.table_key(work.plan, name, days))
+
+    # --- products ---------------------------------------------------------------------------------------
+
+    def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Return one day's level-2 product and a report as plain numbers; runs in a worker.
+
+        Raises
+        ------
+        InflightError
+            When there is no product of the day; it is recorded as failed, with the reason.
+        """
+        raise NotImplementedError(f"pipeline '{self.tag}' has no products")
+
+    def finish(
+        self,
+        work: Reprocessing,
+        days: Mapping[np.datetime64, Day],
+        solved: Solved,
+        reports: Mapping[np.datetime64, Mapping[str, Any]],
+    ) -> None:
+        """Make what needs the reports of the products; nothing unless overridden."""
+        del work, days, solved, reports
+
+    # --- what is told of a run --------------------------------------------------------------------------
+
+    def outputs(self, plan: Plan, solved: Solved | None, made: int) -> list[str]:
+        """Return the datasets and tables of a run; `made` days have products now."""
+        del solved, made
+        return [plan.product, f"tables/{plan.settings.comparison}-{plan.settings.table}"]
+
+    @abstractmethod
+    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+        """Return the extra fields of a run's report; ``residual`` is rms before and after, nT.
+
+        Parameters
+        ----------
+        work : Reprocessing
+            Published, unless `solved` is None: then no day has statistics, and nothing was solved.
+        """
+
+    def remarks(self, fields: Mapping[str, Any]) -> Iterator[str]:
+        """Yield what a person must know of a run that no day tells, from the extra fields of its report."""
+        for name, why in fields.get("left_out", {}).items():
+            yield f"table '{name}' is not made: {why}"
+
+    # --- what is shown ----------------------------------------------------------------------------------
+
+    def compare(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        days: Sequence[Day],
+        span: slice,
+        progress: Progress,
+    ) -> Compared[Any]:
+        """Measure what products leave, before and after calibration, and what the residual follows.
+
+        Parameters
+        ----------
+        days : sequence of Day
+            The published products of the span, at least one.
+        span : slice
+            First day and the day after the last one, as text; None for an open end.
+        """
+        raise NotImplementedError(f"pipeline '{self.tag}' has no products")
+
+    @abstractmethod
+    def report(
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+    ) -> Report:
+        """Return what the published tables say, and write the page of it when a path is given.
+
+        Parameters
+        ----------
+        asked : str
+            A parameter or cause whose cross-talk with all others is asked for; those that know none ignore
+            it.
+
+        Raises
+        ------
+        CatalogError
+            When no table is published.
+        """
+
+    @abstractmethod
+    def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
+        """Return the newest published tables as sections of a page; none when there are no tables."""
+
+    def units(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        start: DayLike | None = None,
+        end: DayLike | None = None,
+    ) -> list[dict[str, Any]] | None:
+        """Return the units of the spacecraft that switch, as plain fields; None for those that learn none."""
+        del cat, mission, comparison, start, end
+        return None

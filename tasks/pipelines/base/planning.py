@@ -1,0 +1,287 @@
+"""What a reprocessing has to do: which days' statistics are missing or out of date, and from what.
+
+`ReprocessSettings` is what a user may choose; a `Plan` is made from it, the archive and the model in use.
+Each planned day has a key, a hash of everything its statistics are made from: a day whose published
+statistics carry the same key is left alone.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.errors import CatalogError
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.tasks.archive import (
+    INPUTS,
+    ArchiveIndex,
+    Need,
+    base_role,
+    geometry_channels,
+    needs_of,
+    replaceable_needs,
+)
+from inflight.tasks.models import UsedModel, current_model
+from inflight.time import DayLike, as_day, day_range, is_within
+
+ONE_DAY = np.timedelta64(1, "D")
+
+
+class ReprocessSettings(BaseModel):
+    """What a user may choose of a reprocessing.
+
+    Attributes
+    ----------
+    comparison : str
+        Entry of the mission's `comparisons`.
+    table : str
+        Which table the products take: each day's own fit, windows of `window_days`, calendar months, one
+        for the whole span, or ``continuous``: everything the model lets data move, fitted to all days at
+        once, with scale factors that follow a trend in time.
+    window_days : int
+        Length of a window; windows lie on a fixed grid from 2000-01-01.
+    batch_days : int
+        Days of one segment and one worker's task; it bounds the memory.
+    min_coverage : float
+        Part of a day that must be usable for a fit; with priors in place even little data does no harm.
+    trend : str
+        Of the scale factors in ``continuous``; ``auto`` compares them on held-out days.
+    origin : date, optional
+        Of a logarithmic trend; fitted when absent.
+    mean_days : float
+        Window of the torquers' running mean in ``continuous``, days.
+    distribute : bool
+        In ``continuous``, take the slow part of the residual out of the field (Yin 2010, eq. 3.7): the last
+        step, which hides what the model does not know. Products tell its size either way.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    comparison: str = "main"
+    table: Literal["daily", "window", "monthly", "span", "continuous"] = "window"
+    window_days: int = Field(15, ge=1, le=3660)
+    batch_days: int = Field(10, ge=1, le=60)
+    min_coverage: float = Field(0.0, ge=0.0, le=1.0)
+    trend: Literal["auto", "constant", "linear", "parabola", "log", "spline"] = "auto"
+    origin: dt.date | None = None
+    mean_days: float = Field(260.0, gt=0.0)
+    distribute: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a reprocessing has to do; made without changing anything but the registry of models.
+
+    Attributes
+    ----------
+    settings : ReprocessSettings
+    used : UsedModel
+        The model, with the version the catalog knows it by.
+    context : str
+        Id of mission, model and version in the catalog.
+    equations : str
+        Dataset of the days' statistics.
+    needs : tuple of Need
+        Series of the archive that a day's samples hold.
+    index : ArchiveIndex
+        The published days behind them.
+    sources : mapping of datetime64[D] to sequence of Day
+        What each planned day is made from.
+    keys : mapping of datetime64[D] to str
+        Hash of what each day's statistics are made from.
+    published : mapping of datetime64[D] to Day
+        The statistics that the catalog has, of any key.
+    no_work : dict
+        Days without a measurement to work on, and what is missing.
+    recorded : dict
+        What the run's record says was asked for.
+    """
+
+    settings: ReprocessSettings
+    used: UsedModel
+    context: str
+    equations: str
+    needs: tuple[Need, ...]
+    index: ArchiveIndex
+    sources: Mapping[np.datetime64, Sequence[Day]]
+    keys: Mapping[np.datetime64, str]
+    published: Mapping[np.datetime64, Day]
+    no_work: Mapping[np.datetime64, str] = field(default_factory=dict)
+    recorded: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def model(self) -> Model:
+        """The model to use."""
+        return self.used.model
+
+    @property
+    def product(self) -> str:
+        """Dataset of the products: the main comparison's are the mission's fields."""
+        return product_of(self.settings.comparison)
+
+    @property
+    def days(self) -> list[np.datetime64]:
+        """The planned days, in order."""
+        return list(self.keys)
+
+    @property
+    def unchanged(self) -> list[np.datetime64]:
+        """Days whose statistics are up to date; their products still follow the table."""
+        known = {day: one.key for day, one in self.published.items()}
+        return [day for day, key in self.keys.items() if known.get(day) == key]
+
+    @property
+    def batches(self) -> list[list[np.datetime64]]:
+        """Days whose statistics are missing or out of date."""
+        known = set(self.unchanged)
+        return self.in_batches([day for day in self.keys if day not in known])
+
+    @property
+    def reference(self) -> list[float] | None:
+        """Where published statistics of this context are linearised, so that new ones fit to them."""
+        for day in self.unchanged:
+            if self.published[day].report.get("shared"):
+                return [float(value) for value in self.published[day].report["reference"]]
+        return None
+
+    def in_batches(self, days: Sequence[np.datetime64]) -> list[list[np.datetime64]]:
+        """Return days in batches, one a worker's task and a segment."""
+        size = self.settings.batch_days
+        return [list(days[at : at + size]) for at in range(0, len(days), size)]
+
+
+def plan_days(
+    cat: Catalog,
+    mission: Mission,
+    settings: ReprocessSettings,
+    *,
+    used: UsedModel,
+    equations: str,
+    version: int,
+    index: ArchiveIndex,
+    sources: Mapping[np.datetime64, Sequence[Day]],
+    needs: tuple[Need, ...] = (),
+    inputs: Sequence[str] = (),
+) -> Plan:
+    """Return the plan for days whose sources are known.
+
+    Parameters
+    ----------
+    used : UsedModel
+    equations : str
+        Dataset of the days' statistics.
+    version : int
+        Of the algorithm that makes them.
+    sources : mapping
+        What each day is made from, in order of time.
+    inputs : sequence of str
+        What else the statistics depend on.
+    """
+    context = cat.save_context(mission.text, used.model.name, used.version, {})
+    return Plan(
+        settings=settings,
+        used=used,
+        context=context,
+        equations=equations,
+        needs=needs,
+        index=index,
+        sources=sources,
+        keys={
+            day: idempotency_key(equations, day, version, context, [*(one.key for one in found), *inputs])
+            for day, found in sources.items()
+        },
+        published={day.day: day for day in cat.days(equations, states=("published",))},
+        recorded=settings.model_dump(),
+    )
+
+
+def plan_archive_days(
+    cat: Catalog,
+    mission: Mission,
+    settings: ReprocessSettings,
+    span: tuple[DayLike | None, DayLike | None],
+    *,
+    equations: str,
+    version: int,
+    channels: Iterable[str] = (),
+) -> Plan:
+    """Find out which archive days of a half-open span of UTC days have to be worked on.
+
+    Parameters
+    ----------
+    span : tuple of UTC date or None
+        The archive's own span where an end is None.
+    equations : str
+        Dataset of the days' statistics.
+    version : int
+        Of the algorithm that makes them.
+    channels : iterable of str
+        Channels to read beside the model's own; those the mission has not are left out.
+
+    Raises
+    ------
+    CatalogError
+        When the archive has no day in the span.
+    """
+    start, end = span
+    used = current_model(cat, mission, settings.comparison)
+    wanted = needs_of(mission, used.model, [*geometry_channels(mission), *channels])
+    needs = tuple(replaceable_needs(mission, used.model, wanted))
+    index = ArchiveIndex.of(cat, needs, _with_neighbours(start, end, needs))
+    there = [day for day in index.with_all(needs) if is_within(day, start, end)]
+    if not there:
+        raise CatalogError(
+            "the archive has no day of the span on which every instrument measured",
+            remedy="ingest the files first; 'inflight catalog list' shows what is there",
+        )
+    asked = day_range(start or there[0], end or there[-1] + ONE_DAY)
+    base = next(need for need in needs if need.name == base_role(mission, settings.comparison))
+    planned = plan_days(
+        cat,
+        mission,
+        settings,
+        used=used,
+        equations=equations,
+        version=version,
+        index=index,
+        sources={day: index.sources(needs, day, base) for day in there},
+        needs=needs,
+        inputs=[f"min_coverage={settings.min_coverage}"],
+    )
+    recorded = {**planned.recorded, "start": str(there[0]), "end": str(there[-1] + ONE_DAY)}
+    no_work = {day: _missing(index, needs, day) for day in asked if day not in planned.keys}
+    return replace(planned, no_work=no_work, recorded=recorded)
+
+
+def equations_of(comparison: str, statistics: str = "base") -> str:
+    """Return the dataset of the days' statistics of a comparison, by the name a pipeline gives them."""
+    return f"equations/{comparison}/{statistics}"
+
+
+def product_of(comparison: str) -> str:
+    """Return the dataset of a comparison's products: the main one's are the mission's fields."""
+    return "l2/field" if comparison == "main" else f"l2/field-{comparison}"
+
+
+def _with_neighbours(start: DayLike | None, end: DayLike | None, needs: Sequence[Need]) -> slice:
+    """Return the days a span is made from; the farthest stand in for a channel that a day has not."""
+    beside = INPUTS.stand_in_days if any(need.replaceable for need in needs) else 1
+    before = max(beside, *(need.days_before for need in needs)) * ONE_DAY
+    return slice(
+        str(as_day(start) - before) if start is not None else None,
+        str(as_day(end) + beside * ONE_DAY) if end is not None else None,
+    )
+
+
+def _missing(index: ArchiveIndex, needs: Sequence[Need], day: np.datetime64) -> str:
+    gone = sorted(
+        {need.instrument for need in needs if need.channel == "field" and index.get(need, day) is None}
+    )
+    return f"no measurements of {', '.join(gone)}"

@@ -1,0 +1,254 @@
+"""What a run keeps: what became of days, tables made only when their content is new, products as stored."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog, Day, Run
+from inflight.errors import InflightError
+from inflight.mission import Mission
+from inflight.model import Model
+from inflight.tasks.batches import Mapper
+from inflight.tasks.pipelines.base.job import Failure, Job, Outcome
+from inflight.tasks.pipelines.base.planning import Plan
+from inflight.time import day_bounds
+
+#: A table to certify: its id, the span it holds for in TT2000, and the context (None for any).
+Certificate = tuple[int, int, int, str | None]
+
+#: Stored steps of product variables: a tenth of a picotesla, a micro-degree.
+_RESOLUTION: dict[str, float] = {"nT": 1e-4, "deg": 1e-6}
+
+
+@dataclass(kw_only=True)
+class Reprocessing:
+    """A reprocessing under way: what it has to do, where it writes, and the days that failed.
+
+    Attributes
+    ----------
+    failed : dict of datetime64[D] to dict
+        Problems as `RunReport` lists them.
+    """
+
+    cat: Catalog
+    mission: Mission
+    plan: Plan
+    run: Run
+    mapper: Mapper
+    failed: dict[np.datetime64, dict[str, str]] = field(default_factory=dict)
+
+    def jobs(
+        self, batches: Iterable[Sequence[np.datetime64]], dataset: str, keys: Mapping[np.datetime64, str]
+    ) -> list[Job]:
+        """Return the job of each batch of days; what a day is made from are its parents."""
+        plan = self.plan
+        return [
+            Job(
+                tuple(batch),
+                {day: keys[day] for day in batch},
+                {day: tuple(source.id for source in plan.sources[day]) for day in batch},
+                plan.index.around(batch),
+                plan.needs,
+                self.run.id,
+                dataset,
+            )
+            for batch in batches
+        ]
+
+
+class UsedTable(NamedTuple):
+    """The table that the product of a day takes.
+
+    Attributes
+    ----------
+    number : int
+        Its id in the catalog.
+    inputs : tuple of str
+        What of it the product depends on; a product changes only when this does.
+    table : xarray.Dataset
+    """
+
+    number: int
+    inputs: tuple[str, ...]
+    table: xr.Dataset
+
+
+@dataclass(kw_only=True)
+class Solved:
+    """Tables of a run: the ones products take, and what is to be certified at publication.
+
+    Attributes
+    ----------
+    model : Model
+        What products are made with.
+    used : mapping of datetime64[D] to UsedTable
+        Of each day that gets a product.
+    certify : list of (id, start, end, context)
+    kept : tuple of str
+        Names of the tables, without the comparison.
+    notes : dict of str to str
+        Tables that could not be made, and why.
+    remarks : list of dict
+        What is strange about the tables, as problems of days that are there all the same.
+    """
+
+    model: Model
+    used: Mapping[np.datetime64, UsedTable]
+    certify: list[Certificate]
+    kept: tuple[str, ...] = ()
+    notes: dict[str, str] = field(default_factory=dict)
+    remarks: list[dict[str, str]] = field(default_factory=list)
+
+
+@dataclass(kw_only=True)
+class TableKeeper:
+    """Stages tables that are not there yet with the same content, and says which to certify.
+
+    Attributes
+    ----------
+    days : mapping of datetime64[D] to Day
+        The statistics that tables are made from.
+    key_of : callable
+        Returns the key of a table by its name without the comparison: a hash of all it is made from.
+    ids, tables : dict
+        The tables kept so far, by name without the comparison.
+    """
+
+    work: Reprocessing
+    days: Mapping[np.datetime64, Day]
+    key_of: Callable[[str], str]
+    ids: dict[str, int] = field(default_factory=dict)
+    tables: dict[str, xr.Dataset] = field(default_factory=dict)
+    certify: list[Certificate] = field(default_factory=list)
+
+    def table(self, name: str, make: Callable[[], xr.Dataset]) -> xr.Dataset:
+        """Return a table, known or made and staged."""
+        cat, called = self.work.cat, f"{self.work.plan.settings.comparison}-{name}"
+        key = self.key_of(name)
+        known = [record for record in cat.tables(called) if record.key == key and not record.damaged]
+        if known:
+            table, self.ids[name] = cat.table_by_id(known[-1].id), known[-1].id
+        else:
+            table = make()
+            start, end = self._bounds(table)
+            self.ids[name] = self.work.run.stage_table(
+                called, table, start=start, end=end, parents=list(self.days.values()), key=key
+            )
+        bounds = self._bounds(table)
+        if not known or (None, *bounds) not in known[-1].certified:
+            self.certify.append((self.ids[name], *bounds, None))
+        self.tables[name] = table
+        return table
+
+    def possible(self, makers: Mapping[str, Callable[[], xr.Dataset]]) -> dict[str, str]:
+        """Keep the tables that can be made; return why the others cannot."""
+        notes = {}
+        for name, make in makers.items():
+            try:
+                self.table(name, make)
+            except InflightError as error:
+                notes[name] = error.message
+        return notes
+
+    def solved(
+        self, name: str, model: Model, notes: Mapping[str, str] | None = None, inputs: Sequence[str] = ()
+    ) -> Solved:
+        """Return the tables kept, one of which the products of all planned days take.
+
+        Parameters
+        ----------
+        name : str
+            Of that table.
+        model : Model
+            What products are made with.
+        notes : mapping of str to str, optional
+            Tables that could not be made, and why.
+        inputs : sequence of str
+            What products depend on beside the table.
+        """
+        table = self.tables[name]
+        used = {
+            day: UsedTable(self.ids[name], (table_row_hash(table, sum(day_bounds(day)) // 2), *inputs), table)
+            for day in self.work.plan.days
+        }
+        return Solved(
+            model=model, used=used, certify=self.certify, kept=tuple(self.ids), notes=dict(notes or {})
+        )
+
+    def _bounds(self, table: xr.Dataset) -> tuple[int, int]:
+        """Return the span a table holds for: its intervals', or that of all days."""
+        if "start" in table and table["start"].dims == ("interval",):
+            return int(table["start"].values[0]), int(table["end"].values[-1])
+        return day_bounds(min(self.days))[0], day_bounds(max(self.days))[1]
+
+
+def table_row_hash(table: xr.Dataset, tt2000: int) -> str:
+    """Return the hash of what a table says of an instant; a product changes only when this does."""
+    inside = np.flatnonzero((table["start"].values <= tt2000) & (tt2000 < table["end"].values))
+    if inside.size == 0:
+        return ""
+    row = table.isel(interval=int(inside[-1]))
+    digest = hashlib.sha256()
+    for name in ("value", "covariance", "determined", "after"):
+        if name not in row:
+            continue
+        digest.update(np.ascontiguousarray(row[name].values).tobytes())
+    return digest.hexdigest()
+
+
+def adopted_days(
+    run: Run, dataset: str, keys: Mapping[np.datetime64, str], days: Iterable[np.datetime64]
+) -> dict[np.datetime64, Day]:
+    """Take over the days that a killed run had made from the same inputs."""
+    known = run.adoptable(dataset)
+    adopted = {}
+    for day in days:
+        found = run.adopt(dataset, day, keys[day]) if (day, keys[day]) in known else None
+        if found is not None:
+            adopted[day] = found
+    return adopted
+
+
+def take_outcome(
+    run: Run, dataset: str, outcome: Outcome, failed: dict[np.datetime64, dict[str, str]]
+) -> list[Day]:
+    """Register an outcome with the run; put failures among those known, and return the days made."""
+    for day, failure in outcome.failures.items():
+        take_failure(run, dataset, day, failure, failed)
+    return run.attach(outcome.segment) if outcome.segment is not None else []
+
+
+def take_failure(
+    run: Run,
+    dataset: str,
+    day: np.datetime64,
+    failure: Failure,
+    failed: dict[np.datetime64, dict[str, str]],
+) -> None:
+    """Register why a day could not be made with the run; put it among the problems known."""
+    run.record(dataset, day, "failed", failure.cause, failure.message)
+    failed[day] = {
+        "day": str(day),
+        "channel": failure.channel,
+        "cause": failure.cause,
+        "remedy": failure.remedy,
+        "message": failure.message,
+    }
+
+
+def rounded(product: xr.Dataset) -> xr.Dataset:
+    """Round each variable to its stored step and say so, so that a store holds what a user reads."""
+    rounded = {}
+    for name, variable in product.data_vars.items():
+        step = _RESOLUTION.get(str(variable.attrs.get("units", "")))
+        if step is not None and variable.dtype.kind == "f":
+            values = np.rint(variable.values / step)
+            values /= round(1.0 / step)
+            rounded[name] = (variable.dims, values, {**variable.attrs, "resolution": step})
+    return product.assign(rounded)

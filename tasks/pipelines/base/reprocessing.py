@@ -1,0 +1,237 @@
+"""A reprocessing, step by step: statistics of days, tables, products, and what the run tells of itself.
+
+`carry_out` does the same for every pipeline. All batches of a stage are independent; the `Mapper` says where
+they run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from inflight.catalog import Catalog, Day, idempotency_key
+from inflight.mission import Mission
+from inflight.tasks.archive import partial_problems, spin_problems
+from inflight.tasks.batches import Mapper
+from inflight.tasks.pipelines.base.job import Batch, Outcome, ProductBatch, make_days
+from inflight.tasks.pipelines.base.pipeline import Pipeline
+from inflight.tasks.pipelines.base.planning import Plan
+from inflight.tasks.pipelines.base.publication import (
+    Reprocessing,
+    Solved,
+    UsedTable,
+    adopted_days,
+    take_outcome,
+)
+from inflight.tasks.report import RunReport, no_work_problems
+
+#: Passes of linearisation at most; each one squares the linearisation error.
+_MOST_PASSES = 4
+
+
+def carry_out(pipeline: Pipeline, cat: Catalog, mission: Mission, plan: Plan, mapper: Mapper) -> RunReport:
+    """Do what a plan says, publish it as one run, and report.
+
+    Raises
+    ------
+    InflightError
+        When the tables of all days cannot be made; what days have is kept for the next run.
+    """
+    with cat.run("reprocess", plan.recorded, context=plan.context) as run:
+        work = Reprocessing(cat=cat, mission=mission, plan=plan, run=run, mapper=mapper)
+        run.record_no_work(plan.product, plan.no_work)
+        statistics = _make_statistics(pipeline, work) if pipeline.statistics else _Statistics()
+        if pipeline.statistics and not statistics.days:
+            return _report(pipeline, work, None, _Products())
+        solved = pipeline.solve(work, statistics.days)
+        made = _Products(statistics.fresh, plan.unchanged)
+        if pipeline.has_products:
+            made = _make_products(pipeline, work, solved)
+        pipeline.finish(work, statistics.days, solved, made.reports)
+        run.publish(certify=solved.certify, supersede=True)
+    return _report(pipeline, work, solved, made)
+
+
+@dataclass
+class _Statistics:
+    """The statistics of all days with the plan's mission and model, and the days made in this run."""
+
+    days: Mapping[np.datetime64, Day] = field(default_factory=dict)
+    fresh: Sequence[np.datetime64] = ()
+
+
+@dataclass
+class _Products:
+    """Days made in this run, days left alone, and the reports of both."""
+
+    done: Sequence[np.datetime64] = ()
+    same: Sequence[np.datetime64] = ()
+    reports: Mapping[np.datetime64, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def _make_statistics(pipeline: Pipeline, work: Reprocessing) -> _Statistics:
+    """Make the statistics of days until they are linearised near enough to their solution."""
+    plan = work.plan
+    published = work.cat.days(plan.equations, states=("published",))
+    kept = {day.day: day for day in published if plan.keys.get(day.day) == day.key}
+    # Days outside the span that were made with the same mission and model.
+    others = {day.day: day for day in published if day.day not in plan.keys and day.context == plan.context}
+    fresh = _make_pass(pipeline, work, plan.batches, plan.reference)
+    last: Sequence[float] | None = plan.reference
+    for _ in range(_MOST_PASSES):
+        last = pipeline.linearise_at(work.cat, plan, others | kept | fresh, last) if fresh else None
+        if last is None:
+            break
+        batches = plan.in_batches([day for day in plan.days if day not in work.failed])
+        fresh = _make_pass(pipeline, work, batches, last)
+    return _Statistics(others | kept | fresh, list(fresh))
+
+
+def _make_pass(
+    pipeline: Pipeline,
+    work: Reprocessing,
+    batches: Sequence[Sequence[np.datetime64]],
+    reference: Sequence[float] | None,
+) -> dict[np.datetime64, Day]:
+    """Make and stage the statistics of batches of days; return the staged days."""
+    plan, fresh = work.plan, {}
+    if reference is None:
+        # A run killed amid a later pass leaves equations linearised here and there, and one killed after
+        # it does not tell how many it made: only the first pass gives the bytes of an undisturbed run.
+        asked = [day for batch in batches for day in batch]
+        adopted = adopted_days(work.run, plan.equations, plan.keys, asked)
+        fresh = {day: found for day, found in adopted.items() if not found.report.get("shared")}
+    todo = [[day for day in batch if day not in fresh] for batch in batches]
+    arguments = [
+        (
+            pipeline,
+            Batch(
+                cat=work.cat,
+                mission=work.mission,
+                model=plan.model,
+                job=job,
+                settings=plan.settings,
+                reference=reference,
+            ),
+        )
+        for job in work.jobs([batch for batch in todo if batch], plan.equations, plan.keys)
+    ]
+    for outcome in work.mapper("calibrate", statistics_batch, arguments):
+        fresh |= {day.day: day for day in take_outcome(work.run, plan.equations, outcome, work.failed)}
+    return fresh
+
+
+def statistics_batch(pipeline: Pipeline, batch: Batch) -> Outcome:
+    """Make the statistics of a batch of days in a worker, and write them as one segment."""
+    return make_days(batch.cat, batch.job, partial(pipeline.make_day, batch), pipeline.alike)
+
+
+def product_batch(pipeline: Pipeline, batch: ProductBatch) -> Outcome:
+    """Make the products of a batch of days in a worker, and write them as one segment."""
+    return make_days(batch.cat, batch.job, partial(pipeline.make_product, batch))
+
+
+def product_key(pipeline: Pipeline, plan: Plan, day: np.datetime64, used: UsedTable) -> str:
+    """Return the key of a day's product: a hash of its samples, the model, and what holds of the table."""
+    inputs = [plan.keys[day], *used.inputs]
+    return idempotency_key(plan.product, day, pipeline.versions.products, plan.context, inputs)
+
+
+def _make_products(pipeline: Pipeline, work: Reprocessing, solved: Solved) -> _Products:
+    """Make and stage the products whose samples, model or table changed."""
+    cat, plan = work.cat, work.plan
+    current = {day.day: day for day in cat.days(plan.product, states=("published",))}
+    keys = {
+        day: product_key(pipeline, plan, day, solved.used[day])
+        for day in plan.days
+        if day in solved.used and day not in work.failed
+    }
+    same = [day for day, key in keys.items() if day in current and current[day].key == key]
+    todo = [day for day in keys if day not in set(same)]
+    adopted = adopted_days(work.run, plan.product, keys, todo)
+    done = set(adopted)
+    reports: dict[np.datetime64, Mapping[str, Any]] = {}
+    left = [day for day in todo if day not in adopted]
+    for outcome in work.mapper(
+        "produce", product_batch, _product_arguments(pipeline, work, solved, left, keys)
+    ):
+        fresh = take_outcome(work.run, plan.product, outcome, work.failed)
+        done |= {day.day for day in fresh}
+        reports |= {day.day: day.report for day in fresh}
+    reports |= {day: current[day].report for day in same}
+    return _Products(sorted(done), same, reports)
+
+
+def _product_arguments(
+    pipeline: Pipeline,
+    work: Reprocessing,
+    solved: Solved,
+    days: Sequence[np.datetime64],
+    keys: Mapping[np.datetime64, str],
+) -> list[tuple[Pipeline, ProductBatch]]:
+    """Return each batch of days with the one table that all its days take."""
+    plan, out = work.plan, []
+    for number in sorted({solved.used[day].number for day in days}):
+        mine = [day for day in days if solved.used[day].number == number]
+        for job in work.jobs(plan.in_batches(mine), plan.product, keys):
+            parents = {day: (*ids, f"table:{number}") for day, ids in job.parents.items()}
+            batch = ProductBatch(
+                cat=work.cat,
+                mission=work.mission,
+                model=solved.model,
+                job=replace(job, parents=parents),
+                settings=plan.settings,
+                table=solved.used[mine[0]].table,
+                preflight=plan.model,
+            )
+            out.append((pipeline, batch))
+    return out
+
+
+def _report(pipeline: Pipeline, work: Reprocessing, solved: Solved | None, made: _Products) -> RunReport:
+    plan = work.plan
+    counts = {
+        "planned": len(plan.days) + len(plan.no_work),
+        "done": len(set(made.done) - set(work.failed)),
+        "unchanged": len(made.same),
+        "failed": len(work.failed),
+        "no_work": len(plan.no_work),
+    }
+    problems = [work.failed[day] for day in sorted(work.failed)]
+    problems += [*(solved.remarks if solved else []), *no_work_problems(plan.no_work)]
+    products, statistics = (
+        [day for day in work.cat.days(name, states=("published",)) if day.day in plan.keys]
+        for name in (plan.product, plan.equations)
+    )
+    problems += partial_problems(products) + spin_problems([*products, *statistics])
+    return RunReport(
+        "reprocess",
+        work.run.id,
+        plan.context,
+        counts,
+        problems,
+        pipeline.outputs(plan, solved, len(made.done) + len(made.same)),
+        pipeline.results(work, solved),
+    )
+
+
+def residual_of_days(work: Reprocessing) -> dict[str, float]:
+    """Return the rms residual of the planned days before and after, nT, from the reports of their products.
+
+    Days count by their samples; empty when no day has any.
+    """
+    inside = [
+        day for day in work.cat.days(work.plan.product, states=("published",)) if day.day in work.plan.keys
+    ]
+    reports = [(day.report["samples"], day.report) for day in inside if day.report.get("samples")]
+    total = sum(count for count, _ in reports)
+    if not total:
+        return {}
+    return {
+        name: float(np.sqrt(sum(count * report[name] ** 2 for count, report in reports) / total))
+        for name in ("before_nT", "after_nT")
+    }

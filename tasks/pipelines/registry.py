@@ -1,0 +1,191 @@
+"""The pipelines there are, which of them a comparison is calibrated with, and the verbs that ask it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from inflight.catalog import Catalog
+from inflight.errors import MissionError
+from inflight.figures import Section
+from inflight.mission import Mission
+from inflight.tasks.batches import Mapper, batch_mapper
+from inflight.tasks.pipelines.base import Pipeline, Plan, Report, ReprocessSettings, carry_out
+from inflight.tasks.pipelines.mission import MissionPipeline
+from inflight.tasks.pipelines.relation import RelationPipeline
+from inflight.tasks.pipelines.scalar import ScalarPipeline
+from inflight.tasks.pipelines.spin import SpinPipeline
+from inflight.tasks.pipelines.states import StatesPipeline
+from inflight.tasks.report import Progress, RunReport
+from inflight.time import DayLike
+
+#: In the order in which they are asked: the first that handles a comparison calibrates it.
+PIPELINES: tuple[Pipeline, ...] = (
+    ScalarPipeline(),
+    MissionPipeline(),
+    SpinPipeline(),
+    RelationPipeline(),
+    StatesPipeline(),
+)
+
+#: Chooses the pipeline that makes tables of all days together.
+ALL_DAYS = ReprocessSettings(table="continuous")
+
+
+def find_pipeline(
+    mission: Mission, comparison: str, settings: ReprocessSettings | None = None
+) -> Pipeline | None:
+    """Return the pipeline of a comparison; None where nothing is calibrated, or there is no such comparison.
+
+    Parameters
+    ----------
+    settings : ReprocessSettings, optional
+        The table they name may choose between pipelines of one comparison; its usual table when absent.
+    """
+    if comparison not in mission.comparisons:
+        return None
+    asked = (settings or ReprocessSettings()).model_copy(update={"comparison": comparison})
+    return next((one for one in PIPELINES if one.handles(mission, asked)), None)
+
+
+def pipeline_of(mission: Mission, comparison: str, settings: ReprocessSettings | None = None) -> Pipeline:
+    """Return the pipeline of a comparison; parameters as `find_pipeline`.
+
+    Raises
+    ------
+    MissionError
+        When the mission has no such comparison, or nothing is calibrated in it.
+    """
+    found = find_pipeline(mission, comparison, settings)
+    if found is None:
+        known = [name for name in mission.comparisons if find_pipeline(mission, name) is not None]
+        raise MissionError(
+            f"'{comparison}' is no scalar, spin or dual comparison of mission '{mission.mission}'",
+            remedy=f"choose one of {', '.join(known) or 'none: the mission has none'}",
+        )
+    return found
+
+
+def plan(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: ReprocessSettings | None = None,
+) -> Plan:
+    """Find out what has to be done for the half-open span of UTC days.
+
+    Parameters
+    ----------
+    start, end : UTC date, optional
+        All there is when absent.
+
+    Raises
+    ------
+    MissionError
+        When the mission has no such comparison, or one in which nothing is calibrated.
+    CatalogError
+        When there is no day to work on in the span.
+    """
+    asked = settings or ReprocessSettings()
+    return pipeline_of(mission, asked.comparison, asked).make_plan(cat, mission, asked, (start, end))
+
+
+def reprocess(
+    cat: Catalog,
+    mission: Mission,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+    settings: ReprocessSettings | None = None,
+    *,
+    client: Any = None,
+    progress: Progress | None = None,
+    mapper: Mapper | None = None,
+) -> RunReport:
+    """Calibrate the half-open span of UTC days; publish statistics, tables and products, or nothing.
+
+    Days whose inputs, model and table are the same are left alone.
+
+    Parameters
+    ----------
+    cat : Catalog
+        The workspace's catalog.
+    mission : Mission
+        What was measured and what is held against what.
+    start, end : UTC date, optional
+        The archive's own span when absent.
+    settings : ReprocessSettings, optional
+        Choices; the defaults when absent.
+    client : distributed.Client, optional
+        Batches run on it; the result is the same byte for byte as without.
+    progress : callable, optional
+        Called with (stage, done, total).
+    mapper : Mapper, optional
+        Runs the batches instead of `client`.
+
+    Returns
+    -------
+    RunReport
+        Days by outcome; extra field ``residual`` with `before_nT` and `after_nT` over the span, and what the
+        pipeline says beside (`Pipeline.results`).
+
+    Raises
+    ------
+    MissionError, ModelError, CatalogError
+        When there is nothing to work on or the model does not fit the mission.
+    """
+    asked = settings or ReprocessSettings()
+    pipeline = pipeline_of(mission, asked.comparison, asked)
+    made = pipeline.make_plan(cat, mission, asked, (start, end))
+    return carry_out(pipeline, cat, mission, made, mapper or batch_mapper(client, progress))
+
+
+def table_sections(cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
+    """Return sections of the newest published tables of a comparison; none when there are no tables.
+
+    Raises
+    ------
+    CatalogError, SettingsError
+        When tables are damaged or not whole.
+    """
+    usual, whole = find_pipeline(mission, comparison), find_pipeline(mission, comparison, ALL_DAYS)
+    chosen = dict.fromkeys(one for one in (usual, whole) if one is not None)
+    return [section for one in chosen for section in one.sections(cat, mission, comparison)]
+
+
+def tables_report(
+    cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+) -> Report:
+    """Return what the tables of all days together say, and write the page of it when a path is given.
+
+    Parameters
+    ----------
+    asked : str
+        A parameter or cause whose cross-talk with all others is asked for.
+
+    Raises
+    ------
+    MissionError
+        When nothing is calibrated in the comparison.
+    CatalogError
+        When no table is published.
+    """
+    return pipeline_of(mission, comparison, ALL_DAYS).report(cat, mission, comparison, output, asked)
+
+
+def learns_states(mission: Mission, comparison: str) -> bool:
+    """Return True for a comparison whose pipeline tells states of the spacecraft apart."""
+    found = find_pipeline(mission, comparison)
+    return found is not None and found.learns_states
+
+
+def units_of(
+    cat: Catalog,
+    mission: Mission,
+    comparison: str,
+    start: DayLike | None = None,
+    end: DayLike | None = None,
+) -> list[dict[str, Any]] | None:
+    """Return the units of the spacecraft that switch, as plain fields; None where no states are learnt."""
+    found = find_pipeline(mission, comparison)
+    return None if found is None else found.units(cat, mission, comparison, start, end)

@@ -1,0 +1,116 @@
+"""Which comparisons calibrate both sensors of a pair, and what is asked of their products."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.errors import MissionError
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import product_of
+from inflight.tasks.pipelines.relation.bending import bending_day, bending_table
+from inflight.tasks.pipelines.relation.relation import (
+    corner_table,
+    daily_relations,
+    dual_day,
+    whole_relation,
+)
+
+#: What is said where a product would be.
+NO_PRODUCT = (
+    "two vector sensors against each other calibrate nothing: tables of how they stand to each other are "
+    "made, products come from each one's comparison with a scalar sensor"
+)
+
+#: What is said of two spinning sensors where a product would be.
+NO_PRODUCT_OF_BOOM = (
+    "two sensors on a boom calibrate nothing between them: a table of the bend is made, products come from "
+    "each one's own spin comparison"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relation:
+    """What is asked of the products of two sensors, by how they are calibrated.
+
+    Attributes
+    ----------
+    kind : str
+        Of the comparisons that calibrate both sensors.
+    read : tuple of str
+        Variables of the products.
+    make_day : callable
+        Makes a day's statistics from both products.
+    tables : mapping of str to callable
+        Makes each table from the statistics of all days.
+    note : str
+        What is said where a product would be.
+    """
+
+    kind: str
+    read: tuple[str, ...]
+    make_day: Callable[[Sequence[xr.Dataset], np.datetime64], tuple[xr.Dataset, dict[str, Any]]]
+    tables: Mapping[str, Callable[[Sequence[xr.Dataset]], xr.Dataset]]
+    note: str
+
+
+#: In the order in which they are looked for.
+RELATIONS = (
+    Relation(
+        kind="scalar",
+        read=("field_spacecraft", "residual", "flag"),
+        make_day=dual_day,
+        tables={"relation": whole_relation, "relation-daily": daily_relations, "corners": corner_table},
+        note=NO_PRODUCT,
+    ),
+    Relation(
+        kind="spin",
+        read=("field_sensor", "spin_phase", "flag"),
+        make_day=bending_day,
+        tables={"bending": bending_table},
+        note=NO_PRODUCT_OF_BOOM,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The comparisons that calibrate both sensors, the inboard one's first, and what is asked of them."""
+
+    first: str
+    second: str
+    relation: Relation
+
+    @classmethod
+    def of(cls, mission: Mission, comparison: str) -> Pair:
+        """Return those of a mission's dual comparison.
+
+        Raises
+        ------
+        MissionError
+            When one of the sensors is calibrated by no scalar comparison, nor both by their spin.
+        """
+        own = mission.comparisons[comparison].instruments()
+        names: dict[tuple[str, str], str] = {}
+        for name, entry in mission.comparisons.items():
+            if "vector" in entry.instruments():
+                names.setdefault((entry.kind, entry.instruments()["vector"]), name)
+        roles = ("inboard", "outboard")
+        for relation in RELATIONS:
+            if all((relation.kind, own[role]) in names for role in roles):
+                first, second = (names[relation.kind, own[role]] for role in roles)
+                return cls(first, second, relation)
+        role = next(role for role in roles if ("scalar", own[role]) not in names)
+        raise MissionError(
+            f"no scalar comparison calibrates '{own[role]}', the {role} sensor of '{comparison}'",
+            remedy="state one in the mission's file, or see 'inflight diagnose' for the difference",
+        )
+
+    @property
+    def products(self) -> tuple[str, str]:
+        """Datasets of the products of both."""
+        return product_of(self.first), product_of(self.second)

@@ -1,0 +1,127 @@
+"""The pipeline of a vector sensor against a scalar instrument, by days, windows, months or one span."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.calibration import bend
+from inflight.catalog import Catalog, Day
+from inflight.errors import CatalogError
+from inflight.figures import Section
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import (
+    ONE_DAY,
+    Batch,
+    Compared,
+    Pipeline,
+    Plan,
+    ProductBatch,
+    Report,
+    Reprocessing,
+    ReprocessSettings,
+    Solved,
+    Versions,
+    month_edges,
+    residual_of_days,
+    window_edges,
+)
+from inflight.tasks.pipelines.scalar.calibrate import calibrate_day
+from inflight.tasks.pipelines.scalar.product import level2_day
+from inflight.tasks.pipelines.scalar.tables import (
+    MOST_BEND,
+    daily_table,
+    load_equations,
+    relinearise_at,
+    window_table,
+)
+from inflight.tasks.report import Progress
+
+
+class ScalarPipeline(Pipeline):
+    """Nine parameters of a vector sensor from the field strength that a scalar instrument measures.
+
+    A day leaves its normal equations; tables of days, windows, months and the span are solved from their sums
+    (`inflight.calibration`). The product is the calibrated field, its residual the difference of the field
+    strengths.
+    """
+
+    tag = "scalar"
+    versions = Versions(statistics=3, tables=4, products=4)
+
+    def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
+        """Return True for a scalar comparison, unless all days are to be fitted at once."""
+        return mission.comparisons[settings.comparison].kind == "scalar" and settings.table != "continuous"
+
+    def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Return the day's normal equations and its own fit; see `calibrate_day`."""
+        return calibrate_day(batch, day)
+
+    def linearise_at(
+        self, cat: Catalog, plan: Plan, days: Mapping[np.datetime64, Day], last: Sequence[float] | None
+    ) -> list[float] | None:
+        """Return the solution of all days, when the equations' linearisation error there is too large."""
+        equations = load_equations(cat, list(days.values()))
+        strength = float(np.median([day.report.get("strength_nT", 4e4) for day in days.values()]))
+        again = relinearise_at(equations, plan.model, strength)
+        # Days that are sure of their own fit stay linearised there: a pass at the same place moves nothing.
+        if again is None or (last is not None and bend(again, np.asarray(last), strength) <= MOST_BEND):
+            return None
+        return [float(value) for value in again]
+
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+        """Make the daily, window and whole-span tables, and the monthly one when it is asked for."""
+        plan, keep = work.plan, self.keeper(work, days)
+        equations, model = load_equations(work.cat, list(days.values())), plan.model
+        edges = {
+            "window": window_edges(min(days), max(days), plan.settings.window_days),
+            "span": [min(days), max(days) + ONE_DAY],
+        }
+        if plan.settings.table == "monthly":
+            edges["monthly"] = month_edges(min(days), max(days))
+        keep.table("daily", partial(daily_table, equations, model))
+        for name, bounds in edges.items():
+            keep.table(name, partial(window_table, equations, model, bounds, name))
+        return keep.solved(plan.settings.table, model)
+
+    def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Return the day's calibrated field; see `level2_day`."""
+        return level2_day(batch, day)
+
+    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+        """Return the residual of the planned days."""
+        return {"residual": residual_of_days(work) if solved else {}}
+
+    def compare(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        days: Sequence[Day],
+        span: slice,
+        progress: Progress,
+    ) -> Compared[Any]:
+        """Measure the residual of each sample; see `compare_samples`."""
+        from inflight.tasks.pipelines.scalar.compare import compare_samples
+
+        return compare_samples(cat, mission, comparison, days, span, progress)
+
+    def report(
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+    ) -> Report:
+        """Refuse: tables of days and windows are shown as `sections`, and by ``compare``."""
+        raise CatalogError(
+            f"tables of '{comparison}' by days and windows have no report of their own",
+            remedy="'inflight compare' shows them; 'reprocess --table continuous' fits all days at once",
+        )
+
+    def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
+        """Return parameters over days with errors, their newest values, and the zero level."""
+        from inflight.tasks.pipelines.scalar.sections import table_sections
+
+        return table_sections(cat, comparison)

@@ -1,0 +1,184 @@
+"""The pipeline of a sensor on a spinning spacecraft, calibrated by the spin itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog, Day
+from inflight.errors import CalibrationError, MissionError
+from inflight.figures import Section
+from inflight.mission import Mission
+from inflight.tasks.archive import cut_at_flips, flips_of
+from inflight.tasks.pipelines.base import (
+    ONE_DAY,
+    Batch,
+    Compared,
+    Pipeline,
+    Plan,
+    ProductBatch,
+    Report,
+    Reprocessing,
+    ReprocessSettings,
+    Solved,
+    TablesReport,
+    TextLine,
+    Versions,
+    month_edges,
+    newest_table,
+    residual_of_days,
+    shown,
+    window_edges,
+)
+from inflight.tasks.pipelines.spin.day import spin_day, together
+from inflight.tasks.pipelines.spin.product import spin_product
+from inflight.tasks.pipelines.spin.tables import (
+    TABLES,
+    SpinResults,
+    flipper_table,
+    spin_table,
+    zero_level_table,
+)
+from inflight.tasks.report import Progress
+from inflight.time import DayLike
+
+#: Replaced parameters listed at most; the newest.
+_MOST = 15
+
+
+class SpinPipeline(Pipeline):
+    """Eight of twelve parameters from the tones that they leave at the spin and at twice it.
+
+    A day leaves its joint estimate, that of each sub-interval, and quiet averages (Plaschke et al. 2019); the
+    offset along the spin axis comes from many hours of natural fluctuations (`inflight.zero_level`). The
+    product is the despun field; its residual is what still goes with the spin.
+    """
+
+    tag = "spin"
+    versions = Versions(statistics=3, tables=4, products=4)
+
+    def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
+        """Return True for a spin comparison."""
+        return mission.comparisons[settings.comparison].kind == "spin"
+
+    def make_plan(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        settings: ReprocessSettings,
+        span: tuple[DayLike | None, DayLike | None],
+    ) -> Plan:
+        """Find out what has to be done; raises `MissionError` when all days are to be fitted at once."""
+        if settings.table == "continuous":
+            raise MissionError(
+                "a spin comparison has no table 'continuous'", remedy="choose daily, window, monthly or span"
+            )
+        return super().make_plan(cat, mission, settings, span)
+
+    def make_day(self, batch: Batch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Return the day's estimates; see `spin_day`."""
+        return spin_day(batch, day)
+
+    def alike(self, days: Sequence[xr.Dataset]) -> list[xr.Dataset]:
+        """Return days with empty rows behind their sub-intervals and means."""
+        return together(days)
+
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+        """Make the tables: zero levels, each day, windows, months, the whole span.
+
+        The offset along the spin axis takes many hours of wind: days and months have that of their calendar
+        month, windows and the span those of the windows. No window holds two positions of a flipper.
+        """
+        if not any(day.report["used"] for day in days.values()):
+            earliest = days[min(days)]
+            raise CalibrationError(
+                f"no day of the span tells anything of the sensor; {earliest.day}: "
+                f"{earliest.report['phase']}; {earliest.report['told']}",
+                remedy="look at the sun pulses or the angle, the stated spin period and the flags of the "
+                "field",
+            )
+        plan, mission, keep = work.plan, work.mission, self.keeper(work, days)
+        settings, model, ordered = plan.settings, plan.model, sorted(days)
+        read = [work.cat.read(days[day]) for day in ordered]
+        first, last = ordered[0], ordered[-1]
+        windows = cut_at_flips(window_edges(first, last, settings.window_days), mission)
+        months = cut_at_flips(month_edges(first, last), mission)
+        whole = cut_at_flips([first, last + ONE_DAY], mission)
+        by_window = keep.table("zero-level", partial(zero_level_table, read, model, windows))
+        by_month = keep.table("zero-level-monthly", partial(zero_level_table, read, model, months))
+        makers = {
+            "daily": ([*ordered, last + ONE_DAY], by_month),
+            "window": (windows, by_window),
+            "monthly": (months, by_month),
+            "span": (whole, by_window),
+        }
+        for name, (bounds, zero) in makers.items():
+            keep.table(name, partial(spin_table, read, model, bounds, name, zero))
+        flips = {"flipper": partial(flipper_table, read, model, whole, mission)} if flips_of(mission) else {}
+        return keep.solved(settings.table, model, keep.possible(flips))
+
+    def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Return the day's despun field; see `spin_product`."""
+        return spin_product(batch, day)
+
+    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+        """Return the residual of the planned days, and the tables that could not be made."""
+        if solved is None:
+            return {"residual": {}}
+        return {"residual": residual_of_days(work)} | ({"left_out": solved.notes} if solved.notes else {})
+
+    def compare(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        days: Sequence[Day],
+        span: slice,
+        progress: Progress,
+    ) -> Compared[Any]:
+        """Measure the tones of the products; see `compare_spin`."""
+        from inflight.tasks.pipelines.spin.compare import compare_spin
+
+        return compare_spin(cat, mission, comparison, days, progress)
+
+    def report(
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+    ) -> Report:
+        """Return the twelve parameters, where each came from, and what each day decided."""
+        from inflight.tasks.pipelines.spin.report import spin_report
+
+        fields = spin_report(cat, mission, comparison, output)
+        return TablesReport(fields, summary_lines(fields), output)
+
+    def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
+        """Return the sections of `report`, when all of its tables are published."""
+        if any(newest_table(cat, f"{comparison}-{name}") is None for name in TABLES):
+            return []
+        from inflight.tasks.pipelines.spin.report import spin_table_parts
+
+        return shown(spin_table_parts(SpinResults.of(cat, mission, comparison)))
+
+
+def summary_lines(fields: Mapping[str, Any]) -> list[TextLine]:
+    """Return the twelve parameters with their origin, what days replaced, zero levels, and the phase."""
+    sections = fields["sections"]
+    first, last = fields["span"]
+    lines = [
+        f"{one['name']:<17} {one['value']:.6g} ± {one['sigma']:.2g} {one['unit']}, from {one['origin']}; "
+        f"{one['decision'] or 'nothing decided'}: {one['reason']}"
+        for one in sections["twelve"]["items"]
+    ]
+    lines.append(f"these remain at their ground values: {', '.join(sections['twelve']['ground']) or 'none'}")
+    replaced = [
+        one for one in sections["days"]["items"] if one["decision"] == "update" and one["day"] != first
+    ]
+    lines += [f"{one['day']} replaced {one['name']}: {one['reason']}" for one in replaced[-_MOST:]]
+    lines += [f"drift of {name}: {one['sentence']}" for name, one in sections["zero_level"]["drift"].items()]
+    lines += [f"{one['day']}: {one['told']}" for one in sections["phase"]["items"][-1:]]
+    title = f"{fields['comparison']}: {fields['days']} days, {first} to {last}"
+    return [TextLine(title, "bold"), *(TextLine(f"  {line}") for line in lines)]

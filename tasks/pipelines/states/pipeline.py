@@ -1,0 +1,178 @@
+"""The pipeline of two sensors on one boom and nothing else: what the spacecraft's states add is taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from inflight.catalog import Catalog, Day
+from inflight.errors import CatalogError, MissionError
+from inflight.figures import Section
+from inflight.mission import Mission
+from inflight.tasks.pipelines.base import (
+    Compared,
+    Pipeline,
+    Plan,
+    ProductBatch,
+    Report,
+    Reprocessing,
+    ReprocessSettings,
+    Solved,
+    UsedTable,
+    Versions,
+    product_key,
+)
+from inflight.tasks.pipelines.states.day import states_day
+from inflight.tasks.pipelines.states.tables import (
+    Chain,
+    chained_key,
+    constant_changes,
+    constant_of,
+    constant_sentences,
+    named_units,
+)
+from inflight.tasks.pipelines.states.windows import (
+    KnownTables,
+    joined_steps,
+    solve_windows,
+    table_name,
+    verdicts,
+    window_key,
+    windows,
+)
+from inflight.tasks.report import Progress
+from inflight.time import DayLike
+
+
+class StatesPipeline(Pipeline):
+    """States of the spacecraft told apart in the difference of two sensors, and their field taken off.
+
+    Windows of days are learnt from independently, then joined in the order of time, and each leaves one
+    certified table; then every day is corrected with the table that holds (`inflight.dual`). No statistics of
+    days are kept. The residual is the step of the outboard field where the spacecraft switches.
+    """
+
+    tag = "states"
+    versions = Versions(statistics=3, tables=8, products=2)
+    statistics = ""
+    learns_states = True
+
+    def handles(self, mission: Mission, settings: ReprocessSettings) -> bool:
+        """Return True for two vector sensors on one boom, where nothing else calibrates either of them."""
+        return mission.comparisons[settings.comparison].kind == "dual"
+
+    def make_plan(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        settings: ReprocessSettings,
+        span: tuple[DayLike | None, DayLike | None],
+    ) -> Plan:
+        """Find out what has to be done; raises `MissionError` when all days are to be fitted at once."""
+        if settings.table == "continuous":
+            raise MissionError(
+                "a comparison of two sensors has no table 'continuous'",
+                remedy="choose daily, window or span",
+            )
+        return super().make_plan(cat, mission, settings, span)
+
+    def days_to_do(self, cat: Catalog, plan: Plan) -> tuple[list[np.datetime64], list[np.datetime64]]:
+        """Return the days whose products a run would make, and those it would leave alone.
+
+        A window that is to be learnt from changes those behind it: they are joined to it anew.
+        """
+        name = table_name(plan)
+        known = KnownTables.of(cat, name)
+        current = {day.day: day.key for day in cat.days(plan.product, states=("published",))}
+        groups = windows(plan.days, plan.settings)
+        chain = Chain.before(cat, name, groups[0][0])
+        todo: list[np.datetime64] = []
+        same: list[np.datetime64] = []
+        for group in groups:
+            key = chained_key(window_key(plan, group, self.versions.tables), chain.keys)
+            for day in group:
+                own = product_key(self, plan, day, UsedTable(0, (key,), xr.Dataset()))
+                (same if key in known.joined and current.get(day) == own else todo).append(day)
+            if key in known.joined:
+                chain.add(key, cat.table_by_id(known.joined[key].id))
+            else:
+                chain.add_unknown(key)
+        return todo, same
+
+    def solve(self, work: Reprocessing, days: Mapping[np.datetime64, Day]) -> Solved:
+        """Learn from each window of days, and join the tables in order; see `solve_windows`."""
+        return solve_windows(work, self.versions.tables)
+
+    def make_product(self, batch: ProductBatch, day: np.datetime64) -> tuple[xr.Dataset, dict[str, Any]]:
+        """Return the day's corrected field; see `states_day`."""
+        return states_day(batch, day)
+
+    def outputs(self, plan: Plan, solved: Solved | None, made: int) -> list[str]:
+        """Return the products and the table of states, where any day has a product."""
+        return [plan.product, f"tables/{table_name(plan)}"] if made else []
+
+    def results(self, work: Reprocessing, solved: Solved | None) -> dict[str, Any]:
+        """Return the steps at switchings, what each window says, and where the constant part changes.
+
+        ``residual`` is the step of the outboard field where the spacecraft switches, rms of a component, as
+        measured and corrected, and ``floor_nT`` that of the corrected field where nothing switches.
+        """
+        tables = solved.used if solved else {}
+        plan, published = work.plan, work.cat.days(work.plan.product, states=("published",))
+        return {
+            "residual": joined_steps([day.report for day in published if day.day in plan.keys]),
+            "windows": verdicts(tables),
+            "constant_changes": constant_changes(
+                {day: constant_of(one.table) for day, one in tables.items()}
+            ),
+        }
+
+    def remarks(self, fields: Mapping[str, Any]) -> Iterator[str]:
+        """Yield which windows are left as measured and why, and where the field may step."""
+        for one in fields.get("windows", []):
+            if one["applied"] != "yes":
+                yield f"{one['start']} to {one['end']} is left as measured: {one['verdict']}"
+        yield from constant_sentences(fields.get("constant_changes", []))
+
+    def compare(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        days: Sequence[Day],
+        span: slice,
+        progress: Progress,
+    ) -> Compared[Any]:
+        """Measure the steps of the products where the spacecraft switches; see `compare_dual`."""
+        from inflight.tasks.pipelines.states.compare import compare_dual
+
+        return compare_dual(cat, mission, comparison, days, progress)
+
+    def report(
+        self, cat: Catalog, mission: Mission, comparison: str, output: Path | None = None, asked: str = ""
+    ) -> Report:
+        """Refuse: what a table of states says stands beside what it does to the measurements."""
+        raise CatalogError(
+            f"'{comparison}' is told by the spacecraft's states: no table says how its sensors stand to each "
+            "other",
+            remedy="'inflight compare' shows states, units and what is left",
+        )
+
+    def sections(self, cat: Catalog, mission: Mission, comparison: str) -> list[Section]:
+        """Return none: what a table of states says stands beside what it does to the measurements."""
+        return []
+
+    def units(
+        self,
+        cat: Catalog,
+        mission: Mission,
+        comparison: str,
+        start: DayLike | None = None,
+        end: DayLike | None = None,
+    ) -> list[dict[str, Any]] | None:
+        """Return the units that switch, and the channels behind them; see `named_units`."""
+        return named_units(cat, mission, comparison, start, end)

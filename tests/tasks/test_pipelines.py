@@ -1,0 +1,175 @@
+"""Every registered pipeline, and the one to copy, keeps the contract; a wrong one is told what to mend."""
+
+import importlib.util
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from boom_mission import make_boom_workspace
+from tiny_mission import make_tiny_workspace
+
+from inflight.catalog import Catalog, Workspace, shipped_missions
+from inflight.errors import ConformanceError, MissionError
+from inflight.mission import Mission
+from inflight.simulate.dual import DualSettings
+from inflight.tasks.archive import ingest, simulate_dual
+from inflight.tasks.pipelines import (
+    PIPELINES,
+    Pipeline,
+    ReprocessSettings,
+    Versions,
+    check_pipeline,
+    find_pipeline,
+    pipeline_of,
+    reprocess,
+)
+from inflight.tasks.pipelines.scalar import ScalarPipeline
+
+ROOT = Path(__file__).parents[2]
+BY_TAG = {one.tag: one for one in PIPELINES}
+
+
+@pytest.fixture
+def template(monkeypatch) -> Pipeline:
+    """The pipeline to copy, imported as a module of its own."""
+    spec = importlib.util.spec_from_file_location("own_pipeline", ROOT / "docs" / "templates" / "pipeline.py")
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "own_pipeline", module)
+    spec.loader.exec_module(module)
+    return module.GainPipeline()
+
+
+@pytest.fixture(scope="module")
+def ingested(tmp_path_factory) -> Workspace:
+    """Two days of the tiny mission, nothing calibrated."""
+    made = Workspace.open(make_tiny_workspace(tmp_path_factory.mktemp("tiny") / "w"))
+    ingest(Catalog(made.root), made.mission(), made.data)
+    return made
+
+
+@pytest.fixture
+def tiny(ingested, tmp_path) -> Workspace:
+    shutil.copytree(ingested.root, tmp_path / "copy")
+    return Workspace.open(tmp_path / "copy")
+
+
+@pytest.fixture(scope="module")
+def boom(tmp_path_factory) -> Workspace:
+    """A quarter of a day of two spinning sensors."""
+    return make_boom_workspace(tmp_path_factory.mktemp("boom"), days=1)
+
+
+@pytest.mark.parametrize("pipeline", PIPELINES, ids=list(BY_TAG))
+def test_every_pipeline_describes_itself(pipeline):
+    check_pipeline(pipeline)
+
+
+@pytest.mark.parametrize(("tag", "table"), [("scalar", "window"), ("mission", "continuous")])
+def test_a_scalar_comparison_keeps_the_contract(tiny, tag, table):
+    if tag == "mission":
+        # What single days determine is shown beside the fit of all days.
+        reprocess(Catalog(tiny.root), tiny.mission())
+    check_pipeline(BY_TAG[tag], tiny, ReprocessSettings(table=table))
+
+
+def test_two_spinning_sensors_keep_the_contract_each_and_against_each_other(boom):
+    check_pipeline(BY_TAG["spin"], boom, ReprocessSettings(table="span"))
+    reprocess(Catalog(boom.root), boom.mission(), settings=ReprocessSettings(comparison="inboard"))
+    check_pipeline(BY_TAG["relation"], boom, ReprocessSettings(comparison="boom"))
+
+
+def test_two_sensors_told_apart_by_states_keep_the_contract(tmp_path):
+    text = shipped_missions()["venus-express"].read_text(encoding="utf-8")
+    source = tmp_path / "boom.yaml"
+    source.write_text(text.replace("cadence: 1 s", "cadence: 10 s"), encoding="utf-8")
+    made = Workspace.create(tmp_path / "w", source)
+    simulate_dual(DualSettings(days=1, seed=31, overrides={"cadence": 10.0}), made.data, workers=1)
+    ingest(Catalog(made.root), made.mission(), made.data)
+    check_pipeline(BY_TAG["states"], made)
+
+
+def test_the_pipeline_to_copy_keeps_the_contract(tiny, template):
+    check_pipeline(template, tiny)
+
+
+class Wrong(ScalarPipeline):
+    tag = "no word"
+    versions = Versions(statistics=True, tables=0, products=4)
+    note = "but it has products"
+
+    def helper(self):
+        pass
+
+
+def test_a_wrong_class_is_told_everything_that_is_to_be_mended():
+    with pytest.raises(ConformanceError) as told:
+        check_pipeline(Wrong())
+    for said in (
+        "no docstring; say what is measured",
+        "tag is 'no word'",
+        "helper is no member of Pipeline",
+        "versions.statistics is True",
+        "versions.tables is 0",
+        "note says what stands where a product would be",
+    ):
+        assert said in told.value.message
+
+
+class Unstable(ScalarPipeline):
+    """Its days have neither a span nor the same keys, and its products no units."""
+
+    def make_plan(self, cat, mission, settings, span):
+        Unstable.tried = getattr(Unstable, "tried", 0) + 1
+        settings = settings.model_copy(update={"min_coverage": Unstable.tried * 1e-6})
+        return super().make_plan(cat, mission, settings, span)
+
+    def make_day(self, batch, day):
+        made, report = super().make_day(batch, day)
+        return made.drop_vars("start"), report
+
+
+def test_a_wrong_day_and_unstable_keys_are_found(tiny):
+    with pytest.raises(ConformanceError) as told:
+        check_pipeline(Unstable(), tiny)
+    assert "different keys" in told.value.message
+    assert "make_day gives no start" in told.value.message
+
+
+class WithoutUnits(ScalarPipeline):
+    """Its products say nothing of their units."""
+
+    def make_product(self, batch, day):
+        product, report = super().make_product(batch, day)
+        product["residual"].attrs.pop("units")
+        return product, {key: value for key, value in report.items() if key != "coverage"}
+
+
+def test_products_without_units_are_found(tiny):
+    with pytest.raises(ConformanceError) as told:
+        check_pipeline(WithoutUnits(), tiny)
+    assert "variable 'residual' has no units" in told.value.message
+    assert "no 'coverage'" in told.value.message
+
+
+def test_the_table_says_which_pipeline_calibrates_a_comparison():
+    tags = {}
+    for name, path in shipped_missions().items():
+        mission = Mission.parse(path.read_text(encoding="utf-8"))
+        for comparison in mission.comparisons:
+            found = find_pipeline(mission, comparison)
+            tags[f"{name}/{comparison}"] = found.tag if found else ""
+    assert tags["champ/main"] == tags["champ-two-fluxgates/second"] == "scalar"
+    assert tags["champ-two-fluxgates/between"] == "relation"
+    assert tags["themis/main"] == "spin"
+    assert tags["venus-express/main"] == "states"
+    champ = Mission.parse(shipped_missions()["champ"].read_text(encoding="utf-8"))
+    assert pipeline_of(champ, "main", ReprocessSettings(table="continuous")).tag == "mission"
+
+
+def test_a_comparison_in_which_nothing_is_calibrated_has_no_pipeline():
+    mission = Mission.parse(shipped_missions()["conrad"].read_text(encoding="utf-8"))
+    for comparison in [*mission.comparisons, "nothing"]:
+        if find_pipeline(mission, comparison) is None:
+            with pytest.raises(MissionError, match="is no scalar, spin or dual comparison"):
+                pipeline_of(mission, comparison)
