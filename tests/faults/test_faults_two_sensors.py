@@ -31,7 +31,7 @@ class Recording:
         if stage == "calibrate":
             self.windows += [day for one in arguments for day in one[3]]
         else:
-            self.products += [day for one in arguments for day in one[4].days]
+            self.products += [day for _, batch in arguments for day in batch.job.days]
         with ThreadPoolExecutor(2) as pool:
             futures = [pool.submit(work, *one) for one in reversed(arguments)]
             return [one.result() for one in reversed(futures)]
