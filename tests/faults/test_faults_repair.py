@@ -92,7 +92,7 @@ def test_a_failure_of_the_repair_itself_leaves_everything_as_it_was(fresh, monke
         damaged_chunk(catalog, item, DAYS[0])
     from inflight.catalog import repair as module
 
-    let_go, calls = module._let_go, []
+    let_go, calls = module._withdraw, []
 
     def break_at_the_second(*told):
         calls.append(told)
@@ -100,7 +100,7 @@ def test_a_failure_of_the_repair_itself_leaves_everything_as_it_was(fresh, monke
             raise OSError("gone")
         let_go(*told)
 
-    monkeypatch.setattr(module, "_let_go", break_at_the_second)
+    monkeypatch.setattr(module, "_withdraw", break_at_the_second)
     with pytest.raises(OSError, match="gone"):
         catalog.repair()
     assert days_as_now(catalog) == before
