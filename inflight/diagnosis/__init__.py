@@ -24,7 +24,7 @@ The walk, step by step, with the file of each:
    change time. When something is left, interactions (products of two channels) join the options.
 7. **Rivals** (``stepwise.py``). Whatever does as well in an effect's place is its rival; what does better
    is exchanged for it.
-8. **Verdict** (``verdict.py``, ``residual.py``, ``spectra.py``, ``result.py``). Values with errors, sizes
+8. **Verdict** (``verdict.py``, ``residual.py``, ``signature.py``, ``result.py``). Values with errors, sizes
    of the residual before and after, what remains (a line, a band, structure), and the sentence.
 
 Beside the walk: ``additions.py`` and ``requests.py`` put an effect into the model and fit everything
